@@ -1,0 +1,55 @@
+# make demo, make test: see README.md. Everything that is installed goes into .venv*.
+BAG ?= bags/plate
+OUT ?= out/demo
+
+# that of the bag's name, or of its name up to the first underscore, or the plate's
+bag := $(basename $(notdir $(BAG:/=)))
+configs := $(bag) $(firstword $(subst _, ,$(bag))) plate
+CONFIG ?= $(firstword $(wildcard $(configs:%=config/%.yaml)))
+
+export PYTHON
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+# With ROS sourced, pytest would load ROS's plugins, which do not fit every pytest.
+export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
+# A test that hangs fails, with the place where it hangs.
+PYTEST := -m pytest -p xdist -n 2 --dist loadfile -p pytest_timeout --timeout 300
+# The workers share the processors; the matrices are small.
+export OPENBLAS_NUM_THREADS := 1
+# What the ROS wheels set for a process of theirs must not reach another environment's.
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+.PHONY: demo test test-oldest test-newest tf2_msgs lint clean
+
+demo:
+	@tools/environment.sh .venv ros
+	.venv/bin/python -m handeye_ros.ros.demo --bag '$(BAG)' --config '$(CONFIG)' --out '$(OUT)'
+
+test: test-oldest test-newest
+
+# The core, without ROS, against the libraries of a Jazzy install; without the tests that solve
+# many times, which call nothing that the others do not call.
+test-oldest:
+	@tools/environment.sh .venv-oldest test requirements/jazzy.txt
+	HYPOTHESIS_PROFILE=$${HYPOTHESIS_PROFILE:-fewer} \
+	    .venv-oldest/bin/python $(PYTEST) -q -m 'not ros and not thorough'
+
+test-newest:
+	@tools/environment.sh .venv ros,test,dev
+	@$(MAKE) --no-print-directory tf2_msgs || echo 'Tests of /tf_static are skipped: no tf2_msgs'
+	.venv/bin/python $(PYTEST)
+
+# The wheels lack it; with it, the node publishes /tf_static. Needs gcc, g++, Python's headers.
+tf2_msgs:
+	@tools/environment.sh .venv ros
+	@.venv/bin/python -c 'import tf2_msgs.msg' 2>/dev/null || \
+	    .venv/bin/python tools/build_interfaces.py test/interfaces/tf2_msgs
+
+lint:
+	@tools/environment.sh .venv ros,test,dev
+	.venv/bin/ruff check
+	.venv/bin/flake8
+	.venv/bin/mypy
+
+clean:
+	rm -rf .venv .venv-oldest build install log out *.egg-info .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

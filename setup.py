@@ -1,0 +1,41 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = 'handeye_ros'
+FOLDERS = ('launch', 'config', 'rviz', 'foxglove')
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    description='Hand-eye calibration of laser line profilers, offline and as a ROS 2 node',
+    license='Apache-2.0',
+    maintainer='The handeye_ros developers',
+    maintainer_email='maintainers@handeye-ros.example.org',
+    python_requires='>=3.11',
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={NAME: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        *((f'share/{NAME}/{folder}', sorted(glob(f'{folder}/*.*'))) for folder in FOLDERS),
+    ],
+    zip_safe=False,
+    install_requires=['numpy>=1.26', 'scipy>=1.11', 'PyYAML', 'mcap', 'rosbags', 'rich', 'typer'],
+    extras_require={
+        'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        'test': ['hypothesis', 'opencv-python-headless<5', 'pytest>=7.4', 'pytest-timeout',
+                 'pytest-xdist'],
+        'dev': ['colcon-common-extensions', 'flake8', 'flake8-blind-except', 'flake8-builtins',
+                'flake8-class-newline', 'flake8-comprehensions', 'flake8-deprecated',
+                'flake8-docstrings', 'flake8-import-order', 'flake8-quotes', 'matplotlib', 'mypy',
+                'ruff', 'types-PyYAML'],
+    },
+    entry_points={
+        'console_scripts': [
+            'handeye = handeye_ros.cli:main',
+            'calibrate = handeye_ros.ros.node:main',
+            'replay = handeye_ros.ros.replay:main',
+        ],
+    },
+)
