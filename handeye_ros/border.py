@@ -1,0 +1,83 @@
+"""
+Where the sensor's field of view ends, learnt from where its profiles end.
+
+Where a face leaves the field of view it ends too, and looks like an edge with nothing behind
+it. The border of a field of view is straight: many ends on one line, with everything that was
+ever seen on one side of it, are no edges.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from handeye_ros.data import Array, EdgePoint, FaceLine, Reject, Sample
+import numpy as np
+from numpy.typing import NDArray
+
+OPEN_KINDS = ('gap', 'open')  # ends with nothing behind them
+TOLERANCE = 2e-4
+FEWEST_ENDS = 5
+SHARE_OF_ENDS = 0.3
+MOST_ENDS = 60  # that span the lines tried
+
+
+def without_border_ends(samples: Sequence[Sample]) -> tuple[list[Sample], list[Reject]]:
+    """Return the samples without the ends at the border, and those that had no other edge."""
+    ends = np.array([end.point for s in samples for end in _open_ends(s)])
+    if len(ends) < FEWEST_ENDS:
+        return list(samples), []
+    lines = border_lines(ends.reshape(-1, 2), _seen(samples))
+    kept, rejects = [], []
+    for sample in samples:
+        at_border = [end for end in _open_ends(sample) if _on_any(end.point, lines)]
+        features = tuple(f for f in sample.features if f not in at_border)
+        if any(isinstance(f, EdgePoint) for f in features):
+            kept.append(replace(sample, features=features))
+        elif at_border:
+            rejects.append(Reject(sample.stamp, 'the face ends only at the border of the field '
+                                  'of view'))
+        else:
+            kept.append(sample)
+    return kept, rejects
+
+
+def _open_ends(sample: Sample) -> list[EdgePoint]:
+    return [f for f in sample.features if isinstance(f, EdgePoint) and f.kind in OPEN_KINDS]
+
+
+def _seen(samples: Sequence[Sample]) -> Array:
+    """Return points (n, 2) that span what was seen: the ends of faces, and edges."""
+    points = []
+    for sample in samples:
+        for f in sample.features:
+            if isinstance(f, FaceLine):
+                points += [f.centre + side * 1.7 * f.spread * f.direction for side in (-1, 1)]
+            elif isinstance(f, EdgePoint):
+                points.append(f.point)
+    return np.array(points)
+
+
+def border_lines(ends: Array, seen: Array) -> Array:
+    """Return lines (k, 3), normal and offset, on which many of the ends (n, 2) lie."""
+    some = ends[np.linspace(0, len(ends) - 1, min(len(ends), MOST_ENDS)).astype(int)]
+    i, j = np.triu_indices(len(some), 1)
+    along = some[j] - some[i]
+    length = np.linalg.norm(along, axis=1)
+    apart = length > 10 * TOLERANCE
+    along, i = along[apart] / length[apart, None], i[apart]
+    normals = np.column_stack([-along[:, 1], along[:, 0]])
+    offsets = (normals * some[i]).sum(axis=1)
+    distances = seen @ normals.T - offsets
+    one_side = ((distances.max(axis=0) < 2 * TOLERANCE)
+                | (distances.min(axis=0) > -2 * TOLERANCE))
+    lines = np.column_stack([normals, offsets])[one_side]
+    needed = max(FEWEST_ENDS, SHARE_OF_ENDS * len(ends))
+    return np.asarray(lines[_near(ends, lines).sum(axis=0) >= needed])
+
+
+def _near(points: Array, lines: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.abs(points @ lines[:, :2].T - lines[:, 2]) < TOLERANCE)
+
+
+def _on_any(point: Array, lines: Array) -> bool:
+    return bool(_near(point[None], lines).any())

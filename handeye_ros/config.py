@@ -1,0 +1,289 @@
+"""
+The configuration: every default, its range and its description, in one place.
+
+A dotted key (`noise.sensor`) is a ROS parameter of the node, a key of the YAML files in
+config/ and a `--set` key of the command line alike. Metres, radians and seconds throughout.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+import math
+from pathlib import Path
+from typing import Any
+
+from handeye_ros.errors import BadValueError, InputError, UnknownKeyError
+import yaml
+
+SIGNED_AXES = ('x', 'y', 'z', '-x', '-y', '-z')
+
+
+def _key(default: Any, description: str, **limits: Any) -> Any:
+    """Declare a key; limits: minimum, maximum (numbers), choices (strings)."""
+    return field(default=default, metadata={'description': description, **limits})
+
+
+@dataclass(frozen=True)
+class ProfileConfig:
+    """How the driver's messages are to be read."""
+
+    unit: str = _key('m', 'Unit of the coordinates in the profile messages.', choices=('m', 'mm'))
+    axes: tuple[str, ...] = _key(
+        ('x', 'z'), 'Two signed axes of the message that span the sensor plane: along the '
+        'laser line, and range.', choices=SIGNED_AXES, length=(2,))
+    range_sign: int = _key(
+        1, '1 if the range grows away from the sensor, -1 if it grows towards it.',
+        choices=(1, -1), minimum=-1, maximum=1)
+
+
+@dataclass(frozen=True)
+class TargetConfig:
+    """What the laser is pointed at."""
+
+    type: str = _key(  # noqa: A003
+        'plate', 'The target: plate, line, plane or sphere.')
+    radius: float = _key(0.0, 'Radius of the sphere in m; 0: unknown, estimated.',
+                         minimum=0.0, maximum=10.0)
+    size: tuple[float, ...] = _key(
+        (), 'Lengths of the plate along its edges p and q in m; empty: unknown, and only the '
+        'two edges that meet in the corner are used.', minimum=0.0, maximum=10.0, length=(0, 2))
+    edge_angle_free: bool = _key(False, 'Estimate the angle between the edges of the plate '
+                                 'instead of taking it as a right angle.')
+    use_face: bool = _key(False, 'Use the face beside the straight edge (line) too; it must be '
+                          'flat.')
+
+
+@dataclass(frozen=True)
+class SamplingConfig:
+    """When the robot stands still, and what of a station is used."""
+
+    auto: bool = _key(True, 'Take a sample at every stop of the robot.')
+    still_time: float = _key(0.5, 'The robot stands still when its pose has not changed for '
+                             'this long (s).', minimum=0.05, maximum=60.0)
+    still_translation: float = _key(5e-4, 'Largest change of position of a robot that stands '
+                                    'still (m).', minimum=0.0, maximum=0.1)
+    still_rotation: float = _key(2e-3, 'Largest change of orientation of a robot that stands '
+                                 'still (rad).', minimum=0.0, maximum=0.1)
+    settle_time: float = _key(0.1, 'Profiles this soon after the robot stopped, or this shortly '
+                              'before it starts, are left out (s).', minimum=0.0, maximum=10.0)
+    max_pose_gap: float = _key(0.5, 'Poses further apart than this around a profile are too '
+                               'sparse to interpolate (s).', minimum=1e-3, maximum=60.0)
+    min_points: int = _key(20, 'Fewest points of a face or an arc in one profile.',
+                           minimum=5, maximum=100000)
+    min_crossing_angle: float = _key(0.44, 'A laser line that crosses an edge at a smaller '
+                                     'angle is not used (rad).', minimum=0.0, maximum=1.5)
+
+
+@dataclass(frozen=True)
+class NoiseConfig:
+    """What is known of the noise, 1 sigma; the data corrects it."""
+
+    sensor: float = _key(3e-5, 'Range noise of one profile point (m).',
+                         minimum=1e-9, maximum=0.01)
+    distortion: float = _key(0.0, "Smooth error of the sensor's field, its linearity (m).",
+                             minimum=0.0, maximum=0.01)
+    robot_translation: float = _key(3e-5, 'Repeatability of the flange position, each axis (m).',
+                                    minimum=0.0, maximum=0.01)
+    robot_rotation: float = _key(7e-5, 'Repeatability of the flange orientation, each axis '
+                                 '(rad).', minimum=0.0, maximum=0.01)
+
+
+@dataclass(frozen=True)
+class LimitsConfig:
+    """What is too uncertain or too inconsistent to publish."""
+
+    translation: float = _key(5e-3, 'Largest 1-sigma of the translation in its worst direction '
+                              '(m).', minimum=0.0, maximum=1.0)
+    rotation: float = _key(2e-2, 'Largest 1-sigma of the rotation about its worst axis (rad).',
+                           minimum=0.0, maximum=1.0)
+    scatter: float = _key(8.0, 'Largest RMS residual of a trusted answer, as a multiple of what '
+                          'the configured noise makes.', minimum=1.0, maximum=1e6)
+    residual: float = _key(1e-3, 'Largest RMS residual of a trusted answer (m).',
+                           minimum=0.0, maximum=1.0)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything a user can set."""
+
+    name: str = _key('', 'Name of the calibration, and of the folder it is saved in; empty: '
+                     'the type of the target.')
+    calibration_type: str = _key('eye_in_hand', 'Where the sensor is: on the flange '
+                                 '(eye_in_hand) or fixed beside the robot (eye_on_base).',
+                                 choices=('eye_in_hand', 'eye_on_base'))
+    robot_base_frame: str = _key('base', 'Frame id of the robot base.')
+    robot_effector_frame: str = _key('flange', 'Frame id of the flange.')
+    pose_source: str = _key('topic', 'Where the flange poses come from: PoseStamped messages '
+                            '(topic) or the transform tree (tf).', choices=('topic', 'tf'))
+    pose_topic: str = _key('flange_pose', 'Topic of the flange poses.')
+    profile_topic: str = _key('profile', 'Topic of the laser profiles.')
+    profile: ProfileConfig = field(default_factory=ProfileConfig)
+    target: TargetConfig = field(default_factory=TargetConfig)
+    method: str = _key('auto', 'The estimator; auto: the one of the target.')
+    sampling: SamplingConfig = field(default_factory=SamplingConfig)
+    noise: NoiseConfig = field(default_factory=NoiseConfig)
+    limits: LimitsConfig = field(default_factory=LimitsConfig)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A dotted key with its default and what may be put there."""
+
+    key: str
+    default: Any
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[Any, ...] = ()
+    length: tuple[int, ...] = ()
+
+
+def parameters() -> tuple[Parameter, ...]:
+    """Return every key, in the order of this file."""
+    return tuple(_parameters(Config(), ''))
+
+
+def _parameters(part: Any, prefix: str) -> Iterable[Parameter]:
+    for item in fields(part):
+        value = getattr(part, item.name)
+        if is_dataclass(value):
+            yield from _parameters(value, f'{prefix}{item.name}.')
+        else:
+            yield Parameter(f'{prefix}{item.name}', value, **item.metadata)
+
+
+def flatten(config: Config) -> dict[str, Any]:
+    """Return the values of a configuration by dotted key; tuples become lists."""
+    values = {p.key: _get(config, p.key) for p in parameters()}
+    return {key: list(v) if isinstance(v, tuple) else v for key, v in values.items()}
+
+
+def _get(config: Any, key: str) -> Any:
+    for name in key.split('.'):
+        config = getattr(config, name)
+    return config
+
+
+def with_values(config: Config, values: Mapping[str, Any], source: str) -> Config:
+    """
+    Return config with values by dotted key put in.
+
+    source: what the values come from, for the message.
+    Raises UnknownKeyError and BadValueError.
+    """
+    known = {p.key: p for p in parameters()}
+    for key, value in values.items():
+        if key not in known:
+            raise UnknownKeyError(key, list(known), source)
+        config = _put(config, key.split('.'), _checked(known[key], value))
+    return config
+
+
+def _put(part: Any, names: list[str], value: Any) -> Any:
+    if len(names) > 1:
+        value = _put(getattr(part, names[0]), names[1:], value)
+    return replace(part, **{names[0]: value})
+
+
+def _checked(parameter: Parameter, value: Any) -> Any:
+    """Return the value in the type of the parameter's default, or raise BadValueError."""
+    if isinstance(parameter.default, tuple):
+        return _checked_list(parameter, value)
+    kind = type(parameter.default)
+    if kind is float and type(value) is int:
+        value = float(value)
+    if type(value) is not kind or (kind is float and not math.isfinite(value)):
+        raise BadValueError(parameter.key, value, f'a value of type {kind.__name__}')
+    _check_limits(parameter, value)
+    return value
+
+
+def _checked_list(parameter: Parameter, value: Any) -> tuple[Any, ...]:
+    if not isinstance(value, list | tuple) or len(value) not in parameter.length:
+        lengths = ' or '.join(map(str, parameter.length))
+        raise BadValueError(parameter.key, value, f'a list of {lengths} values')
+    if not parameter.choices:
+        for item in value:
+            if type(item) not in (int, float) or not math.isfinite(item):
+                raise BadValueError(parameter.key, value, 'a list of numbers')
+        value = [float(item) for item in value]
+    for item in value:
+        _check_limits(parameter, item)
+    if parameter.key == 'profile.axes' and value[0][-1] == value[1][-1]:
+        raise BadValueError(parameter.key, list(value), 'two different axes')
+    return tuple(value)
+
+
+def _check_limits(parameter: Parameter, value: Any) -> None:
+    if parameter.choices and value not in parameter.choices:
+        expected = 'one of ' + ', '.join(map(str, parameter.choices))
+        raise BadValueError(parameter.key, value, expected)
+    low, high = parameter.minimum, parameter.maximum
+    if low is not None and high is not None and not low <= value <= high:
+        raise BadValueError(parameter.key, value, f'a number from {low:g} to {high:g}')
+
+
+def flipped_range(config: Config) -> Config:
+    """Return the configuration with profile.range_sign the other way."""
+    return replace(config, profile=replace(config.profile, range_sign=-config.profile.range_sign))
+
+
+def load(path: Path, config: Config | None = None) -> Config:
+    """Return config (default: the defaults) with the values of a ROS parameter file put in."""
+    try:
+        content = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f'cannot read the configuration {path}: {error}') from error
+    except yaml.YAMLError as error:
+        raise InputError(f'{path} is not valid YAML: {error}') from error
+    return with_values(config or Config(), _node_values(content, path), str(path))
+
+
+def _node_values(content: Any, path: Path) -> dict[str, Any]:
+    """Return the dotted values below `<node name>: ros__parameters:` (the node's or `/**`)."""
+    values: dict[str, Any] = {}
+    sections = content if isinstance(content, dict) else {}
+    for node, section in sections.items():
+        if node in ('/**', 'handeye', '/handeye') and isinstance(section, dict):
+            given = section.get('ros__parameters')
+            values |= _dotted(given, '') if isinstance(given, dict) else {}
+    if not values:
+        raise InputError(f'{path} holds no parameters of the node; expected the form of a ROS '
+                         'parameter file: "/**:", below it "ros__parameters:", below it the keys')
+    values.pop('use_sim_time', None)  # every ROS node has it; it is not a key of ours
+    return values
+
+
+def _dotted(section: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for name, value in section.items():
+        if isinstance(value, dict):
+            values |= _dotted(value, f'{prefix}{name}.')
+        else:
+            values[f'{prefix}{name}'] = value
+    return values
+
+
+def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
+    """Return config with `key=value` texts (values in YAML) put in."""
+    numbers = {p.key for p in parameters() if isinstance(p.default, float)}
+    for text in assignments:
+        key, equals, value = text.partition('=')
+        if not equals:
+            raise InputError(f'"{text}" is not of the form key=value')
+        try:
+            parsed = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise InputError(f'the value in "{text}" is not valid YAML') from error
+        if isinstance(parsed, str) and key.strip() in numbers:
+            # YAML reads 3e-5 as text: its numbers want a dot
+            parsed = _number(parsed)
+        config = with_values(config, {key.strip(): parsed}, '--set')
+    return config
+
+
+def _number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text

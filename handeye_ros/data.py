@@ -1,0 +1,173 @@
+"""
+The values that pass between the stages; all frozen, none knows ROS.
+
+SI units throughout; stamps are integer nanoseconds; see docs/conventions.md.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """
+    One laser profile, in the sensor's own plane.
+
+    points: (n, 2), along the laser line and range, in the order the driver sent them;
+    a row with NaN is a column without a return.
+    axes: the signed axes of frame_id that the two columns of points run along.
+    """
+
+    stamp: int
+    frame_id: str
+    points: Array
+    axes: tuple[str, str] = ('x', 'z')
+
+
+@dataclass(frozen=True, eq=False)
+class TimedPose:
+    """
+    A pose of the flange in the robot's base.
+
+    translation: (3,) metres; quaternion: (4,) x y z w of unit length.
+    """
+
+    stamp: int
+    translation: Array
+    quaternion: Array
+    parent_frame: str = 'base'
+
+
+@dataclass(frozen=True, eq=False)
+class FaceLine:
+    """
+    The straight part of a profile across a face.
+
+    centre: (2,) centroid of its points; direction: (2,) unit vector along it.
+    spread: standard deviation of its points along it; std: 1 sigma of its offset at
+    the centre, which is also that of its offset's change over one spread: the offsets at
+    centre +- spread * direction are uncorrelated, each with sqrt(2) * std.
+    """
+
+    centre: Array
+    direction: Array
+    spread: float
+    std: float
+
+
+@dataclass(frozen=True, eq=False)
+class EdgePoint:
+    """
+    Where a face ends.
+
+    point: (2,) in the sensor plane, on the face line; direction: (2,) unit vector along the
+    face line, out of the face; std: 1 sigma along the direction; std_across: 1 sigma across it;
+    kind: 'step', 'roof', 'gap' (nothing behind it) or 'open' (the driver does not say).
+    """
+
+    point: Array
+    direction: Array
+    std: float
+    std_across: float
+    kind: str = 'step'
+
+
+@dataclass(frozen=True, eq=False)
+class Arc:
+    """
+    The part of a profile on a sphere.
+
+    points: (k, 2) normal points, each the mean of its share of the arc; std: (k,) 1 sigma of
+    each along the circle's normal. centre (2,), radius: the circle fitted through all points.
+    raw: (n, 2) the points of the arc that the normal points stand for, as measured.
+    """
+
+    points: Array
+    std: Array
+    centre: Array
+    radius: float
+    raw: Array
+
+
+Feature: TypeAlias = FaceLine | EdgePoint | Arc
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """
+    A station: what was seen while the robot stood still, and where it stood.
+
+    stamp: of the first profile used; T_base_flange: (4, 4). flipped: what its first profile
+    would show if the range were counted the other way, to tell a wrong setting.
+    """
+
+    stamp: int
+    T_base_flange: Array
+    features: tuple[Feature, ...]
+    profiles: int = 1
+    flipped: tuple[Feature, ...] = ()
+
+
+@dataclass(frozen=True)
+class Reject:
+    """A sample that was not used, and why."""
+
+    stamp: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class SampleReport:
+    """What became of a sample: its residual RMS (metres), or the reason it was not used."""
+
+    stamp: int
+    used: bool
+    edge: str = ''
+    residual: float | None = None
+    reason: str = ''
+
+
+@dataclass(frozen=True)
+class Quality:
+    """
+    How good the answer is; metres.
+
+    residual_rms: of all used observations; holdout_rms: of the same, each predicted from
+    a fit without its station; weakest_direction: a sentence; weakest_std: its 1 sigma
+    (metres for a translation, radians for a rotation: the sentence says which).
+    """
+
+    samples_used: int
+    samples_rejected: int
+    residual_rms: float
+    holdout_rms: float
+    weakest_direction: str
+    weakest_std: float
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """
+    The answer: T_flange_sensor (4, 4) and its 6x6 covariance (x y z rx ry rz, flange frame).
+
+    With eye_on_base the parent is the robot's base. target: what else was estimated, as plain
+    values (numbers, strings, lists, dicts). provenance: version, created, inputs, config.
+    """
+
+    name: str
+    method: str
+    parent_frame: str
+    child_frame: str
+    T_flange_sensor: Array
+    covariance: Array
+    target: Mapping[str, Any]
+    quality: Quality
+    samples: tuple[SampleReport, ...]
+    provenance: Mapping[str, Any] = field(default_factory=dict)

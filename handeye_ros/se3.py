@@ -1,0 +1,119 @@
+"""
+Rigid transforms: 4x4 arrays T_parent_child, p_parent = T_parent_child @ p_child.
+
+A perturbation is (translation, rotation vector), both in the parent frame:
+R = Exp(dr) R_hat, t = t_hat + dt, as in geometry_msgs.
+"""
+from __future__ import annotations
+
+from typing import cast
+import warnings
+
+from handeye_ros.data import Array
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+def transform(rotation: Array, translation: Array) -> Array:
+    """Return the (..., 4, 4) transform of (..., 3, 3) rotation and (..., 3) translation."""
+    shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    T = np.zeros((*shape, 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rotation, translation, 1.0
+    return T
+
+
+def inverse(T: Array) -> Array:
+    """Return the inverse of (..., 4, 4) transforms."""
+    R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
+    return transform(R_transposed, -(R_transposed @ T[..., :3, 3:])[..., 0])
+
+
+def apply(T: Array, points: Array) -> Array:
+    """Return points (..., n, 3) of the child frame in the parent frame of T (..., 4, 4)."""
+    return points @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
+
+
+def exp_rotation(vector: Array) -> Array:
+    """
+    Return the (..., 3, 3) rotation of (..., 3) rotation vectors (radians).
+
+    Rodrigues' formula; it is in the innermost loop, where a general library is slow.
+    """
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    S = skew(vector)
+    half = np.sinc(angle / (2 * np.pi))
+    return cast(Array, np.eye(3) + np.sinc(angle / np.pi) * S + 0.5 * half * half * (S @ S))
+
+
+def log_rotation(R: Array) -> Array:
+    """Return the (..., 3) rotation vectors (radians) of (..., 3, 3) rotations."""
+    flat = _rotations(R).as_rotvec()
+    return cast(Array, flat.reshape(*R.shape[:-2], 3))
+
+
+def _rotations(R: Array) -> Rotation:
+    """Return (..., 3, 3) rotations, copied: SciPy 1.11 wants to be able to write to them."""
+    return Rotation.from_matrix(np.array(R).reshape(-1, 3, 3))
+
+
+def from_quaternion(translation: Array, quaternion: Array) -> Array:
+    """Return the (..., 4, 4) transform of (..., 3) translation and (..., 4) x y z w."""
+    flat = Rotation.from_quat(np.array(quaternion).reshape(-1, 4)).as_matrix()
+    return transform(flat.reshape(*quaternion.shape[:-1], 3, 3), translation)
+
+
+def quaternion(T: Array) -> Array:
+    """Return the (..., 4) quaternion x y z w, w >= 0, of (..., 4, 4) transforms."""
+    q = _rotations(T[..., :3, :3]).as_quat()
+    q = np.where(q[:, 3:] < 0, -q, q)
+    return cast(Array, q.reshape(*T.shape[:-2], 4))
+
+
+def rpy(T: Array) -> Array:
+    """Return roll, pitch, yaw (radians; URDF: extrinsic x-y-z) of a (4, 4) transform."""
+    with warnings.catch_warnings():  # at a pitch of 90 degrees scipy warns that yaw is chosen
+        warnings.simplefilter('ignore')
+        return cast(Array, _rotations(T[:3, :3]).as_euler('xyz')[0])
+
+
+def perturb(T: Array, delta: Array) -> Array:
+    """Return T (4, 4) moved by delta (6,): t + delta[:3], Exp(delta[3:]) R."""
+    return transform(exp_rotation(delta[3:]) @ T[:3, :3], T[:3, 3] + delta[:3])
+
+
+def difference(T: Array, T_reference: Array) -> Array:
+    """Return the delta (6,) with perturb(T_reference, delta) equal to T."""
+    rotation = log_rotation(T[:3, :3] @ T_reference[:3, :3].T)
+    return np.concatenate([T[:3, 3] - T_reference[:3, 3], rotation])
+
+
+def angle(R: Array) -> Array:
+    """Return by how much (..., 3, 3) rotations turn (radians)."""
+    return cast(Array, np.linalg.norm(log_rotation(R), axis=-1))
+
+
+def skew(v: Array) -> Array:
+    """Return the (..., 3, 3) matrices that are the cross product by (..., 3) vectors."""
+    S = np.zeros((*v.shape, 3))
+    S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    return cast(Array, S - np.swapaxes(S, -1, -2))
+
+
+def nearest_rotation(M: Array) -> Array:
+    """Return the rotation nearest to M (3, 3) in the Frobenius norm."""
+    U, _, V_transposed = np.linalg.svd(M)
+    flip = np.array([1.0, 1.0, np.linalg.det(U @ V_transposed)])
+    return cast(Array, (U * flip) @ V_transposed)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Return the (n, 3) cross products of (n, 3) or (3,) vectors."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+def mean_pose(T: Array) -> Array:
+    """Return the mean (4, 4) of close (n, 4, 4) transforms."""
+    R = _rotations(T[:, :3, :3]).mean().as_matrix()
+    return transform(R, T[:, :3, 3].mean(axis=0))

@@ -1,0 +1,151 @@
+"""
+Straight pieces and circular arcs in a laser profile, robust to gross outliers.
+
+Profiles are (n, 2): along the laser line, range; NaN where there was no return. Lines are
+z = offset + slope * x, because a profiler's noise is in its range.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from handeye_ros.data import Array
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_LINES = 5
+HYPOTHESES = 48  # pairs of points tried per span and search for a line
+SEARCH_POINTS = 256  # points that vote for a hypothesis
+FOREIGN_POINTS = 5  # this many points of something else between two of a line part it
+STRAY_GAP = 2  # an end point this far from its neighbour is on the line by chance
+INLIER_SIGMAS = 4.0
+MOST_NOISE = 30.0  # times the configured noise: more is no surface
+NARROWEST = 1e-6  # spread along the laser line of points that make a line (m)
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """
+    A straight piece of a profile: z = offset + slope * x.
+
+    first, last: its first and last point, as rows of the profile; rows: (k,) all its points;
+    noise: the standard deviation of its points in range.
+    """
+
+    first: int
+    last: int
+    rows: NDArray[np.intp]
+    offset: float
+    slope: float
+    noise: float
+
+    def height(self, x: Any) -> Any:
+        """Return the range of its line at x, a number or an array."""
+        return self.offset + self.slope * x
+
+
+def noise_level(z: Array, configured: float) -> float:
+    """
+    Return the range noise of consecutive valid points, within sight of the configured one.
+
+    With a third of gross outliers a third of the second differences is still free of them.
+    """
+    if len(z) < 8:
+        return configured
+    second = np.abs(z[:-2] - 2 * z[1:-1] + z[2:])
+    level = float(np.quantile(second, 0.2)) / 0.2533 / 6 ** 0.5
+    return float(np.clip(level, configured / 3, MOST_NOISE * configured))
+
+
+def straight_segments(points: Array, noise: float, min_points: int) -> list[Segment]:
+    """
+    Return the straight pieces of a profile, in the order of its rows.
+
+    points: (n, 2); noise: configured range noise (1 sigma); min_points: fewest of a piece.
+    """
+    rows = np.flatnonzero(np.isfinite(points).all(axis=1))
+    if len(rows) < min_points:
+        return []
+    x, z = points[rows].T
+    tolerance = INLIER_SIGMAS * max(noise_level(z, noise), noise)
+    owner = np.full(len(rows), -1)
+    for line in range(MAX_LINES):
+        free = np.flatnonzero(owner < 0)
+        inliers = _dominant_line(x[free], z[free], tolerance, min_points)
+        if inliers is None:
+            break
+        owner[free[inliers]] = line
+    pieces = [piece for line in range(owner.max() + 1)
+              for piece in _pieces(np.flatnonzero(owner == line), owner)
+              if len(piece) >= min_points and x[piece].std() > NARROWEST]
+    segments = [_segment(rows[piece], points, noise / 3) for piece in pieces]
+    return sorted(segments, key=lambda s: s.first)
+
+
+def _dominant_line(x: Array, z: Array, tolerance: float, min_points: int
+                   ) -> NDArray[np.bool_] | None:
+    """Return which points lie on the line with the most points, None if these are too few."""
+    if len(x) < min_points:
+        return None
+    step = -(-len(x) // SEARCH_POINTS)
+    slope, offset = _hypotheses(x, z)
+    if not len(slope):
+        return None
+    residuals = np.abs(z[::step] - offset[:, None] - slope[:, None] * x[::step])
+    best = int(np.argmax((residuals < 2 * tolerance).sum(axis=1)))
+    a, b = offset[best], slope[best]
+    for width in (2.0, 1.5, 1.0, 1.0):
+        inliers = np.abs(z - a - b * x) < width * tolerance
+        if inliers.sum() < min_points:
+            return None
+        a, b = _fit(x[inliers], z[inliers])
+    return np.asarray(np.abs(z - a - b * x) < tolerance)
+
+
+def _hypotheses(x: Array, z: Array) -> tuple[Array, Array]:
+    """Return slopes and offsets (k,) of lines through pairs of points, evenly spread."""
+    slopes, offsets = [], []
+    for span in {max(len(x) // parts, 2) for parts in (3, 8, 20)}:
+        first = np.unique(np.linspace(0, len(x) - 1 - span, HYPOTHESES).astype(int))
+        dx = x[first + span] - x[first]
+        apart = np.abs(dx) > NARROWEST
+        first = first[apart]
+        slope = (z[first + span] - z[first]) / dx[apart]
+        slopes.append(slope)
+        offsets.append(z[first] - slope * x[first])
+    return np.concatenate(slopes), np.concatenate(offsets)
+
+
+def _fit(x: Array, z: Array) -> tuple[float, float]:
+    """Return offset and slope of the least-squares line."""
+    mean_x, mean_z = x.mean(), z.mean()
+    dx = x - mean_x
+    spread = float(dx @ dx)
+    slope = float(dx @ (z - mean_z)) / spread if spread > 0 else 0.0
+    return float(mean_z - slope * mean_x), slope
+
+
+def _pieces(members: NDArray[np.intp], owner: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+    """Part the members of a line where points of something else lie between them."""
+    between = np.diff(members) - 1  # valid points that are not of this line
+    cuts = np.flatnonzero(between >= FOREIGN_POINTS) + 1
+    for piece in np.split(members, cuts):
+        first, last = 0, len(piece)
+        while last - first > 2 and piece[first + 1] - piece[first] > STRAY_GAP:
+            first += 1
+        while last - first > 2 and piece[last - 1] - piece[last - 2] > STRAY_GAP:
+            last -= 1
+        yield piece[first:last]
+
+
+def _segment(rows: NDArray[np.intp], points: Array, least_noise: float) -> Segment:
+    """Return the line through rows; a sensor that rounds may show no noise where there is some."""
+    x, z = points[rows].T
+    # the last points at an end are the worst: the line is fitted without them
+    margin = min(max(2, len(rows) // 50), (len(rows) - 3) // 2)
+    inner = slice(margin, len(rows) - margin)
+    offset, slope = _fit(x[inner], z[inner])
+    residual = z[inner] - offset - slope * x[inner]
+    noise = float(np.sqrt(residual @ residual / max(len(residual) - 2, 1)))
+    return Segment(int(rows[0]), int(rows[-1]), rows, offset, slope, max(noise, least_noise))
