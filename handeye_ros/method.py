@@ -1,0 +1,110 @@
+"""What a method is: the few functions that set one target apart from another."""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Feature, Sample
+import numpy as np
+from numpy.typing import NDArray
+
+UNUSED = -1  # the kind of an observation that belongs to nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """
+    Points of the sensor plane, each with one scalar condition to fulfil.
+
+    station: (m,) index of the pose, ascending; points: (m, 2); kind: (m,) which condition, an
+    index into the method's kinds; noise: (m, 2, 2) factor L, the point's error is L @ e with
+    e of unit covariance; source: (m,) observations of equal source share their e.
+    """
+
+    station: NDArray[np.intp]
+    points: Array
+    kind: NDArray[np.intp]
+    noise: Array
+    source: NDArray[np.intp]
+
+    def __len__(self) -> int:
+        """Return the number of conditions."""
+        return len(self.station)
+
+    def select(self, keep: NDArray[np.bool_]) -> Observations:
+        """Return the observations where keep (m,) is true."""
+        return Observations(self.station[keep], self.points[keep], self.kind[keep],
+                            self.noise[keep], self.source[keep])
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The transform from the mount to the sensor plane X (4, 4) and the target's state (s,)."""
+
+    X: Array
+    target: Array
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Values g (m,) that should vanish, and their derivatives by point and target."""
+
+    g: Array
+    dg_dp: Array
+    dg_dtarget: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """
+    One target's estimator, as plain functions; the solver is the same for all.
+
+    kinds: names of the conditions; labels: names of the target's k parameters.
+    extract(points, config): features of one profile.
+    observe(samples): what is to be fulfilled.
+    guess(observations, T_base_flange (n, 4, 4), config, rng): estimates to start from.
+    conditions(points in base (m, 3), kind (m,), target (s,), config): see Conditions.
+    retract(target (s,), delta (k,)): the moved target.
+    free(config): (k,) which of the target's parameters are unknown.
+    relabel(observations, points in base, target): kinds that fit better, for the next solve;
+    UNUSED for an observation that belongs to nothing.
+    describe(target, std (k,)): what else was estimated, as plain values.
+    measured(sample, points, kind): all measured points (k, 2) and their kinds, that the used
+    observations (points, kind) of a sample stand for.
+    edges: the kinds that name an edge. minimum: fewest samples.
+    one_axis: what turns about one axis alone leave open, in words.
+    relax(config): the configuration with the target's shape (its last parameter) unknown, None
+    where it is; configured(config): its configured value.
+    """
+
+    name: str
+    kinds: tuple[str, ...]
+    labels: tuple[str, ...]
+    extract: Callable[[Array, Config], tuple[Feature, ...]]
+    observe: Callable[[Sequence[Sample]], Observations]
+    guess: Callable[[Observations, Array, Config, np.random.Generator], Iterable[Estimate]]
+    conditions: Callable[[Array, NDArray[np.intp], Array, Config], Conditions]
+    retract: Callable[[Array, Array], Array]
+    free: Callable[[Config], NDArray[np.bool_]]
+    relabel: Callable[[Observations, Array, Array, Config], Observations]
+    describe: Callable[[Array, Array], dict[str, Any]]
+    measured: Callable[[Sample, Array, NDArray[np.intp]], tuple[Array, NDArray[np.intp]]]
+    edges: tuple[str, ...]
+    minimum: int
+    one_axis: str = 'the position along it is free'
+    relax: Callable[[Config], Config | None] = lambda config: None
+    configured: Callable[[Config], float] = lambda config: 0.0
+
+
+def kind_unchanged(observations: Observations, points: Array, target: Array, config: Config
+                   ) -> Observations:
+    """Return the observations as they are: a target whose features cannot be confused."""
+    return observations
+
+
+def observed_points(sample: Sample, points: Array, kind: NDArray[np.intp]
+                    ) -> tuple[Array, NDArray[np.intp]]:
+    """Return the observations themselves as what was measured."""
+    return points, kind

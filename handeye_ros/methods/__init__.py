@@ -1,0 +1,26 @@
+"""The estimators, one file for each target."""
+from __future__ import annotations
+
+from handeye_ros.config import Config
+from handeye_ros.errors import BadValueError
+from handeye_ros.method import Method
+from handeye_ros.methods.line import LINE
+from handeye_ros.methods.plane import PLANE
+from handeye_ros.methods.plate import PLATE
+from handeye_ros.methods.sphere import SPHERE
+
+METHODS: dict[str, Method] = {
+    'plate': PLATE, 'line': LINE, 'plane': PLANE, 'sphere': SPHERE}
+
+
+def of(config: Config) -> Method:
+    """
+    Return the method that a configuration asks for.
+
+    Raises BadValueError for a name that does not exist.
+    """
+    key, name = ('target.type', config.target.type) if config.method == 'auto' else (
+        'method', config.method)
+    if name not in METHODS:
+        raise BadValueError(key, name, 'one of ' + ', '.join(METHODS))
+    return METHODS[name]

@@ -1,0 +1,105 @@
+"""What the methods share: collecting observations, and searching for a start linearly."""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from handeye_ros import se3
+from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.method import Observations
+import numpy as np
+from numpy.typing import NDArray
+
+FACE = 0  # the kind of a condition on a face, in every method that has them
+GUESS_STATIONS = 40  # more add time to a guess, nothing else
+
+
+@dataclass
+class ObservationRows:
+    """Collects the conditions of a method, station by station."""
+
+    station: list[int] = field(default_factory=list)
+    points: list[Array] = field(default_factory=list)
+    kind: list[int] = field(default_factory=list)
+    noise: list[Array] = field(default_factory=list)
+    source: list[int] = field(default_factory=list)
+
+    def add(self, station: int, point: Array, kind: int, noise: Array, source: int) -> None:
+        """Append one condition; see Observations."""
+        self.station.append(station)
+        self.points.append(point)
+        self.kind.append(kind)
+        self.noise.append(noise)
+        self.source.append(source)
+
+    def observations(self) -> Observations:
+        """Return what was collected."""
+        return Observations(
+            np.array(self.station, dtype=np.intp), np.array(self.points).reshape(-1, 2),
+            np.array(self.kind, dtype=np.intp), np.array(self.noise).reshape(-1, 2, 2),
+            np.array(self.source, dtype=np.intp))
+
+
+def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int) -> None:
+    """Append the two decorrelated points of a face line."""
+    across = np.array([-line.direction[1], line.direction[0]])
+    noise = np.column_stack([across * line.std * 2 ** 0.5, np.zeros(2)])
+    for i, side in enumerate((-1.0, 1.0)):
+        point = line.centre + side * line.spread * line.direction
+        rows.add(station, point, FACE, noise, source + i)
+
+
+def collect(samples: Sequence[Sample],
+            add: Callable[[ObservationRows, int, Feature, int], None]) -> Observations:
+    """Return the conditions that add(rows, station, feature, source) appends for each feature."""
+    rows = ObservationRows()
+    for station, sample in enumerate(samples):
+        for i, feature in enumerate(sample.features):
+            add(rows, station, feature, 2 * i)
+    return rows.observations()
+
+
+def edge_noise(edge: EdgePoint) -> Array:
+    """Return the factor (2, 2) of an edge point's covariance."""
+    along = edge.direction
+    across = np.array([-along[1], along[0]])
+    return np.column_stack([along * edge.std, across * edge.std_across])
+
+
+def some_stations(count: int, most: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return at most so many of count stations, ascending."""
+    return np.sort(rng.permutation(count)[:most])
+
+
+def hemisphere(count: int) -> Array:
+    """Return unit vectors (count, 3), spread evenly over half a sphere (Fibonacci)."""
+    i = np.arange(count) + 0.5
+    z, turn = i / count, i * np.pi * (3 - 5 ** 0.5)
+    r = np.sqrt(1 - z * z)
+    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+
+
+def best_linear(A: Array, b: Array, count: int) -> tuple[NDArray[np.intp], Array]:
+    """
+    Return which of k linear systems fit best, best first, and all their solutions (k, u).
+
+    A: (k, m, u), b: (k, m). The first six unknowns are r1 and r3 of the sensor: systems with
+    small residuals and these near orthonormal come first.
+    """
+    scale = np.linalg.norm(A, axis=1, keepdims=True)
+    A = A / scale
+    At = np.swapaxes(A, 1, 2)
+    x = np.linalg.solve(At @ A + 1e-12 * np.eye(A.shape[2]), At @ b[..., None])
+    rms = np.sqrt(((A @ x - b[..., None]) ** 2).mean(axis=(1, 2)))
+    x = x[..., 0] / scale[:, 0]
+    r1, r3 = x[:, :3], x[:, 3:6]
+    defect = (np.abs((r1 ** 2).sum(1) - 1) + np.abs((r3 ** 2).sum(1) - 1)
+              + np.abs((r1 * r3).sum(1)))
+    return np.argsort(rms / 1e-3 + defect)[:count], x
+
+
+def nearest_transform(x: Array) -> Array:
+    """Return the transform (4, 4) nearest to r1, r3, t of a linear solution (9, ...)."""
+    U, _, Vt = np.linalg.svd(x[:6].reshape(2, 3), full_matrices=False)
+    r1, r3 = U @ Vt
+    return se3.transform(np.column_stack([r1, np.cross(r3, r1), r3]), x[6:9])

@@ -1,0 +1,233 @@
+"""
+A X = X B from any number of poses: a camera that sees the whole pose of a target (CN105021139A).
+
+A closed form starts (rotation axes of all pairs of poses, then linear), and least squares over
+the poses finish, on rotation and translation together: with Z the fixed target, the pose that
+T_base_flange, X and Z predict for each view is compared with the measured one.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+from handeye_ros import se3
+from handeye_ros.adjust import adjust, Adjusted, Model
+from handeye_ros.data import Array
+from handeye_ros.errors import DegenerateError, OneAxisError, OneOrientationError, TooFewError
+from handeye_ros.identify import name_direction, other_axes, SMALLEST_TURN, turning
+from handeye_ros.tables import Table
+import numpy as np
+from numpy.typing import NDArray
+
+NAME = 'A X = X B'
+MINIMUM = 3
+MOST_PAIRS = 2000
+LARGEST_ANGLE = 3.0  # of a turn whose axis is still certain (rad)
+SUBSETS = 20
+SUBSET_SIZE = 4
+BELIEVED_SHARE = 0.7
+DOUBTFUL = 16.0  # squared residual over the median that no good pose reaches
+LARGEST_DROPPED_SHARE = 0.34
+LARGEST_RMS = (1e-2, 0.05)  # of an answer that can be trusted (m, rad)
+LENGTH = 0.1  # m that weigh as much as a radian, until the residuals say better
+ROUNDS = 2  # of estimating the noise
+SMALLEST_NOISE = 1e-12
+LOST = 'the position along it is free'
+
+State: TypeAlias = tuple[Array, Array]
+
+
+@dataclass(frozen=True)
+class PoseNoise:
+    """1 sigma of each axis: of the target's pose as seen (camera frame), and of the robot's."""
+
+    target_translation: float
+    target_rotation: float
+    robot_translation: float = 0.0
+    robot_rotation: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class HandEyeResult:
+    """
+    The answer.
+
+    T_flange_camera, T_base_target: (4, 4), with eye_on_base T_base_camera and T_flange_target;
+    covariance: (6, 6) of the first, x y z rx ry rz in its parent; used: indices of the poses
+    used; noise: given or estimated; rms, holdout_rms: (translation (m), rotation (rad)) of the
+    used views, the latter each against the answer without it.
+    """
+
+    T_flange_camera: Array
+    T_base_target: Array
+    covariance: Array
+    used: NDArray[np.intp]
+    noise: PoseNoise
+    rms: tuple[float, float]
+    holdout_rms: tuple[float, float]
+
+
+def read(path: Path) -> tuple[Array, Array]:
+    """
+    Return T_base_flange and T_camera_target (n, 4, 4) of a file.
+
+    Columns flange_x ... and target_x ... as in Table.poses, each with its unit. Raises
+    TableError.
+    """
+    table = Table(path)
+    return table.poses('flange'), table.poses('target')
+
+
+def solve(T_base_flange: Array, T_camera_target: Array, noise: PoseNoise | None = None,
+          eye_on_base: bool = False, frame: str = 'flange') -> HandEyeResult:
+    """
+    Return the hand-eye transform.
+
+    T_base_flange, T_camera_target: (n, 4, 4) of the same moments; noise: estimated from the
+    residuals when not given; eye_on_base: the camera stands, the target is on the flange.
+    Raises TooFewError, OneOrientationError, OneAxisError, DegenerateError.
+    """
+    T = se3.inverse(T_base_flange) if eye_on_base else T_base_flange
+    if len(T) < MINIMUM:
+        raise TooFewError(NAME, MINIMUM, 'poses', len(T))
+    _require_rotations(T, 'base' if eye_on_base else frame)
+    start = _start(T, T_camera_target)
+    fit, noise = _with_noise(T, T_camera_target, start, noise)
+    X, Z = fit.state
+    L = _factors(T, fit.state, noise)[fit.used]
+    rms = _rms(L, fit.residuals[fit.used])
+    _require_agreement(len(T) - len(fit.used), len(T), rms)
+    _require_rotations(T[fit.used], 'base' if eye_on_base else frame)
+    return HandEyeResult(X, Z, fit.covariance[:6, :6], fit.used, noise, rms,
+                         _rms(L, fit.left_out))
+
+
+def _require_rotations(poses: Array, frame: str) -> None:
+    turns, axes = turning(poses)
+    if turns[0] < SMALLEST_TURN:
+        raise OneOrientationError(float(turns[0]))
+    if turns[1] < SMALLEST_TURN:
+        raise OneAxisError(name_direction(axes[0], frame), float(turns[0]),
+                           other_axes(axes[0], frame), LOST)
+
+
+def _require_agreement(dropped: int, total: int, rms: tuple[float, float]) -> None:
+    if dropped > LARGEST_DROPPED_SHARE * total or rms[0] > LARGEST_RMS[0] or (
+            rms[1] > LARGEST_RMS[1]):
+        raise DegenerateError(NAME, f'{dropped} of {total} poses contradict the others, which '
+                              f'agree to {rms[0] * 1e3:.3g} mm and {np.degrees(rms[1]):.3g} '
+                              'degrees RMS', 'check that both lists are of the same moments, '
+                              'that no pose is inverted, and the units')
+
+
+def _rms(factors: Array, white: Array) -> tuple[float, float]:
+    """Return the RMS length of translations and rotations of whitened residuals (n, 6)."""
+    plain = np.einsum('nij,nj->ni', factors, white)
+    squares = (plain ** 2).reshape(-1, 2, 3).sum(axis=2).mean(axis=0)
+    return float(squares[0] ** 0.5), float(squares[1] ** 0.5)
+
+
+def closed_form(T: Array, T_camera_target: Array) -> State:
+    """
+    Return X and Z from poses (n, 4, 4): all pairs of them, rotation first.
+
+    Park and Martin 1994 (IEEE Trans. Robotics and Automation 10:717), least squares throughout.
+    """
+    i, j = np.triu_indices(len(T), 1)
+    some = np.linspace(0, len(i) - 1, min(len(i), MOST_PAIRS)).astype(int)
+    A = se3.inverse(T[j[some]]) @ T[i[some]]
+    B = T_camera_target[j[some]] @ se3.inverse(T_camera_target[i[some]])
+    a, b = se3.log_rotation(A[:, :3, :3]), se3.log_rotation(B[:, :3, :3])
+    sure = np.maximum(np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1)) < LARGEST_ANGLE
+    R = se3.nearest_rotation(a[sure].T @ b[sure])
+    M = (A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
+    t = np.linalg.lstsq(M, (B[:, :3, 3] @ R.T - A[:, :3, 3]).ravel(), rcond=None)[0]
+    X = se3.transform(R, t)
+    return X, se3.mean_pose(T @ X @ T_camera_target)
+
+
+def _start(T: Array, T_camera_target: Array) -> State:
+    """Return the closed form of all poses, or where some are doubtful that of the best few."""
+    everything = closed_form(T, T_camera_target)
+    squares = _squares(T, T_camera_target, everything)
+    if len(T) <= SUBSET_SIZE or squares.max() < DOUBTFUL * np.median(squares):
+        return everything
+    rng, states = np.random.default_rng(0), [everything]
+    for _ in range(SUBSETS):
+        some = rng.permutation(len(T))[:SUBSET_SIZE]
+        states.append(closed_form(T[some], T_camera_target[some]))
+    return min(states, key=lambda state: float(np.quantile(
+        _squares(T, T_camera_target, state), BELIEVED_SHARE)))
+
+
+def _squares(T: Array, T_camera_target: Array, state: State) -> Array:
+    """Return the squared residuals (n,), translations in units of LENGTH."""
+    r = _residuals(T, T_camera_target, state) / np.repeat([LENGTH, 1.0], 3)
+    return np.asarray((r ** 2).sum(axis=1))
+
+
+def _residuals(T: Array, T_camera_target: Array, state: State) -> Array:
+    """Return the (n, 6) differences of measured and predicted views, in the camera frame."""
+    X, Z = state
+    predicted = se3.inverse(T @ X) @ Z
+    turned = T_camera_target[:, :3, :3] @ np.swapaxes(predicted[:, :3, :3], 1, 2)
+    return np.concatenate([T_camera_target[:, :3, 3] - predicted[:, :3, 3],
+                           se3.log_rotation(turned)], axis=1)
+
+
+def _derivatives(T: Array, state: State) -> tuple[Array, Array]:
+    """Return the derivatives of the residuals by X and Z (n, 6, 12), and by the poses."""
+    X, Z = state
+    to_camera = np.swapaxes(T[:, :3, :3] @ X[:3, :3], 1, 2)
+    in_mount = se3.apply(se3.inverse(T), Z[None, :3, 3])[:, 0]
+    J, G = np.zeros((len(T), 6, 12)), np.zeros((len(T), 6, 6))
+    R_t = X[:3, :3].T
+    J[:, :3, :3], J[:, :3, 3:6] = R_t, -R_t @ se3.skew(in_mount - X[:3, 3])
+    J[:, 3:, 3:6] = R_t
+    J[:, :3, 6:9], J[:, 3:, 9:] = -to_camera, -to_camera
+    G[:, :3, :3], G[:, 3:, 3:] = to_camera, to_camera
+    G[:, :3, 3:] = -to_camera @ se3.skew(Z[:3, 3] - T[:, :3, 3])
+    return J, G
+
+
+def _factors(T: Array, state: State, noise: PoseNoise) -> Array:
+    """Return the Cholesky factors (n, 6, 6) of the residuals' covariances."""
+    _, G = _derivatives(T, state)
+    G = G * np.repeat([noise.robot_translation, noise.robot_rotation], 3)
+    own = np.repeat([noise.target_translation, noise.target_rotation], 3)
+    return np.linalg.cholesky(G @ np.swapaxes(G, 1, 2) + np.diag(own ** 2))
+
+
+def _model(T: Array, T_camera_target: Array, noise: PoseNoise) -> Model[State]:
+    def blocks(state: State) -> tuple[Array, Array]:
+        inverse = np.linalg.inv(_factors(T, state, noise))
+        r = _residuals(T, T_camera_target, state)
+        return (inverse @ r[..., None])[..., 0], inverse @ _derivatives(T, state)[0]
+
+    def retract(state: State, step: Array) -> State:
+        return se3.perturb(state[0], step[:6]), se3.perturb(state[1], step[6:])
+    return Model(blocks, retract, MINIMUM)
+
+
+def _with_noise(T: Array, T_camera_target: Array, start: State, noise: PoseNoise | None
+                ) -> tuple[Adjusted[State], PoseNoise]:
+    """Return the adjusted state, and the noise that was given or that its residuals show."""
+    if noise is not None:
+        return adjust(_model(T, T_camera_target, noise), start), noise
+    noise = _seen_noise(_residuals(T, T_camera_target, start), 12)
+    fit = adjust(_model(T, T_camera_target, noise), start)
+    for _ in range(ROUNDS):
+        left = _residuals(T, T_camera_target, fit.state)[fit.used]
+        noise = _seen_noise(left, 12)
+        fit = adjust(_model(T, T_camera_target, noise), fit.state)
+    return fit, noise
+
+
+def _seen_noise(residuals: Array, unknowns: int) -> PoseNoise:
+    """Return the noise of residuals (n, 6), robust while some may be wrong."""
+    n = len(residuals)
+    lengths = np.linalg.norm(residuals.reshape(n, 2, 3), axis=2)
+    seen = np.median(lengths, axis=0) / 1.538  # the median of a chi distribution of 3
+    seen *= np.sqrt(6 * n / max(6 * n - unknowns, 1))
+    return PoseNoise(*(max(float(s), SMALLEST_NOISE) for s in seen))

@@ -1,0 +1,199 @@
+"""
+One straight edge: every edge point lies on one line of the base frame.
+
+Frame of the target: x along the line, the origin the point of it nearest to the mean of the
+points the guess saw. An edge point gives two conditions, its distance from the line in y and in
+z, which share the point's error. On demand (target.use_face) the face beside the edge takes
+part: then z is its normal, and the two decorrelated points of each face line take the place of
+the edge point's z, which is measured on that same line.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.faces import face_features
+from handeye_ros.method import Conditions, Estimate, Method, Observations, observed_points, UNUSED
+from handeye_ros.methods.common import (
+    add_face,
+    best_linear,
+    collect,
+    edge_noise,
+    FACE,
+    GUESS_STATIONS,
+    hemisphere,
+    nearest_transform,
+    ObservationRows,
+    some_stations,
+)
+from handeye_ros.solve import best_of, points_at, Problem
+import numpy as np
+from numpy.typing import NDArray
+
+EDGE_Y, EDGE_Z = 1, 2
+KINDS = ('face', 'edge', 'edge_z')
+LABELS = ('y', 'z', 'rx', 'ry', 'rz')
+NORMALS = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
+DIRECTIONS = 400
+CANDIDATES = 24
+BELIEVED_SHARE = 0.7
+
+
+def observe(samples: Sequence[Sample]) -> Observations:
+    """Return the conditions of face lines and edge points; which take part is found later."""
+    return collect(samples, _add)
+
+
+def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
+    if isinstance(feature, FaceLine):
+        add_face(rows, station, feature, source)
+    elif isinstance(feature, EdgePoint):
+        for kind in (EDGE_Y, EDGE_Z):
+            rows.add(station, feature.point, kind, edge_noise(feature), source)
+
+
+def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
+    """Return the distances from the line in y and z, or from the face, of points (m, 3)."""
+    T = target.reshape(4, 4)
+    R, offset = T[:3, :3], p - T[:3, 3]
+    dg_dp = NORMALS[kind] @ R.T
+    by_rotation = -se3.cross(offset, dg_dp) @ R
+    return Conditions((offset * dg_dp).sum(axis=1), dg_dp,
+                      np.column_stack([-dg_dp @ R[:, 1:], by_rotation]))
+
+
+def retract(target: Array, delta: Array) -> Array:
+    """Return the line moved by delta (5,): along its y and z, turned about its x, y and z."""
+    T = target.reshape(4, 4)
+    step = np.concatenate([T[:3, 1:3] @ delta[:2], T[:3, :3] @ delta[2:]])
+    return se3.perturb(T, step).ravel()
+
+
+def free(config: Config) -> NDArray[np.bool_]:
+    """Return which parameters are unknown: the turn about the line only with the face."""
+    return np.array([True, True, config.target.use_face, True, True])
+
+
+def relabel(observations: Observations, p: Array, target: Array, config: Config
+            ) -> Observations:
+    """
+    Return the observations without what takes no part.
+
+    Of several edge points of one station only the nearest to the line is on it.
+    """
+    edge, away = observations.kind != FACE, _away(p, target)
+    nearest = np.full(observations.station.max() + 1, np.inf)
+    np.minimum.at(nearest, observations.station[edge], away[edge])
+    idle = EDGE_Z if config.target.use_face else FACE
+    unused = (observations.kind == idle) | (edge & (away > nearest[observations.station]))
+    return replace(observations, kind=np.where(unused, UNUSED, observations.kind))
+
+
+def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
+          ) -> list[Estimate]:
+    """
+    Return estimates from nothing, best first: every direction of the line is tried.
+
+    Where both ends of a face are in sight they are also tried apart: one of them is the edge.
+    """
+    alone = replace(config, target=replace(config.target, use_face=False))
+    problem = Problem(LINE, poses, observations, alone)
+    problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
+    best = sorted((e for part in _parts(problem) for e in best_of(part, linear_candidates(part))),
+                  key=lambda estimate: _nearness(problem, estimate))
+    return [_with_face(observations, poses, e) for e in best] if config.target.use_face else best
+
+
+def _parts(problem: Problem) -> list[Problem]:
+    """Return the problem of the edge points, and where two are in sight that of either side."""
+    obs = problem.observations
+    face, edge = obs.kind == FACE, obs.kind != FACE
+    choices = [edge]
+    if face.any() and np.bincount(obs.station[obs.kind == EDGE_Y]).max() > 1:
+        n = len(problem.poses)
+        total = np.bincount(obs.station[face], obs.points[face, 0], minlength=n)
+        middle = total / np.maximum(np.bincount(obs.station[face], minlength=n), 1)
+        left = obs.points[:, 0] < middle[obs.station]
+        choices += [edge & left, edge & ~left]
+    parts = []
+    for chosen in choices:
+        part = replace(problem, observations=obs.select(chosen))
+        stations = np.unique(part.observations.station)
+        if len(stations) >= LINE.minimum or chosen is edge:
+            parts.append(part.subset(stations))
+    return parts
+
+
+def _nearness(problem: Problem, estimate: Estimate) -> float:
+    """Return the distance from the line that the nearest edge points of most stations keep."""
+    edge = problem.observations.select(problem.observations.kind == EDGE_Y)
+    away = _away(points_at(edge, problem.poses, estimate.X), estimate.target)
+    nearest = np.full(len(problem.poses), np.inf)
+    np.minimum.at(nearest, edge.station, away)
+    return float(np.quantile(nearest[np.isfinite(nearest)], BELIEVED_SHARE))
+
+
+def _away(p: Array, target: Array) -> Array:
+    """Return the distances (m,) of points (m, 3) in base from the line."""
+    T = target.reshape(4, 4)
+    return np.asarray(np.linalg.norm(((p - T[:3, 3]) @ T[:3, :3])[:, 1:], axis=1))
+
+
+def linear_candidates(problem: Problem) -> list[Estimate]:
+    """
+    Return the best of the linear solutions over a sweep of the line's direction.
+
+    For a known direction d, (I - d d') (R (x r1 + z r3 + t) + a - c) = 0 is linear in r1, r3, t
+    and the two coordinates of c across d.
+    """
+    obs = problem.observations
+    obs = obs.select(obs.kind == EDGE_Y)
+    R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
+    a_mean = problem.poses[:, :3, 3].mean(axis=0)
+    frames = _frames(hemisphere(DIRECTIONS))
+    across = frames[:, :, 1:]
+    nR = np.einsum('kji,mjl->kmil', across, R)
+    u, v = obs.points.T[:, None, :, None, None]
+    offset = np.broadcast_to(-np.eye(2), (*nR.shape[:3], 2))
+    A = np.concatenate([u * nR, v * nR, nR, offset], axis=3).reshape(len(across), -1, 11)
+    b = -np.einsum('kji,mj->kmi', across, a - a_mean).reshape(len(across), -1)
+    best, x = best_linear(A, b, CANDIDATES)
+    return [_estimate(x[k], frames[k], a_mean) for k in best]
+
+
+def _frames(x: Array) -> Array:
+    """Return rotations (k, 3, 3) with the given unit vectors (k, 3) as their x."""
+    helper = np.where(np.abs(x[:, :1]) < 0.6, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    z = se3.cross(x, helper)
+    z /= np.linalg.norm(z, axis=1, keepdims=True)
+    return np.stack([x, se3.cross(z, x), z], axis=2)
+
+
+def _estimate(x: Array, R: Array, a_mean: Array) -> Estimate:
+    """Return the estimate nearest to a linear solution x (11,) for the target's rotation."""
+    return Estimate(nearest_transform(x), se3.transform(R, a_mean + R[:, 1:] @ x[9:]).ravel())
+
+
+def _with_face(observations: Observations, poses: Array, estimate: Estimate) -> Estimate:
+    """Return the estimate with the target's z turned to the normal of the face."""
+    T = estimate.target.reshape(4, 4)
+    face = observations.select(observations.kind == FACE)
+    local = (points_at(face, poses, estimate.X) - T[:3, 3]) @ T[:3, :3]
+    y, z = np.linalg.svd(local[:, 1:], full_matrices=False)[2][0]
+    turn = np.array([[1.0, 0, 0], [0, y, -z], [0, z, y]])
+    return replace(estimate, target=se3.transform(T[:3, :3] @ turn, T[:3, 3]).ravel())
+
+
+def describe(target: Array, std: Array) -> dict[str, Any]:
+    """Return a point of the line and its direction."""
+    T = target.reshape(4, 4)
+    return {'point': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
+            'direction': T[:3, 0].tolist()}
+
+
+LINE = Method('line', KINDS, LABELS, face_features, observe, guess, conditions, retract, free,
+              relabel, describe, observed_points, edges=('edge',), minimum=7)

@@ -1,0 +1,115 @@
+"""
+A plane: whole profiles lie in it, whether or not an edge of it is in sight.
+
+Frame of the target: any point of the plane as origin, z its normal, towards the sensor.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array, FaceLine, Feature, Sample
+from handeye_ros.faces import plane_features
+from handeye_ros.method import (
+    Conditions,
+    Estimate,
+    kind_unchanged,
+    Method,
+    Observations,
+    observed_points,
+)
+from handeye_ros.methods.common import (
+    add_face,
+    best_linear,
+    collect,
+    GUESS_STATIONS,
+    hemisphere,
+    nearest_transform,
+    ObservationRows,
+    some_stations,
+)
+from handeye_ros.solve import best_of, Problem
+import numpy as np
+from numpy.typing import NDArray
+
+NORMALS = 400
+CANDIDATES = 10
+
+
+def observe(samples: Sequence[Sample]) -> Observations:
+    """Return the conditions of the face lines of samples."""
+    return collect(samples, _add)
+
+
+def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
+    if isinstance(feature, FaceLine):
+        add_face(rows, station, feature, source)
+
+
+def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
+    """Return the height over the plane of points p (m, 3) in base."""
+    T = target.reshape(4, 4)
+    offset, normal = p - T[:3, 3], T[:3, 2]
+    by_tilt = se3.cross(normal, offset) @ T[:3, :2]
+    return Conditions(offset @ normal, np.tile(normal, (len(p), 1)),
+                      np.column_stack([-np.ones(len(p)), by_tilt]))
+
+
+def retract(target: Array, delta: Array) -> Array:
+    """Return the plane moved by delta: along its normal, and turned about its x and y."""
+    T = target.reshape(4, 4)
+    step = np.concatenate([delta[0] * T[:3, 2], T[:3, :2] @ delta[1:]])
+    return se3.perturb(T, step).ravel()
+
+
+def free(config: Config) -> NDArray[np.bool_]:
+    """Return that all three parameters of the plane are unknown."""
+    return np.ones(3, dtype=bool)
+
+
+def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
+          ) -> list[Estimate]:
+    """Return estimates from nothing, best first."""
+    problem = Problem(PLANE, poses, observations, config)
+    problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
+    return best_of(problem, linear_candidates(problem))
+
+
+def linear_candidates(problem: Problem) -> list[Estimate]:
+    """
+    Return the best of the linear solutions over a sweep of plane normals.
+
+    For a known normal n, n . (R (x r1 + z r3 + t) + a) = d is linear in r1, r3, t, d.
+    """
+    obs = problem.observations
+    R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
+    a_mean = problem.poses[:, :3, 3].mean(axis=0)
+    normals = hemisphere(NORMALS)
+    nR = np.einsum('kj,mji->kmi', normals, R)
+    u, v = obs.points.T[:, None, :, None]
+    A = np.concatenate([u * nR, v * nR, nR, -np.ones_like(nR[:, :, :1])], axis=2)
+    b = -np.einsum('kj,mj->km', normals, a - a_mean)
+    best, x = best_linear(A, b, CANDIDATES)
+    return [_estimate(x[k], normals[k], a_mean) for k in best]
+
+
+def _estimate(x: Array, normal: Array, a_mean: Array) -> Estimate:
+    """Return the estimate nearest to a linear solution x (10,) for a normal."""
+    tangent = np.linalg.svd(normal[None])[2][1:]
+    R = np.column_stack([tangent[0], np.cross(normal, tangent[0]), normal])
+    T = se3.transform(R, a_mean + x[9] * normal)
+    return Estimate(nearest_transform(x), T.ravel())
+
+
+def describe(target: Array, std: Array) -> dict[str, Any]:
+    """Return the plane's normal and distance from the base."""
+    T = target.reshape(4, 4)
+    return {'normal': T[:3, 2].tolist(), 'distance': float(T[:3, 2] @ T[:3, 3])}
+
+
+PLANE = Method('plane', ('face',), ('z', 'rx', 'ry'), plane_features, observe, guess, conditions,
+               retract, free, kind_unchanged, describe, observed_points, edges=(), minimum=5,
+               one_axis='the position along it is free, and if it is the normal of the plane '
+               '(yaw only) all of the position and part of the rotation')

@@ -1,0 +1,234 @@
+"""
+A plate: two straight edges that meet in a corner, and the face between them.
+
+Frame of the target: corner at the origin, edge p along x, edge q along y (turned by the edge
+angle when that is free), face z = 0. Unknown beside X: the target's pose and, on demand, the
+angle between the edges. An edge point and a face line, both from the same profile, give three
+conditions: the two decorrelated points of the line lie in z = 0, the edge point on its edge.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.faces import face_features
+from handeye_ros.method import Conditions, Estimate, Method, Observations, observed_points, UNUSED
+from handeye_ros.methods.common import (
+    add_face,
+    collect,
+    edge_noise,
+    FACE,
+    ObservationRows,
+    some_stations,
+)
+from handeye_ros.methods.plane import guess as plane_guess
+from handeye_ros.solve import points_at
+import numpy as np
+from numpy.typing import NDArray
+
+P, Q, P_FAR, Q_FAR = range(1, 5)
+OUTWARD = np.array([[0, 0], [0, -1.0], [-1.0, 0], [0, 1.0], [1.0, 0]])  # by kind, in the face
+KINDS = ('face', 'p', 'q', 'p_far', 'q_far')
+LABELS = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'edge_angle')
+GATE = 10.0  # an edge point this many times further from its edge than most is no edge of ours
+SMALLEST_GATE = 1e-3
+BELIEVED_SHARE = 0.3  # of the edge points that are surely on an edge of ours
+DIRECTIONS = 120  # tried for the edges in the plane, over a quarter turn
+VOTERS = 24  # edge points that take part in that search
+
+
+def observe(samples: Sequence[Sample]) -> Observations:
+    """Return the conditions of face lines and edge points; which edge is found later."""
+    return collect(samples, _add)
+
+
+def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
+    if isinstance(feature, FaceLine):
+        add_face(rows, station, feature, source)
+    elif isinstance(feature, EdgePoint):
+        rows.add(station, feature.point, P, edge_noise(feature), source)
+
+
+def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
+    """Return the height over the face, or the distance from the edge, of points (m, 3)."""
+    T, angle = target[:16].reshape(4, 4), target[16]
+    R = T[:3, :3]
+    local = (p - T[:3, 3]) @ R
+    along_q = np.array([np.cos(angle), np.sin(angle), 0.0])
+    across_q = np.array([np.sin(angle), -np.cos(angle), 0.0])
+    normals = np.array([[0, 0, 1.0], [0, 1.0, 0], across_q, [0, 1.0, 0], across_q])[kind]
+    size = config.target.size or (0.0, 0.0)
+    offsets = np.array([0.0, 0.0, 0.0, size[1] * np.sin(angle), size[0] * np.sin(angle)])[kind]
+    g = (local * normals).sum(axis=1) - offsets
+    dg_dp = normals @ R.T
+    by_angle = np.where((kind == Q) | (kind == Q_FAR), local @ along_q, 0.0)
+    by_angle = by_angle - np.where(kind == P_FAR, size[1], np.where(
+        kind == Q_FAR, size[0], 0.0)) * np.cos(angle)
+    by_rotation = -se3.cross(p - T[:3, 3], dg_dp)
+    return Conditions(g, dg_dp, np.column_stack([-dg_dp, by_rotation, by_angle]))
+
+
+def retract(target: Array, delta: Array) -> Array:
+    """Return the target's state moved by delta (7,)."""
+    T = se3.perturb(target[:16].reshape(4, 4), delta[:6])
+    return np.append(T.ravel(), target[16] + delta[6])
+
+
+def free(config: Config) -> NDArray[np.bool_]:
+    """Return which parameters are unknown: all but the edge angle."""
+    return np.array([True] * 6 + [config.target.edge_angle_free])
+
+
+def relabel(observations: Observations, p: Array, target: Array, config: Config
+            ) -> Observations:
+    """
+    Return the edge points given to the edge that they are nearest to.
+
+    Only an edge that the face lies on the right side of, crossed steeply enough, can be it. One
+    far from all is not used: where a face leaves the sensor's range, say, it ends too.
+    """
+    rows = np.flatnonzero(observations.kind != FACE)
+    T = target[:16].reshape(4, 4)
+    flat = ((p - T[:3, 3]) @ T[:3, :3])[:, :2]
+    outward = flat[rows] - _face_centres(observations, flat, rows)
+    outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
+    kinds = np.array([P, Q] + ([P_FAR, Q_FAR] if config.target.size else []))
+    distance = np.array([np.abs(conditions(p[rows], np.full(len(rows), k), target, config).g)
+                         for k in kinds])
+    steepness = OUTWARD[kinds] @ outward.T
+    distance[steepness < np.sin(config.sampling.min_crossing_angle)] = np.inf
+    nearest, far = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
+    kind = observations.kind.copy()
+    kind[rows] = np.where(far > _gate(far), UNUSED, nearest)
+    return replace(observations, kind=kind)
+
+
+def _gate(distance: Array) -> float:
+    """Return how far from its edge an edge point may be, of the distances (m,) of all."""
+    believed = np.quantile(distance, BELIEVED_SHARE, method='lower') if len(distance) else 0.0
+    return max(SMALLEST_GATE, GATE * float(believed))
+
+
+def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
+          ) -> Iterator[Estimate]:
+    """Return estimates from nothing: the plane first, then the two edges in it."""
+    faces = observations.select(observations.kind == FACE)
+    for plane in plane_guess(faces, poses, config, rng):
+        yield _with_edges(observations, poses, plane, config, rng)
+
+
+def _with_edges(observations: Observations, poses: Array, plane: Estimate, config: Config,
+                rng: np.random.Generator) -> Estimate:
+    """Return an estimate of the plate in an estimated plane."""
+    T_base_plane = _facing_sensor(plane, poses, config)
+    p = points_at(observations, poses, plane.X)
+    flat = ((p - T_base_plane[:3, 3]) @ T_base_plane[:3, :3])[:, :2]
+    edge = np.flatnonzero(observations.kind != FACE)
+    corner, turn = two_lines(flat[edge], rng)
+    inward = _face_centres(observations, flat, edge) - flat[edge]
+    T_plane_target = _oriented(flat[edge] - corner, inward, corner, turn)
+    return Estimate(plane.X, np.append((T_base_plane @ T_plane_target).ravel(), np.pi / 2))
+
+
+def _facing_sensor(plane: Estimate, poses: Array, config: Config) -> Array:
+    """Return the plane's frame with z towards the sensor."""
+    T = plane.target.reshape(4, 4)
+    looking = (poses[:, :3, :3] @ plane.X[:3, 2]).mean(axis=0) * config.profile.range_sign
+    flip = np.diag([1.0, -1.0, -1.0, 1.0]) if T[:3, 2] @ looking > 0 else np.eye(4)
+    return T @ flip
+
+
+def _face_centres(observations: Observations, flat: Array, rows: NDArray[np.intp]) -> Array:
+    """Return the middle of the face line (k, 2) seen in the same station as each row."""
+    face = observations.kind == FACE
+    count = np.bincount(observations.station[face], minlength=observations.station[-1] + 1)
+    total = np.zeros((len(count), 2))
+    np.add.at(total, observations.station[face], flat[face])
+    return (total / np.maximum(count, 1)[:, None])[observations.station[rows]]
+
+
+def _oriented(points: Array, inward: Array, corner: Array, turn: float) -> Array:
+    """Return T_plane_target, of the four possible that with the face where x, y > 0."""
+    best, best_votes = np.eye(4), -1
+    for quarter in range(4):
+        R = _turned(turn + quarter * np.pi / 2)
+        local, to_face = points @ R, inward @ R
+        off = np.abs(local).min(axis=1)  # points on neither line have no say
+        on_p = np.abs(local[:, 1]) < np.abs(local[:, 0])
+        inside = np.where(on_p, to_face[:, 1], to_face[:, 0]) > 0
+        votes = int((inside & (off <= _gate(off))).sum())
+        if votes > best_votes:
+            R3 = np.eye(3)
+            R3[:2, :2] = R
+            best, best_votes = se3.transform(R3, np.append(corner, 0.0)), votes
+    return best
+
+
+def two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
+    """
+    Return corner (2,) and direction (rad) of the best two perpendicular lines through points.
+
+    points: (m, 2). Every direction is tried, and every pair of points to put the lines through;
+    a point costs its distance to the nearer line, limited.
+    """
+    voters = points[some_stations(len(points), VOTERS, rng)]
+    angles = np.linspace(0.0, np.pi / 2, DIRECTIONS, endpoint=False)
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    u, v = c * voters[:, 0] + s * voters[:, 1], c * voters[:, 1] - s * voters[:, 0]
+    to_q = np.abs(u[:, :, None] - u[:, None, :])  # (angle, line through, point)
+    to_p = np.abs(v[:, :, None] - v[:, None, :])
+    limit = 0.03 * float(np.ptp(voters, axis=0).max() + 1e-9)
+    cost = np.minimum(to_q[:, :, None], to_p[:, None, :])
+    total = np.minimum(cost, limit).sum(axis=3)
+    k, i, j = np.unravel_index(int(np.argmin(total)), total.shape)
+    turn = float(angles[k])
+    return _fitted(points, _turned(turn) @ np.array([u[k, i], v[k, j]]), turn, limit)
+
+
+def _fitted(points: Array, corner: Array, turn: float, limit: float) -> tuple[Array, float]:
+    """Return corner and direction fitted to the points (m, 2) near either line."""
+    for reach in (limit, limit / 2, limit / 4):
+        x, y = ((points - corner) @ _turned(turn)).T
+        on_p, on_q = np.abs(y) < np.minimum(np.abs(x), reach), np.abs(x) < np.minimum(
+            np.abs(y), reach)
+        A = np.concatenate([
+            np.column_stack([np.zeros(on_p.sum()), np.ones(on_p.sum()), x[on_p]]),
+            np.column_stack([np.ones(on_q.sum()), np.zeros(on_q.sum()), -y[on_q]])])
+        step = np.linalg.lstsq(A, np.concatenate([y[on_p], x[on_q]]), rcond=None)[0]
+        corner, turn = corner + _turned(turn) @ step[:2], turn + float(step[2])
+    return corner, turn
+
+
+def _turned(turn: float) -> Array:
+    """Return the (2, 2) rotation by an angle."""
+    return np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+
+
+def relax(config: Config) -> Config | None:
+    """Return the configuration with the edge angle unknown, None where it is."""
+    if config.target.edge_angle_free:
+        return None
+    return replace(config, target=replace(config.target, edge_angle_free=True))
+
+
+def right_angle(config: Config) -> float:
+    """Return the configured angle between the edges."""
+    return float(np.pi / 2)
+
+
+def describe(target: Array, std: Array) -> dict[str, Any]:
+    """Return the target's pose and edge angle as plain values."""
+    T = target[:16].reshape(4, 4)
+    x, y, z, w = map(float, se3.quaternion(T))
+    translation = dict(zip('xyz', map(float, T[:3, 3]), strict=True))
+    return {'pose': {'translation': translation, 'rotation': {'x': x, 'y': y, 'z': z, 'w': w}},
+            'edge_angle': float(target[16]), 'edge_angle_std': float(std[6])}
+
+
+PLATE = Method('plate', KINDS, LABELS, face_features, observe, guess, conditions, retract, free,
+               relabel, describe, observed_points, edges=KINDS[1:], minimum=6,
+               relax=relax, configured=right_angle)

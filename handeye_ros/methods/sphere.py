@@ -1,0 +1,154 @@
+"""
+A sphere: every point of every arc has the distance of the radius from one centre.
+
+Unknown beside X: the centre in the base frame and, on demand, the radius. Neither the side of
+the sensor plane that the centre lies on nor any other sign is asked for.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.arcs import arc_features, fit_circle
+from handeye_ros.config import Config
+from handeye_ros.data import Arc, Array, Feature, Sample
+from handeye_ros.method import Conditions, Estimate, kind_unchanged, Method, Observations
+from handeye_ros.methods.common import (
+    collect,
+    GUESS_STATIONS,
+    ObservationRows,
+    some_stations,
+)
+from handeye_ros.solve import best_of, Problem
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+ROTATIONS = 600
+CANDIDATES = 16
+
+
+def observe(samples: Sequence[Sample]) -> Observations:
+    """Return the conditions of the arcs' normal points."""
+    return collect(samples, _add)
+
+
+def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
+    if isinstance(feature, Arc):
+        outward = feature.points - feature.centre
+        outward /= np.linalg.norm(outward, axis=1)[:, None]
+        noise = np.zeros((len(outward), 2, 2))
+        noise[:, :, 0] = outward * feature.std[:, None]
+        for i, point in enumerate(feature.points):
+            rows.add(station, point, 0, noise[i], i)
+
+
+def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
+    """Return the distance from the sphere's surface of points p (m, 3) in base."""
+    offset = p - target[:3]
+    distance = np.linalg.norm(offset, axis=1)
+    outward = offset / distance[:, None]
+    return Conditions(distance - target[3], outward,
+                      np.column_stack([-outward, -np.ones(len(p))]))
+
+
+def retract(target: Array, delta: Array) -> Array:
+    """Return centre and radius moved by delta (4,)."""
+    return target + delta
+
+
+def free(config: Config) -> NDArray[np.bool_]:
+    """Return that the centre is unknown, and the radius when it is not given."""
+    return np.array([True, True, True, config.target.radius <= 0])
+
+
+def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
+          ) -> list[Estimate]:
+    """
+    Return estimates from nothing, best first: every rotation is tried, and refined.
+
+    For a given rotation the centre's projections onto the sensor plane are linear in the
+    remaining unknowns, whatever the side of the plane that the centre lies on.
+    """
+    chosen = some_stations(len(poses), GUESS_STATIONS, rng)
+    problem = Problem(SPHERE, poses, observations, config).subset(chosen)
+    return best_of(problem, _candidates(problem, config.target.radius))
+
+
+def _candidates(problem: Problem, radius: float) -> list[Estimate]:
+    """Return the best linear solutions over a sweep of rotations of the sensor."""
+    obs = problem.observations
+    circles = np.array([fit_circle(obs.points[obs.station == i])
+                        for i in range(len(problem.poses))])
+    radius = radius or 1.05 * float(circles[:, 2].max())
+    height = np.sqrt(np.maximum(radius ** 2 - circles[:, 2] ** 2, 0.0))
+    R, a = problem.poses[:, :3, :3], problem.poses[:, :3, 3]
+    a_mean = a.mean(axis=0)
+    R_sensor = rotations(ROTATIONS)
+    # rows of the sensor's axes in base, (rotation, station, axis, 3)
+    axes = np.einsum('kji,nlj->knil', R_sensor, R)
+    plane = axes[:, :, [0, 2]]
+    k, n = plane.shape[:2]
+    offset = np.broadcast_to(-np.eye(2), (k, n, 2, 2))
+    A = np.concatenate([plane, offset], axis=3).reshape(k, 2 * n, 5)
+    b = (circles[:, :2] + np.einsum('knil,nl->kni', plane, a - a_mean)).reshape(k, 2 * n)
+    At = np.swapaxes(A, 1, 2)
+    x = np.linalg.solve(At @ A + 1e-9 * np.eye(5), At @ b[..., None])[..., 0]
+    rms = np.sqrt(((np.einsum('kij,kj->ki', A, x) - b) ** 2).mean(axis=1))
+    y = np.einsum('knl,knl->kn', axes[:, :, 1], x[:, None, :3] - (a - a_mean))
+    t_y, rms_y = _side(y, height)
+    best = np.argsort(np.hypot(rms, rms_y))[:CANDIDATES]
+    return [Estimate(se3.transform(R_sensor[i], R_sensor[i] @ [x[i, 3], t_y[i], x[i, 4]]),
+                     np.append(a_mean + x[i, :3], radius)) for i in best]
+
+
+def _side(y: Array, height: Array) -> tuple[Array, Array]:
+    """Return the offset (k,) with |y - offset| nearest to height (n,) for y (k, n), and RMS."""
+    offsets = np.concatenate([y - height, y + height], axis=1)
+    misfit = np.abs(np.abs(y[:, None, :] - offsets[:, :, None]) - height)
+    total = (misfit ** 2).mean(axis=2)
+    best = np.argmin(total, axis=1)
+    rows = np.arange(len(y))
+    return offsets[rows, best], np.sqrt(total[rows, best])
+
+
+def rotations(count: int) -> Array:
+    """Return (count, 3, 3) rotations spread evenly (super-Fibonacci spiral)."""
+    s = np.arange(count) + 0.5
+    r, big_r = np.sqrt(s / count), np.sqrt(1 - s / count)
+    alpha, beta = 2 * np.pi * s / 2 ** 0.5, 2 * np.pi * s / 1.533751168755204288118041
+    q = np.column_stack([r * np.sin(alpha), r * np.cos(alpha),
+                         big_r * np.sin(beta), big_r * np.cos(beta)])
+    return np.asarray(Rotation.from_quat(q).as_matrix())
+
+
+def arc_points(sample: Sample, points: Array, kind: NDArray[np.intp]
+               ) -> tuple[Array, NDArray[np.intp]]:
+    """Return all points of the arcs of a sample, which its normal points stand for."""
+    points = np.concatenate([f.raw for f in sample.features if isinstance(f, Arc)])
+    return points, np.zeros(len(points), dtype=np.intp)
+
+
+def relax(config: Config) -> Config | None:
+    """Return the configuration with the radius unknown, None where it is."""
+    if config.target.radius <= 0:
+        return None
+    return replace(config, target=replace(config.target, radius=0.0))
+
+
+def configured_radius(config: Config) -> float:
+    """Return the configured radius."""
+    return config.target.radius
+
+
+def describe(target: Array, std: Array) -> dict[str, Any]:
+    """Return the sphere's centre and radius as plain values."""
+    return {'centre': dict(zip('xyz', map(float, target[:3]), strict=True)),
+            'radius': float(target[3]), 'radius_std': float(std[3])}
+
+
+SPHERE = Method('sphere', ('arc',), ('x', 'y', 'z', 'radius'), arc_features, observe, guess,
+                conditions, retract, free, kind_unchanged, describe, arc_points, edges=(),
+                minimum=6, relax=relax, configured=configured_radius)

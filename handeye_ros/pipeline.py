@@ -1,0 +1,95 @@
+"""
+From profiles and poses to the hand-eye transform: the whole flow.
+
+`calibrate` is for a recording, `solve` is what it and the node end in.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from handeye_ros import methods
+from handeye_ros.border import without_border_ends
+from handeye_ros.config import Config, flipped_range
+from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
+from handeye_ros.errors import LeftOutError
+from handeye_ros.identify import require_certain, require_rotations, require_samples
+from handeye_ros.outcome import describe_calibration, mounted
+from handeye_ros.pairing import Session
+from handeye_ros.robust import Consensus, consensus
+from handeye_ros.shape import believable_shape, require_one_scale, with_shape_checked
+from handeye_ros.slips import require_consistent
+from handeye_ros.solve import Problem, Solution
+import numpy as np
+
+SEED = 0  # of the searches inside: the same samples give the same answer
+
+
+def calibrate(profiles: Iterable[Profile], poses: Iterable[TimedPose], config: Config
+              ) -> Calibration:
+    """
+    Return the calibration from a recording, its messages in the order of their stamps.
+
+    Raises DataError when the recording cannot carry an answer.
+    """
+    session = Session(config)
+    for pose in poses:
+        session.add_pose(pose)
+    for profile in profiles:
+        session.add_profile(profile)
+    session.finish()
+    session.require_stations()
+    calibration = solve(session.samples, session.rejects, config, session.frame_id)
+    if not session.warnings:
+        return calibration
+    provenance = {**calibration.provenance, 'warnings': list(session.warnings)}
+    return replace(calibration, provenance=provenance)
+
+
+def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, frame_id: str
+          ) -> Calibration:
+    """
+    Return the calibration from samples, in any order.
+
+    rejects: stations that gave no sample, for the report; frame_id: of the profiles.
+    Raises DataError when the samples cannot carry an answer.
+    """
+    ordered, at_border = without_border_ends(sorted(samples, key=lambda sample: sample.stamp))
+    rejects = [*rejects, *at_border]
+    agreed, solution = estimate(ordered, rejects, config)
+    require_certain(solution, config)
+    calibration = describe_calibration(ordered, rejects, agreed, solution, config, frame_id)
+    if not calibration.quality.holdout_rms <= config.limits.residual:
+        raise LeftOutError(calibration.quality.holdout_rms, config.limits.residual)
+    return calibration
+
+
+def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Config
+             ) -> tuple[Consensus, Solution]:
+    """
+    Return which samples agree, and the solution from these, however uncertain.
+
+    Raises DataError when the samples cannot be solved or contradict each other.
+    """
+    method = methods.of(config)
+    require_samples(ordered, rejects, method)
+    poses = mounted(ordered, config)
+    require_rotations(poses, config, method.one_axis)
+    problem = Problem(method, poses, method.observe(ordered), config)
+    rng = np.random.default_rng(SEED)
+    agreed = believable_shape(problem, consensus(problem, rng), rng)
+    require_consistent(problem, agreed, flipped(ordered, problem), rng)
+    solution = with_shape_checked(agreed.solution)
+    require_one_scale(solution)
+    return agreed, solution
+
+
+def flipped(ordered: Sequence[Sample], problem: Problem) -> Problem | None:
+    """Return the problem with the range counted the other way, None if it cannot be posed."""
+    config = flipped_range(problem.config)
+    others, _ = without_border_ends([replace(s, features=s.flipped) for s in ordered
+                                     if s.flipped])
+    if len(others) < problem.method.minimum:
+        return None
+    return Problem(problem.method, mounted(others, config), problem.method.observe(others),
+                   config)

@@ -1,0 +1,176 @@
+"""
+The usual slips with pose conventions, tried out when an answer does not fit.
+
+Each is a map of poses (n, 4, 4) to what they would be had the slip been made on the way here;
+the one that makes the samples agree names the mistake.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.errors import (
+    ContradictingStationsError,
+    HandeyeError,
+    InconsistentError,
+    RangeSignError,
+    ScatterError,
+    SlipError,
+)
+from handeye_ros.robust import Consensus, consensus
+from handeye_ros.shape import require_not_only_scale
+from handeye_ros.solve import covariances, groups, Problem, Solution
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import f as f_distribution
+
+DOUBTFUL = 3.0  # variance factor from which the other sign of the range is tried
+SUSPICIOUS = 9.0  # from which the slips with poses are
+WILD, WILD_RATIO = 40.0, 4.0  # variance factor and residual over noise that no robot explains
+BELIEVABLE = 4.0  # that a slip must lead to
+CHANCE = 1e-5  # of naming a slip where there is none
+LARGEST_DROPPED_SHARE = 0.34
+
+
+def _inverse(T: Array) -> Array:
+    return se3.inverse(T)
+
+
+def _wxyz(T: Array) -> Array:
+    """Undo x y z w having been filled in the order w x y z."""
+    w, x, y, z = np.moveaxis(Rotation.from_matrix(T[:, :3, :3]).as_quat(), -1, 0)
+    return se3.from_quaternion(T[:, :3, 3], np.column_stack([x, y, z, w]))
+
+
+def _millimetres(T: Array) -> Array:
+    return se3.transform(T[:, :3, :3], T[:, :3, 3] / 1e3)
+
+
+def _metres_as_millimetres(T: Array) -> Array:
+    return se3.transform(T[:, :3, :3], T[:, :3, 3] * 1e3)
+
+
+def _intrinsic(T: Array) -> Array:
+    """Undo extrinsic x y z angles having been composed as intrinsic ones."""
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('XYZ')
+    return se3.transform(Rotation.from_euler('xyz', angles).as_matrix(), T[:, :3, 3])
+
+
+def _extrinsic(T: Array) -> Array:
+    """Undo intrinsic X Y Z angles having been composed as extrinsic ones."""
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
+    return se3.transform(Rotation.from_euler('XYZ', angles).as_matrix(), T[:, :3, 3])
+
+
+def _radians_as_degrees(T: Array) -> Array:
+    """Undo roll, pitch, yaw in radians having been read as degrees."""
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
+    return se3.transform(Rotation.from_euler('xyz', np.degrees(angles)).as_matrix(), T[:, :3, 3])
+
+
+def _rotation_inverted(T: Array) -> Array:
+    return se3.transform(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3])
+
+
+SLIPS: dict[str, tuple[Callable[[Array], Array], str]] = {
+    'inverse poses': (_inverse, 'publish the pose of the flange in the base '
+                      '(p_base = T p_flange), not its inverse'),
+    'quaternions read as w x y z': (_wxyz, 'fill x, y, z, w of the message by name, not in the '
+                                    'order w x y z'),
+    'positions in millimetres': (_millimetres, 'publish positions in metres'),
+    'positions a thousand times larger': (_metres_as_millimetres, 'publish positions in metres: '
+                                          'these were divided by 1000 once too often'),
+    'extrinsic Euler angles': (_intrinsic, 'the angles were composed as intrinsic x-y-z; '
+                               'compose them as extrinsic x-y-z (Rz Ry Rx)'),
+    'intrinsic Euler angles': (_extrinsic, 'the angles were composed as extrinsic x-y-z; '
+                               'compose them as intrinsic x-y-z (Rx Ry Rz)'),
+    'angles in radians': (_radians_as_degrees, 'the angles are radians but were converted as '
+                          'degrees; convert them once only'),
+    'transposed rotations': (_rotation_inverted, 'publish the rotation of the flange in the '
+                             'base, not its transpose'),
+}
+
+
+def require_consistent(problem: Problem, agreed: Consensus, flipped: Problem | None,
+                       rng: np.random.Generator) -> None:
+    """
+    Refuse an answer that samples or poses contradict, and name the slip if one explains it.
+
+    flipped: the problem with the range counted the other way, if it can be posed.
+
+    Raises SlipError, ScaleError, InconsistentError, ContradictingStationsError
+    or ScatterError.
+    """
+    share = dropped_share(problem, agreed)
+    rms, limit = residual_rms(agreed.solution), problem.config.limits.residual
+    expected, scatter = expected_rms(agreed.solution), problem.config.limits.scatter
+    wild = rms > scatter * expected or (
+        agreed.solution.variance_factor > WILD and rms > WILD_RATIO * expected)
+    hopeless = share > LARGEST_DROPPED_SHARE or rms > limit or wild
+    if not hopeless and agreed.solution.variance_factor < DOUBTFUL:
+        return
+    other = _tried(flipped, rng) if flipped else None
+    if flipped and other and _explains(flipped, other, agreed):
+        raise RangeSignError(flipped.config.profile.range_sign, rms, residual_rms(other.solution))
+    if not hopeless and agreed.solution.variance_factor < SUSPICIOUS:
+        return
+    tried = {name: _tried(replace(problem, poses=undo(problem.poses)), rng)
+             for name, (undo, _) in SLIPS.items()}
+    good = {name: better for name, better in tried.items()
+            if better and _explains(problem, better, agreed)}
+    if good:
+        name = min(good, key=lambda key: good[key].solution.variance_factor)
+        raise SlipError(name, rms, residual_rms(good[name].solution), SLIPS[name][1])
+    require_not_only_scale(agreed.solution)
+    if rms > limit:
+        raise InconsistentError(rms, limit)
+    if share > LARGEST_DROPPED_SHARE:
+        raise ContradictingStationsError(len(agreed.dropped), len(problem.poses))
+    if wild:
+        raise ScatterError(rms, expected, scatter)
+
+
+def _tried(problem: Problem, rng: np.random.Generator) -> Consensus | None:
+    try:
+        return consensus(problem, rng, subsets=0)
+    except (HandeyeError, np.linalg.LinAlgError):
+        return None
+
+
+def _explains(problem: Problem, better: Consensus, agreed: Consensus) -> bool:
+    """
+    Return whether a slip explains what the answer does not, down to the configured noise.
+
+    By an F-test: few stations fit many things by chance.
+    """
+    if dropped_share(problem, better) > LARGEST_DROPPED_SHARE or (
+            better.solution.variance_factor > BELIEVABLE
+            or len(better.used) < 0.8 * len(agreed.used)):
+        return False
+    gain = agreed.solution.variance_factor / max(better.solution.variance_factor, 1.0)
+    freedom = (agreed.solution.degrees_of_freedom, better.solution.degrees_of_freedom)
+    if min(freedom) < 1:
+        return False
+    more = len(better.used) - len(agreed.used)
+    return gain > float(f_distribution.isf(CHANCE, *freedom)) or (
+        gain > 0.1 and more > 0.3 * len(problem.poses))
+
+
+def dropped_share(problem: Problem, agreed: Consensus) -> float:
+    """Return the share of stations that do not fit."""
+    return len(agreed.dropped) / len(problem.poses)
+
+
+def residual_rms(solution: Solution) -> float:
+    """Return the RMS of the plain residuals of a solution (m)."""
+    return float(np.sqrt((solution.linear.residuals ** 2).mean()))
+
+
+def expected_rms(solution: Solution) -> float:
+    """Return the RMS of the plain residuals that the configured noise makes (m)."""
+    variances = [np.einsum('nii->ni', part).ravel()
+                 for rows in groups(solution.problem.observations.station)
+                 for part in covariances(solution.problem, solution.linear, rows)]
+    return float(np.sqrt(np.concatenate(variances).sum() / len(solution.white)))
