@@ -1,0 +1,236 @@
+"""
+Chen, Zhou, Zhang, Ren 2023: hand-eye calibration under orthogonal constraints.
+
+Laser & Infrared 53(5), doi 10.3969/j.issn.1001-5078.2023.05.015. Any two points of edge p of a
+plate span a vector, any two of edge q another, and all these vectors are perpendicular.
+
+What is wrong in print, and what is done here:
+
+- eq. 7 sums the products v_p . v_q without squaring them. Over ordered pairs that sum is zero
+  for every x, so it is no objective; the squares are summed here.
+- N points give N (N - 1) / 2 vectors, not N!; the sum over them needs none (`scatter_sum`).
+- eq. 4 leaves out r1 . r3 = 0, and the matrix printed in Table 2 is no rotation; `orthogonal`
+  adds the missing constraint.
+- the start of the interior-point method is not said; see `STARTS`.
+- Table 1 cannot be recomputed (columns swapped, one orientation per edge).
+
+The objective sees no lines, only two perpendicular spans: five points per edge at the least.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.errors import TooFewError
+import numpy as np
+from scipy.optimize import Bounds, least_squares, minimize, NonlinearConstraint
+from scipy.spatial.transform import Rotation
+
+MINIMUM = 5
+"""Fewest points per edge: six unknowns and two free spans."""
+
+LENGTH = 0.2
+"""Metres per unit of t inside the solvers: a lever arm comparable to the sensor's range."""
+
+_GROUP = Rotation.create_group('O').as_matrix()
+STARTS: Array = np.stack([_GROUP[np.argmax(_GROUP[:, :, 2] @ axis)]
+                          for axis in np.vstack([np.eye(3), -np.eye(3)])])
+"""(6, 3, 3) rotations to start from, with t = 0: the range along each half axis of the flange."""
+
+_OPTIONS = {'gtol': 1e-9, 'xtol': 1e-12, 'barrier_tol': 1e-12, 'maxiter': 250,
+            'initial_tr_radius': 0.3}  # a first step of 1 leaves the constraints for good
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """
+    What the minimisation found.
+
+    matrix: (4, 4) as the paper states it, columns r1, r3 x r1, r3, t, no rotation unless the
+    constraints made it one; T_flange_sensor: (4, 4) with the nearest rotation; cost: the sum
+    over unordered pairs of pairs (m^4); costs: (starts,) the same from each start.
+    """
+
+    matrix: Array
+    T_flange_sensor: Array
+    cost: float
+    costs: Array
+
+
+def pair_sum(p: Array, q: Array) -> float:
+    """
+    Return the sum over all unordered pairs of pairs of (v_p . v_q)^2 by brute force, O(N^4).
+
+    p: (n, 3), q: (m, 3), metres, of the two edges in one frame. Kept for the comparison.
+    """
+    v_p, v_q = (x[i] - x[j] for x in (p, q) for i, j in [np.triu_indices(len(x), 1)])
+    return float(np.sum((v_p @ v_q.T) ** 2))
+
+
+def scatter_sum(p: Array, q: Array) -> float:
+    """
+    Return the same as `pair_sum` from the two scatter matrices, O(N).
+
+    With S = sum (x - mean)(x - mean)', the sum of v v' over unordered pairs is N S, so the sum
+    of squares is n m trace(S_p S_q). Over ordered pairs, as eq. 7 runs, it is four times that.
+    """
+    n, m = len(p), len(q)
+    p, q = p - np.add.reduce(p) / n, q - np.add.reduce(q) / m
+    return float(n * m * np.vdot(p.T.dot(p), q.T.dot(q)))
+
+
+def edge_rows(T_base_flange: Array, points: Array) -> Array:
+    """
+    Return M (k, 3, 10) with the scatter of M @ [r1, r3, t / LENGTH, 1] that of the edge.
+
+    T_base_flange: (n, 4, 4); points: (n, 2), x and z (metres). M is eq. 3, centred; beyond 30
+    points its triangular factor replaces it, so the solver's cost does not depend on n.
+    """
+    R = T_base_flange[:, :3, :3]
+    columns = [R * points[:, :1, None], R * points[:, 1:, None], R * LENGTH,
+               T_base_flange[:, :3, 3:]]
+    M = np.concatenate(columns, axis=2)
+    M -= M.mean(axis=0)
+    if len(M) <= 30:
+        return M
+    _, triangle = np.linalg.qr(M.reshape(-1, 30))
+    return triangle.reshape(30, 3, 10)
+
+
+def cost(rows: tuple[Array, Array], u: Array) -> tuple[float, Array, Array]:
+    """
+    Return trace(S_p S_q), its gradient (9,) and Hessian (9, 9) in u = [r1, r3, t / LENGTH].
+
+    rows: M of edge p and of edge q from `edge_rows`.
+    """
+    sides = []
+    for M in rows:
+        P = M @ np.append(u, 1.0)
+        half = np.tensordot(M[:, :, :9], P, axes=(0, 0)).transpose(1, 0, 2)
+        sides.append((P.T @ P, half + half.transpose(0, 2, 1)))
+    (S_p, D_p), (S_q, D_q) = sides
+    D_p, D_q = D_p.reshape(9, 9), D_q.reshape(9, 9)
+    gradient = D_p @ S_q.ravel() + D_q @ S_p.ravel()
+    H = D_p @ D_q.T
+    H = H + H.T
+    for M, S in ((rows[0], S_q), (rows[1], S_p)):
+        H += 2.0 * M[:, :, :9].reshape(-1, 9).T @ (S @ M[:, :, :9]).reshape(-1, 9)
+    return float(np.sum(S_p * S_q)), gradient, H
+
+
+def solve_nine(T_base_flange: Array, points: Array, edges: Array, orthogonal: bool = False,
+               starts: Array = STARTS) -> Result:
+    """
+    Minimise eq. 7 (squared) over nine parameters by an interior-point method (scipy trust-constr).
+
+    T_base_flange: (n, 4, 4); points: (n, 2) edge points, x and z in the sensor plane (metres);
+    edges: (n,) 'p' or 'q'. Constraints: |r1| = |r3| = 1 (eq. 4), with orthogonal r1 . r3 = 0
+    too; a box of 1.5 around every direction cosine and 1.5 m around t makes the barrier. With
+    five points per edge the seven unknowns are poorly held; the paper advises six and more.
+    Raises TooFewError.
+    """
+    rows, pairs = _prepare(T_base_flange, points, edges)
+    bound = np.repeat([1.5, 1.5 / LENGTH], [6, 3])
+    found = []
+    for R in starts:
+        start = np.concatenate([R[:, 0], R[:, 2], np.zeros(3)])
+        scale = _scale(rows, start)
+        found.append(minimize(
+            lambda u, s=scale: (s * cost(rows, u)[0], s * cost(rows, u)[1]), start, jac=True,
+            hess=lambda u, s=scale: s * cost(rows, u)[2], method='trust-constr',
+            bounds=Bounds(-bound, bound), constraints=[_constraint(orthogonal)],
+            options=_OPTIONS).x)
+    return _best(rows, pairs, np.array(found))
+
+
+def solve_rigid(T_base_flange: Array, points: Array, edges: Array,
+                starts: Array = STARTS) -> Result:
+    """
+    Minimise the same sum on SE(3): least squares over the products of centred points.
+
+    Arguments and errors as `solve_nine`. The products p_i . q_j of all centred points have
+    trace(S_p S_q) as their sum of squares, so six unknowns and n m residuals say the same as
+    all pairs of pairs.
+    """
+    rows, pairs = _prepare(T_base_flange, points, edges)
+    found = []
+    for R in starts:
+        fit = least_squares(_products, np.zeros(6), jac=_products_jacobian, args=(rows, R),
+                            method='lm', xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=400)
+        found.append(_parameters(fit.x, R))
+    return _best(rows, pairs, np.array(found))
+
+
+def _prepare(T_base_flange: Array, points: Array,
+             edges: Array) -> tuple[tuple[Array, Array], int]:
+    """Return the rows of both edges and the factor n m of the scatter identity."""
+    masks = [np.asarray(edges) == edge for edge in 'pq']
+    for edge, mask in zip('pq', masks, strict=True):
+        if mask.sum() < MINIMUM:
+            raise TooFewError('Chen 2023', MINIMUM, f'points on edge {edge}', int(mask.sum()))
+    p, q = (edge_rows(T_base_flange[mask], points[mask]) for mask in masks)
+    return (p, q), int(masks[0].sum() * masks[1].sum())
+
+
+def _scale(rows: tuple[Array, Array], u: Array) -> float:
+    """Return the factor that brings the cost to the order of 1, for the solver's tolerances."""
+    p, q = (M @ np.append(u, 1.0) for M in rows)
+    return 1e3 / float(np.sum(p ** 2) * np.sum(q ** 2))
+
+
+def _constraint(orthogonal: bool) -> NonlinearConstraint:
+    """Return eq. 4, or with orthogonal eq. 4 and the r1 . r3 = 0 that it leaves out."""
+    bilinear = np.zeros((3, 9, 9))
+    bilinear[0, :3, :3] = bilinear[1, 3:6, 3:6] = 2.0 * np.eye(3)
+    bilinear[2, :3, 3:6] = bilinear[2, 3:6, :3] = np.eye(3)
+    B, target = (bilinear, [1.0, 1.0, 0.0]) if orthogonal else (bilinear[:2], [1.0, 1.0])
+    return NonlinearConstraint(
+        lambda u: 0.5 * (B @ u) @ u, target, target, jac=lambda u: B @ u,
+        hess=lambda _, weights: np.tensordot(weights, B, axes=1))
+
+
+def _parameters(delta: Array, R: Array) -> Array:
+    """Return the nine parameters of a step delta (rotation vector, t / LENGTH) from R."""
+    rotation = se3.exp_rotation(delta[:3]) @ R
+    return np.concatenate([rotation[:, 0], rotation[:, 2], delta[3:]])
+
+
+def _products(delta: Array, rows: tuple[Array, Array], R: Array) -> Array:
+    """Return the products of all centred points of both edges, flat."""
+    p, q = (M @ np.append(_parameters(delta, R), 1.0) for M in rows)
+    return cast(Array, (p @ q.T).ravel())
+
+
+def _products_jacobian(delta: Array, rows: tuple[Array, Array], R: Array) -> Array:
+    """Return the Jacobian (products, 6) of `_products`."""
+    u = _parameters(delta, R)
+    p, q = (M @ np.append(u, 1.0) for M in rows)
+    J = np.einsum('iak,ja->ijk', rows[0][:, :, :9], q, optimize=True)
+    J += np.einsum('ia,jak->ijk', p, rows[1][:, :, :9], optimize=True)
+    turn = np.zeros((9, 6))
+    left = _left_jacobian(delta[:3])
+    turn[:3, :3], turn[3:6, :3] = -se3.skew(u[:3]) @ left, -se3.skew(u[3:6]) @ left
+    turn[6:, 3:] = np.eye(3)
+    return cast(Array, J.reshape(-1, 9) @ turn)
+
+
+def _left_jacobian(r: Array) -> Array:
+    """Return J (3, 3) with Exp(r + dr) = Exp(J dr) Exp(r)."""
+    angle = max(float(np.linalg.norm(r)), 1e-9)
+    K = se3.skew(r / angle)
+    second = np.sin(angle / 2.0) ** 2 * 2.0 / angle
+    return cast(Array, np.eye(3) + second * K + (1.0 - np.sin(angle) / angle) * K @ K)
+
+
+def _best(rows: tuple[Array, Array], pairs: int, found: Array) -> Result:
+    """Return the result of the start that ended lowest, of those that met eq. 4."""
+    costs = np.array([pairs * cost(rows, u)[0] for u in found])
+    norms = np.linalg.norm(found[:, :6].reshape(-1, 2, 3), axis=2)
+    met = np.abs(norms - 1.0).max(axis=1) < 1e-6
+    best = int(np.argmin(np.where(met, costs, np.inf if met.any() else costs)))
+    r1, r3, t = found[best, :3], found[best, 3:6], found[best, 6:] * LENGTH
+    matrix = se3.transform(np.column_stack([r1, np.cross(r3, r1), r3]), t)
+    return Result(matrix, se3.transform(se3.nearest_rotation(matrix[:3, :3]), t),
+                  float(costs[best]), costs)

@@ -1,0 +1,218 @@
+"""
+Jing, Hu, Guo 2020: multiple coordinates transformation with a laser tracker.
+
+Journal of Shanghai Jiao Tong University 54(6), doi 10.16183/j.cnki.jsjtu.2019.033. A reflector on
+the last link of a P1 R2 P3 arm draws an arc (R2) and a line (P3): the link's frame in the
+tracker. A reflector's ball and two faces of a block make a temporary frame K that the tracker
+measures and the profiler too, swept over it by P3. X = inv(T_tracker_flange) T_tracker_sensor.
+
+What is wrong in print, and what is done here:
+
+- eqs. 6, 8 and 11 use measured directions as the columns of a frame. They are not square, so
+  they are orthonormalised; as both K are treated alike, a block that is not square does no harm.
+- eq. 9 shifts the profile along the sensor's own z by q3 - q30. P3 moves along z of frame 3,
+  which with the paper's X (90 degrees about x) is y of the sensor, and only nearly so. The
+  direction is estimated: only the right one makes the ball a ball.
+- the signs of the directions are not said: the arc is taken in the sense of growing theta2, the
+  line in that of growing q3, and each face's normal points away from the other face's points.
+- Table 2 cannot be recomputed: the faces are 63.9 degrees apart in one frame, 66.7 in the other.
+- eq. 13 has no axis to give at 0 and 180 degrees.
+
+The heights follow eq. 6; h3(q3) of eq. 7 is D-H (Craig) with alpha = 90 degrees, a = 0.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.errors import TooFewError
+import numpy as np
+from scipy.optimize import least_squares
+
+SWEEP: Array = np.array([0.0, 1.0, 0.0])
+"""The sweep's direction in the sensor frame to start from: P3 along y."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracker:
+    """
+    Reflector centres in the tracker's frame, metres.
+
+    arc: (n, 3) while R2 turns; line: (n, 3) while P3 moves, R2 as in the sweep; ball: (3,);
+    face_c, face_d: (n, 3) on the two faces; h0: reflector above P3's top; h1: its top above
+    the origin of frame 2.
+    """
+
+    arc: Array
+    line: Array
+    ball: Array
+    face_c: Array
+    face_d: Array
+    h0: float
+    h1: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """
+    Profile points of the sweep, (n, 3) each: x, z in the sensor plane and q3 (metres).
+
+    q30: the reading at which the sensor frame is taken.
+    """
+
+    ball: Array
+    face_c: Array
+    face_d: Array
+    q30: float
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """
+    The chain of eq. 5, and what shows whether to believe it.
+
+    direction: (3,) of the sweep in the sensor frame, per metre of q3; radius: of the ball as
+    swept; angles: (2,) between the faces as the tracker and the profiler saw them (radians).
+    """
+
+    T_flange_sensor: Array
+    T_tracker_flange: Array
+    T_tracker_sensor: Array
+    direction: Array
+    radius: float
+    angles: Array
+
+
+def solve(tracker: Tracker, sweep: Sweep, direction: Array = SWEEP) -> Result:
+    """
+    Return the hand-eye transform by eqs. 5 to 12.
+
+    direction: (3,) of the sweep in the sensor frame, roughly: it settles the sign of y, which
+    the ball leaves open. Raises TooFewError.
+    """
+    T_tracker_flange = link_frame(tracker, sweep.q30)
+    direction, ball, radius = fit_swept_ball(sweep.ball, sweep.q30, direction)
+    faces = [swept(points, sweep.q30, direction) for points in (sweep.face_c, sweep.face_d)]
+    T_tracker_k = block_frame(tracker.ball, tracker.face_c, tracker.face_d)
+    T_tracker_sensor = T_tracker_k @ se3.inverse(block_frame(ball, *faces))
+    angles = [face_angle(tracker.face_c, tracker.face_d), face_angle(*faces)]
+    return Result(se3.inverse(T_tracker_flange) @ T_tracker_sensor, T_tracker_flange,
+                  T_tracker_sensor, direction, radius, np.array(angles))
+
+
+def link_frame(tracker: Tracker, q3: float) -> Array:
+    """Return T_tracker_flange (4, 4), frame 3 at reading q3, by eqs. 6 and 7."""
+    centre, axis = fit_arc(tracker.arc)
+    along = fit_line(tracker.line)
+    R = se3.nearest_rotation(np.column_stack([-np.cross(along, axis), -along, axis]))
+    T_tracker_2 = se3.transform(R, centre - R[:, 2] * (tracker.h0 + tracker.h1))
+    quarter_turn = se3.exp_rotation(np.array([np.pi / 2, 0.0, 0.0]))
+    return np.asarray(T_tracker_2 @ se3.transform(quarter_turn, quarter_turn[:, 2] * q3))
+
+
+def block_frame(ball: Array, face_c: Array, face_d: Array) -> Array:
+    """Return the temporary frame K (4, 4) of eqs. 8 and 11 in the frame of the points."""
+    n_c, n_d = face_normals(face_c, face_d)
+    R = se3.nearest_rotation(np.column_stack([n_c, n_d, np.cross(n_c, n_d)]))
+    return se3.transform(R, ball)
+
+
+def face_angle(face_c: Array, face_d: Array) -> float:
+    """Return the angle (radians) between the normals of two faces, (n, 3) and (m, 3) points."""
+    n_c, n_d = face_normals(face_c, face_d)
+    return float(np.arccos(np.clip(n_c @ n_d, -1.0, 1.0)))
+
+
+def face_normals(face_c: Array, face_d: Array) -> tuple[Array, Array]:
+    """Return the outward normals (3,) of two neighbouring faces of a convex block."""
+    from_c_to_d = face_d.mean(axis=0) - face_c.mean(axis=0)
+    n_c, n_d = fit_plane(face_c), fit_plane(face_d)
+    return -n_c * np.sign(n_c @ from_c_to_d), n_d * np.sign(n_d @ from_c_to_d)
+
+
+def fit_plane(points: Array) -> Array:
+    """Return a unit normal (3,) of the plane of points (n, 3). Raises TooFewError."""
+    if len(points) < 3:
+        raise TooFewError('Jing 2020', 3, 'points on each face', len(points))
+    return np.asarray(np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2])
+
+
+def fit_line(points: Array) -> Array:
+    """Return the unit direction (3,) of points (n, 3), first to last. Raises TooFewError."""
+    if len(points) < 2:
+        raise TooFewError('Jing 2020', 2, 'reflector points on the line', len(points))
+    along = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][0]
+    return np.asarray(along * np.sign(along @ (points[-1] - points[0])))
+
+
+def fit_arc(points: Array) -> tuple[Array, Array]:
+    """
+    Return centre (3,) and unit axis (3,) of the arc through points (n, 3).
+
+    The axis is that of the turn from each point to the next. Raises TooFewError.
+    """
+    if len(points) < 3:
+        raise TooFewError('Jing 2020', 3, 'reflector points on the arc', len(points))
+    mean = points.mean(axis=0)
+    basis = np.linalg.svd(points - mean)[2]
+    flat = (points - mean) @ basis[:2].T
+    design = np.column_stack([2.0 * flat, np.ones(len(flat))])
+    first = np.linalg.lstsq(design, np.sum(flat ** 2, axis=1), rcond=None)[0]
+    first[2] = np.sqrt(first[2] + first[:2] @ first[:2])
+    fit = least_squares(lambda c: np.linalg.norm(flat - c[:2], axis=1) - c[2], first,
+                        xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    spokes = flat - fit.x[:2]
+    turn = np.sum(spokes[:-1, 0] * spokes[1:, 1] - spokes[:-1, 1] * spokes[1:, 0])
+    return mean + fit.x[:2] @ basis[:2], np.sign(turn) * np.cross(basis[0], basis[1])
+
+
+def swept(points: Array, q30: float, direction: Array) -> Array:
+    """Return (n, 3) in the sensor frame at q30 of profile points (n, 3) x, z, q3 (eqs. 9, 10)."""
+    cloud = np.insert(points[:, :2], 1, 0.0, axis=1)
+    return np.asarray(cloud + (points[:, 2:] - q30) * direction)
+
+
+def fit_swept_ball(points: Array, q30: float,
+                   direction: Array = SWEEP) -> tuple[Array, Array, float]:
+    """
+    Return the sweep's direction (3,) and the ball's centre (3,) and radius, sensor frame.
+
+    points: (n, 3) x, z, q3 on the ball. Raises TooFewError.
+    """
+    if len(points) < 6:
+        raise TooFewError('Jing 2020', 6, 'profile points on the ball', len(points))
+    aside = np.linalg.svd(direction[None])[2][1:]
+
+    def at(unknown: Array) -> Array:
+        turned = direction + unknown[:2] @ aside
+        return np.asarray(turned / np.linalg.norm(turned))
+
+    def residuals(unknown: Array) -> Array:
+        cloud = swept(points, q30, at(unknown))
+        return np.asarray(np.linalg.norm(cloud - unknown[2:5], axis=1) - unknown[5])
+
+    cloud = swept(points, q30, direction)
+    design = np.column_stack([2.0 * cloud, np.ones(len(cloud))])
+    sphere = np.linalg.lstsq(design, np.sum(cloud ** 2, axis=1), rcond=None)[0]
+    sphere[3] = np.sqrt(max(sphere[3] + sphere[:3] @ sphere[:3], 1e-12))
+    fit = least_squares(residuals, np.concatenate([np.zeros(2), sphere]), x_scale='jac',
+                        xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    return at(fit.x), fit.x[2:5], float(fit.x[5])
+
+
+def axis_angle_shift(T: Array) -> tuple[Array, float, Array]:
+    """Return the axis v (3,), angle theta (radians) and translation p (3,) of eqs. 13 to 15."""
+    u = np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]])
+    angle = np.arccos(np.clip((np.trace(T[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
+    return u / np.linalg.norm(u), float(angle), T[:3, 3]
+
+
+def errors(T: Array, T_reference: Array) -> tuple[float, float, float]:
+    """
+    Return e_v, e_theta (radians) and e_p (metres) of T against a reference, both (4, 4).
+
+    The paper's reference is the mean of its own three trials.
+    """
+    (v, angle, p), (v_0, angle_0, p_0) = axis_angle_shift(T), axis_angle_shift(T_reference)
+    return (float(np.linalg.norm(v - v_0)), abs(angle - angle_0), float(np.linalg.norm(p - p_0)))

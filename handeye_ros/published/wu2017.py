@@ -1,0 +1,116 @@
+"""
+Wu, Wang, Li et al. 2017: four points, eye to hand; seam centre line and tool frames.
+
+Materials Science and Technology 25(2), 16-21, doi 10.11951/j.issn.1005-0299.20160369. The tip of
+a rod is put to ten places; the robot knows them in its base, the scanner sees them. Any four
+give T = T_c inv(T_w); the best of the 210 quadruples of ten is taken (eq. 5).
+
+What is wrong in print, and what is done here:
+
+- eq. 5 sums over i what carries the index j: P_ci - T_gj P_wi is meant. The norms are summed,
+  not their squares.
+- T is no rigid transform when there is noise; `T_camera_base` is the nearest one beside it.
+- four points in one plane have no inverse (eq. 3); such quadruples are left out.
+- eq. 11 says a0 twice; the second is a1. The plane z = a0 x + a1 y + a2 cannot stand upright.
+- n and o are measured apart and not square to each other, so eq. 16 is no rotation, and the
+  third column printed in eq. 19 is not n x o (eq. 15).
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.errors import SingularError, TooFewError
+import numpy as np
+
+FLAT = 1e-6
+"""Four points are in one plane when |T_w| is below this many cubes of their spread."""
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """
+    The best quadruple.
+
+    matrix: (4, 4) T_g of eq. 4, base to camera, as it came out; T_camera_base: (4, 4) with the
+    nearest rotation, placed so that the mean of all points agrees; T_base_camera: its inverse,
+    the eye-to-hand calibration; quadruple: the four indices; cost: its sum of eq. 5 (metres);
+    costs: (210,) of all, infinite where singular.
+    """
+
+    matrix: Array
+    T_camera_base: Array
+    T_base_camera: Array
+    quadruple: tuple[int, int, int, int]
+    cost: float
+    costs: Array
+
+
+def solve(in_camera: Array, in_base: Array) -> Result:
+    """
+    Return the best of all quadruples of the points.
+
+    in_camera, in_base: (n, 3), the same points in both frames (metres), n = 10 in the paper.
+    Raises TooFewError, SingularError.
+    """
+    if len(in_base) < 4:
+        raise TooFewError('Wu 2017', 4, 'points', len(in_base))
+    quadruples = np.array(list(combinations(range(len(in_base)), 4)))
+    T_w, T_c = (np.insert(p[quadruples], 3, 1.0, axis=2).swapaxes(1, 2)
+                for p in (in_base, in_camera))
+    spread = np.linalg.norm(in_base[quadruples] - in_base[quadruples].mean(axis=1)[:, None],
+                            axis=(1, 2))
+    regular = np.abs(np.linalg.det(T_w)) > FLAT * spread ** 3
+    if not regular.any():
+        raise SingularError('Wu 2017', 'all points lie in one plane; move one out of it')
+    T_g = T_c[regular] @ np.linalg.inv(T_w[regular])
+    costs = np.full(len(quadruples), np.inf)
+    costs[regular] = np.linalg.norm(se3.apply(T_g, in_base) - in_camera, axis=2).sum(axis=1)
+    best = int(np.argmin(costs))
+    matrix = T_g[np.count_nonzero(regular[:best])]
+    a, b, c, d = (int(i) for i in quadruples[best])
+    T = _rigid(matrix, in_base)
+    return Result(matrix, T, se3.inverse(T), (a, b, c, d), float(costs[best]), costs)
+
+
+def _rigid(matrix: Array, in_base: Array) -> Array:
+    """Return the rigid transform nearest to matrix that maps the mean point as it does."""
+    R, mean = se3.nearest_rotation(matrix[:3, :3]), in_base.mean(axis=0)
+    return se3.transform(R, matrix[:3, :3] @ mean + matrix[:3, 3] - R @ mean)
+
+
+def centre_line(upper: Array, lower: Array) -> Array:
+    """Return the points (k, 3) midway between the two edges of a seam (eq. 6)."""
+    return np.asarray(0.5 * (upper + lower))
+
+
+def fit_cubic(points: Array) -> Array:
+    """Return the coefficients (3, 4) of eq. 7 for points (k, 3) at t = 1 to k, t^3 first."""
+    t = np.arange(1.0, len(points) + 1.0)
+    return np.asarray(np.polyfit(t, points, 3).T)
+
+
+def position(coefficients: Array, t: float) -> Array:
+    """Return the point (3,) of the curve at t (eq. 7)."""
+    return np.asarray(coefficients @ [t ** 3, t ** 2, t, 1.0])
+
+
+def advance(coefficients: Array, t: float) -> Array:
+    """Return the unit tangent n (3,) of the curve at t (eq. 8)."""
+    tangent = coefficients @ [3.0 * t ** 2, 2.0 * t, 1.0, 0.0]
+    return np.asarray(tangent / np.linalg.norm(tangent))
+
+
+def approach(neighbours: Array) -> Array:
+    """Return the unit normal o (3,) of the plane through points (k, 3) (eqs. 10 to 14)."""
+    design = np.column_stack([neighbours[:, :2], np.ones(len(neighbours))])
+    a0, a1, _ = np.linalg.lstsq(design, neighbours[:, 2], rcond=None)[0]
+    normal = np.array([a0, a1, -1.0])
+    return np.asarray(normal / np.linalg.norm(normal))
+
+
+def tool_frame(n: Array, o: Array, point: Array) -> Array:
+    """Return T_p (4, 4) of eqs. 15 and 16, columns n, o, n x o: a rotation only if n . o = 0."""
+    return se3.transform(np.column_stack([n, o, np.cross(n, o)]), point)
