@@ -1,0 +1,115 @@
+"""The robot cell: where the sensor and the target really are, and what the robot says."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.simulate.layout import FRAMES
+from handeye_ros.simulate.scenario import RobotModel, Scenario, Station, Truth
+from handeye_ros.simulate.stations import Stops
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """
+    The unknowns and the poses at n stations; standard sensor frame.
+
+    T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base);
+    T_world_target: the target in the base, or in the flange. T_base_flange, its reported
+    twin: (n, 4, 4).
+    """
+
+    T_mount_sensor: Array
+    T_world_target: Array
+    T_base_flange: Array
+    T_base_flange_reported: Array
+
+    def T_target_sensor(self, T_base_flange: Array, calibration_type: str) -> Array:
+        """Return the sensor's poses (n, 4, 4) in the target at flange poses (n, 4, 4)."""
+        T = se3.inverse(T_base_flange) if calibration_type == 'eye_on_base' else T_base_flange
+        return np.asarray(se3.inverse(self.T_world_target) @ T @ self.T_mount_sensor)
+
+
+def draw(scenario: Scenario, stops: Stops, rng: np.random.Generator) -> Cell:
+    """Draw a cell in which the sensor gets to the stops, and the robot's errors."""
+    T_near = _sensor_on_flange(rng)
+    T_far = _target_in_base(rng)
+    T_sensor_target = se3.inverse(stops.T_target_sensor)
+    if scenario.calibration_type == 'eye_on_base':
+        # the target in the hand, the sensor where a target would stand
+        T_true = T_far @ T_sensor_target @ se3.inverse(T_near)
+        T_mount_sensor, T_world_target = T_far, T_near
+    else:
+        T_true = T_far @ stops.T_target_sensor @ se3.inverse(T_near)
+        T_mount_sensor, T_world_target = T_near, T_far
+    reported = perturbed(T_true, robot_error(scenario.robot, T_true, rng))
+    reported = _bumped(reported, scenario.bumped, rng)
+    return Cell(T_mount_sensor, T_world_target, T_true, reported)
+
+
+def _sensor_on_flange(rng: np.random.Generator) -> Array:
+    direction = rng.normal(size=3)
+    translation = direction / np.linalg.norm(direction) * rng.uniform(0.1, 0.2)
+    return se3.transform(_any_rotation(rng), translation)
+
+
+def _any_rotation(rng: np.random.Generator) -> Array:
+    return np.asarray(Rotation.from_quat(rng.normal(size=4)).as_matrix())
+
+
+def _target_in_base(rng: np.random.Generator) -> Array:
+    translation = rng.uniform([0.5, -0.3, 0.0], [0.9, 0.3, 0.4])
+    angles = rng.uniform([-0.2, -0.2, -np.pi], [0.2, 0.2, np.pi])
+    return se3.transform(Rotation.from_euler('xyz', angles).as_matrix(), translation)
+
+
+def perturbed(T: Array, error: Array) -> Array:
+    """Return T (n, 4, 4) perturbed by error (n, 6)."""
+    R = se3.exp_rotation(error[:, 3:]) @ T[:, :3, :3]
+    return se3.transform(R, T[:, :3, 3] + error[:, :3])
+
+
+def robot_error(robot: RobotModel, T: Array, rng: np.random.Generator) -> Array:
+    """Return the error (n, 6) of the reported poses at T (n, 4, 4): drawn anew, plus smooth."""
+    scale = np.repeat(robot.repeatability, 3)
+    return np.asarray(rng.normal(size=(len(T), 6)) * scale + _systematic(robot, T, rng))
+
+
+def _systematic(robot: RobotModel, T: Array, rng: np.random.Generator) -> Array:
+    """Return six sinusoids over position (0.3 m) and orientation (0.5 rad): (n, 6)."""
+    mean = se3.mean_pose(T)
+    turned = se3.log_rotation(T[:, :3, :3] @ mean[:3, :3].T)
+    place = np.concatenate([T[:, :3, 3] / 0.3, turned / 0.5], axis=1)
+    wave, phase = rng.normal(size=(6, 6)) / np.sqrt(2), rng.uniform(0, 2 * np.pi, 6)
+    amplitude = np.repeat(robot.systematic, 3) * np.sqrt(2 / 3)  # RMS of the vector of three
+    return np.asarray(amplitude * np.sin(place @ wave.T + phase))
+
+
+def _bumped(T: Array, count: int, rng: np.random.Generator) -> Array:
+    """Return poses of which count are off by 1-3 mm and 0.1-0.3 degrees."""
+    error = np.zeros((len(T), 6))
+    size = np.repeat(rng.uniform([1e-3, 2e-3], [3e-3, 5e-3], (count, 2)), 3, axis=1)
+    direction = rng.normal(size=(count, 2, 3))
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    error[rng.permutation(len(T))[:count]] = size * direction.reshape(-1, 6)
+    return perturbed(T, error)
+
+
+def visit_order(scenario: Scenario, n: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Return the order (n,) in which the stops are visited."""
+    return rng.permutation(n) if scenario.shuffled else np.arange(n)
+
+
+def truth(scenario: Scenario, cell: Cell, stops: Stops, spans: NDArray[np.int64]) -> Truth:
+    """Return what is true, stop after stop; spans (n, 2): stamps of standing still."""
+    T_standard_sensor = FRAMES[scenario.layout.frame].T_standard_sensor
+    stations = tuple(
+        Station(int(span[0]), int(span[1]), label, point, T, T_reported)
+        for span, label, point, T, T_reported in zip(
+            spans, stops.labels, stops.points, cell.T_base_flange, cell.T_base_flange_reported,
+            strict=True))
+    return Truth(cell.T_mount_sensor @ T_standard_sensor, cell.T_world_target, stations)

@@ -1,0 +1,95 @@
+"""Profiles and poses of a whole recording."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from handeye_ros import se3
+from handeye_ros.data import Array, Profile, TimedPose
+from handeye_ros.simulate import cell as cells
+from handeye_ros.simulate import motion
+from handeye_ros.simulate import sensor as sensors
+from handeye_ros.simulate.layout import FRAMES, published
+from handeye_ros.simulate.scenario import Scenario, Truth
+from handeye_ros.simulate.scenes import SCENES
+from handeye_ros.simulate.slips import SLIPS
+import numpy as np
+
+CHILD_FRAME = 'laser'
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """A simulated recording and what is true; profiles and poses in the order of their stamps."""
+
+    scenario: Scenario
+    profiles: tuple[Profile, ...]
+    poses: tuple[TimedPose, ...]
+    truth: Truth
+
+
+def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulated:
+    """Return a recording: the robot goes from stop to stop while everything streams."""
+    scene = SCENES[scenario.scene]
+    stops = scene.stops(scenario, rng)
+    stops = stops.ordered(cells.visit_order(scenario, len(stops.labels), rng))
+    cell = cells.draw(scenario, stops, rng)
+    line = motion.timeline(scenario.robot, len(stops.labels))
+    truth = cells.truth(scenario, cell, stops, line.spans())
+    profiles = _profiles(scenario, cell, line, rng)
+    return Simulated(scenario, profiles, _poses(scenario, cell, line, rng), truth)
+
+
+def _poses(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
+           rng: np.random.Generator) -> tuple[TimedPose, ...]:
+    robot = scenario.robot
+    times = np.arange(0, line.duration, 1 / robot.rate)
+    T = motion.between(cell.T_base_flange_reported, *line.place(times))
+    T = cells.perturbed(T, rng.normal(size=(len(T), 6)) * robot.jitter)
+    translation, quaternion = T[:, :3, 3], se3.quaternion(T)
+    for name in scenario.slips:
+        translation, quaternion = SLIPS[name](translation, quaternion)
+    return tuple(TimedPose(int(stamp), t, q) for stamp, t, q in zip(
+        motion.stamps(times), translation, quaternion, strict=True))
+
+
+def _profiles(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
+              rng: np.random.Generator) -> tuple[Profile, ...]:
+    sensor, frame = scenario.sensor, FRAMES[scenario.layout.frame]
+    times = np.arange(0.5 / sensor.rate, line.duration, 1 / sensor.rate)
+    times = times[_kept(scenario, line, times)]
+    z, angle = _exact(scenario, cell, line, times)
+    ranges = sensors.measure(sensor, z, angle, rng)
+    points = published(frame, sensors.plane_points(sensor, ranges))
+    stamps, mark = motion.stamps(times + sensor.delay), scenario.layout.no_return
+    return tuple(Profile(int(stamp), CHILD_FRAME, _marked(p, mark), frame.axes)
+                 for stamp, p in zip(stamps, points, strict=True))
+
+
+def _kept(scenario: Scenario, line: motion.Timeline, times: Array) -> Array:
+    """Return which profiles are recorded: while moving, only every nth."""
+    _, share = line.place(times)
+    return np.asarray((share == 0) | (np.arange(len(times)) % scenario.sensor.thinning == 0))
+
+
+def _exact(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
+           times: Array) -> tuple[Array, Array]:
+    """Return exact ranges and incidences (m, n) at the times; each stop is cast only once."""
+    station, share = line.place(times)
+    pose = np.stack([station, share], axis=1)
+    different, which = np.unique(pose, axis=0, return_inverse=True)
+    T = motion.between(cell.T_base_flange, different[:, 0].astype(np.int64), different[:, 1])
+    T_target_sensor = cell.T_target_sensor(T, scenario.calibration_type)
+    z, angle = sensors.render(
+        scenario.sensor, SCENES[scenario.scene].solids(scenario), T_target_sensor)
+    which = which.reshape(-1)  # numpy 2.0 alone returns it as a column
+    return z[which], angle[which]
+
+
+def _marked(points: Array, no_return: str) -> Array:
+    """Return points (n, 2) with those without a return as the driver marks them."""
+    lost = np.isnan(points).any(axis=1)
+    if no_return == 'omit':
+        return points[~lost]
+    points = points.copy()
+    points[lost] = np.inf if no_return == 'inf' else np.nan
+    return points

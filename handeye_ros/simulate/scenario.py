@@ -1,0 +1,176 @@
+"""The parameters of a simulated recording, and what is true of it; metres, radians, seconds."""
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+import math
+
+from handeye_ros.data import Array
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """
+    A laser profiler: a fan of light from the origin of the sensor frame, seen by a camera.
+
+    The field of view is a trapezoid: range (min, max) of z, and |x| <= half_width * z.
+    sampling: 'fan': columns regular in the angle's tangent; 'x': resampled by the driver,
+    regular in x. camera: (y, z) of the camera's pinhole; it looks from beside the light plane,
+    so a step can hide a point from it. max_incidence: beyond it no light comes back; rim_bias:
+    how much too far points just before it are.
+    noise: 1 sigma of one range; resolution: step of the numbers, 0: none; distortion: RMS of a
+    smooth error over the field of view, drawn once.
+    mixed, lost, lost_at_edge, outliers: shares of the points at steps that lie between the
+    levels, of lost points, of those within a few columns of a step, of gross outliers;
+    reflections: share of the profiles with a false piece of line. delay: of the stamps, which
+    are those of receipt. thinning: while the robot moves, only every nth profile is recorded.
+    """
+
+    columns: int = 1280
+    rate: float = 30.0
+    range: tuple[float, float] = (0.150, 0.200)  # noqa: A003
+    half_width: float = 0.14
+    sampling: str = 'fan'
+    camera: tuple[float, float] = (0.07, 0.0)
+    noise: float = 3e-5
+    resolution: float = 0.0
+    distortion: float = 0.0
+    max_incidence: float = 1.2
+    rim_bias: float = 3e-4
+    mixed: float = 0.5
+    lost: float = 0.002
+    lost_at_edge: float = 0.1
+    outliers: float = 0.005
+    reflections: float = 0.0
+    delay: float = 0.005
+    thinning: int = 1
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """
+    A robot that stops at stations; reported pose = true pose + error.
+
+    repeatability: (translation, rotation), 1 sigma of each axis, drawn once per station.
+    systematic: (translation, rotation), RMS of the vectors of an error that varies smoothly over
+    the workspace. jitter: 1 sigma of each streamed pose (m and rad). dwell and move: duration of
+    a stop and of a motion.
+    """
+
+    repeatability: tuple[float, float] = (2e-5, math.radians(0.004))
+    systematic: tuple[float, float] = (0.0, 0.0)
+    jitter: float = 1e-6
+    rate: float = 100.0
+    dwell: float = 1.0
+    move: float = 1.2
+
+
+@dataclass(frozen=True)
+class PlateTarget:
+    """
+    A plate with its corner in the origin, its face z = 0, 0 <= x <= size[0], 0 <= y <= size[1].
+
+    Edge p is y = 0, edge q is x = 0; the face looks along +z. table: depth of the table below
+    the face, None: nothing there. clutter: height above the face (negative: below) of the top of a
+    block beside each of these edges, None: no blocks. edge_angle: between p and q where they
+    meet; rendered profiles, unlike samples made directly, are always of a square plate.
+    """
+
+    size: tuple[float, float] = (0.20, 0.15)
+    thickness: float = 0.010
+    table: float | None = 0.025
+    clutter: float | None = None
+    edge_angle: float = math.pi / 2
+
+
+@dataclass(frozen=True)
+class SphereTarget:
+    """
+    A ball around the origin on a stem along -z, above or set into a table at z = -table.
+
+    clutter: a block stands beside it.
+    """
+
+    radius: float = 0.040
+    stem: float = 0.012
+    table: float | None = 0.030
+    clutter: bool = True
+
+
+@dataclass(frozen=True)
+class Layout:
+    """
+    The frame and the form that the driver publishes in.
+
+    frame: 'standard' (x along the line, z the range), or one of the others of
+    layout.FRAMES. no_return: 'nan', 'inf', or 'omit' for points that are left out.
+    """
+
+    frame: str = 'standard'
+    no_return: str = 'nan'
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """
+    All parameters of a recording.
+
+    scene: key of scenes.SCENES. stations: how many at each edge (plate), or in all (sphere:
+    the sum). motion: key of stations.MOTIONS. tilt: largest tilt about each sensor axis.
+    shuffled: the order of the stations is random. bumped: number of stations whose reported
+    pose is grossly wrong. wrong_edges: number of stations at an edge of the plate that is
+    neither p nor q. empty: there is no target. slips: keys of slips.SLIPS, applied in order.
+    """
+
+    name: str = 'plate'
+    scene: str = 'plate'
+    target: PlateTarget | SphereTarget = PlateTarget()
+    sensor: SensorModel = field(default_factory=SensorModel)
+    robot: RobotModel = field(default_factory=RobotModel)
+    layout: Layout = field(default_factory=Layout)
+    stations: tuple[int, int] = (9, 9)
+    motion: str = 'general'
+    tilt: float = math.radians(30)
+    shuffled: bool = True
+    calibration_type: str = 'eye_in_hand'
+    bumped: int = 0
+    wrong_edges: int = 0
+    empty: bool = False
+    slips: tuple[str, ...] = ()
+
+    @property
+    def profiles_per_stop(self) -> int:
+        """How many profiles are recorded while the robot stands still."""
+        return max(1, int(self.robot.dwell * self.sensor.rate))
+
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    """
+    Where the robot stood, and what is true there.
+
+    start, end: stamps of standing still (0, 0 where nothing is streamed). label: the edge that
+    the line crosses ('p', 'q', 'p2', 'q2'), or 'sphere'. point: (2,) true edge point, or
+    centre of the arc, along the line and range in the standard sensor frame.
+    T_base_flange, T_base_flange_reported: (4, 4).
+    """
+
+    start: int
+    end: int
+    label: str
+    point: Array
+    T_base_flange: Array
+    T_base_flange_reported: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """
+    What a calibration should find; (4, 4) transforms.
+
+    With eye_on_base, T_flange_sensor is the sensor's pose in the base and T_base_target the
+    target's pose in the flange. The sensor frame is the published one (Scenario.layout).
+    """
+
+    T_flange_sensor: Array
+    T_base_target: Array
+    stations: tuple[Station, ...]

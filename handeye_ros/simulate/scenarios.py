@@ -1,0 +1,86 @@
+"""The ready-made recordings, by name."""
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+from typing import Any
+
+from handeye_ros.simulate.scenario import (
+    Layout,
+    PlateTarget,
+    RobotModel,
+    Scenario,
+    SensorModel,
+    SphereTarget,
+)
+from handeye_ros.simulate.slips import SLIPS
+
+PLATE = Scenario()
+WIDE = SensorModel(range=(0.14, 0.27), half_width=0.27, max_incidence=1.15)
+SPHERE = Scenario('sphere', 'sphere', SphereTarget(), WIDE, stations=(14, 0),
+                  tilt=math.radians(40))
+LINE = replace(PLATE, name='line', scene='line', stations=(14, 0))
+PLANE = replace(PLATE, name='plane', scene='plane', target=PlateTarget((0.4, 0.3), table=None),
+                stations=(14, 0))
+REAL_ROBOT = RobotModel(systematic=(1.5e-4, math.radians(0.02)))
+
+
+def _sensor(**values: Any) -> SensorModel:
+    return replace(PLATE.sensor, **values)
+
+
+# Recordings that compress well: fewer profiles, numbers in steps of 2^-20 m (1 um).
+SMALL: dict[str, Any] = {'rate': 10.0, 'resolution': 2.0**-20, 'thinning': 2}
+SMALL_PLATE = replace(PLATE, name='small_plate', sensor=_sensor(**SMALL),
+                      robot=replace(PLATE.robot, rate=50.0))
+SMALL_LINE, SMALL_PLANE = (
+    replace(scenario, name=f'small_{scenario.name}', robot=SMALL_PLATE.robot,
+            sensor=_sensor(**SMALL, columns=640)) for scenario in (LINE, PLANE))
+COARSE_PLATE = replace(SMALL_PLATE, sensor=_sensor(**SMALL, columns=320))
+SMALL_SPHERE = replace(SPHERE, name='small_sphere', robot=SMALL_PLATE.robot,
+                       sensor=replace(WIDE, **SMALL, columns=640))
+
+SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
+    PLATE,
+    SPHERE,
+    LINE,
+    PLANE,
+    replace(PLATE, name='plate_5_5', stations=(5, 5)),
+    replace(PLATE, name='plate_in_order', shuffled=False),
+    # surroundings
+    replace(PLATE, name='plate_in_air', target=PlateTarget(table=None)),
+    replace(PLATE, name='plate_on_table', target=PlateTarget(table=0.010)),
+    replace(PLATE, name='plate_clutter', target=PlateTarget(clutter=-0.004)),
+    replace(PLATE, name='plate_clutter_high', target=PlateTarget(clutter=0.002)),
+    # sensors and drivers
+    replace(PLATE, name='plate_resampled', sensor=_sensor(sampling='x', resolution=1e-6)),
+    replace(PLATE, name='plate_reflections', sensor=_sensor(reflections=0.3, outliers=0.02)),
+    replace(PLATE, name='plate_inf', layout=Layout(no_return='inf')),
+    replace(PLATE, name='plate_omit', layout=Layout(no_return='omit')),
+    replace(PLATE, name='plate_z_up', layout=Layout('z_up')),
+    replace(PLATE, name='plate_x_reversed', layout=Layout('x_reversed')),
+    replace(PLATE, name='plate_y_along_line', layout=Layout('y_along_line')),
+    # robots
+    replace(PLATE, name='plate_real_robot', robot=REAL_ROBOT),
+    replace(SPHERE, name='sphere_real_robot', robot=REAL_ROBOT),
+    replace(PLATE, name='eye_on_base', calibration_type='eye_on_base'),
+    replace(SPHERE, name='sphere_on_flange', calibration_type='eye_on_base'),
+    # what cannot carry an answer, or only in part
+    replace(PLATE, name='one_orientation', motion='one_orientation'),
+    replace(PLATE, name='one_orientation_per_edge', motion='one_orientation_per_edge'),
+    replace(PLATE, name='tilt_only', motion='tilt_only'),
+    replace(PLATE, name='yaw_only', motion='yaw_only'),
+    replace(PLATE, name='bumped', bumped=1),
+    replace(PLATE, name='wrong_edges', wrong_edges=2),
+    replace(PLATE, name='no_target', empty=True),
+    replace(PLATE, name='nothing_in_sight', empty=True, target=PlateTarget(table=None)),
+    replace(PLATE, name='inverted_poses', slips=('inverted',)),
+    *(replace(PLATE, name=slip, slips=(slip,)) for slip in SLIPS if slip != 'inverted'),
+    # the recordings in bags/
+    SMALL_PLATE,
+    SMALL_SPHERE,
+    SMALL_LINE,
+    SMALL_PLANE,
+    replace(COARSE_PLATE, name='small_one_orientation', motion='one_orientation'),
+    replace(COARSE_PLATE, name='small_inverted_poses', slips=('inverted',)),
+)}

@@ -1,0 +1,34 @@
+"""The targets that can be simulated: one entry each."""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from handeye_ros.data import Feature
+from handeye_ros.simulate import plane, plate, sphere
+from handeye_ros.simulate.scenario import Scenario
+from handeye_ros.simulate.solids import Solid
+from handeye_ros.simulate.stations import Stops
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Scene:
+    """
+    What the simulator must know of a target.
+
+    stops: draws the sensor poses; solids: what stands there, in the target frame; features:
+    what each stop would give, with its noise.
+    """
+
+    stops: Callable[[Scenario, np.random.Generator], Stops]
+    solids: Callable[[Scenario], tuple[Solid, ...]]
+    features: Callable[[Scenario, Stops, np.random.Generator], list[tuple[Feature, ...]]]
+
+
+SCENES = {
+    'plate': Scene(plate.stops, plate.solids, plate.features),
+    'line': Scene(plate.stops, plate.solids, plate.features),
+    'plane': Scene(plane.stops, plate.solids, plane.features),
+    'sphere': Scene(sphere.stops, sphere.solids, sphere.features),
+}

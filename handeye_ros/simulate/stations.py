@@ -1,0 +1,83 @@
+"""Where the robot stops: sensor poses that bring the target into the field of view."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from handeye_ros.data import Array
+from handeye_ros.simulate.scenario import Scenario
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+
+@dataclass(frozen=True)
+class Motion:
+    """
+    How the orientations of the stations differ.
+
+    shared: both edges are crossed with one nominal orientation, at 45 degrees to each.
+    axes: which tilts (about the sensor's x, y, z) differ from station to station; the others
+    are drawn once, or are zero when level. per_edge: drawn once for each edge.
+    """
+
+    shared: bool = False
+    axes: tuple[bool, bool, bool] = (True, True, True)
+    level: bool = False
+    per_edge: bool = False
+
+
+MOTIONS = {
+    'general': Motion(),
+    'one_orientation': Motion(shared=True, axes=(False, False, False)),
+    'one_orientation_per_edge': Motion(axes=(False, False, False), per_edge=True),
+    'tilt_only': Motion(shared=True, axes=(True, False, False), level=True),
+    'yaw_only': Motion(axes=(False, False, True), level=True),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Stops:
+    """
+    The sensor at n stations.
+
+    T_target_sensor: (n, 4, 4), standard sensor frame; labels: n; points: (n, 2) true edge point
+    or centre of the arc in the sensor plane.
+    """
+
+    T_target_sensor: Array
+    labels: tuple[str, ...]
+    points: Array
+
+    def ordered(self, order: NDArray[np.int64]) -> Stops:
+        """Return the same stops in another order."""
+        labels = tuple(self.labels[k] for k in order)
+        return Stops(self.T_target_sensor[order], labels, self.points[order])
+
+
+def strata(rng: np.random.Generator, n: int, low: Array, high: Array) -> Array:
+    """Return (n, k) values spread evenly from low to high (k,), each column in its own order."""
+    order = rng.permuted(np.tile(np.arange(n), (len(low), 1)), axis=1).T
+    return np.asarray(low + (order + rng.random(order.shape)) / n * (high - low))
+
+
+def tilts(scenario: Scenario, rng: np.random.Generator, counts: tuple[int, ...]) -> Array:
+    """Return (n, 3, 3) rotations of the sensor about its own axes, group after group."""
+    motion = MOTIONS[scenario.motion]
+    limit = np.full(3, scenario.tilt)
+    once = rng.uniform(-limit, limit, (len(counts), 3)) * (not motion.level)
+    if not motion.per_edge:
+        once[:] = once[0]
+    groups = [np.where(motion.axes, strata(rng, n, -limit, limit), once[k])
+              for k, n in enumerate(counts)]
+    angles = np.concatenate(groups)
+    return np.asarray(Rotation.from_euler('xyz', angles).as_matrix())
+
+
+def fan(points: Array) -> Array:
+    """Return the tangent of the fan's angle of points (..., 2)."""
+    return np.asarray(points[..., 0] / points[..., 1])
+
+
+def lift(points: Array) -> Array:
+    """Return points (..., 2) of the standard sensor plane in three dimensions."""
+    return np.stack([points[..., 0], np.zeros(points.shape[:-1]), points[..., 1]], axis=-1)
