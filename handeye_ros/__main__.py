@@ -1,0 +1,4 @@
+"""`python -m handeye_ros` is `handeye`."""
+from handeye_ros.cli import main
+
+main()

@@ -1,0 +1,206 @@
+"""
+The command `handeye`: every verb wraps one function of the library.
+
+The heavy imports are inside the verbs, so that help and wrong usage answer at once, and so
+that only `replay` imports ROS. No `from __future__ import annotations`: the typer of Jazzy
+(0.9) would not see what is annotated.
+"""
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+import sys
+from typing import Annotated, Any, Optional, TYPE_CHECKING
+
+from handeye_ros import __version__
+from handeye_ros.errors import HandeyeError, NoRosError, UnknownNameError
+import typer
+from typer.core import TyperGroup
+
+if TYPE_CHECKING:
+    from handeye_ros.config import Config
+    from handeye_ros.data import Calibration
+    from handeye_ros.ros.bag import Recording
+
+INTERRUPTED = 130
+
+
+class Verbs(TyperGroup):
+    """The one place where errors become a sentence and an exit code."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a verb."""
+        try:
+            return super().invoke(ctx)
+        except HandeyeError as error:
+            typer.echo(f'error: {" ".join(str(error).split())}', err=True)
+            raise typer.Exit(error.exit_code) from None
+        except KeyboardInterrupt:
+            raise typer.Exit(INTERRUPTED) from None
+
+
+app = typer.Typer(cls=Verbs, add_completion=False, no_args_is_help=True, rich_markup_mode=None,
+                  pretty_exceptions_enable=False)
+
+NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
+Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
+ConfigFile = Annotated[NoPath, typer.Option(
+    help='A ROS parameter file, such as config/plate.yaml; without it, the defaults.')]
+Assignments = Annotated[list[str], typer.Option(
+    '--set', metavar='KEY=VALUE', help='Set a key of the configuration; may be repeated.')]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f'handeye_ros {__version__}')
+        raise typer.Exit
+
+
+@app.callback()
+def _options(version: Annotated[bool, typer.Option(
+        '--version', callback=_print_version, is_eager=True,
+        help='Print the version and exit.')] = False) -> None:
+    """Hand-eye calibration of laser line profilers."""
+
+
+@app.command()
+def solve(
+    bag: Bag,
+    config: ConfigFile = None,
+    assignments: Assignments = [],  # noqa: B006 - never changed
+    out: Annotated[NoPath, typer.Option(
+        metavar='DIR', help='Where calibration.yaml is written; out/NAME if not given.')] = None,
+) -> None:
+    """Find the transform from a recording, and write calibration.yaml."""
+    settings = _configuration(config, assignments)
+    path = _target(out, settings) / 'calibration.yaml'
+
+    from handeye_ros import export, report
+    from handeye_ros.truth import true_transform
+    from handeye_ros.verify import errors_against
+    T_true = true_transform(bag)
+    calibration = _solve(bag, settings)
+    export.write_calibration(calibration, path)
+    _print(report.table(calibration))
+    if T_true is not None:
+        typer.echo(report.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
+    typer.echo(f'wrote {path}')
+
+
+def _configuration(file: Path | None, assignments: list[str]) -> 'Config':
+    from handeye_ros.config import Config, load, with_assignments
+    return with_assignments(load(file) if file else Config(), assignments)
+
+
+def _target(out: Path | None, settings: 'Config') -> Path:
+    """Return the folder of the result, absolute."""
+    from handeye_ros.export import folder_name
+    return (out or Path('out') / folder_name(settings)).absolute()
+
+
+def _read(bag: Path, settings: 'Config') -> 'Recording':
+    with _doing('reading the recording'):
+        from handeye_ros.ros.bag import read
+        recording = read(bag, settings)
+    for warning in recording.warnings:
+        typer.echo(f'warning: {warning}', err=True)
+    return recording
+
+
+def _solve(bag: Path, settings: 'Config') -> 'Calibration':
+    recording = _read(bag, settings)
+    with _doing('solving'):
+        from handeye_ros import pipeline
+        calibration = pipeline.calibrate(recording.profiles, recording.poses, settings)
+    for warning in calibration.provenance.get('warnings', ()):
+        typer.echo(f'warning: {warning}', err=True)
+    provenance = {**calibration.provenance, 'inputs': list(recording.inputs)}
+    return replace(calibration, provenance=provenance)
+
+
+@contextmanager
+def _doing(what: str) -> Iterator[Callable[[str], None]]:
+    """Show on a terminal what takes its time, and what it yields is told; quiet in a pipe."""
+    if not sys.stderr.isatty():
+        yield lambda now: None
+        return
+    from rich.console import Console
+    with Console(stderr=True).status(what) as status:
+        yield status.update
+
+
+def _print(renderable: Any) -> None:
+    from rich.console import Console
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=160, color_system=None)  # a pipe has no width to wrap at
+    console.print(renderable)
+
+
+@app.command()
+def compare(
+    bag: Bag,
+    config: ConfigFile = None,
+    assignments: Assignments = [],  # noqa: B006 - never changed
+) -> None:
+    """Put the same samples through every estimator that applies, ours and published ones."""
+    settings = _configuration(config, assignments)
+
+    from handeye_ros import compare as comparing
+    from handeye_ros import report_compare
+    from handeye_ros.truth import true_transform
+    T_true = true_transform(bag)
+    recording = _read(bag, settings)
+    with _doing('finding the samples') as now:
+        found = comparing.compare_recording(recording.profiles, recording.poses, settings,
+                                            T_true, progress=now)
+    if found.answered:
+        _print(report_compare.ComparisonTable(found))
+    if found.refusal:
+        raise found.refusal
+
+
+@app.command()
+def replay(
+    bag: Bag,
+    rate: Annotated[float, typer.Option(help='Speed; 1 is as recorded.')] = 1.0,
+) -> None:
+    """Publish a recording on its topics, with /clock (needs ROS)."""
+    try:
+        from handeye_ros.ros.replay import replay as publish
+    except ModuleNotFoundError as error:
+        raise NoRosError('replay', str(error.name)) from error
+    publish(bag, rate)
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[str, typer.Argument(help='The name of a scenario; see the README.')],
+    directory: Annotated[Path, typer.Argument(metavar='DIR', help='The bag to make.')],
+    seed: Annotated[int, typer.Option(min=0, help='Of all random numbers.')] = 0,
+    force: Annotated[bool, typer.Option('--force', help='Replace a bag that is there.')] = False,
+) -> None:
+    """Make a recording with a known answer, which is written to truth.yaml in it."""
+    from handeye_ros.simulate import SCENARIOS
+    if scenario not in SCENARIOS:
+        raise UnknownNameError('scenario', scenario, list(SCENARIOS))
+
+    from handeye_ros import simulate as simulator
+    from handeye_ros.ros import bag_write
+    from handeye_ros.truth import truth_values
+    import numpy as np
+    with _doing('simulating'):
+        made = simulator.simulate(SCENARIOS[scenario], np.random.default_rng(seed))
+        bag_write.write(directory, made.profiles, made.poses, truth=truth_values(made, seed),
+                        force=force)
+    typer.echo(f'wrote {directory.absolute()}: {len(made.profiles)} profiles, '
+               f'{len(made.poses)} poses')
+
+
+def main() -> None:
+    """Run the console script `handeye`; ends the process with its exit code."""
+    # an answer must not be lost to a terminal that lacks a letter of it
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, 'reconfigure'):
+            stream.reconfigure(errors='replace')
+    app(prog_name='handeye')
