@@ -1,0 +1,192 @@
+"""Profiles and poses out of a rosbag2 recording; writing one is in bag_write.py."""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+import hashlib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from handeye_ros.config import Config
+from handeye_ros.data import Profile, TimedPose
+from handeye_ros.errors import (
+    AllMalformedError,
+    BagError,
+    ClocksApartError,
+    MessageError,
+    NoTopicError,
+    TimeBackwardsError,
+    TopicTypeError,
+    TwoFramesError,
+)
+from handeye_ros.ros.contents import Contents, full_name, Raw
+from handeye_ros.ros.messages import (
+    pose_from_stamped,
+    pose_from_transform,
+    profile_from_cloud,
+    stamp_of,
+)
+from handeye_ros.ros.storage import scan
+from handeye_ros.ros.transforms import FlangeTracker
+from rosbags.serde import SerdeError
+from rosbags.typesys import get_typestore, Stores
+
+CLOUD = 'sensor_msgs/msg/PointCloud2'
+POSE = 'geometry_msgs/msg/PoseStamped'
+TF = 'tf2_msgs/msg/TFMessage'
+
+LARGEST_STEP_BACK = 1_000_000_000  # ns; what lies within was only reordered on its way
+
+T = TypeVar('T')
+Stamped = TypeVar('Stamped', Profile, TimedPose)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """
+    What a bag holds for a calibration.
+
+    profiles, poses: in the order of their stamps. warnings: a sentence for each thing that was
+    lost or repaired. inputs: path and sha256 of every file read.
+    """
+
+    profiles: tuple[Profile, ...]
+    poses: tuple[TimedPose, ...]
+    warnings: tuple[str, ...] = ()
+    inputs: tuple[dict[str, str], ...] = ()
+
+
+def read(path: Path, config: Config) -> Recording:
+    """
+    Return the profiles and flange poses in a rosbag2 folder or an .mcap or .db3 file.
+
+    A damaged file gives what can be read up to the damage, with a warning. Raises InputError
+    when the bag or what is on its topics cannot be read, and DataError when its stamps mix
+    two runs, or profiles and poses share no time.
+
+    """
+    pose_topics = ('/tf', '/tf_static') if config.pose_source == 'tf' else (config.pose_topic,)
+    contents = scan(path, (config.profile_topic, *pose_topics))
+    reader = _Reader(path, contents)
+    profiles = reader.topic('profile_topic', config.profile_topic, CLOUD,
+                            lambda msg: profile_from_cloud(msg, config.profile))
+    poses = (reader.transforms(config) if config.pose_source == 'tf' else
+             reader.topic('pose_topic', config.pose_topic, POSE, pose_from_stamped))
+    _check_frames('profile', (p.frame_id for p in profiles))
+    _check_frames('pose', (p.parent_frame for p in poses))
+    _check_clocks(profiles, poses)
+    return Recording(tuple(profiles), tuple(poses), tuple(contents.warnings),
+                     tuple(_provenance(file) for file in contents.files))
+
+
+class _Reader:
+    """Turns the raw messages of a bag into what they stand for."""
+
+    def __init__(self, path: Path, contents: Contents) -> None:
+        self._path = path
+        self._contents = contents
+        self._types = get_typestore(Stores.ROS2_JAZZY)
+
+    def topic(self, key: str, topic: str, kind: str,
+              convert: Callable[[Any], Stamped]) -> list[Stamped]:
+        """Return what the messages of a topic, which the configuration key names, stand for."""
+        topic = full_name(topic)
+        decoded = self._decoded(key, topic, kind, convert)
+        stamped = self._stamped(topic, decoded)
+        _check_order(topic, [item.stamp for item in stamped])
+        return sorted(stamped, key=lambda item: item.stamp)
+
+    def transforms(self, config: Config) -> list[TimedPose]:
+        """Return the poses that the transform tree of the bag holds."""
+        tracker = FlangeTracker(config.robot_base_frame, config.robot_effector_frame)
+        if '/tf_static' in self._contents.topics:
+            # all at once: those of a late node must not come after the motion they belong to
+            for messages, _ in self._decoded('pose_source', '/tf_static', TF, _transforms,
+                                             may_be_empty=True):
+                tracker.add(messages, static=True)
+        moving = [transforms for transforms, _ in
+                  self._decoded('pose_source', '/tf', TF, _transforms)]
+        for child in dict.fromkeys(t.child_frame_id for ts in moving for t in ts):
+            _check_order(f'/tf (frame {child})', [stamp_of(t.header) for ts in moving for t in ts
+                                                  if t.child_frame_id == child])
+        poses = [pose for transforms in moving for pose in tracker.add(transforms, static=False)]
+        if not poses:
+            raise BagError(self._path, 'no flange poses in its transforms: '
+                           + (tracker.missing() or 'they share no time')
+                           + '; set robot_base_frame and robot_effector_frame')
+        return poses
+
+    def _decoded(self, key: str, topic: str, kind: str, convert: Callable[[Any], T],
+                 may_be_empty: bool = False) -> list[tuple[T, Raw]]:
+        """Return the usable messages of a topic, with where they come from."""
+        self._check_topic(key, topic, kind)
+        raws = [raw for raw in self._contents.messages if raw.topic == topic]
+        if not raws and not may_be_empty:
+            raise BagError(self._path, f'no messages on {topic} ({kind}): check that it was '
+                           f'published while recording, or set {key}')
+        decoded, reasons = [], []
+        for raw in raws:
+            try:
+                message = self._types.deserialize_cdr(raw.data, kind)
+                decoded.append((convert(message), raw))
+            except MessageError as error:
+                reasons.append(str(error))
+            except (SerdeError, IndexError) as error:
+                reasons.append(f'damaged message: {error}')
+        if reasons and not decoded:
+            raise AllMalformedError(topic, len(reasons), reasons[0])
+        if reasons:
+            self._contents.warnings.append(f'{len(reasons)} of {len(raws)} messages on {topic} '
+                                           f'were left out; the first: {reasons[0]}')
+        return decoded
+
+    def _check_topic(self, key: str, topic: str, wanted: str) -> None:
+        topics = self._contents.topics
+        if topic not in topics:
+            raise NoTopicError(self._path, key, topic, wanted, topics)
+        if topics[topic] != wanted:
+            raise TopicTypeError(key, topic, topics[topic], wanted)
+
+    def _stamped(self, topic: str, decoded: Sequence[tuple[Stamped, Raw]]) -> list[Stamped]:
+        """Return items with stamps; a driver that leaves all empty gets the times of receipt."""
+        stamped = [item for item, _ in decoded if item.stamp != 0]
+        if len(stamped) == len(decoded):
+            return stamped
+        if stamped:
+            self._contents.warnings.append(f'{len(decoded) - len(stamped)} messages on {topic} '
+                                           'without a stamp were left out')
+            return stamped
+        self._contents.warnings.append(f'the messages on {topic} have no stamps; the times at '
+                                       'which they were recorded are used')
+        return [replace(item, stamp=raw.log_time) for item, raw in decoded]
+
+
+def _transforms(msg: Any) -> Any:
+    for transform in msg.transforms:
+        pose_from_transform(transform)  # raises where one is malformed
+    return msg.transforms
+
+
+def _check_order(topic: str, stamps: Sequence[int]) -> None:
+    latest = 0
+    for index, stamp in enumerate(stamps):
+        if latest - stamp > LARGEST_STEP_BACK:
+            raise TimeBackwardsError(topic, index, (latest - stamp) * 1e-9)
+        latest = max(latest, stamp)
+
+
+def _check_frames(kind: str, frames: Iterable[str]) -> None:
+    names = list(dict.fromkeys(frames))
+    if len(names) > 1:
+        raise TwoFramesError(kind, names[0], names[1])
+
+
+def _check_clocks(profiles: Sequence[Profile], poses: Sequence[TimedPose]) -> None:
+    gap = max(profiles[0].stamp - poses[-1].stamp, poses[0].stamp - profiles[-1].stamp)
+    if gap > 0:
+        raise ClocksApartError(gap * 1e-9)
+
+
+def _provenance(file: Path) -> dict[str, str]:
+    with file.open('rb') as stream:
+        return {'path': str(file), 'sha256': hashlib.file_digest(stream, 'sha256').hexdigest()}

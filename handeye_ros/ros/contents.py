@@ -1,0 +1,50 @@
+"""What a bag holds, before anything is made of it."""
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import zstandard
+
+ZSTD = b'\x28\xb5\x2f\xfd'
+
+
+class Raw(NamedTuple):
+    """A message as it was recorded; log_time: ns."""
+
+    topic: str
+    log_time: int
+    data: bytes
+
+
+@dataclass
+class Contents:
+    """
+    What a bag holds.
+
+    topics: the type by the name of each; messages: of the topics asked for, in the order of
+    recording; warnings: what could not be read; files: what was read.
+    """
+
+    topics: dict[str, str] = field(default_factory=dict)
+    messages: list[Raw] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
+
+
+def full_name(topic: str) -> str:
+    """Return a topic with its leading slash."""
+    return '/' + topic.lstrip('/')
+
+
+def message_of(data: bytes) -> bytes:
+    """Return a message, unpacked where the recorder packed each one; CDR starts with 0."""
+    if data[:4] != ZSTD:
+        return data
+    return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+
+
+def type_of(name: str, encoding: str) -> str:
+    """Return the type of a topic; a serialization that ROS does not use is part of it."""
+    return name if encoding == 'cdr' else f'{name} in {encoding}'

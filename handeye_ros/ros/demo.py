@@ -1,0 +1,158 @@
+"""
+The whole way of a bag through the node, as a user would go it: what `make demo` runs.
+
+Starts the node and the replay, each in its own process, asks the node for the calibration and
+to save it, and shows the answer.
+"""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+import os
+from pathlib import Path
+import subprocess
+import sys
+import tempfile
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+from handeye_ros import config as configuration
+from handeye_ros import export, report
+from handeye_ros.errors import InputError, NodeError, RefusedError, UnwritableError
+from handeye_ros.ros.executable import exit_code, ros
+from handeye_ros.truth import true_transform
+from handeye_ros.verify import errors_against
+import rclpy
+from rclpy.node import Node
+from rich.console import Console
+from std_srvs.srv import Trigger
+
+PATIENCE = 120.0  # s for an answer of the node
+
+
+def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
+    """
+    Calibrate from a bag over ROS; print the answer and leave out/calibration.yaml.
+
+    Raises InputError, or RefusedError when the node has no answer.
+
+    """
+    configuration.load(config)
+    T_true = true_transform(bag)
+    os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 101)  # undisturbed by other nodes
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    out = out.absolute()
+    with _scratch(out) as saved, ros([], interruptible=True):
+        log = out / 'node.log'
+        options = ['--params-file', str(config), '-p', f'output_dir:={saved}']
+        with log.open('wb') as stream, _child('node', ['--ros-args', *options], stream) as node:
+            print(f'the node is running; its log: {log}', flush=True)
+            client = Client(node, log)
+            client.wait()
+            with _child('replay', [str(bag), '--rate', str(rate)]) as replay:
+                print(f'replaying {bag}', flush=True)
+                if replay.wait():
+                    raise InputError(f'the replay of {bag} failed')
+            client.wait_until_all_is_taken()
+            client.call('compute_calibration')
+            client.call('save_calibration')
+        path = out / 'calibration.yaml'
+        os.replace(next(saved.glob('*/calibration.yaml')), path)
+    calibration = export.read_calibration(path)
+    terminal = sys.stdout.isatty()
+    Console(width=None if terminal else 160).print(report.table(calibration))
+    if T_true is not None:
+        print(report.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
+    print(f'wrote {path}')
+
+
+@contextmanager
+def _scratch(out: Path) -> Iterator[Path]:
+    """Give a folder below out that goes away in the end."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / 'calibration.yaml').unlink(missing_ok=True)  # a refusal leaves none behind
+        with tempfile.TemporaryDirectory(prefix='.', dir=out) as folder:
+            yield Path(folder)
+    except OSError as error:
+        raise UnwritableError(error.filename or out, error.strerror or str(error)) from error
+
+
+@contextmanager
+def _child(module: str, arguments: Sequence[str], log: object = None
+           ) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a module of this folder in a process that ends with the block."""
+    command = [sys.executable, '-m', f'handeye_ros.ros.{module}', *arguments]
+    process = subprocess.Popen(command, stdout=log, stderr=log)  # type: ignore[call-overload]
+    try:
+        yield process
+    finally:
+        process.terminate()
+        try:
+            process.wait(10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+class Client:
+    """Talks to the node in another process."""
+
+    def __init__(self, process: subprocess.Popen[bytes], log: Path) -> None:
+        """Listen to the node; log: what it prints."""
+        self._process = process
+        self._log = log
+        self._node = Node('handeye_demo')
+        self._diagnostics: list[dict[str, str]] = []
+        self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
+
+    def wait(self) -> None:
+        """Wait for the node; raises NodeError with its own words when it ends instead."""
+        client = self._node.create_client(Trigger, '/handeye/save_calibration')
+        self._until(client.service_is_ready)
+
+    def call(self, service: str) -> str:
+        """Return what a service says; raises RefusedError when it does not succeed."""
+        future = self._node.create_client(Trigger, f'/handeye/{service}').call_async(
+            Trigger.Request())
+        self._until(future.done)
+        if not future.result().success:
+            raise RefusedError(service, future.result().message)
+        return str(future.result().message)
+
+    def wait_until_all_is_taken(self) -> None:
+        """Wait until the node counts no further messages from one second to the next."""
+        self._diagnostics.clear()
+        self._until(lambda: len(self._diagnostics) > 1
+                    and _counts(self._diagnostics[-1]) == _counts(self._diagnostics[-2]))
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        self._diagnostics.append({pair.key: pair.value for pair in msg.status[0].values})
+
+    def _until(self, condition: Callable[[], bool]) -> None:
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            if self._process.poll() is not None or time.monotonic() > end:
+                lines = self._log.read_text(encoding='utf-8').splitlines()
+                raise NodeError(lines[-1] if lines else 'it says nothing')
+            rclpy.spin_once(self._node, timeout_sec=0.1)
+
+
+def _counts(diagnostics: dict[str, str]) -> list[str]:
+    return [diagnostics[key] for key in ('profiles', 'poses', 'malformed messages')]
+
+
+def main() -> int:
+    """Run the demo."""
+    parser = argparse.ArgumentParser(prog='demo', description=__doc__)
+    parser.add_argument('--bag', type=Path, required=True)
+    parser.add_argument('--config', type=Path, required=True)
+    parser.add_argument('--out', type=Path, required=True)
+    parser.add_argument('--rate', type=float, default=1.0, help='speed; 1: as recorded')
+    options = parser.parse_args()
+    return exit_code(lambda: demo(options.bag, options.config, options.out, options.rate))
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,55 @@
+"""What the executables share: how rclpy starts, and how errors become exit codes."""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+import signal
+import sys
+
+from handeye_ros.errors import HandeyeError, InputError
+import rclpy
+from rclpy._rclpy_pybind11 import RCLError  # rclpy has its errors in this module alone
+from rclpy.executors import ExternalShutdownException
+from rclpy.signals import SignalHandlerOptions
+
+__all__ = ['exit_code', 'RCLError', 'ros']
+
+
+def exit_code(run: Callable[[], None]) -> int:
+    """Run to the end, or to Ctrl-C or SIGTERM; print the sentence of an error of ours."""
+    try:
+        run()
+    except HandeyeError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    return 0
+
+
+@contextmanager
+def ros(args: Sequence[str] | None = None, *, interruptible: bool = False) -> Iterator[None]:
+    """
+    Start rclpy and shut it down in the end.
+
+    args: those of the command line (None: sys.argv). interruptible: Ctrl-C and SIGTERM raise
+    KeyboardInterrupt, for a main thread that does not spin. Raises InputError for arguments
+    and parameter files that ROS cannot read.
+
+    """
+    options = SignalHandlerOptions.NO if interruptible else SignalHandlerOptions.ALL
+    try:
+        rclpy.init(args=None if args is None else list(args), signal_handler_options=options)
+    except RCLError as error:
+        raise InputError(f'ROS does not start: {_first_sentence(str(error))}') from error
+    if interruptible:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        rclpy.try_shutdown()
+
+
+def _first_sentence(text: str) -> str:
+    """Return an error of rcl without the places in its source."""
+    return text.removeprefix('failed to initialize rcl: ').split(', at /', 1)[0]

@@ -1,0 +1,180 @@
+"""
+A session that is fed, asked and solved from different threads; what the node's services do.
+
+Knows no ROS. The lock is held around the session alone, never while solving: a solve works
+on a copy, in which the station that the robot stands in now counts as finished, so that the
+answer is that of a recording that ends here.
+"""
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from copy import deepcopy
+from dataclasses import replace
+import os
+from pathlib import Path
+import threading
+import time
+
+from handeye_ros import export, pipeline
+from handeye_ros.config import Config
+from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
+from handeye_ros.errors import NothingToSaveError
+from handeye_ros.pairing import Session
+from handeye_ros.ros.wording import calibration_summary, count_of, sample_summary
+
+
+class Arrivals:
+    """What has come in so far, for the diagnostics."""
+
+    def __init__(self) -> None:
+        """Start with nothing, now."""
+        self.counts = Counter({'profile': 0, 'pose': 0, 'malformed': 0})
+        self.last_malformed = ''
+        self._latest = dict.fromkeys(('profile', 'pose'), time.monotonic())
+
+    def came(self, kind: str) -> None:
+        """Count a good message."""
+        self.counts[kind] += 1
+        self._latest[kind] = time.monotonic()
+
+    def malformed(self, reason: str) -> None:
+        """Count a message that could not be understood."""
+        self.counts['malformed'] += 1
+        self.last_malformed = reason
+
+    def silence(self, kind: str) -> float:
+        """Return the seconds since the last good message, or since the start."""
+        return time.monotonic() - self._latest[kind]
+
+
+class LiveSession:
+    """The samples of a running node, and the last answer."""
+
+    def __init__(self, config: Config, output_dir: str) -> None:
+        """Start without samples; raises BadValueError for a method that does not exist."""
+        self._lock = threading.Lock()
+        self._session = Session(config)
+        self._calibration: Calibration | None = None
+        self.config = config
+        self.output_dir = output_dir
+        self.arrivals = Arrivals()
+        self.last_refusal = ''
+
+    @property
+    def samples(self) -> tuple[Sample, ...]:
+        """Return the samples taken so far."""
+        with self._lock:
+            return self._session.samples
+
+    @property
+    def frame_id(self) -> str:
+        """Return the frame of the profiles, empty before the first."""
+        with self._lock:
+            return self._session.frame_id
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return what was dropped, one sentence each."""
+        with self._lock:
+            return self._session.warnings
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Return the last answer that was not refused."""
+        return self._calibration
+
+    def configure(self, config: Config) -> None:
+        """Go on with another configuration, already checked by params.changed."""
+        with self._lock:
+            if self._session.samples or not _differs(config, self.config):
+                self._session.set_auto(config.sampling.auto)
+            else:
+                self._session = Session(config)
+            self.config = config
+
+    def add_profile(self, profile: Profile) -> list[Sample | Reject]:
+        """Take a profile; return what became of the stations that are now over."""
+        self.arrivals.came('profile')
+        with self._lock:
+            self._session.add_profile(profile)
+            return self._noted(self._session.collect())
+
+    def add_poses(self, poses: Iterable[TimedPose]) -> list[Sample | Reject]:
+        """Take poses; return what became of the stations that are now over."""
+        with self._lock:
+            for pose in poses:
+                self.arrivals.came('pose')
+                self._session.add_pose(pose)
+            return self._noted(self._session.collect())
+
+    def _noted(self, outcomes: list[Sample | Reject]) -> list[Sample | Reject]:
+        for outcome in outcomes:
+            if isinstance(outcome, Reject):
+                self.last_refusal = outcome.reason
+        return outcomes
+
+    def take_sample(self) -> tuple[Sample, str]:
+        """Return a sample of where the robot stands, and what to say; raises DataError."""
+        with self._lock:
+            sample = self._session.take_sample()
+            count = len(self._session.samples)
+        return sample, f'sample {count} taken: {sample_summary(sample)}'
+
+    def remove_last_sample(self) -> str:
+        """Forget the last sample; raises DataError when there is none."""
+        with self._lock:
+            removed = self._session.remove_last()
+            count = len(self._session.samples)
+        return f'removed the last sample ({sample_summary(removed)}); {count} left'
+
+    def clear_samples(self) -> str:
+        """Forget all samples, the answer, and all that was received."""
+        with self._lock:
+            count = len(self._session.samples)
+            self._session.clear()
+            self._calibration = None
+        return f'{count_of(count, "sample")} removed; bags and clocks may start again'
+
+    def compute(self) -> tuple[Calibration, str]:
+        """
+        Return the answer from all samples, and what to say.
+
+        Raises DataError when there is none, or InputError; the answer before is then gone.
+
+        """
+        with self._lock:
+            session = deepcopy(self._session)
+            config = self.config
+            self._calibration = None
+        session.finish()
+        session.require_stations()
+        found = pipeline.solve(session.samples, session.rejects, config, session.frame_id)
+        inputs = [{'topic': config.profile_topic},
+                  {'topic': config.pose_topic if config.pose_source == 'topic' else '/tf'}]
+        found = replace(found, provenance={**found.provenance, 'inputs': inputs})
+        self._calibration = found
+        return found, calibration_summary(found)
+
+    def save(self) -> str:
+        """Write the last answer; raises NothingToSaveError, and InputError if it cannot."""
+        calibration = self._calibration
+        if calibration is None:
+            raise NothingToSaveError
+        name = export.folder_name(self.config)
+        path = self._parent_folder() / name / 'calibration.yaml'
+        export.write_calibration(replace(calibration, name=name), path)
+        return f'wrote {path}'
+
+    def _parent_folder(self) -> Path:
+        """Return what is above the folder of this calibration, as an absolute path."""
+        home = os.environ.get('ROS_HOME') or Path.home() / '.ros'
+        parent = Path(self.output_dir) if self.output_dir else Path(home) / 'handeye'
+        return parent.expanduser().absolute()
+
+
+def _differs(config: Config, other: Config) -> bool:
+    """Tell whether two configurations take other samples."""
+    same = replace(config, name=other.name, limits=other.limits,
+                   sampling=replace(config.sampling, auto=other.sampling.auto))
+    return same != other

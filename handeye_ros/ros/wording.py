@@ -1,0 +1,38 @@
+"""The answers of the node's services, for a person: what happened, with figures and units."""
+from __future__ import annotations
+
+from collections import Counter
+import math
+
+from handeye_ros import se3
+from handeye_ros.data import Calibration, Sample
+import numpy as np
+
+NAMES = {'FaceLine': 'face line', 'EdgePoint': 'edge point', 'Arc': 'arc'}
+
+
+def count_of(count: int, what: str) -> str:
+    """Return `1 sample`, `2 samples`."""
+    return f'{count} {what}' if count == 1 else f'{count} {what}s'
+
+
+def sample_summary(sample: Sample) -> str:
+    """Return what was seen in a sample."""
+    counts = Counter(NAMES[type(feature).__name__] for feature in sample.features)
+    seen = ', '.join(count_of(count, name) for name, count in counts.items())
+    return f'{seen} from {count_of(sample.profiles, "profile")}'
+
+
+def calibration_summary(calibration: Calibration) -> str:
+    """Return the transform with its 1 sigma, and how well the samples agree."""
+    T, quality = calibration.T_flange_sensor, calibration.quality
+    std = np.sqrt(np.diag(calibration.covariance))
+    position = ', '.join(f'{v * 1e3:.3f} ± {s * 1e3:.3f}'
+                         for v, s in zip(T[:3, 3], std[:3], strict=True))
+    angles = ', '.join(f'{math.degrees(v):.4f}' for v in se3.rpy(T))
+    turns = ', '.join(f'{math.degrees(s):.4f}' for s in std[3:])
+    return (f'{calibration.child_frame} in {calibration.parent_frame}: x, y, z = {position} mm; '
+            f'roll, pitch, yaw = {angles} degrees (± {turns} about x, y, z); residual '
+            f'{quality.residual_rms * 1e3:.3f} mm RMS, left out '
+            f'{quality.holdout_rms * 1e3:.3f} mm; {count_of(quality.samples_used, "sample")} '
+            f'used, {quality.samples_rejected} rejected; save it with ~/save_calibration')
