@@ -1,0 +1,123 @@
+"""Simulated cells as the tests of the core want them: samples, truth and settings together."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+from handeye_ros import methods, se3
+from handeye_ros.config import Config, with_values
+from handeye_ros.data import Array, Profile, Sample, TimedPose
+from handeye_ros.method import Method
+from handeye_ros.outcome import mounted
+from handeye_ros.robust import consensus
+from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
+from handeye_ros.simulate.layout import FRAMES
+from handeye_ros.solve import Problem, Solution
+from handeye_ros.verify import mapped_point_error
+import numpy as np
+
+EXACT_COLUMNS = 10 ** 12  # so fine that an edge has no sampling error
+EDGED = ('plate', 'line')  # scenes with edges; they only count the columns
+ANY_POSE = se3.transform(se3.exp_rotation(np.array([0.7, -1.1, 0.4])), np.array([0.3, -0.2, 0.9]))
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """Samples of a simulated cell, what is true of it, and the settings that fit it."""
+
+    scenario: Scenario
+    samples: tuple[Sample, ...]
+    truth: Truth
+    config: Config
+
+    @property
+    def problem(self) -> Problem:
+        return problem(self.samples, self.config)
+
+    def error(self, T: Array) -> float:
+        """Return the RMS error of points mapped by T, in metres."""
+        return field_error(T, self.truth, self.scenario)
+
+
+def problem(samples: Sequence[Sample], config: Config) -> Problem:
+    method = methods.of(config)
+    return Problem(method, mounted(samples, config), method.observe(samples), config)
+
+
+def cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: object) -> Cell:
+    """Return a cell of features with exactly known noise; values: settings, __ for the dot."""
+    made = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
+    samples, truth = simulate_samples(made, np.random.default_rng(seed))
+    return Cell(made, samples, truth, config(made, **values))
+
+
+def config(scenario: Scenario, **values: object) -> Config:
+    """Return the settings of a scenario, with values put in; __ stands for the dot of a key."""
+    dotted = {key.replace('__', '.'): value for key, value in values.items()}
+    # features are made in the standard frame, whatever the driver publishes in
+    return with_values(Config(), settings(scenario) | dotted, 'test')
+
+
+def exact(scenario: str | Scenario = 'plate') -> Scenario:
+    """Return a scenario without any noise of sensor or robot, for samples of features."""
+    made = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
+    fine = {'columns': EXACT_COLUMNS} if made.scene in EDGED else {}
+    return replace(made, sensor=replace(made.sensor, noise=1e-12, **fine),
+                   robot=replace(made.robot, repeatability=(0.0, 0.0), systematic=(0.0, 0.0)))
+
+
+def exact_cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: object) -> Cell:
+    """Return a cell without noise; the settings keep believing in some."""
+    noise = {'noise__sensor': 3e-5, 'noise__robot_translation': 2e-5,
+             'noise__robot_rotation': 7e-5}
+    return cell(exact(scenario), seed, **(noise | values))
+
+
+@lru_cache
+def scenario_of(method: Method) -> Scenario:
+    """Return the scenario of a method: of its own name, or the first whose samples it can use."""
+    if method.name in SCENARIOS:
+        return SCENARIOS[method.name]
+    for scenario in SCENARIOS.values():
+        samples, _ = simulate_samples(scenario, np.random.default_rng(0))
+        if len(method.observe(samples)):
+            return scenario
+    raise LookupError(f'the simulator has no scene for {method.name}')
+
+
+def solved(problem: Problem, seed: int = 0) -> Solution:
+    """Return the solution from nothing."""
+    return consensus(problem, np.random.default_rng(seed)).solution
+
+
+def field_error(T: Array, truth: Truth, scenario: Scenario) -> float:
+    """Return the RMS error over the field of view that is x +-20 mm, range 160-190 mm."""
+    T_sensor_standard = se3.inverse(FRAMES[scenario.layout.frame].T_standard_sensor)
+    return mapped_point_error(T @ T_sensor_standard, truth.T_flange_sensor @ T_sensor_standard)
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A simulated recording, what is true of it, and the settings that read it."""
+
+    scenario: Scenario
+    profiles: tuple[Profile, ...]
+    poses: tuple[TimedPose, ...]
+    truth: Truth
+    config: Config
+
+    def error(self, T: Array) -> float:
+        """Return the RMS error of points mapped by T, in metres."""
+        return field_error(T, self.truth, self.scenario)
+
+
+def recorded(scenario: str | Scenario = 'plate', seed: int = 0, rate: float = 10.0,
+             columns: int | None = None, **values: object) -> Recorded:
+    """Return a recording with fewer profiles and poses than the scenario's, to be quick."""
+    made = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
+    sensor = replace(made.sensor, rate=rate, thinning=3, columns=columns or made.sensor.columns)
+    made = replace(made, sensor=sensor, robot=replace(made.robot, rate=50.0))
+    simulated = simulate(made, np.random.default_rng(seed))
+    return Recorded(made, simulated.profiles, simulated.poses, simulated.truth,
+                    config(made, **values))

@@ -1,0 +1,78 @@
+"""Laser profiles drawn by hand, and any array that a driver might send."""
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from handeye_ros.data import Array
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+import numpy as np
+
+NOISE = 3e-5
+COLUMNS = 641
+X = np.linspace(-0.02, 0.02, COLUMNS)
+PITCH = float(X[1] - X[0])
+
+
+def drawn(height: Callable[[Array], Array], seed: int = 0, noise: float = NOISE) -> Array:
+    """Return a profile (n, 2) of a height, with range noise; NaN stays."""
+    z = height(X) + np.random.default_rng(seed).normal(0, 1, len(X)) * noise
+    return np.column_stack([X, z])
+
+
+def with_lost(points: Array) -> Array:
+    """Return a profile that shows that its driver marks lost points, and does not omit them."""
+    points = points.copy()
+    points[[8, -9]] = np.nan
+    return points
+
+
+def face(x: Array, tilt: float = 0.1, at: float = 0.17) -> Array:
+    return at + np.tan(tilt) * x
+
+
+def step_up_to(edge: float, tilt: float = 0.1, drop: float = 0.01) -> Callable[[Array], Array]:
+    """Return a face for x > edge, and a table further away behind it."""
+    return lambda x: np.where(x > edge, face(x, tilt), face(x, tilt) + drop)
+
+
+def gap_up_to(edge: float, tilt: float = 0.1) -> Callable[[Array], Array]:
+    """Return a face for x > edge, and nothing behind it."""
+    return lambda x: np.where(x > edge, face(x, tilt), np.nan)
+
+
+def roof(edge: float, tilt: float = 0.1, turn: float = -0.8) -> Callable[[Array], Array]:
+    """Return a face for x > edge, and another that turns away from the sensor behind it."""
+    return lambda x: np.where(x > edge, face(x, tilt), face(edge, tilt)
+                              + np.tan(tilt + turn) * (x - edge))
+
+
+numbers = st.one_of(
+    st.floats(-0.1, 0.1), st.floats(0.1, 0.3), st.just(float('nan')),
+    st.sampled_from([0.0, -0.0, 0.17, 1e-300, -1e-12, float('inf'), float('-inf')]),
+    st.floats(allow_nan=True, allow_infinity=True, width=32))
+
+
+@st.composite
+def any_points(draw: st.DrawFn) -> Array:
+    """
+    Return (n, 2) arrays of all kinds.
+
+    Anything at all, or something like a profile with anything mixed in: equal and unsorted
+    columns, constant ones, drop-outs, values without any sense.
+    """
+    n = draw(st.integers(0, 120))
+    points = draw(arrays(float, (n, 2), elements=numbers))
+    if n and draw(st.booleans()):
+        x = np.linspace(-0.02, 0.02, n)
+        like = draw(st.sampled_from(['line', 'step', 'roof', 'arc', 'constant', 'column']))
+        z = {'line': face(x), 'step': step_up_to(0.002)(x), 'roof': roof(0.003)(x),
+             'arc': 0.2 - np.sqrt(0.04 ** 2 - x ** 2), 'constant': np.full(n, 0.17),
+             'column': np.linspace(0.15, 0.19, n)}[like]
+        x = np.full(n, 0.01) if like == 'column' else x
+        use = draw(arrays(bool, n, elements=st.sampled_from([True] * 9 + [False])))
+        points = np.where(use[:, None], np.column_stack([x, z]), points)
+        points[:, 1] += draw(st.sampled_from([0.0, NOISE])) * np.sin(np.arange(n) * 12.9898)
+    if draw(st.booleans()):
+        points = points[np.random.default_rng(draw(st.integers(0, 9))).permutation(n)]
+    return points

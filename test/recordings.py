@@ -1,0 +1,66 @@
+"""Small recordings, and bags of every form made of them."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+from handeye_ros.data import Profile, TimedPose
+from handeye_ros.ros.storage import scan
+from mcap.writer import CompressionType, IndexType, Writer
+import numpy as np
+
+START = 1_700_000_000_000_000_001
+PROFILES_PERIOD, POSES_PERIOD = 33_333_333, 10_000_000
+
+
+def profiles(count=30, columns=200, frame_id='laser'):
+    rng = np.random.default_rng(1)
+    x = np.linspace(-0.02, 0.02, columns)
+    return [Profile(START + i * PROFILES_PERIOD, frame_id,
+                    np.column_stack([x, 0.17 + rng.normal(0, 3e-5, columns)]))
+            for i in range(count)]
+
+
+def poses(count=100, frame_id='base'):
+    rng = np.random.default_rng(2)
+    quaternion = np.array([0.0, 0.6, 0.0, 0.8])
+    return [TimedPose(START + i * POSES_PERIOD, rng.normal(size=3), quaternion, frame_id)
+            for i in range(count)]
+
+
+def restamped(items, stamps):
+    return [replace(item, stamp=stamp) for item, stamp in zip(items, stamps, strict=True)]
+
+
+def rewrite(bag, path, messages=None, types=None, finish=True, **options):
+    """
+    Write messages (default: those of the bag) into an .mcap file as mcap.writer.Writer can.
+
+    Yields nothing of the definitions of the types: readers know the standard ones.
+    """
+    contents = scan(bag)
+    messages = contents.messages if messages is None else messages
+    types = contents.topics | (types or {})
+    options = {'chunk_size': 4096, 'compression': CompressionType.NONE} | options
+    with path.open('wb') as stream:
+        writer = Writer(stream, **options)
+        writer.start('ros2')
+        channels = {}
+        for topic, log_time, data in messages:
+            if topic not in channels:
+                schema = writer.register_schema(types[topic], 'ros2msg', b'')
+                channels[topic] = writer.register_channel(topic, 'cdr', schema)
+            writer.add_message(channels[topic], log_time, data, log_time)
+        if finish:
+            writer.finish()
+    return path
+
+
+LAYOUTS_OF_MCAP = {
+    'plain': {},
+    'lz4': {'compression': CompressionType.LZ4},
+    'zstd': {'compression': CompressionType.ZSTD},
+    'without index': {'index_types': IndexType.NONE, 'use_statistics': False,
+                      'repeat_channels': False, 'repeat_schemas': False,
+                      'use_summary_offsets': False},
+    'without chunks': {'use_chunking': False},
+}

@@ -1,0 +1,45 @@
+"""Builds PointCloud2 messages of any layout, without ROS."""
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from handeye_ros.ros.messages import DATATYPES
+import numpy as np
+
+
+def header(stamp=1_700_000_000_000_000_001, frame_id='laser'):
+    sec, nanosec = divmod(stamp, 1_000_000_000)
+    return SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame_id)
+
+
+def field(name, offset, datatype=7, count=1):
+    return SimpleNamespace(name=name, offset=offset, datatype=datatype, count=count)
+
+
+def cloud(columns, layout, point_step, *, height=1, row_padding=0, bigendian=False, fill=0xa5):
+    """
+    Return a message with the columns {name: (n,) values} at layout {name: (offset, datatype)}.
+
+    Whatever lies between the columns and behind the rows is filled with a byte.
+    """
+    n = len(next(iter(columns.values())))
+    width = n // height
+    row_step = width * point_step + row_padding
+    data = np.full(height * row_step, fill, np.uint8)
+    for name, values in columns.items():
+        offset, datatype = layout[name]
+        dtype = np.dtype(('>' if bigendian else '<') + DATATYPES[datatype])
+        view = np.ndarray((height, width), dtype, data, offset, (row_step, point_step))
+        view[:] = np.asarray(values).reshape(height, width)
+    fields = [field(name, *layout[name]) for name in columns]
+    return SimpleNamespace(header=header(), height=height, width=width, fields=fields,
+                           is_bigendian=bigendian, point_step=point_step, row_step=row_step,
+                           data=data, is_dense=True)
+
+
+def pose(position=(1.0, 2.0, 3.0), orientation=(0.0, 0.0, 0.0, 1.0), frame_id='base'):
+    """Return a PoseStamped."""
+    names = SimpleNamespace
+    return names(header=header(frame_id=frame_id), pose=names(
+        position=names(**dict(zip('xyz', position, strict=True))),
+        orientation=names(**dict(zip('xyzw', orientation, strict=True)))))

@@ -1,0 +1,160 @@
+"""Nodes in processes of their own, and a client that waits for what can be seen of them."""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+import numpy as np
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_clouds import cloud
+from sensor_msgs.msg import PointCloud2, PointField
+from std_srvs.srv import SetBool, Trigger
+
+ROOT = Path(__file__).parents[1]
+PATIENCE = 60.0  # s until a condition that does not come true fails the test
+RELIABLE = QoSProfile(depth=2000)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+XZ = {'x': (0, 7), 'z': (4, 7)}
+
+
+@contextmanager
+def running_node(tmp_path: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Run the node; what it prints goes to node.log, what it saves below tmp_path."""
+    command = [sys.executable, '-m', 'handeye_ros.ros.node', '--ros-args',
+               '-p', f'output_dir:={tmp_path}', *arguments]
+    with (tmp_path / 'node.log').open('w') as log:
+        process = subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log, text=True)
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGTERM)
+            process.wait(PATIENCE)
+
+
+def run_module(module: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run a module of handeye_ros.ros to its end."""
+    return subprocess.run(
+        [sys.executable, '-m', f'handeye_ros.ros.{module}', *arguments], cwd=ROOT,
+        capture_output=True, text=True, check=False, timeout=2 * PATIENCE)
+
+
+class Client:
+    """A node in the process of the test."""
+
+    def __init__(self) -> None:
+        """Start; close ends it."""
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self.node = Node('client', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._told: list[dict[str, str]] = []
+        self._before: dict[str, str] = {}
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
+        self.profiles = self.node.create_publisher(PointCloud2, '/profile', RELIABLE)
+        self.poses = self.node.create_publisher(PoseStamped, '/flange_pose', RELIABLE)
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def until(self, condition: Callable[[], Any], what: str) -> None:
+        """Spin until a condition holds; what: for the message if it never does."""
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < end, f'waited in vain until {what}'
+            self._executor.spin_once(timeout_sec=0.01)
+
+    def connect(self) -> None:
+        """Wait until the node hears the client and answers; counts are from now on."""
+        self.until(lambda: self.profiles.get_subscription_count()
+                   and self.poses.get_subscription_count(), 'the node subscribes')
+        self._before = self.state()
+
+    def send(self, publisher: Any, messages: Iterable[Any], rate: float) -> None:
+        """Publish like a driver, so many messages a second: best effort takes no bursts."""
+        begin = time.monotonic()
+        for count, msg in enumerate(messages, 1):
+            publisher.publish(msg)
+            due = begin + count / rate
+            self.until(lambda due=due: time.monotonic() >= due, 'time passes')
+
+    def call(self, service: str, request: Any = None) -> Any:
+        """Return the answer of a service of the node."""
+        request = request or Trigger.Request()
+        kind = SetBool if isinstance(request, SetBool.Request) else Trigger
+        return self.request(kind, service, request)
+
+    def request(self, kind: Any, service: str, request: Any) -> Any:
+        client = self.node.create_client(kind, f'/handeye/{service}')
+        self.until(client.service_is_ready, f'{service} is there')
+        future = client.call_async(request)
+        self.until(future.done, f'{service} answers')
+        self.node.destroy_client(client)
+        return future.result()
+
+    def state(self) -> dict[str, str]:
+        """Return what the node says of itself from now on."""
+        self._told.clear()
+        self.until(lambda: self._told, 'the node publishes diagnostics')
+        return self._told[-1]
+
+    def until_counted(self, **counts: int) -> dict[str, str]:
+        """Wait until the node has counted so many messages (malformed, profiles, poses)."""
+        keys = {'malformed': 'malformed messages', 'profiles': 'profiles', 'poses': 'poses'}
+        self.until(lambda: self._told and all(
+            self._counted(self._told[-1], keys[name]) == n for name, n in counts.items()),
+            f'the node has counted {counts}')
+        return self._told[-1]
+
+    def _counted(self, state: dict[str, str], key: str) -> int:
+        return int(state[key]) - int(self._before.get(key, 0))
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        self._told.append({'level': msg.status[0].level, 'message': msg.status[0].message}
+                          | {pair.key: pair.value for pair in msg.status[0].values})
+
+
+def cloud_message(made: Any, stamp: int = 0, frame_id: str = 'laser') -> PointCloud2:
+    """Return the message of rclpy that is like one of ros_clouds.cloud."""
+    msg = PointCloud2(height=made.height, width=made.width, point_step=made.point_step,
+                      row_step=made.row_step, is_bigendian=made.is_bigendian,
+                      data=made.data.tobytes())
+    msg.fields = [PointField(**vars(field)) for field in made.fields]
+    set_header(msg, stamp, frame_id)
+    return msg
+
+
+def pose_message(stamp: int, position: Any = (0.0, 0.0, 0.0),
+                 orientation: Any = (0.0, 0.0, 0.0, 1.0), frame_id: str = 'base') -> PoseStamped:
+    msg = PoseStamped()
+    p, q = msg.pose.position, msg.pose.orientation
+    p.x, p.y, p.z = map(float, position)
+    q.x, q.y, q.z, q.w = map(float, orientation)
+    set_header(msg, stamp, frame_id)
+    return msg
+
+
+def set_header(msg: Any, stamp: int, frame_id: str) -> None:
+    msg.header.stamp.sec, msg.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+    msg.header.frame_id = frame_id
+
+
+def sphere_profile(stamp: int, frame_id: str = 'laser') -> PointCloud2:
+    """Return a profile across the middle of a sphere of 40 mm radius."""
+    x = np.linspace(-0.03, 0.03, 300)
+    return cloud_message(cloud({'x': x, 'z': 0.2 - np.sqrt(0.04**2 - x**2)}, XZ, 8), stamp,
+                         frame_id)

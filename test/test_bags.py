@@ -1,0 +1,39 @@
+"""The recordings in bags/ are what tools/make_bags.py makes, whole and small."""
+from __future__ import annotations
+
+from pathlib import Path
+
+from handeye_ros.config import Config
+from handeye_ros.ros import bag
+from handeye_ros.simulate import SCENARIOS, simulate
+from handeye_ros.truth import true_transform
+import numpy as np
+import pytest
+import yaml
+
+BAGS = Path(__file__).parents[1] / 'bags'
+NAMES = ('plate', 'sphere', 'one_orientation', 'inverted_poses', 'line', 'plane')
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_a_bag_holds_what_its_truth_says_it_was_made_from(name: str) -> None:
+    truth = yaml.safe_load((BAGS / name / 'truth.yaml').read_text(encoding='utf-8'))
+    made = simulate(SCENARIOS[truth['scenario']], np.random.default_rng(truth['seed']))
+    assert np.allclose(true_transform(BAGS / name), made.truth.T_flange_sensor, atol=1e-9)
+    read = bag.read(BAGS / name, Config())
+    assert not read.warnings
+    for there, here in zip(read.profiles, made.profiles, strict=True):
+        assert there.stamp == here.stamp
+        # single precision; another numpy may round a coordinate to the next step
+        assert np.allclose(there.points, here.points, rtol=0, atol=2e-6, equal_nan=True)
+    for there, here in zip(read.poses, made.poses, strict=True):
+        assert there.stamp == here.stamp
+        assert np.allclose(there.translation, here.translation, rtol=0, atol=1e-9)
+        assert np.allclose(there.quaternion, here.quaternion, rtol=0, atol=1e-9)
+
+
+def test_the_bags_are_small_and_explained() -> None:
+    assert sum(file.stat().st_size for file in BAGS.rglob('*') if file.is_file()) < 5e6
+    folders = {path.name for path in BAGS.iterdir() if path.is_dir()}
+    explained = (BAGS / 'README.md').read_text(encoding='utf-8')
+    assert folders == set(NAMES) and all(f'`{name}`' in explained for name in folders)

@@ -1,0 +1,182 @@
+"""The command line as a user meets it: every verb in a process of its own."""
+from __future__ import annotations
+
+from dataclasses import replace
+import errno
+import os
+import signal
+import subprocess
+import sys
+
+from command import assert_refused, handeye, PLATE, ROOT
+from handeye_ros import __version__, export, pipeline
+from handeye_ros.cli import main
+from handeye_ros.config import Config, load
+from handeye_ros.ros import bag
+from handeye_ros.truth import true_transform
+from handeye_ros.verify import mapped_point_error
+import numpy as np
+import pytest
+import yaml
+
+
+@pytest.fixture(scope='module')
+def simulated(tmp_path_factory):
+    """Return a bag made by the command, and what it said."""
+    folder = tmp_path_factory.mktemp('simulated')
+    run = handeye('simulate', 'plate', 'bags/plate', '--seed', 3, cwd=folder)
+    assert run.returncode == 0, run.stderr
+    assert run.stderr == ''
+    return folder / 'bags' / 'plate', run.stdout
+
+
+def test_simulate_writes_a_bag_with_its_truth(simulated):
+    path, said = simulated
+    assert str(path) in said
+    assert sorted(p.name for p in path.iterdir()) == [
+        'metadata.yaml', 'plate.mcap', 'truth.yaml']
+    assert [p.name for p in path.parent.iterdir()] == ['plate']
+    recording = bag.read(path, Config())
+    assert f'{len(recording.profiles)} profiles, {len(recording.poses)} poses' in said
+    truth = yaml.safe_load((path / 'truth.yaml').read_text())
+    assert (truth['scenario'], truth['seed'], truth['noise']['sensor']) == ('plate', 3, 3e-5)
+    assert 'simulate plate --seed 3' in truth['made_by']
+    T = true_transform(path)
+    assert export.transform_values(T)['translation'] == truth['T_flange_sensor']['translation']
+
+
+def test_the_same_seed_makes_the_same_recording(simulated, tmp_path):
+    run = handeye('simulate', 'plate', 'again', '--seed', 3, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    first, again = (bag.read(p, Config()) for p in (simulated[0], tmp_path / 'again'))
+    assert [p.stamp for p in first.profiles] == [p.stamp for p in again.profiles]
+    for one, other in zip(first.profiles, again.profiles, strict=True):
+        np.testing.assert_array_equal(one.points, other.points)
+    assert (tmp_path / 'again' / 'truth.yaml').read_text() == \
+        (simulated[0] / 'truth.yaml').read_text()
+
+
+def test_simulate_replaces_only_when_forced(simulated):
+    path, _ = simulated
+    before = (path / 'truth.yaml').read_bytes()
+    run = handeye('simulate', 'plate', path, '--seed', 4, cwd=path)
+    assert_refused(run, 2, 'is there already', '--force')
+    assert (path / 'truth.yaml').read_bytes() == before
+    run = handeye('simulate', 'plate', path, '--seed', 3, '--force', cwd=path.parent)
+    assert run.returncode == 0, run.stderr
+    assert (path / 'truth.yaml').read_bytes() == before
+
+
+def test_simulate_knows_its_scenarios(tmp_path):
+    run = handeye('simulate', 'plat', 'x', cwd=tmp_path)
+    assert_refused(run, 2, 'there is no scenario "plat"; did you mean "plate"?')
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_solve_writes_what_the_library_answers(simulated, tmp_path):
+    path, _ = simulated
+    run = handeye('solve', path, '--config', PLATE, '--set', 'name=mine', cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert run.stderr == ''
+    file = tmp_path / 'out' / 'mine' / 'calibration.yaml'
+    assert run.stdout.splitlines()[-1] == f'wrote {file}'
+    calibration = export.read_calibration(file)
+
+    config = replace(load(PLATE), name='mine')
+    recording = bag.read(path, config)
+    expected = pipeline.calibrate(recording.profiles, recording.poses, config)
+    provenance = calibration.provenance
+    assert export.equal(replace(expected, provenance=provenance), calibration)
+    assert provenance['inputs'] == list(recording.inputs)
+    assert provenance['config']['name'] == 'mine'
+    assert provenance['version'] == __version__
+
+    assert 'p_flange = T @ p_laser' in run.stdout
+    error = mapped_point_error(calibration.T_flange_sensor, true_transform(path))
+    assert f'mapped points {error * 1e3:.3f} mm RMS' in run.stdout
+    assert '\x1b' not in run.stdout
+
+
+def test_out_is_where_the_user_says(simulated, tmp_path):
+    run = handeye('solve', simulated[0] / 'plate.mcap', '--out', tmp_path / 'a' / 'b',
+                  cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert [p.name for p in (tmp_path / 'a' / 'b').iterdir()] == ['calibration.yaml']
+    assert 'error against truth.yaml' in run.stdout  # it lies beside the file
+
+
+def test_solve_imports_no_ros(simulated, tmp_path):
+    before = ('import atexit; atexit.register(lambda: print([m for m in sys.modules '
+              'if m.split(".")[0] in ("rclpy", "rosidl_parser", "sensor_msgs")]))')
+    run = handeye('solve', simulated[0], '--config', PLATE, cwd=tmp_path, before=before)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines()[-1] == '[]'
+
+
+def test_replay_without_ros_says_what_to_do(simulated, tmp_path):
+    run = handeye('replay', simulated[0], cwd=tmp_path, before='sys.modules["rclpy"] = None')
+    assert_refused(run, 2, 'replay needs ROS 2', 'rclpy', 'source the setup.bash')
+
+
+def test_version_and_help(tmp_path):
+    run = handeye('--version', cwd=tmp_path)
+    assert (run.returncode, run.stdout) == (0, f'handeye_ros {__version__}\n')
+    run = handeye('--help', cwd=tmp_path, before=(
+        'import atexit; atexit.register(lambda: print("numpy" in sys.modules))'))
+    assert run.returncode == 0
+    assert all(verb in run.stdout for verb in ('solve', 'replay', 'simulate'))
+    assert run.stdout.splitlines()[-1] == 'False'  # help does not wait for it
+
+
+def test_python_m(tmp_path):
+    run = subprocess.run([sys.executable, '-m', 'handeye_ros', '--version'], cwd=ROOT,
+                         capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout) == (0, f'handeye_ros {__version__}\n')
+
+
+@pytest.mark.parametrize('arguments', [
+    ['solv', 'x'], ['solve'], ['solve', 'x', '--rate', '2'], ['simulate', 'plate'],
+    ['simulate', 'plate', 'x', '--seed', '-1'], ['replay', 'x', '--rate', 'fast']])
+def test_wrong_usage_is_2(arguments, tmp_path):
+    run = handeye(*arguments, cwd=tmp_path)
+    assert run.returncode == 2
+    assert 'Usage: handeye' in run.stderr
+    assert 'Error' in run.stderr
+    assert 'Traceback' not in run.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_interrupted_it_goes_quietly(tmp_path):
+    os.mkfifo(tmp_path / 'x.mcap')
+    with subprocess.Popen([sys.executable, '-m', 'handeye_ros', 'solve', tmp_path / 'x.mcap'],
+                          cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        descriptor = open_for_a_reader(tmp_path / 'x.mcap', process)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate()
+        os.close(descriptor)
+    assert (process.returncode, out, err) == (130, b'', b'')
+
+
+def open_for_a_reader(fifo, process):
+    """Open a named pipe for writing, which succeeds once the process reads from it."""
+    while process.poll() is None:
+        try:
+            return os.open(fifo, os.O_WRONLY | os.O_NONBLOCK)
+        except OSError as error:
+            assert error.errno == errno.ENXIO
+    pytest.fail(f'ended before it read: {process.stderr.read()}')
+
+
+def test_a_terminal_that_lacks_letters_loses_no_answer(simulated, tmp_path):
+    run = handeye('solve', simulated[0], '--config', PLATE, cwd=tmp_path,
+                  before='sys.stdout.reconfigure(encoding="ascii", errors="strict")')
+    assert run.returncode == 0, run.stderr
+    assert (tmp_path / 'out' / 'plate' / 'calibration.yaml').exists()
+
+
+def test_main_is_the_console_script(monkeypatch, capsys):
+    monkeypatch.setattr(sys, 'argv', ['handeye', '--version'])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 0
+    assert capsys.readouterr().out == f'handeye_ros {__version__}\n'

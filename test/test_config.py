@@ -1,0 +1,249 @@
+"""The configuration: what may be put where, and what is said when it may not."""
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+
+from handeye_ros.config import (
+    Config,
+    flatten,
+    load,
+    Parameter,
+    parameters,
+    with_assignments,
+    with_values,
+)
+from handeye_ros.errors import BadValueError, InputError, UnknownKeyError
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+
+KEYS = {p.key: p for p in parameters()}
+NUMBERS = [p for p in KEYS.values() if type(p.default) in (int, float)]
+
+
+def values_of(parameter: Parameter) -> st.SearchStrategy[object]:
+    """Return values that a key takes."""
+    if parameter.key == 'profile.axes':
+        axes = st.sampled_from(parameter.choices)
+        return st.lists(axes, min_size=2, max_size=2).filter(lambda two: two[0][-1] != two[1][-1])
+    if isinstance(parameter.default, tuple):
+        item = st.floats(parameter.minimum, parameter.maximum)
+        return st.sampled_from(parameter.length).flatmap(
+            lambda n: st.lists(item, min_size=n, max_size=n))
+    if parameter.choices:
+        return st.sampled_from(parameter.choices)
+    kind = type(parameter.default)
+    if kind is bool:
+        return st.booleans()
+    if kind is str:
+        return st.text(max_size=20)
+    if kind is int:
+        return st.integers(int(parameter.minimum or 0), int(parameter.maximum or 0))
+    return st.floats(parameter.minimum, parameter.maximum)
+
+
+some_values = st.sets(st.sampled_from(sorted(KEYS))).flatmap(
+    lambda keys: st.fixed_dictionaries({key: values_of(KEYS[key]) for key in sorted(keys)}))
+
+
+@given(some_values)
+def test_values_put_in_come_out_again(values: dict[str, object]) -> None:
+    config = with_values(Config(), values, 'test')
+    flat = flatten(config)
+    assert {key: flat[key] for key in values} == values
+    assert with_values(Config(), flat, 'test') == config
+    rest = flatten(Config())
+    assert {k: v for k, v in flat.items() if k not in values} == {
+        k: v for k, v in rest.items() if k not in values}
+
+
+@pytest.mark.parametrize('key', KEYS)
+def test_every_default_passes_its_own_limits(key: str) -> None:
+    default = flatten(Config())[key]
+    assert flatten(with_values(Config(), {key: default}, 'test'))[key] == default
+    assert KEYS[key].description.endswith('.')
+
+
+@pytest.mark.parametrize('parameter', NUMBERS, ids=lambda p: p.key)
+def test_every_number_has_a_range_with_ends(parameter: Parameter) -> None:
+    low, high = parameter.minimum, parameter.maximum
+    assert low is not None and high is not None and low < high
+    kind = type(parameter.default)
+    for inside in (low, high):
+        assert flatten(with_values(Config(), {parameter.key: kind(inside)}, 't'))
+    for outside in (low - 1, high + 1):
+        with pytest.raises(BadValueError, match=parameter.key):
+            with_values(Config(), {parameter.key: kind(outside)}, 't')
+
+
+@pytest.mark.parametrize(('key', 'meant'), [
+    ('noise.sensr', 'noise.sensor'), ('sampling.stil_time', 'sampling.still_time'),
+    ('targettype', 'target.type'), ('Limits.Residual', 'limits.residual')])
+def test_an_unknown_key_suggests_the_nearest(key: str, meant: str) -> None:
+    with pytest.raises(UnknownKeyError) as caught:
+        with_values(Config(), {key: 1.0}, 'plate.yaml')
+    assert str(caught.value) == f'unknown key "{key}" in plate.yaml; did you mean "{meant}"?'
+    assert caught.value.exit_code == 2
+
+
+def test_a_key_like_none_suggests_none() -> None:
+    with pytest.raises(UnknownKeyError) as caught:
+        with_values(Config(), {'zzzzzz': 1.0}, 'plate.yaml')
+    assert 'did you mean' not in str(caught.value)
+
+
+@pytest.mark.parametrize(('key', 'value', 'expected'), [
+    ('noise.sensor', '3e-5', 'float'),
+    ('noise.sensor', True, 'float'),
+    ('noise.sensor', None, 'float'),
+    ('noise.sensor', float('nan'), 'float'),
+    ('limits.residual', float('inf'), 'float'),
+    ('sampling.min_points', 20.0, 'int'),
+    ('sampling.auto', 1, 'bool'),
+    ('name', 5, 'str'),
+    ('profile.unit', 'cm', 'one of m, mm'),
+    ('profile.range_sign', 0, 'one of 1, -1'),
+    ('profile.axes', 'xz', 'a list of 2 values'),
+    ('profile.axes', ['x'], 'a list of 2 values'),
+    ('profile.axes', ['x', 'w'], 'one of x, y, z'),
+    ('profile.axes', ['x', '-x'], 'two different axes'),
+    ('profile.axes', [1, 2], 'one of x, y, z'),
+    ('target.size', [0.2], 'a list of 0 or 2 values'),
+    ('target.size', ['a', 'b'], 'a list of numbers'),
+    ('target.size', [0.2, True], 'a list of numbers'),
+    ('target.size', [0.2, -0.1], 'a number from 0'),
+    ('calibration_type', 'eye_to_hand', 'one of eye_in_hand, eye_on_base'),
+    ('noise', {'sensor': 1.0}, ''),
+])
+def test_a_wrong_value_is_refused_by_key(key: str, value: object, expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        with_values(Config(), {key: value}, 'test')
+    assert key in str(caught.value) and expected in str(caught.value)
+    assert caught.value.exit_code == 2
+
+
+def test_a_whole_number_is_good_for_a_float() -> None:
+    config = with_values(Config(), {'sampling.still_time': 1}, 'test')
+    assert config.sampling.still_time == 1.0 and type(config.sampling.still_time) is float
+
+
+def test_a_configuration_is_not_changed_by_putting_in() -> None:
+    config = Config()
+    other = with_values(config, {'noise.sensor': 1e-4}, 'test')
+    assert config == Config() != other
+    with pytest.raises(FrozenInstanceError):
+        config.name = 'x'  # type: ignore[misc]
+
+
+# -- files
+
+
+@pytest.mark.parametrize('node', ['/**', 'handeye', '/handeye'])
+def test_a_ros_parameter_file_is_read(tmp_path: Path, node: str) -> None:
+    path = tmp_path / 'c.yaml'
+    path.write_text(f'"{node}":\n  ros__parameters:\n    use_sim_time: true\n    name: my_plate\n'
+                    '    noise: {sensor: 1.0e-5}\n    noise.robot_translation: 0.0001\n'
+                    '    target:\n      size: [0.2, 0.15]\n')
+    config = load(path)
+    assert config.name == 'my_plate' and config.target.size == (0.2, 0.15)
+    assert config.noise.sensor == 1e-5 and config.noise.robot_translation == 1e-4
+    assert config.noise.distortion == Config().noise.distortion
+
+
+def test_the_section_of_the_node_goes_beyond_that_of_all(tmp_path: Path) -> None:
+    path = tmp_path / 'c.yaml'
+    path.write_text('/**:\n  ros__parameters: {name: all, pose_topic: p}\n'
+                    'handeye:\n  ros__parameters: {name: mine}\n'
+                    'other:\n  ros__parameters: {name: theirs, whatever: 1}\n')
+    assert (load(path).name, load(path).pose_topic) == ('mine', 'p')
+
+
+def test_a_file_is_put_into_a_given_configuration(tmp_path: Path) -> None:
+    path = tmp_path / 'c.yaml'
+    path.write_text('/**: {ros__parameters: {name: new}}')
+    base = with_values(Config(), {'name': 'old', 'limits.residual': 0.5}, 'test')
+    assert load(path, base) == with_values(base, {'name': 'new'}, 'test')
+
+
+@pytest.mark.parametrize('text', [
+    '', 'name: plate', '/**: {name: plate}', '- 1', 'other: {ros__parameters: {name: a}}',
+    '/**:\n  ros__parameters:\n', '/**: [1, 2]', '"just words"'])
+def test_a_file_of_another_form_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / 'c.yaml'
+    path.write_text(text)
+    with pytest.raises(InputError, match='ros__parameters'):
+        load(path)
+
+
+@pytest.mark.parametrize('content', [b'a: [1', b'\xff\xfe\x00', b'a: b: c'])
+def test_a_file_that_is_no_yaml_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / 'c.yaml'
+    path.write_bytes(content)
+    with pytest.raises(InputError, match='c.yaml'):
+        load(path)
+
+
+@pytest.mark.parametrize('parameters', ['[1, 2]', 'text', '5'])
+def test_parameters_that_are_no_mapping_are_refused(tmp_path: Path, parameters: str) -> None:
+    path = tmp_path / 'c.yaml'
+    path.write_text(f'/**: {{ros__parameters: {parameters}}}')
+    with pytest.raises(InputError, match='c.yaml'):
+        load(path)
+
+
+def test_keys_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / 'c.yaml'
+    path.write_text('/**: {ros__parameters: {1: 2}}')
+    with pytest.raises(UnknownKeyError, match='"1"'):
+        load(path)
+
+
+def test_a_file_names_itself_with_its_unknown_key(tmp_path: Path) -> None:
+    path = tmp_path / 'c.yaml'
+    path.write_text('/**: {ros__parameters: {sampling: {still: 1.0}}}')
+    with pytest.raises(UnknownKeyError, match=r'"sampling.still" in .*c.yaml; did you mean'):
+        load(path)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match='nowhere.yaml'):
+        load(tmp_path / 'nowhere.yaml')
+
+
+# -- key=value
+
+
+@pytest.mark.parametrize(('text', 'key', 'value'), [
+    ('noise.sensor=3e-5', 'noise.sensor', 3e-5),
+    ('noise.sensor=0.00003', 'noise.sensor', 3e-5),
+    (' noise.sensor = 1.0e-4', 'noise.sensor', 1e-4),
+    ('limits.residual=1', 'limits.residual', 1.0),
+    ('sampling.auto=false', 'sampling.auto', False),
+    ('name=a=b', 'name', 'a=b'),
+    ('name=', 'name', None),
+    ('target.size=[0.2, 0.15]', 'target.size', [0.2, 0.15]),
+    ('target.size=[]', 'target.size', []),
+    ('profile.axes=[-x, z]', 'profile.axes', ['-x', 'z']),
+    ('profile.range_sign=-1', 'profile.range_sign', -1),
+    ('pose_topic=/robot/pose', 'pose_topic', '/robot/pose')])
+def test_assignments_are_read_as_yaml(text: str, key: str, value: object) -> None:
+    if value is None:
+        with pytest.raises(BadValueError):
+            with_assignments(Config(), [text])
+        return
+    assert flatten(with_assignments(Config(), [text]))[key] == value
+
+
+def test_a_name_that_looks_like_a_number_can_be_given_in_quotes() -> None:
+    assert with_assignments(Config(), ['name="2024"']).name == '2024'
+
+
+def test_a_later_assignment_wins() -> None:
+    assert with_assignments(Config(), ['name=a', 'name=b']).name == 'b'
+
+
+@pytest.mark.parametrize('text', ['noise.sensor', '', 'name=[', 'noise.sensor=abc', 'nme=x'])
+def test_a_bad_assignment_is_refused(text: str) -> None:
+    with pytest.raises(InputError):
+        with_assignments(Config(), [text])

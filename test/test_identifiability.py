@@ -1,0 +1,73 @@
+"""The table of docs/methods.md, of what each motion lets a method know, is what ranks say."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+import re
+
+from cells import Cell, exact_cell
+from handeye_ros.method import Estimate, UNUSED
+from handeye_ros.methods import METHODS
+from handeye_ros.simulate import SCENARIOS
+from handeye_ros.solve import linearise, points_in_base
+import numpy as np
+import pytest
+
+DOCUMENT = Path(__file__).parents[1] / 'docs' / 'methods.md'
+ROWS = {'general': 'general', 'one orientation': 'one_orientation',
+        'one orientation per edge': 'one_orientation_per_edge',
+        'tilts about the laser line only': 'tilt_only',
+        'yaw about the face normal only': 'yaw_only'}
+VALUES = {'line with its face': {'target__use_face': True}}
+ZERO = 1e-8
+
+
+def table() -> Iterator[tuple[str, str, int, int]]:
+    """Yield motion, method, rank and number of unknowns of every cell of the table."""
+    lines = DOCUMENT.read_text(encoding='utf-8').splitlines()
+    start = next(i for i, text in enumerate(lines) if text.startswith('| motion '))
+    header = re.findall(r'([a-z ]+?) /(\d+)', lines[start])
+    for text in lines[start + 2:start + 2 + len(ROWS)]:
+        motion, *ranks = [cell.strip() for cell in text.strip('|').split('|')]
+        for (name, unknowns), rank in zip(header, ranks, strict=True):
+            yield motion, name.strip(), int(rank), int(unknowns)
+
+
+def at_truth(made: Cell) -> Estimate:
+    T = made.truth.T_base_target
+    radius = getattr(made.scenario.target, 'radius', 0.0)
+    targets = {'plate': np.append(T.ravel(), np.pi / 2), 'line': T.ravel(), 'plane': T.ravel(),
+               'sphere': np.append(T[:3, 3], radius)}
+    return Estimate(made.truth.T_flange_sensor, targets[made.problem.method.name])
+
+
+def singular_values(name: str, motion: str) -> np.ndarray:
+    """Return those of the derivatives by all unknowns, each column scaled to length 1."""
+    method = name.split()[0]
+    stations = (20, 20) if method == 'plate' else (40, 0)
+    scenario = replace(SCENARIOS[method], motion=ROWS[motion], stations=stations)
+    made = exact_cell(scenario, **VALUES.get(name, {}))
+    problem, estimate = made.problem, at_truth(made)
+    p = points_in_base(problem, estimate.X)
+    observations = problem.method.relabel(problem.observations, p, estimate.target,
+                                          problem.config)
+    used = observations.select(observations.kind != UNUSED)
+    problem = replace(problem, observations=used)
+    linear = linearise(problem, estimate)
+    assert np.abs(linear.residuals).max() < 1e-9
+    J = linear.jacobian[:, problem.columns]
+    return np.linalg.svd(J / np.maximum(np.linalg.norm(J, axis=0), 1e-12), compute_uv=False)
+
+
+def test_the_table_is_whole() -> None:
+    cells = list(table())
+    assert {motion for motion, *_ in cells} == set(ROWS)
+    assert {name.split()[0] for _, name, *_ in cells} == set(METHODS)
+
+
+@pytest.mark.parametrize(('motion', 'name', 'rank', 'unknowns'), list(table()))
+def test_rank(motion: str, name: str, rank: int, unknowns: int) -> None:
+    values = singular_values(name, motion)
+    assert len(values) == unknowns
+    assert int((values > ZERO).sum()) == rank

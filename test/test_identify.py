@@ -1,0 +1,184 @@
+"""What motion is missing is told, in the right words and along the true direction."""
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+import re
+
+from cells import Cell, cell, exact_cell, scenario_of
+from handeye_ros import pipeline, se3
+from handeye_ros.data import Array, Reject
+from handeye_ros.errors import (
+    DataError,
+    OneAxisError,
+    OneOrientationError,
+    TooFewSamplesError,
+    TooUncertainError,
+)
+from handeye_ros.identify import name_direction, other_axes, turning, worst_translation
+from handeye_ros.methods import METHODS
+from handeye_ros.simulate import Scenario
+import numpy as np
+import pytest
+
+every_method = pytest.mark.parametrize('name', METHODS)
+everywhere = pytest.mark.parametrize(('where', 'frame'), [
+    ('eye_in_hand', 'flange'), ('eye_on_base', 'base')])
+
+
+def scenario(name: str, motion: str = 'general', where: str = 'eye_in_hand') -> Scenario:
+    return replace(scenario_of(METHODS[name]), motion=motion, calibration_type=where)
+
+
+def refusal(made: Cell) -> DataError:
+    with pytest.raises(DataError) as caught:
+        pipeline.solve(made.samples, [], made.config, 'laser')
+    assert caught.value.exit_code == 3
+    return caught.value
+
+
+def assert_names(message: str, direction: Array, frame: str, within: float = 0.03) -> None:
+    """Check that the first direction that a message names is the true one, in its frame."""
+    nearest = re.search(rf'{frame} ([xyz]) within (\d+) degrees', message)
+    if nearest:
+        cosine = abs(direction['xyz'.index(nearest[1])])
+        assert math.degrees(math.acos(min(1.0, cosine))) < int(nearest[2]) + math.degrees(within)
+        return
+    numbers = re.search(rf'the direction \((.*?)\) of {frame}', message)
+    assert numbers, message
+    named = np.array([float(c) for c in numbers[1].split(',')])
+    assert abs(named @ direction) / np.linalg.norm(named) > math.cos(within)
+
+
+# -- motions that are missing
+
+
+@every_method
+@everywhere
+@pytest.mark.parametrize('noise', [True, False])
+def test_one_orientation_is_refused(name: str, where: str, frame: str, noise: bool) -> None:
+    make = cell if noise else exact_cell
+    error = refusal(make(scenario(name, 'one_orientation', where), method=name))
+    assert isinstance(error, OneOrientationError)
+    assert 'one orientation' in str(error) and 'tilt' in str(error)
+
+
+@every_method
+@everywhere
+@pytest.mark.parametrize(('motion', 'axis'), [('tilt_only', 0), ('yaw_only', 2)])
+def test_one_axis_is_refused_and_named(name: str, where: str, frame: str, motion: str, axis: int
+                                       ) -> None:
+    for seed in range(3):
+        made = cell(scenario(name, motion, where), seed, method=name)
+        error = refusal(made)
+        assert isinstance(error, OneAxisError)
+        true_axis = made.truth.T_flange_sensor[:3, axis]
+        assert_names(str(error), true_axis, frame)
+        other = re.search(rf'about {frame} ([xyz]) or ([xyz])$', str(error))
+        assert other and 'xyz'[int(np.argmax(np.abs(true_axis)))] not in other.groups()
+
+
+@everywhere
+def test_one_orientation_per_edge_is_one_axis(where: str, frame: str) -> None:
+    made = cell(scenario('plate', 'one_orientation_per_edge', where))
+    error = refusal(made)
+    assert isinstance(error, OneAxisError)
+    poses = made.problem.poses
+    p = [s.label == 'p' for s in made.truth.stations]
+    between = poses[p.index(True), :3, :3].T @ poses[p.index(False), :3, :3]
+    turn = se3.log_rotation(between)
+    assert_names(str(error), turn / np.linalg.norm(turn), frame)
+
+
+@every_method
+@everywhere
+def test_tilts_of_one_degree_are_too_uncertain(name: str, where: str, frame: str) -> None:
+    made = cell(replace(scenario(name, 'general', where), tilt=math.radians(1)), method=name,
+                limits__rotation=0.01)
+    error = refusal(made)
+    assert isinstance(error, TooUncertainError | OneAxisError | OneOrientationError)
+    assert re.search(rf'\b{frame}\b', str(error)) and 'degrees' in str(error)
+
+
+@every_method
+def test_what_is_too_uncertain_is_the_worst_direction(name: str) -> None:
+    made = cell(scenario(name), 1, method=name)
+    answer = pipeline.solve(made.samples, [], made.config, 'laser')
+    std, direction = worst_translation(answer.covariance)
+    strict = cell(scenario(name), 1, method=name, limits__translation=0.99 * std)
+    error = refusal(strict)
+    assert isinstance(error, TooUncertainError) and 'position along' in str(error)
+    assert_names(str(error), direction, 'flange')
+    assert f'{std * 1e3:.3g} mm' in str(error)
+    loose = cell(scenario(name), 1, method=name, limits__translation=1.01 * std)
+    assert pipeline.solve(loose.samples, [], loose.config, 'laser')
+    turn_std = np.sqrt(np.linalg.eigvalsh(answer.covariance[3:, 3:])[2])
+    strict = cell(scenario(name), 1, method=name, limits__rotation=0.99 * float(turn_std))
+    assert 'rotation about' in str(refusal(strict))
+
+
+@every_method
+def test_the_weakest_direction_is_told_with_the_answer(name: str) -> None:
+    made = cell(scenario(name), 2, method=name)
+    answer = pipeline.solve(made.samples, [], made.config, 'laser')
+    std, direction = worst_translation(answer.covariance)
+    assert answer.quality.weakest_std == pytest.approx(std)
+    assert_names(answer.quality.weakest_direction, direction, 'flange')
+    direct = direction @ answer.covariance[:3, :3] @ direction
+    assert np.sqrt(direct) == pytest.approx(std)
+    assert std >= np.sqrt(np.diag(answer.covariance)[:3]).max() * (1 - 1e-9)
+
+
+# -- too few samples
+
+
+@every_method
+def test_too_few_samples_are_refused_with_what_became_of_the_rest(name: str) -> None:
+    made = cell(scenario(name), method=name)
+    few = made.samples[:METHODS[name].minimum - 1]
+    rejects = [Reject(i, reason) for i, reason in enumerate(['no edge', 'dark', 'no edge'])]
+    with pytest.raises(TooFewSamplesError) as caught:
+        pipeline.solve(few, rejects, made.config, 'laser')
+    message = str(caught.value)
+    assert message.startswith(f'{len(few)} usable samples (3 stations gave none')
+    assert 'most often: no edge' in message and str(METHODS[name].minimum) in message
+    with pytest.raises(TooFewSamplesError):
+        pipeline.solve([], [], made.config, 'laser')
+
+
+@every_method
+def test_the_fewest_samples_give_an_answer_or_a_reason(name: str) -> None:
+    made = cell(scenario(name), 3, method=name)
+    few = made.samples[:METHODS[name].minimum]
+    try:
+        answer = pipeline.solve(few, [], made.config, 'laser')
+    except DataError as error:
+        assert str(error)
+        return
+    error = se3.difference(answer.T_flange_sensor, made.truth.T_flange_sensor)
+    assert error @ np.linalg.solve(answer.covariance, error) / 6 < 10
+
+
+# -- words
+
+
+@pytest.mark.parametrize(('direction', 'words'), [
+    ([0, 0, 1], 'tool z within 1 degrees'), ([0, -1, 0], 'tool y within 1 degrees'),
+    ([1, 0.1, 0], 'tool x within 6 degrees'), ([2, 0.2, 0], 'tool x within 6 degrees'),
+    ([1, 1, 0], 'the direction (0.71, 0.71, 0.00) of tool')])
+def test_directions_are_named_by_the_nearest_axis(direction: list[float], words: str) -> None:
+    assert name_direction(np.array(direction, dtype=float), 'tool') == words
+
+
+def test_the_other_axes_are_those_across() -> None:
+    assert other_axes(np.array([0.1, -0.9, 0.3]), 'tool') == 'tool x or z'
+    assert other_axes(np.array([0.9, 0.2, 0.3]), 'tool') == 'tool y or z'
+
+
+def test_turns_are_measured_about_their_axes() -> None:
+    axis = np.array([0.6, 0.0, 0.8])
+    angles = np.linspace(-0.3, 0.3, 11)
+    R = se3.exp_rotation(np.array([0.4, 1.0, -0.2])) @ se3.exp_rotation(angles[:, None] * axis)
+    turns, axes = turning(se3.transform(R, np.zeros((11, 3))))
+    assert turns[0] == pytest.approx(angles.std(), rel=1e-6) and turns[1] < 1e-9
+    assert abs(axes[0] @ axis) == pytest.approx(1)

@@ -1,0 +1,81 @@
+"""tools/build_interfaces.py: what it builds is what a ROS install has."""
+from __future__ import annotations
+
+from importlib.util import find_spec
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs rclpy')
+pytest.importorskip('tf2_msgs', reason='tf2_msgs is not built: make tf2_msgs')
+import ament_index_python  # noqa: E402, I100
+from geometry_msgs.msg import TransformStamped  # noqa: E402
+from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
+from rosbags.typesys import get_typestore, Stores  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+TYPE = 'tf2_msgs/msg/TFMessage'
+# as in the metadata.yaml of bags recorded on Jazzy
+JAZZY = 'RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087'
+TOOL = Path(__file__).parents[1] / 'tools' / 'build_interfaces.py'
+
+wheels = pytest.mark.skipif(
+    find_spec('ros_wheels_bootstrapper') is None, reason='a ROS install needs no such tool')
+
+
+@pytest.fixture(autouse=True)
+def _prefix(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the virtual environment the ROS prefix where no ROS is sourced."""
+    if not os.environ.get('AMENT_PREFIX_PATH'):
+        monkeypatch.setenv('AMENT_PREFIX_PATH', sys.prefix)
+
+
+def test_type_hash_is_that_of_jazzy() -> None:
+    share = Path(ament_index_python.get_package_share_directory('tf2_msgs'))
+    description = json.loads((share / 'msg' / 'TFMessage.json').read_text(encoding='utf-8'))
+    hashes = {item['type_name']: item['hash_string'] for item in description['type_hashes']}
+    assert hashes[TYPE] == JAZZY
+    assert get_typestore(Stores.ROS2_JAZZY).hash_rihs01(TYPE) == JAZZY
+
+
+def test_the_package_is_in_the_ament_index() -> None:
+    interfaces, _ = ament_index_python.get_resource('rosidl_interfaces', 'tf2_msgs')
+    assert {'msg/TFMessage.idl', 'msg/TFMessage.msg'} <= set(interfaces.split())
+
+
+def test_messages_are_serialised_as_everywhere() -> None:
+    message = TFMessage(transforms=[TransformStamped(child_frame_id='laser')])
+    message.transforms[0].header.frame_id = 'flange'
+    message.transforms[0].transform.translation.z = 0.25
+    data = serialize_message(message)
+    elsewhere = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(data, TYPE)
+    assert elsewhere.transforms[0].header.frame_id == 'flange'
+    assert elsewhere.transforms[0].child_frame_id == 'laser'
+    assert elsewhere.transforms[0].transform.translation.z == 0.25
+    assert deserialize_message(data, TFMessage) == message
+
+
+@wheels
+def test_a_machine_without_compilers_is_told_so(tmp_path: Path) -> None:
+    run = subprocess.run(
+        [sys.executable, TOOL, tmp_path], env={**os.environ, 'PATH': str(tmp_path)},
+        capture_output=True, text=True, check=False)
+    assert run.returncode == 1
+    assert run.stderr.startswith('cannot build messages: this machine lacks gcc, g++')
+    assert 'Traceback' not in run.stderr
+
+
+@wheels
+def test_a_message_that_does_not_compile_installs_nothing(tmp_path: Path) -> None:
+    package = tmp_path / 'broken_msgs'
+    (package / 'msg').mkdir(parents=True)
+    (package / 'msg' / 'Broken.msg').write_text('no_such_msgs/Thing[] things\n')
+    run = subprocess.run([sys.executable, TOOL, package], capture_output=True, check=False)
+    assert run.returncode != 0
+    assert not list(Path(sys.prefix).rglob('*broken_msgs*'))

@@ -1,0 +1,97 @@
+"""One straight edge: with and without its face, among other edges."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+from cells import cell, exact_cell, recorded
+from handeye_ros import methods, pipeline, se3
+from handeye_ros.data import EdgePoint, FaceLine
+from handeye_ros.errors import TooFewSamplesError
+from handeye_ros.published import zheng2018
+from handeye_ros.simulate import SCENARIOS
+from handeye_ros.simulate.scenario import PlateTarget
+import numpy as np
+import pytest
+
+LINE = SCENARIOS['line']
+
+
+def transform(made, **config):
+    """Return T_flange_sensor from the samples of a cell."""
+    found = pipeline.solve(made.samples, [], replace(made.config, **config), 'laser')
+    return found.T_flange_sensor
+
+
+@pytest.mark.parametrize('use_face', [False, True])
+@pytest.mark.parametrize('where', ['eye_in_hand', 'eye_on_base'])
+@pytest.mark.parametrize('seed', range(3))
+def test_the_truth_without_noise(use_face: bool, where: str, seed: int) -> None:
+    made = exact_cell(replace(LINE, calibration_type=where), seed, target__use_face=use_face)
+    found = pipeline.solve(made.samples, [], made.config, 'laser')
+    off = se3.difference(found.T_flange_sensor, made.truth.T_flange_sensor)
+    assert np.abs(off).max() < 1e-6
+    T = made.truth.T_base_target
+    point = np.array([found.target['point'][axis] for axis in 'xyz'])
+    assert np.linalg.norm(np.cross(point - T[:3, 3], T[:3, 0])) < 1e-6
+    assert abs(np.array(found.target['direction']) @ T[:3, 0]) == pytest.approx(1.0)
+
+
+def test_points_alone_need_no_face_lines() -> None:
+    made = cell(LINE, 1)
+    bare = [replace(s, features=tuple(f for f in s.features if isinstance(f, EdgePoint)))
+            for s in made.samples]
+    np.testing.assert_allclose(
+        pipeline.solve(bare, [], made.config, 'laser').T_flange_sensor, transform(made), atol=1e-9)
+    assert any(isinstance(f, FaceLine) for s in made.samples for f in s.features)
+
+
+def test_the_face_makes_it_better() -> None:
+    errors = []
+    for seed in range(6):
+        made = cell(LINE, seed)
+        with_face = replace(made.config.target, use_face=True)
+        errors.append((made.error(transform(made)),
+                       made.error(transform(made, target=with_face))))
+    alone, both = np.median(errors, axis=0)
+    assert both < 0.8 * alone
+
+
+def test_as_near_as_zheng_from_beside_the_truth() -> None:
+    """A few seeds; bench/compare.py has fifty."""
+    errors = []
+    for seed in range(3):
+        made = cell(LINE, seed)
+        problem = made.problem
+        obs = problem.observations.select(problem.observations.kind == 1)
+        turned = zheng2018.T_plane_x_plane_y
+        start = made.truth.T_flange_sensor @ se3.inverse(turned)
+        found = zheng2018.solve(problem.poses[obs.station], obs.points, start)
+        errors.append((made.error(transform(made)),
+                       made.error(found.T_flange_sensor @ turned)))
+    ours, published = np.median(errors, axis=0)
+    assert ours <= 1.02 * published
+
+
+@pytest.mark.parametrize('width', [0.015, 0.025])
+@pytest.mark.parametrize('use_face', [False, True])
+def test_a_bar_of_which_both_edges_are_in_sight(width: float, use_face: bool) -> None:
+    bar = replace(LINE, target=PlateTarget(size=(0.2, width)))
+    made = recorded(bar, 2, target__use_face=use_face)
+    found = pipeline.calibrate(made.profiles, made.poses, made.config)
+    assert found.quality.samples_used >= 12
+    assert made.error(found.T_flange_sensor) < 3e-4
+
+
+def test_stations_at_another_edge_are_left_out() -> None:
+    made = cell(replace(LINE, wrong_edges=2), 4)
+    found = pipeline.solve(made.samples, [], made.config, 'laser')
+    wrong = {s.start for s in made.truth.stations if s.label == 'p2'}
+    assert {report.stamp for report in found.samples if not report.used} == wrong
+    assert made.error(found.T_flange_sensor) < 3e-4
+
+
+def test_six_points_are_too_few() -> None:
+    made = cell(LINE, 0)
+    with pytest.raises(TooFewSamplesError, match='line needs at least 7'):
+        pipeline.solve(made.samples[:6], [], made.config, 'laser')
+    assert methods.of(made.config).name == 'line'

@@ -1,0 +1,244 @@
+"""The node in its own process, over real DDS."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+from handeye_ros.config import load
+from handeye_ros.errors import InputError
+from handeye_ros.export import read_calibration
+from handeye_ros.pipeline import calibrate
+from handeye_ros.ros.bag import read
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='needs rclpy')
+from geometry_msgs.msg import TransformStamped  # noqa: E402, I100
+from handeye_ros.ros import params  # noqa: E402
+from rcl_interfaces.srv import GetParameters  # noqa: E402
+import rclpy  # noqa: E402
+from rclpy.context import Context  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from ros_clouds import cloud  # noqa: E402
+from ros_helpers import (  # noqa: E402
+    Client,
+    cloud_message,
+    LATCHED,
+    pose_message,
+    RELIABLE,
+    ROOT,
+    run_module,
+    running_node,
+    sphere_profile,
+)
+from sensor_msgs.msg import PointCloud2  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+from visualization_msgs.msg import MarkerArray  # noqa: E402
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:
+    TFMessage = None
+
+pytestmark = pytest.mark.ros
+
+needs_tf2 = pytest.mark.skipif(TFMessage is None, reason='tf2_msgs is not built: make tf2_msgs')
+PLATE = ROOT / 'config' / 'plate.yaml'
+SHARED = ROOT.parent / 'shared' / 'bags' / 'sphere_r40'
+needs_shared = pytest.mark.skipif(not SHARED.exists(), reason='sphere_r40 is not there')
+
+
+@pytest.fixture
+def client() -> Iterator[Client]:
+    """Give a client of the node."""
+    client = Client()
+    yield client
+    client.close()
+
+
+@pytest.mark.parametrize(('bag', 'config'), [
+    pytest.param(ROOT / 'bags' / 'plate', PLATE, id='plate'),
+    pytest.param(SHARED, ROOT / 'config' / 'sphere.yaml', id='sphere_r40', marks=needs_shared),
+])
+def test_a_bag_through_the_node_gives_the_offline_result(
+        tmp_path: Path, client: Client, bag: Path, config: Path) -> None:
+    settings = load(config)
+    recording = read(bag, settings)
+    offline = calibrate(recording.profiles, recording.poses, settings)
+    features, markers = [], []
+    client.node.create_subscription(PointCloud2, '/handeye/features', features.append, 100)
+    client.node.create_subscription(MarkerArray, '/handeye/markers', markers.append, LATCHED)
+    with running_node(tmp_path, '--params-file', str(config)):
+        client.connect()
+        replay = run_module('replay', str(bag), '--rate', '10')
+        assert (replay.returncode, replay.stderr) == (0, '')
+        client.until_counted(profiles=len(recording.profiles), poses=len(recording.poses),
+                             malformed=0)
+        answer = client.call('compute_calibration')
+        assert answer.success, answer.message
+        assert f'{offline.quality.samples_used} samples used' in answer.message
+        late: list[TransformStamped] = []
+        client.node.create_subscription(TransformStamped, '/handeye/calibration', late.append,
+                                        LATCHED)
+        client.until(lambda: late, 'the latched calibration comes')
+        saved = client.call('save_calibration')
+        path = tmp_path / settings.name / 'calibration.yaml'
+        assert (saved.success, saved.message) == (True, f'wrote {path}')
+        client.until(lambda: markers and len(markers[-1].markers) > 3, 'the target is drawn')
+    online = read_calibration(path)
+    np.testing.assert_allclose(online.T_flange_sensor, offline.T_flange_sensor, atol=1e-9, rtol=0)
+    np.testing.assert_allclose(online.covariance, offline.covariance, rtol=1e-6, atol=1e-15)
+    assert online.samples == offline.samples
+    assert online.provenance['inputs'] == [{'topic': '/profile'}, {'topic': '/flange_pose'}]
+    assert len(features) == offline.quality.samples_used + offline.quality.samples_rejected - 1
+    assert {f.header.frame_id for f in features} == {'laser'}
+    transform = late[0].transform.translation
+    assert (late[0].header.frame_id, late[0].child_frame_id) == ('flange', 'laser')
+    np.testing.assert_allclose([transform.x, transform.y, transform.z],
+                               offline.T_flange_sensor[:3, 3], atol=1e-9)
+    assert 'Traceback' not in (tmp_path / 'node.log').read_text()
+
+
+@needs_tf2
+def test_tf_static_for_a_late_subscriber_and_poses_from_tf(tmp_path: Path, client: Client) -> None:
+    settings = load(ROOT / 'config' / 'sphere.yaml')
+    recording = read(ROOT / 'bags' / 'sphere', settings)
+    offline = calibrate(recording.profiles, recording.poses, settings)
+    tree = client.node.create_publisher(TFMessage, '/tf', RELIABLE)
+    with running_node(tmp_path, '--params-file', str(ROOT / 'config' / 'sphere.yaml'),
+                      '-p', 'pose_source:=tf'):
+        client.until(lambda: tree.get_subscription_count()
+                     and client.profiles.get_subscription_count(), 'the node subscribes')
+        client.state()
+        client.send(tree, [transforms_of(pose) for pose in recording.poses], rate=500)
+        client.send(client.profiles, [profile_message(p) for p in recording.profiles], rate=100)
+        client.until_counted(poses=len(recording.poses), profiles=len(recording.profiles))
+        answer = client.call('compute_calibration')
+        assert answer.success, answer.message
+        late: list[TFMessage] = []
+        client.node.create_subscription(TFMessage, '/tf_static', late.append, LATCHED)
+        client.until(lambda: late, 'the latched transform comes')
+    (transform,) = late[0].transforms
+    assert (transform.header.frame_id, transform.child_frame_id) == ('flange', 'laser')
+    p = transform.transform.translation
+    np.testing.assert_allclose([p.x, p.y, p.z], offline.T_flange_sensor[:3, 3], atol=1e-9)
+
+
+def profile_message(profile) -> PointCloud2:
+    columns = dict(zip(('x', 'z'), profile.points.T, strict=True))
+    return cloud_message(cloud(columns, {'x': (0, 8), 'z': (8, 8)}, 16), profile.stamp)
+
+
+def transforms_of(pose):
+    """Return the pose as a chain of two joints, the first of which does not move."""
+    msg = TransformStamped(child_frame_id='flange')
+    stamped = pose_message(pose.stamp, pose.translation, pose.quaternion, 'arm')
+    msg.header = stamped.header
+    msg.transform.rotation = stamped.pose.orientation
+    t, p = msg.transform.translation, stamped.pose.position
+    t.x, t.y, t.z = p.x, p.y, p.z
+    base = TransformStamped(child_frame_id='arm')
+    base.header.stamp, base.header.frame_id = stamped.header.stamp, 'base'
+    base.transform.rotation.w = 1.0
+    return TFMessage(transforms=[base, msg])
+
+
+def test_without_tf2_msgs_poses_from_tf_are_refused(tmp_path: Path) -> None:
+    block = ('import sys; sys.modules["tf2_msgs"] = None; '
+             'from handeye_ros.ros.node import main; sys.exit(main())')
+    run = subprocess.run(
+        [sys.executable, '-c', block, '--ros-args', '-p', 'pose_source:=tf'], cwd=ROOT,
+        capture_output=True, text=True, check=False, timeout=60)
+    assert run.returncode == 2
+    assert 'pose_source is tf, but tf2_msgs is not installed' in run.stderr
+
+
+def test_a_solve_loses_no_profiles(tmp_path: Path, client: Client) -> None:
+    config = ROOT / 'config' / 'sphere.yaml'
+    recording = read(ROOT / 'bags' / 'sphere', load(config))
+    with running_node(tmp_path, '--params-file', str(config)):
+        client.connect()
+        replay = run_module('replay', str(ROOT / 'bags' / 'sphere'), '--rate', '10')
+        assert replay.returncode == 0, replay.stderr
+        n, poses = len(recording.profiles), len(recording.poses)
+        client.until_counted(profiles=n, poses=poses)
+        later = recording.profiles[-1].stamp
+        sent = 0
+
+        def publish() -> bool:
+            nonlocal sent
+            sent += 1
+            client.profiles.publish(sphere_profile(later + sent))
+            return answer.done()
+
+        service = client.node.create_client(Trigger, '/handeye/compute_calibration')
+        client.until(service.service_is_ready, 'the service is there')
+        answer = service.call_async(Trigger.Request())
+        client.until(publish, 'the solve ends')
+        assert answer.result().success, answer.result().message
+        assert sent > 1
+        client.until_counted(profiles=n + sent)
+
+
+PARAMETERS = """
+/**:
+  ros__parameters:
+    use_sim_time: true
+    start_type_description_service: true
+    qos_overrides: {/profile: {subscription: {depth: 10}}}
+    target: {type: sphere, radius: 1, size: []}
+"""
+
+
+def test_a_parameter_file_with_empty_lists_and_integers(tmp_path: Path, client: Client) -> None:
+    file = tmp_path / 'parameters.yaml'
+    file.write_text(PARAMETERS)
+    with running_node(tmp_path, '--params-file', str(file)):
+        names = ['target.radius', 'target.size', 'use_sim_time']
+        radius, size, sim_time = client.request(
+            GetParameters, 'get_parameters', GetParameters.Request(names=names)).values
+    assert (radius.double_value, len(size.double_array_value), sim_time.bool_value) == (1, 0, True)
+
+
+@pytest.mark.parametrize(('argument', 'reason'), [
+    ('nois.sensor:=1.0', 'unknown key "nois.sensor" in the node\'s parameters; did you mean '
+     '"noise.sensor"?'),
+    ('profile_topic:=my profile', '"my profile" cannot name a topic'),
+    ('target.size:=[1.0, 2]', 'ROS does not start: '),
+])
+def test_wrong_parameters_end_the_node(argument: str, reason: str) -> None:
+    run = run_module('node', '--ros-args', '-p', argument)
+    assert run.returncode == 2
+    assert reason in run.stderr.splitlines()[-1]
+    assert 'Traceback' not in run.stderr
+
+
+@pytest.mark.parametrize(('argument', 'reason'), [
+    ('noise.sensor:=abc', "noise.sensor is 'abc', expected a value of type float"),
+    ('noise.sensor:=5.0', 'noise.sensor is 5.0, expected a number from 1e-09 to 0.01'),
+    ('target.type:=cone', "target.type is 'cone', expected one of"),
+    ('name:=a/b', "name is 'a/b', expected the name of a folder"),
+    ('name:=[]', 'name is \\[], expected a value of type str'),
+    ('target.size:=[1.0]', 'target.size is \\[1.0], expected a list of 0 or 2 values'),
+    ('output_dir:=3', 'output_dir is 3, expected the path of a folder'),
+])
+def test_wrong_parameters(argument: str, reason: str) -> None:
+    context = Context()
+    rclpy.init(args=['--ros-args', '-p', argument], context=context)
+    try:
+        with pytest.raises(InputError, match=reason):
+            params.declare(Node('handeye', context=context))
+    finally:
+        rclpy.shutdown(context=context)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_the_node_ends_cleanly(tmp_path: Path, client: Client, number: int) -> None:
+    with running_node(tmp_path) as process:
+        client.state()
+        process.send_signal(number)
+        assert process.wait(60) == 0
+    assert 'Traceback' not in (tmp_path / 'node.log').read_text()

@@ -1,0 +1,161 @@
+"""A colcon workspace: built, sourced, and the node started from it, as on a ROS machine."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.metadata import version
+import os
+from pathlib import Path
+import shutil
+import signal
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+
+import handeye_ros
+import pytest
+
+pytest.importorskip('rclpy', reason='needs rclpy')
+pytest.importorskip('colcon_core', reason='needs colcon')
+import rclpy  # noqa: E402
+from rclpy.context import Context  # noqa: E402
+from rclpy.executors import Executor, SingleThreadedExecutor  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+NAME = 'handeye_ros'
+ROOT = Path(__file__).parents[1]
+EXECUTABLES = {'calibrate', 'handeye', 'replay'}
+
+
+def environment() -> dict[str, str]:
+    """Return the environment of a terminal in which ROS is sourced."""
+    kept = dict(os.environ)
+    if kept.pop('_ROS_WHEELS_BOOTSTRAP_COMPLETE', None):  # meant for this process alone
+        del kept['LD_LIBRARY_PATH']
+    return {'AMENT_PREFIX_PATH': sys.prefix, **kept}
+
+
+def copy_sources(folder: Path) -> None:
+    """Copy what git tracks, or would."""
+    listed = subprocess.run(
+        ['git', 'ls-files', '-z', '--cached', '--others', '--exclude-standard'],
+        cwd=ROOT, capture_output=True, text=True, check=True)
+    for name in filter(None, listed.stdout.split('\0')):
+        if (ROOT / name).exists():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, folder / name)
+
+
+@pytest.fixture(scope='module')
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build a workspace with colcon."""
+    folder = tmp_path_factory.mktemp('workspace')
+    copy_sources(folder / 'src' / NAME)
+    build = subprocess.run(
+        [sys.executable, '-m', 'colcon', 'build', '--packages-select', NAME],
+        cwd=folder, env=environment(), capture_output=True, text=True, check=False)
+    assert build.returncode == 0, build.stdout + build.stderr
+    assert 'Summary: 1 package finished' in build.stdout
+    return folder
+
+
+@pytest.fixture(scope='module')
+def sourced(workspace: Path) -> dict[str, str]:
+    """Return the environment after `source install/setup.bash`."""
+    dump = subprocess.run(
+        ['bash', '-c', 'source install/setup.bash && env -0'],
+        cwd=workspace, env=environment(), capture_output=True, text=True, check=True)
+    return dict(line.split('=', 1) for line in dump.stdout.split('\0') if line)
+
+
+def share(workspace: Path) -> Path:
+    return workspace / 'install' / NAME / 'share' / NAME
+
+
+def executable(workspace: Path, name: str) -> Path:
+    return workspace / 'install' / NAME / 'lib' / NAME / name
+
+
+def test_the_package_is_found_through_the_ament_index(
+        workspace: Path, sourced: dict[str, str]) -> None:
+    code = ('from ament_index_python import get_package_share_directory as share;'
+            f'import {NAME}; print(share("{NAME}"), {NAME}.__file__)')
+    run = subprocess.run([sys.executable, '-c', code], cwd=workspace, env=sourced,
+                         capture_output=True, text=True, check=True)
+    found, module = map(Path, run.stdout.split())
+    assert found == share(workspace)
+    assert module.is_relative_to(workspace / 'install')
+
+
+@pytest.mark.parametrize('folder', ['launch', 'config'])
+def test_launch_and_config_files_are_installed(workspace: Path, folder: str) -> None:
+    expected = {file.name: file.read_bytes() for file in (ROOT / folder).glob('*.*')}
+    assert expected
+    installed = {file.name: file.read_bytes() for file in (share(workspace) / folder).iterdir()}
+    assert installed == expected
+
+
+def test_the_executables_run_in_this_environment(workspace: Path) -> None:
+    folder = executable(workspace, '')
+    assert {file.name for file in folder.iterdir()} == EXECUTABLES
+    for name in EXECUTABLES:
+        first = (folder / name).read_text(encoding='utf-8').splitlines()[0]
+        assert first == f'#!{sys.executable}'
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return tmp_path / 'log'
+
+
+@pytest.fixture
+def node(workspace: Path, sourced: dict[str, str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Start the node from the workspace; its output goes to log."""
+    config = share(workspace) / 'config' / 'plate.yaml'
+    with log.open('w', encoding='utf-8') as output:
+        process = subprocess.Popen(
+            [executable(workspace, 'calibrate'), '--ros-args', '--params-file', config],
+            cwd=log.parent, env=sourced, stdout=output, stderr=subprocess.STDOUT)
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait()
+
+
+@pytest.fixture
+def executor() -> Iterator[Executor]:
+    """Give an executor that spins a node of this test."""
+    context = Context()
+    rclpy.init(context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(rclpy.create_node('test_packaging', context=context))
+    yield executor
+    rclpy.shutdown(context=context)
+
+
+def test_the_installed_node_answers(
+        node: subprocess.Popen[bytes], executor: Executor, log: Path) -> None:
+    client = executor.get_nodes()[0].create_client(Trigger, '/handeye/compute_calibration')
+    while not client.wait_for_service(1.0):
+        assert node.poll() is None, log.read_text(encoding='utf-8')
+    answer = client.call_async(Trigger.Request())
+    executor.spin_until_future_complete(answer)
+    response = answer.result()
+    assert response is not None
+    assert not response.success  # nothing moves here, and it says so
+    assert '/flange_pose' in response.message
+
+
+@pytest.mark.skipif(sys.prefix == sys.base_prefix, reason='not in a virtual environment')
+def test_the_console_script_stands_beside_python() -> None:
+    script = Path(sys.executable).parent / 'handeye'
+    run = subprocess.run([script, '--help'], env=environment(), capture_output=True, text=True,
+                         check=True)
+    assert 'solve' in run.stdout
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    manifest = ElementTree.parse(ROOT / 'package.xml')
+    assert manifest.findtext('version') == version(NAME) == handeye_ros.__version__

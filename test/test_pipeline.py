@@ -1,0 +1,276 @@
+"""Whole recordings, simulated and real, to the calibration."""
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+from cells import Recorded, recorded
+from handeye_ros import pipeline, se3
+from handeye_ros.config import load, with_values
+from handeye_ros.data import Calibration, Profile, TimedPose
+from handeye_ros.errors import (
+    DataError,
+    NoPosesError,
+    NoStationsError,
+    OneAxisError,
+    OneOrientationError,
+    TooFewSamplesError,
+    TwoFramesError,
+)
+from handeye_ros.export import read_calibration, write_calibration
+from handeye_ros.simulate import SCENARIOS, settings
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+REAL = ROOT.parent / 'shared' / 'bags' / 'sphere_r40'
+
+
+@lru_cache
+def recording(name: str, seed: int = 0) -> Recorded:
+    return recorded(name, seed)
+
+
+def calibrated(made: Recorded, profiles: Iterable[Profile] | None = None,
+               poses: Iterable[TimedPose] | None = None) -> Calibration:
+    return pipeline.calibrate(made.profiles if profiles is None else profiles,
+                              made.poses if poses is None else poses, made.config)
+
+
+@lru_cache
+def answer(name: str, seed: int = 0) -> Calibration:
+    return calibrated(recording(name, seed))
+
+
+def squared_error(made: Recorded, found: Calibration) -> float:
+    """Return the squared Mahalanobis length of the error, over its six dimensions."""
+    error = se3.difference(found.T_flange_sensor, made.truth.T_flange_sensor)
+    return float(error @ np.linalg.solve(found.covariance, error) / 6)
+
+
+# -- accuracy
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(('name', 'seeds'), [('plate', 5), ('plate_in_order', 3)])
+def test_points_are_mapped_as_well_as_asked_for(name: str, seeds: int) -> None:
+    errors = [recording(name, seed).error(answer(name, seed).T_flange_sensor)
+              for seed in range(seeds)]
+    assert np.median(errors) < 4e-5 and max(errors) < 9e-5
+
+
+@pytest.mark.thorough
+def test_five_stations_per_edge_are_nearly_as_good() -> None:
+    errors = [recording('plate_5_5', seed).error(answer('plate_5_5', seed).T_flange_sensor)
+              for seed in range(4)]
+    assert max(errors) < 1.2e-4
+
+
+@pytest.mark.parametrize('name', [
+    'plate_in_air', 'plate_on_table', 'plate_clutter', 'plate_resampled', 'plate_reflections',
+    'plate_inf', 'plate_omit', 'plate_z_up', 'plate_x_reversed', 'plate_y_along_line',
+    'eye_on_base', 'wrong_edges', 'bumped'])
+def test_surroundings_drivers_and_mounts_change_nothing(name: str) -> None:
+    made, found = recording(name), answer(name)
+    assert made.error(found.T_flange_sensor) < 9e-5
+    assert squared_error(made, found) < 4
+    frames = ('base', 'laser') if name == 'eye_on_base' else ('flange', 'laser')
+    assert (found.parent_frame, found.child_frame) == frames
+
+
+@pytest.mark.parametrize('name', ['sphere', 'sphere_on_flange'])
+def test_a_sphere_is_enough_too(name: str) -> None:
+    made, found = recording(name), answer(name)
+    # the rim of a ball is biased in the simulation, as on the real recording
+    assert made.error(found.T_flange_sensor) < 4e-4
+    assert squared_error(made, found) < 6
+
+
+def test_a_sphere_of_unknown_radius_is_measured() -> None:
+    made = recorded('sphere', 1, target__radius=0.0)
+    found = calibrated(made)
+    assert found.target['radius'] == pytest.approx(0.04, abs=1e-4)
+    assert made.error(found.T_flange_sensor) < 6e-4
+
+
+def test_the_place_of_the_target_is_found_up_to_the_names_of_its_edges() -> None:
+    found, truth = answer('plate'), recording('plate').truth.T_base_target
+    pose = found.target['pose']
+    corner = [pose['translation'][axis] for axis in 'xyz']
+    assert np.linalg.norm(corner - truth[:3, 3]) < 2e-3
+    T = se3.from_quaternion(np.array(corner), np.array([pose['rotation'][k] for k in 'xyzw']))
+    assert T[:3, 2] @ truth[:3, 2] > 1 - 1e-4, 'z out of the face, towards the sensor'
+    # the face lies where x and y are positive, so only one assignment of p and q is left
+    assert T[:3, 0] @ truth[:3, 0] > 1 - 1e-4 and T[:3, 1] @ truth[:3, 1] > 1 - 1e-4
+    labels = {s.start: s.label for s in recording('plate').truth.stations}
+    for report in found.samples:
+        start = max(start for start in labels if start <= report.stamp)
+        assert report.edge == labels[start]
+
+
+def test_the_edge_angle_can_be_left_free() -> None:
+    made = recorded('plate', 2, target__edge_angle_free=True)
+    found = calibrated(made)
+    off = found.target['edge_angle'] - np.pi / 2
+    assert abs(off) < 4 * found.target['edge_angle_std'] < 0.02
+    assert made.error(found.T_flange_sensor) < 9e-5
+    assert answer('plate').target['edge_angle'] == pytest.approx(np.pi / 2, abs=2e-3)
+
+
+def test_millimetres_in_the_stream_are_no_matter_of_the_core() -> None:
+    """A profile is in metres here; one a thousand times larger is refused, not answered."""
+    made = recording('plate')
+    with pytest.raises(DataError):
+        calibrated(made, (replace(p, points=p.points * 1e3) for p in made.profiles))
+
+
+# -- the report
+
+
+def test_every_station_is_accounted_for() -> None:
+    for name in ('plate', 'bumped', 'sphere'):
+        found, made = answer(name), recording(name)
+        assert len(found.samples) == len(made.truth.stations)
+        used = [r for r in found.samples if r.used]
+        assert found.quality.samples_used == len(used)
+        assert found.quality.samples_rejected == len(found.samples) - len(used)
+        for report, station in zip(found.samples, made.truth.stations, strict=True):
+            assert station.start <= report.stamp <= station.end
+            assert (report.residual is not None) == report.used
+            assert report.used or report.reason
+        rms = np.sqrt(np.mean([r.residual ** 2 for r in used]))
+        assert found.quality.residual_rms == pytest.approx(rms, rel=0.3)
+        assert found.quality.residual_rms < found.quality.holdout_rms < 3 * (
+            found.quality.residual_rms)
+
+
+def test_a_calibration_is_read_back_as_it_was_written(tmp_path: Path) -> None:
+    found = answer('plate')
+    path = tmp_path / 'calibration.yaml'
+    write_calibration(found, path)
+    back = read_calibration(path)
+    assert np.allclose(back.T_flange_sensor, found.T_flange_sensor, rtol=0, atol=1e-15)
+    assert np.array_equal(back.covariance, found.covariance)
+    assert back.quality == found.quality and back.samples == found.samples
+
+
+def test_the_same_recording_gives_the_same_answer_to_the_last_bit() -> None:
+    again = calibrated(recording('plate'))
+    assert np.array_equal(again.T_flange_sensor, answer('plate').T_flange_sensor)
+    assert np.array_equal(again.covariance, answer('plate').covariance)
+
+
+def test_streams_may_be_generators_and_stay_as_they_are() -> None:
+    made = recording('plate_5_5')
+    for item in made.profiles:
+        item.points.setflags(write=False)
+    for pose in made.poses:
+        pose.translation.setflags(write=False)
+        pose.quaternion.setflags(write=False)
+    found = calibrated(made, iter(made.profiles), iter(made.poses))
+    assert np.array_equal(found.T_flange_sensor, answer('plate_5_5').T_flange_sensor)
+
+
+# -- symmetries of whole recordings
+
+
+def test_another_base_frame_gives_the_same_transform() -> None:
+    made, turn = recording('plate_5_5'), se3.exp_rotation(np.array([0.3, -1.2, 2.0]))
+    A = se3.transform(turn, np.array([1.0, -2.0, 0.5]))
+
+    def carried(pose: TimedPose) -> TimedPose:
+        T = A @ se3.from_quaternion(pose.translation, pose.quaternion)
+        return replace(pose, translation=T[:3, 3], quaternion=se3.quaternion(T))
+    found = calibrated(made, poses=[carried(pose) for pose in made.poses])
+    off = se3.difference(found.T_flange_sensor, answer('plate_5_5').T_flange_sensor)
+    assert np.abs(off).max() < 1e-8
+
+
+def test_reversed_columns_and_signs_of_quaternions_give_the_same_transform() -> None:
+    made = recording('plate_5_5')
+    profiles = [replace(p, points=p.points[::-1]) for p in made.profiles]
+    poses = [replace(p, quaternion=-p.quaternion) for p in made.poses]
+    found = calibrated(made, profiles, poses)
+    off = se3.difference(found.T_flange_sensor, answer('plate_5_5').T_flange_sensor)
+    assert np.abs(off).max() < 5e-6  # other pairs of points vote for the lines
+
+
+def test_profiles_between_the_stops_are_no_matter() -> None:
+    made = recording('plate_5_5')
+    spans = [(s.start, s.end) for s in made.truth.stations]
+    still = [p for p in made.profiles if any(a <= p.stamp <= b for a, b in spans)]
+    assert len(still) < len(made.profiles)
+    off = se3.difference(calibrated(made, still).T_flange_sensor,
+                         answer('plate_5_5').T_flange_sensor)
+    assert np.abs(off).max() < 1e-12
+
+
+# -- what carries no answer
+
+
+@pytest.mark.parametrize(('name', 'error'), [
+    ('one_orientation', OneOrientationError), ('tilt_only', OneAxisError),
+    ('yaw_only', OneAxisError), ('one_orientation_per_edge', OneAxisError),
+    ('no_target', TooFewSamplesError), ('nothing_in_sight', TooFewSamplesError)])
+def test_what_carries_no_answer_is_refused(name: str, error: type[DataError]) -> None:
+    with pytest.raises(error) as caught:
+        calibrated(recorded(name, 0, rate=5.0, columns=640))
+    assert caught.value.exit_code == 3 and len(str(caught.value)) > 40
+
+
+def test_empty_streams_are_refused() -> None:
+    made = recording('plate_5_5')
+    with pytest.raises(NoPosesError):
+        calibrated(made, poses=[])
+    with pytest.raises(TooFewSamplesError, match='no profile came'):
+        calibrated(made, profiles=[])
+    spans = [(s.start, s.end) for s in made.truth.stations]
+    moving = [p for p in made.poses if not any(a <= p.stamp <= b for a, b in spans)]
+    with pytest.raises(NoStationsError):
+        calibrated(made, poses=moving)
+
+
+def test_two_sensors_on_one_topic_are_refused() -> None:
+    made = recording('plate_5_5')
+    mixed = [replace(p, frame_id='other') if i % 2 else p for i, p in enumerate(made.profiles)]
+    with pytest.raises(TwoFramesError):
+        calibrated(made, mixed)
+
+
+def test_a_target_of_another_kind_is_refused() -> None:
+    made = recording('plate_5_5')
+    wrong = replace(made, config=with_values(
+        made.config, {'target.type': 'sphere', 'target.radius': 0.04}, 'test'))
+    with pytest.raises(DataError):
+        calibrated(wrong)
+
+
+@pytest.mark.parametrize('scene', ['plate', 'sphere'])
+def test_profiles_without_any_noise_are_no_trouble(scene: str) -> None:
+    perfect = {'noise': 0.0, 'rim_bias': 0.0, 'mixed': 0.0, 'lost': 0.0, 'lost_at_edge': 0.0,
+               'outliers': 0.0}
+    base = SCENARIOS[scene]
+    quiet = replace(base, sensor=replace(base.sensor, **perfect),
+                    robot=replace(base.robot, repeatability=(0.0, 0.0), jitter=0.0))
+    believed = settings(base)
+    made = recorded(quiet, 0, rate=5.0, **{key.replace('.', '__'): believed[key]
+                                           for key in believed if key.startswith('noise')})
+    found = calibrated(made)
+    assert made.error(found.T_flange_sensor) < 2e-5
+
+
+# -- the real recording
+
+
+@pytest.mark.skipif(not REAL.exists(), reason=f'the real recording is not at {REAL}')
+def test_the_real_sphere_is_better_than_the_published_transform() -> None:
+    from handeye_ros.ros import bag
+    config = load(ROOT / 'config' / 'sphere.yaml')
+    read = bag.read(REAL, config)
+    found = pipeline.calibrate(read.profiles, read.poses, config)
+    assert found.quality.residual_rms < 0.098e-3
+    assert found.quality.holdout_rms < 0.145e-3
+    assert found.quality.samples_used >= 13
+    assert found.quality.holdout_rms > found.quality.residual_rms

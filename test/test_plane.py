@@ -1,0 +1,63 @@
+"""A plane: whole profiles without an edge in sight, and what yaw alone leaves open."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+from cells import cell, exact_cell, recorded
+from handeye_ros import pipeline, se3
+from handeye_ros.config import Config
+from handeye_ros.data import FaceLine
+from handeye_ros.errors import FeatureError, OneAxisError
+from handeye_ros.faces import face_features, plane_features
+from handeye_ros.simulate import SCENARIOS
+import numpy as np
+import pytest
+
+PLANE = SCENARIOS['plane']
+
+
+@pytest.mark.parametrize('where', ['eye_in_hand', 'eye_on_base'])
+@pytest.mark.parametrize('seed', range(3))
+def test_the_truth_without_noise(where: str, seed: int) -> None:
+    made = exact_cell(replace(PLANE, calibration_type=where), seed)
+    found = pipeline.solve(made.samples, [], made.config, 'laser')
+    off = se3.difference(found.T_flange_sensor, made.truth.T_flange_sensor)
+    assert np.abs(off).max() < 1e-6
+    T = made.truth.T_base_target
+    normal = np.array(found.target['normal'])
+    assert abs(normal @ T[:3, 2]) == pytest.approx(1.0)
+    assert found.target['distance'] == pytest.approx(normal @ T[:3, 3], abs=1e-6)
+
+
+@pytest.mark.parametrize('where', ['eye_in_hand', 'eye_on_base'])
+def test_from_profiles_without_an_edge(where: str) -> None:
+    made = recorded(replace(PLANE, calibration_type=where), 1)
+    found = pipeline.calibrate(made.profiles, made.poses, made.config)
+    assert found.quality.samples_used == 14
+    assert made.error(found.T_flange_sensor) < 5e-4
+
+
+def test_a_profile_without_an_edge_is_a_plane_and_no_face() -> None:
+    x = np.linspace(-0.02, 0.02, 200)
+    points = np.column_stack([x, 0.17 + 0.1 * x + 1e-5 * np.sin(1e5 * x)])
+    points[-30:, 1] += 0.05  # 5 mm of something else
+    (line,) = plane_features(points, Config())
+    assert isinstance(line, FaceLine)
+    np.testing.assert_allclose(line.direction[1] / line.direction[0], 0.1, atol=1e-3)
+    assert line.centre[0] < 0
+    flat = np.column_stack([x[:-30], 0.17 + 0.1 * x[:-30]])
+    at_border = np.vstack([flat, [[0.02, np.nan]]])
+    with pytest.raises(FeatureError, match='no edge'):
+        face_features(at_border, Config())
+    assert plane_features(at_border, Config())
+    with pytest.raises(FeatureError, match='no straight piece of 20 points'):
+        plane_features(points[:15], Config())
+
+
+def test_yaw_alone_is_refused_with_what_it_leaves_open() -> None:
+    made = cell(replace(PLANE, motion='yaw_only'))
+    with pytest.raises(OneAxisError) as caught:
+        pipeline.solve(made.samples, [], made.config, 'laser')
+    message = str(caught.value)
+    assert 'if it is the normal of the plane (yaw only) all of the position' in message
+    assert 'tilt the tool by 15 degrees or more about flange' in message

@@ -1,0 +1,130 @@
+"""CN105021139A: circle target, vanishing points, light plane and two motions."""
+from __future__ import annotations
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.errors import SingularError, TooFewError
+from handeye_ros.published import cn105021139a as patent
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+RADIUS = 0.03
+CAMERA = patent.Camera(np.array([[2400.0, 0.0, 640.0], [0.0, 2390.0, 512.0], [0.0, 0.0, 1.0]]),
+                       np.array([np.cos(0.45), 0.0, np.sin(0.45), 0.18 * np.sin(0.45)]))
+
+
+def project(points: Array) -> Array:
+    """Return pixels (n, 2) of points (n, 3) in the camera frame."""
+    image = points @ CAMERA.matrix.T
+    return np.asarray(image[:, :2] / image[:, 2:])
+
+
+def view_of(T_camera_target: Array, rng: np.random.Generator, noise: float) -> patent.View:
+    """Return the image of the target: the ends of its diameters, its centre and the stripe."""
+    marks = RADIUS * np.array([[-1.0, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, 0]])
+    along = np.cross(CAMERA.light_plane[:3], T_camera_target[:3, 2])
+    along /= np.linalg.norm(along)
+    stripe = T_camera_target[:3, 3] + np.linspace(-RADIUS, RADIUS, 40)[:, None] * along
+    points, line = project(se3.apply(T_camera_target, marks)), project(stripe)
+    return patent.View(points + noise * rng.normal(size=points.shape),
+                       line + noise * rng.normal(size=line.shape))
+
+
+def session(seed: int, count: int = 3,
+            noise: float = 0.0) -> tuple[Array, Array, tuple[patent.View, ...], Array]:
+    """Return T_flange_camera, poses, views and T_camera_target; the laser crosses the centre."""
+    rng = np.random.default_rng(seed)
+    offset = rng.normal(size=3)
+    X = se3.transform(Rotation.random(random_state=rng).as_matrix(),
+                      rng.uniform(0.1, 0.2) * offset / np.linalg.norm(offset))
+    T_base_target = se3.transform(Rotation.from_euler('z', rng.uniform(0, 6)).as_matrix(),
+                                  np.array([0.7, 0.1, 0.2]))
+    targets = []
+    for _ in range(count):
+        y, depth = rng.uniform([-0.02, 0.16], [0.02, 0.20])
+        x = (CAMERA.light_plane[3] - depth * CAMERA.light_plane[2]) / CAMERA.light_plane[0]
+        R = (Rotation.from_euler('xy', rng.uniform(-30, 30, 2), degrees=True)
+             * Rotation.from_euler('x', np.pi)
+             * Rotation.from_euler('z', rng.uniform(-60, 60), degrees=True))
+        targets.append(se3.transform(R.as_matrix(), np.array([x, y, depth])))
+    T = np.array(targets)
+    poses = T_base_target @ se3.inverse(T) @ se3.inverse(X)
+    return X, poses, tuple(view_of(t, rng, noise) for t in T), T
+
+
+@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.parametrize('count', [3, 8])
+def test_the_truth_without_noise(seed: int, count: int) -> None:
+    X, poses, views, targets = session(seed, count)
+    for view, target in zip(views, targets, strict=True):
+        assert np.abs(se3.difference(patent.target_pose(view, CAMERA), target)).max() < 1e-9
+    found = patent.solve(poses, views, CAMERA)
+    assert np.abs(se3.difference(found, X)).max() < 1e-6
+
+
+def test_motions_satisfy_a_x_x_b() -> None:
+    X, poses, _, targets = session(3)
+    A, B = patent.motions(poses, targets)
+    np.testing.assert_allclose(A @ X, X @ B, atol=1e-12)
+
+
+def test_vanishing_point_is_the_harmonic_conjugate() -> None:
+    """Cross ratio (A, B; O, V) = -1, for any four points of a line; at infinity for a middle."""
+    a, direction = np.array([100.0, 50.0]), np.array([0.8, 0.6])
+    v = patent.vanishing_point(a, a + 300 * direction, a + 130 * direction)
+    s = (v[:2] / v[2] - a) @ direction
+    assert (130 / (130 - 300)) / (s / (s - 300)) == pytest.approx(-1.0)
+    middle = patent.vanishing_point(a, a + 300 * direction, a + 150 * direction)
+    assert abs(middle[2]) < 1e-9
+    np.testing.assert_allclose(middle[:2] / np.linalg.norm(middle[:2]), direction)
+
+
+def test_noise_leaves_a_rotation_and_a_small_error() -> None:
+    offs = []
+    for seed in range(10):
+        X, poses, views, _ = session(seed, 12, 0.05)
+        R = patent.target_rotation(views[0].points, CAMERA.matrix)
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+        offs.append(np.abs(se3.difference(patent.solve(poses, views, CAMERA), X)))
+    median = np.median(offs, axis=0)
+    assert 1e-6 < median[:3].max() < 2e-3
+    assert 1e-6 < median[3:].max() < np.deg2rad(0.5)
+
+
+def test_rotation_is_the_nearest_to_both_directions() -> None:
+    _, _, views, _ = session(0, 3, 2.0)
+    a, b, c, d, o = views[0].points
+    raw = [np.linalg.solve(CAMERA.matrix, patent.vanishing_point(p, q, o))
+           for p, q in ((a, b), (c, d))]
+    x, y = (v / np.linalg.norm(v) for v in raw)
+    assert abs(x @ y) > 1e-3
+    np.testing.assert_allclose(patent.target_rotation(views[0].points, CAMERA.matrix),
+                               se3.nearest_rotation(np.column_stack([x, y, np.cross(x, y)])),
+                               atol=1e-9)
+
+
+def test_a_stripe_beside_the_centre_is_refused() -> None:
+    _, _, views, _ = session(1)
+    moved = patent.View(views[0].points, views[0].stripe + 12.0)
+    with pytest.raises(SingularError, match=r'misses the centre by \d+\.\d pixels'):
+        patent.target_centre(moved, CAMERA)
+
+
+def test_a_centre_seen_along_the_light_plane_is_refused() -> None:
+    _, _, views, _ = session(1)
+    ray = np.linalg.solve(CAMERA.matrix, np.append(views[0].points[4], 1.0))
+    edge_on = patent.Camera(CAMERA.matrix, np.append(np.cross(ray, [0.0, 1.0, 0.0]), 0.1))
+    with pytest.raises(SingularError, match='along the light plane'):
+        patent.target_centre(views[0], edge_on)
+
+
+def test_turns_about_one_axis_are_refused() -> None:
+    X, _, views, targets = session(2)
+    turned = [targets[0] @ se3.transform(se3.exp_rotation(np.array([0, 0, a])), np.zeros(3))
+              for a in (0.0, 0.4, 0.9)]
+    poses = se3.inverse(np.array(turned)) @ se3.inverse(X)
+    with pytest.raises(SingularError, match='one axis only'):
+        patent.solve_motions(*patent.motions(poses, np.array(turned)))
+    with pytest.raises(TooFewError, match='at least 3 views, got 2'):
+        patent.solve(poses[:2], views[:2], CAMERA)

@@ -1,0 +1,108 @@
+"""Wu 2017: the best of 210 quadruples, and the seam of its section 4."""
+from __future__ import annotations
+
+from math import comb
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.errors import SingularError, TooFewError
+from handeye_ros.published import wu2017
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+CURVE = np.array([[3.177e-5, -7.041e-3, -0.3994, 180.8],
+                  [1.236e-5, 2.448e-2, -2.056, 128.8],
+                  [1.397e-4, -1.551e-2, -2.834, 268.4]])
+"""Eq. 18, millimetres."""
+
+
+def points(seed: int, noise: float = 0.0) -> tuple[Array, Array, Array]:
+    """Return T_camera_base and ten points in camera and base (metres)."""
+    rng = np.random.default_rng(seed)
+    T = se3.transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-1, 1, 3))
+    base = rng.uniform(-0.15, 0.15, (10, 3)) + [0.6, 0.1, 0.3]
+    return T, se3.apply(T, base) + noise * rng.normal(size=(10, 3)), base
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_the_truth_without_noise(seed: int) -> None:
+    T, camera, base = points(seed)
+    found = wu2017.solve(camera, base)
+    assert np.abs(se3.difference(found.T_camera_base, T)).max() < 1e-6
+    assert np.abs(se3.difference(found.T_base_camera, se3.inverse(T))).max() < 1e-6
+    np.testing.assert_allclose(found.matrix, T, atol=1e-7)
+
+
+def test_all_210_quadruples_and_the_best_of_them() -> None:
+    _, camera, base = points(1, 3e-5)
+    found = wu2017.solve(camera, base)
+    assert len(found.costs) == comb(10, 4) == 210
+    assert np.isfinite(found.costs).all()
+    assert found.cost == found.costs.min()
+    four = list(found.quadruple)
+    np.testing.assert_allclose(se3.apply(found.matrix, base)[four], camera[four], atol=1e-9)
+    by_eq_4 = (np.vstack([camera[four].T, np.ones(4)])
+               @ np.linalg.inv(np.vstack([base[four].T, np.ones(4)])))
+    np.testing.assert_allclose(found.matrix, by_eq_4, atol=1e-9)
+    by_eq_5 = sum(np.linalg.norm(c - (by_eq_4 @ np.append(w, 1.0))[:3])
+                  for c, w in zip(camera, base, strict=True))
+    assert found.cost == pytest.approx(by_eq_5)
+
+
+def test_four_points_in_one_plane_are_left_out() -> None:
+    T, _, base = points(2)
+    base[:9, 2] = 0.3
+    found = wu2017.solve(se3.apply(T, base), base)
+    assert np.isinf(found.costs).sum() == comb(9, 4)
+    assert 9 in found.quadruple
+    assert np.abs(se3.difference(found.T_camera_base, T)).max() < 1e-6
+    base[9, 2] = 0.3
+    with pytest.raises(SingularError, match='one plane'):
+        wu2017.solve(se3.apply(T, base), base)
+
+
+def test_three_points_are_refused() -> None:
+    _, camera, base = points(0)
+    with pytest.raises(TooFewError, match='at least 4 points, got 3'):
+        wu2017.solve(camera[:3], base[:3])
+
+
+def test_eq_18_gives_the_printed_position_exactly() -> None:
+    printed = [180.3936, 126.7685, 265.5506]
+    np.testing.assert_array_equal(np.round(wu2017.position(CURVE, 1.0), 4), printed)
+
+
+def test_eq_18_gives_the_printed_tangent_roughly() -> None:
+    n = wu2017.advance(CURVE, 1.0)
+    np.testing.assert_allclose(n, [-0.1194, -0.5630, -0.8178], atol=0.01)
+
+
+def test_the_printed_a_of_eq_19_is_not_n_cross_o() -> None:
+    n, o = np.array([-0.1194, -0.5630, -0.8178]), np.array([0.2371, 0.8160, -0.5372])
+    T = wu2017.tool_frame(n, o, np.zeros(3))
+    assert np.linalg.norm(T[:3, 2] - [-0.9641, -0.1310, 0.2309]) > 1.0
+    assert abs(n @ o) > 0.04
+
+
+def test_the_cubic_is_found_again_from_the_middle_of_two_edges() -> None:
+    t = np.arange(1.0, 21.0)
+    middle = np.array([wu2017.position(CURVE, s) for s in t])
+    half = np.array([2.0, -1.0, 0.5])
+    fitted = wu2017.fit_cubic(wu2017.centre_line(middle + half, middle - half))
+    np.testing.assert_allclose(fitted, CURVE, rtol=1e-6)
+    slope = (wu2017.position(fitted, 7.001) - wu2017.position(fitted, 6.999)) / 2e-3
+    np.testing.assert_allclose(wu2017.advance(fitted, 7.0), slope / np.linalg.norm(slope),
+                               atol=1e-9)
+
+
+def test_approach_is_the_plane_s_normal_and_the_frame_is_square() -> None:
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(-5, 5, (12, 2))
+    o = wu2017.approach(np.column_stack([xy, xy @ [0.3, -0.2] + 4.0]))
+    expected = np.array([0.3, -0.2, -1.0])
+    np.testing.assert_allclose(o, expected / np.linalg.norm(expected), atol=1e-12)
+    n = np.cross(o, [0.0, 1.0, 0.0])
+    T = wu2017.tool_frame(n / np.linalg.norm(n), o, np.array([1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(T[:3, 3], [1.0, 2.0, 3.0])

@@ -1,0 +1,149 @@
+"""Rigid transforms against series, products and scipy; inputs stay as they are."""
+from __future__ import annotations
+
+from handeye_ros import se3
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+vectors = arrays(float, 3, elements=st.floats(-10, 10))
+small_angles = st.floats(0, 3.1)
+quaternions = arrays(float, 4, elements=st.floats(-1, 1)).filter(
+    lambda q: np.linalg.norm(q) > 1e-3)
+
+
+def any_transform(translation: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    return se3.from_quaternion(translation, quaternion)
+
+
+transforms = st.builds(any_transform, vectors, quaternions)
+
+
+@st.composite
+def deltas(draw: st.DrawFn) -> np.ndarray:
+    """Return perturbations (6,) whose rotation is less than half a turn."""
+    axis = draw(vectors.filter(lambda v: np.linalg.norm(v) > 1e-3))
+    turn = axis / np.linalg.norm(axis) * draw(small_angles)
+    return np.concatenate([draw(vectors), turn])
+
+
+@given(vectors)
+def test_exp_is_the_rotation_of_scipy(vector: np.ndarray) -> None:
+    expected = Rotation.from_rotvec(vector).as_matrix()
+    assert np.allclose(se3.exp_rotation(vector), expected, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize('size', [0.0, 1e-300, 1e-12, 1e-8, 1e-4, 1e-2])
+def test_exp_of_small_vectors_is_its_series(size: float) -> None:
+    S = se3.skew(size * np.array([0.6, -0.48, 0.64]))
+    series, term = np.eye(3), np.eye(3)
+    for k in range(1, 9):
+        term = term @ S / k
+        series = series + term
+    assert np.allclose(se3.exp_rotation(size * np.array([0.6, -0.48, 0.64])), series,
+                       rtol=0, atol=1e-15)
+
+
+@given(deltas())
+def test_log_undoes_exp(delta: np.ndarray) -> None:
+    assert np.allclose(se3.log_rotation(se3.exp_rotation(delta[3:])), delta[3:], atol=1e-7)
+    assert se3.angle(se3.exp_rotation(delta[3:])) == pytest.approx(
+        np.linalg.norm(delta[3:]), abs=1e-7)
+
+
+@given(transforms, vectors)
+def test_inverse_times_transform_is_nothing(T: np.ndarray, point: np.ndarray) -> None:
+    assert np.allclose(se3.inverse(T) @ T, np.eye(4), atol=1e-12)
+    assert np.allclose(se3.apply(se3.inverse(T), se3.apply(T, point[None])), point, atol=1e-10)
+    assert np.allclose(se3.apply(T, point[None])[0], (T @ np.append(point, 1))[:3])
+
+
+@given(transforms, deltas())
+def test_difference_undoes_perturb(T: np.ndarray, delta: np.ndarray) -> None:
+    assert np.allclose(se3.difference(se3.perturb(T, delta), T), delta, atol=1e-6)
+
+
+def test_a_perturbation_acts_in_the_parent_frame() -> None:
+    # a quarter turn about the parent's z, 1 m along the parent's x
+    T = se3.transform(Rotation.from_euler('x', 90, degrees=True).as_matrix(), np.array([1., 2, 3]))
+    moved = se3.perturb(T, np.array([1.0, 0, 0, 0, 0, np.pi / 2]))
+    assert np.allclose(moved[:3, 3], [2, 2, 3])
+    assert np.allclose(moved[:3, 0], [0, 1, 0]), 'the child x lay along the parent x'
+
+
+@given(transforms)
+def test_quaternions_come_back_with_w_not_negative(T: np.ndarray) -> None:
+    q = se3.quaternion(T)
+    assert q[3] >= 0 and np.linalg.norm(q) == pytest.approx(1)
+    assert np.allclose(se3.from_quaternion(T[:3, 3], q), T, atol=1e-12)
+    assert np.allclose(se3.from_quaternion(T[:3, 3], -q), T, atol=1e-12)
+
+
+def test_rpy_is_that_of_urdf() -> None:
+    roll, pitch, yaw = 0.3, -0.5, 1.2
+    about = [Rotation.from_euler(axis, a).as_matrix()
+             for axis, a in zip('xyz', (roll, pitch, yaw), strict=True)]
+    T = se3.transform(about[2] @ about[1] @ about[0], np.zeros(3))
+    assert np.allclose(se3.rpy(T), [roll, pitch, yaw])
+
+
+@given(vectors, vectors)
+def test_skew_and_cross_are_the_cross_product(a: np.ndarray, b: np.ndarray) -> None:
+    assert np.allclose(se3.skew(a) @ b, np.cross(a, b))
+    assert np.allclose(se3.cross(a[None], b), np.cross(a, b))
+
+
+@given(quaternions, arrays(float, (3, 3), elements=st.floats(-0.2, 0.2)))
+def test_nearest_rotation_is_one_and_none_is_nearer(q: np.ndarray, off: np.ndarray) -> None:
+    M = Rotation.from_quat(q).as_matrix() + off
+    R = se3.nearest_rotation(M)
+    assert np.allclose(R @ R.T, np.eye(3)) and np.linalg.det(R) == pytest.approx(1)
+    rng = np.random.default_rng(0)
+    for step in rng.normal(size=(20, 3)) * 0.01:
+        nearby = se3.exp_rotation(step) @ R
+        assert np.linalg.norm(nearby - M) >= np.linalg.norm(R - M) - 1e-12
+
+
+def test_nearest_rotation_of_a_mirror_is_still_a_rotation() -> None:
+    assert np.linalg.det(se3.nearest_rotation(np.diag([1.0, 1.0, -1.0]))) == pytest.approx(1)
+
+
+def test_mean_pose_lies_in_the_middle() -> None:
+    T = se3.transform(Rotation.from_quat([0.5, 0.1, -0.3, 0.8]).as_matrix(), np.ones(3))
+    step = np.array([0.01, -0.02, 0.03, 0.002, -0.001, 0.003])
+    both = np.array([se3.perturb(T, step), se3.perturb(T, -step)])
+    assert np.allclose(se3.mean_pose(both), T, atol=1e-9)
+
+
+def test_stacks_give_what_single_transforms_give() -> None:
+    rng = np.random.default_rng(1)
+    T = any_transform(rng.normal(size=(5, 2, 3)), rng.normal(size=(5, 2, 4)))
+    points = rng.normal(size=(5, 2, 7, 3))
+    vectors = rng.normal(size=(5, 2, 3))
+    for i, j in np.ndindex(5, 2):
+        assert np.allclose(se3.inverse(T)[i, j], se3.inverse(T[i, j]))
+        assert np.allclose(se3.apply(T, points)[i, j], se3.apply(T[i, j], points[i, j]))
+        assert np.allclose(se3.quaternion(T)[i, j], se3.quaternion(T[i, j]))
+        assert np.allclose(se3.log_rotation(T[..., :3, :3])[i, j],
+                           se3.log_rotation(T[i, j, :3, :3]))
+        assert np.allclose(se3.exp_rotation(vectors)[i, j], se3.exp_rotation(vectors[i, j]))
+
+
+def test_inputs_are_not_changed() -> None:
+    rng = np.random.default_rng(2)
+    T = any_transform(rng.normal(size=(3, 3)), rng.normal(size=(3, 4)))
+    delta, points = rng.normal(size=6), rng.normal(size=(4, 3))
+    for value in (T, delta, points):
+        value.setflags(write=False)  # a write would raise
+    before = T.copy(), delta.copy(), points.copy()
+    se3.inverse(T), se3.quaternion(T), se3.mean_pose(T), se3.apply(T, points)
+    se3.perturb(T[0], delta), se3.difference(T[0], T[1]), se3.exp_rotation(points)
+    se3.log_rotation(T[:, :3, :3]), se3.rpy(T[0]), se3.nearest_rotation(T[0, :3, :3])
+    se3.skew(points), se3.cross(points, points), se3.from_quaternion(points[:3], T[:, 0])
+    assert all(np.array_equal(a, b) for a, b in zip(before, (T, delta, points), strict=True))
+    result = se3.inverse(T)
+    result[:] = 0  # and what comes back is no view of what went in
+    assert np.array_equal(T, before[0])

@@ -1,0 +1,161 @@
+"""Wrong conventions are named, and nothing is answered."""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from cells import Cell, cell, recorded
+from handeye_ros import pipeline, se3
+from handeye_ros.config import with_values
+from handeye_ros.data import Array, Sample
+from handeye_ros.errors import (
+    ContradictingStationsError,
+    DataError,
+    InconsistentError,
+    PositionUnitError,
+    SlipError,
+)
+from handeye_ros.simulate import SCENARIOS
+from handeye_ros.simulate.slips import SLIPS as SIMULATED
+from handeye_ros.slips import SLIPS
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+pytestmark = pytest.mark.thorough
+
+NAMES = {'inverted': 'inverse poses', 'wxyz': 'w x y z', 'intrinsic': 'intrinsic'}
+
+
+def with_poses(made: Cell, change: Callable[[Array], Array]) -> list[Sample]:
+    changed = change(np.array([s.T_base_flange for s in made.samples]))
+    return [replace(s, T_base_flange=T) for s, T in zip(made.samples, changed, strict=True)]
+
+
+def simulated(slip: str) -> Callable[[Array], Array]:
+    def change(T: Array) -> Array:
+        translation, q = SIMULATED[slip](T[:, :3, 3], se3.quaternion(T))
+        return se3.from_quaternion(translation, q)
+    return change
+
+
+@pytest.mark.parametrize(('target', 'slip'), [
+    *(('plate', slip) for slip in SIMULATED), ('sphere', 'inverted')])
+def test_every_simulated_slip_is_refused(target: str, slip: str) -> None:
+    made = cell(target, 1)
+    with pytest.raises(DataError) as caught:
+        pipeline.solve(with_poses(made, simulated(slip)), [], made.config, 'laser')
+    if slip in NAMES:
+        assert isinstance(caught.value, SlipError), caught.value
+        assert NAMES[slip] in str(caught.value)
+
+
+@pytest.mark.parametrize('slip', ['inverted', 'millimetres'])
+def test_a_recording_with_a_slip_says_which(slip: str) -> None:
+    name = 'inverted_poses' if slip == 'inverted' else slip
+    recording = recorded(replace(SCENARIOS[name], slips=(slip,)), columns=640)
+    with pytest.raises(PositionUnitError if slip == 'millimetres' else SlipError) as caught:
+        pipeline.calibrate(recording.profiles, recording.poses, recording.config)
+    assert NAMES.get(slip, 'mm') in str(caught.value)
+
+
+def transposed(T: Array) -> Array:
+    return se3.transform(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3])
+
+
+def small_angles(T: Array) -> Array:
+    """Read roll, pitch and yaw in radians as degrees."""
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
+    return se3.transform(Rotation.from_euler('xyz', np.radians(angles)).as_matrix(), T[:, :3, 3])
+
+
+def extrinsic_for_intrinsic(T: Array) -> Array:
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('XYZ')
+    return se3.transform(Rotation.from_euler('xyz', angles).as_matrix(), T[:, :3, 3])
+
+
+def scaled(factor: float) -> Callable[[Array], Array]:
+    return lambda T: se3.transform(T[:, :3, :3], T[:, :3, 3] * factor)
+
+
+@pytest.mark.parametrize(('change', 'words'), [
+    (scaled(1e3), 'positions in millimetres'), (scaled(1e-3), 'a thousand times larger'),
+    (transposed, 'transposed rotations'), (small_angles, 'angles in radians'),
+    (extrinsic_for_intrinsic, 'intrinsic Euler angles')],
+    ids=['mm', 'km', 'transposed', 'radians', 'extrinsic'])
+def test_further_slips_are_named(change: Callable[[Array], Array], words: str) -> None:
+    made = cell('plate', 1)
+    with pytest.raises(DataError) as caught:
+        pipeline.solve(with_poses(made, change), [], made.config, 'laser')
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize('name', SLIPS)
+def test_undoing_gives_poses_back(name: str) -> None:
+    """Every undo is a map of rigid transforms, and none is the identity."""
+    rng = np.random.default_rng(3)
+    T = se3.from_quaternion(rng.normal(size=(8, 3)), rng.normal(size=(8, 4)))
+    undone = SLIPS[name][0](T)
+    R = undone[:, :3, :3]
+    assert np.allclose(R @ np.swapaxes(R, 1, 2), np.eye(3)) and np.allclose(np.linalg.det(R), 1)
+    assert not np.allclose(undone, T)
+    assert SLIPS[name][1][0].islower() and not SLIPS[name][1].endswith('.')
+
+
+@pytest.mark.parametrize(('slip', 'undo'), [
+    ('inverted', 'inverse poses'), ('wxyz', 'quaternions read as w x y z'),
+    ('millimetres', 'positions in millimetres'), ('intrinsic', 'extrinsic Euler angles')])
+def test_undoing_undoes(slip: str, undo: str) -> None:
+    rng = np.random.default_rng(4)
+    T = se3.from_quaternion(rng.normal(size=(20, 3)), rng.normal(size=(20, 4)))
+    back = SLIPS[undo][0](simulated(slip)(T))
+    assert np.allclose(back, T, atol=1e-9)
+
+
+@pytest.mark.parametrize('target', ['plate', 'sphere'])
+@pytest.mark.parametrize('where', ['eye_in_hand', 'eye_on_base'])
+def test_good_samples_are_no_slip(target: str, where: str) -> None:
+    for seed in range(2):
+        made = cell(replace(SCENARIOS[target], calibration_type=where), seed)
+        assert pipeline.solve(made.samples, [], made.config, 'laser').quality.samples_used >= 14
+
+
+@pytest.mark.parametrize('name', ['plate_real_robot', 'sphere_real_robot'])
+def test_a_robot_worse_than_told_is_no_slip(name: str) -> None:
+    for seed in range(2):
+        made = cell(name, seed)
+        assert pipeline.solve(made.samples, [], made.config, 'laser')
+
+
+def test_the_wrong_calibration_type_is_told_as_inverse_poses_or_refused() -> None:
+    made = cell('eye_on_base')
+    config = with_values(made.config, {'calibration_type': 'eye_in_hand'}, 'test')
+    with pytest.raises(DataError) as caught:
+        pipeline.solve(made.samples, [], config, 'laser')
+    assert 'inverse' in str(caught.value)
+
+
+def test_poses_of_another_recording_are_refused_with_both_figures() -> None:
+    made, other = cell('plate', 1), cell('plate', 2)
+    wrong = [replace(a, T_base_flange=b.T_base_flange) for a, b in
+             zip(made.samples, other.samples, strict=True)]
+    with pytest.raises((InconsistentError, ContradictingStationsError)) as caught:
+        pipeline.solve(wrong, [], made.config, 'laser')
+    assert 'contradict' in str(caught.value)
+
+
+def test_the_limit_of_residuals_is_the_users() -> None:
+    made = cell('plate', 1)
+    answer = pipeline.solve(made.samples, [], made.config, 'laser')
+    strict = with_values(made.config, {'limits.residual': 0.5 * answer.quality.residual_rms}, 't')
+    with pytest.raises(InconsistentError, match='limits.residual'):
+        pipeline.solve(made.samples, [], strict, 'laser')
+
+
+def test_a_sphere_of_another_radius_than_told_is_noticed() -> None:
+    for told in (0.0, 0.039, 0.045):
+        made = cell('sphere', target__radius=told)
+        answer = pipeline.solve(made.samples, [], made.config, 'laser')
+        assert answer.target['radius'] == pytest.approx(0.04, abs=5 * answer.target['radius_std'])
+        assert answer.target['radius_std'] < 1e-5
+        assert ('note' in answer.target) == bool(told)
