@@ -1,0 +1,135 @@
+#!/usr/bin/env python3
+"""
+How near the estimator comes to the Cramer-Rao bound, and how honest its covariance is.
+
+usage: python bench/accuracy.py [--trials N] [--seed S] [--only TEXT]
+
+Simulates features with exactly known noise (no profiles) and solves each trial from nothing.
+A row per case: RMSE over the bound for translation, rotation and mapped points (over x within
++-20 mm, range 160-190 mm); the share of trials whose 95 % region holds the truth; the mean
+squared Mahalanobis error over 6; median time of a solve.
+"""
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+import math
+import time
+
+from handeye_ros import config as configs
+from handeye_ros import pipeline, se3
+from handeye_ros.config import Config
+from handeye_ros.data import Sample
+from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
+from handeye_ros.solve import evaluate, Noise, Solution
+import numpy as np
+from scipy.stats import chi2
+
+LIMIT = chi2.ppf(0.95, 6)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A simulated cell, and by which factors its noise is misjudged in the settings."""
+
+    name: str
+    scenario: Scenario
+    sensor_factor: float = 1.0
+    robot_factor: float = 1.0
+
+
+def cases() -> list[Case]:
+    """Return the rows of the table."""
+    found = []
+    for target in ('plate', 'sphere'):
+        scenario = SCENARIOS[target]
+        for what, sensor, robot in (('noise known', 1, 1), ('sensor set 3 x', 3, 1),
+                                    ('sensor set 1/3', 1 / 3, 1), ('robot set 3 x', 1, 3),
+                                    ('robot set 1/3', 1, 1 / 3)):
+            found.append(Case(f'{target}, {what}', scenario, sensor, robot))
+        model = replace(scenario.robot, systematic=(1.5e-4, math.radians(0.02)))
+        found.append(Case(f'{target}, systematic robot', replace(scenario, robot=model)))
+    return found
+
+
+def configured(case: Case, robot_factor: float) -> Config:
+    """Return the configuration that believes the robot's noise times a factor."""
+    robot, sensor = case.scenario.robot, case.scenario.sensor
+    return configs.with_values(Config(), {
+        'target.type': case.scenario.scene,
+        'target.radius': float(getattr(case.scenario.target, 'radius', 0.0)),
+        'noise.sensor': sensor.noise, 'noise.distortion': 0.0,
+        'noise.robot_translation': robot.repeatability[0] * robot_factor,
+        'noise.robot_rotation': robot.repeatability[1] * robot_factor}, case.name)
+
+
+def field_of_view() -> np.ndarray:
+    """Return the points (n, 3) of the sensor frame over which mapped points are compared."""
+    x, z = np.meshgrid(np.linspace(-0.02, 0.02, 9), np.linspace(0.16, 0.19, 7))
+    return np.column_stack([x.ravel(), np.zeros(x.size), z.ravel()])
+
+
+def mapped(solution: Solution, covariance: np.ndarray) -> float:
+    """Return the mean squared error of mapped points that a covariance (6, 6) predicts."""
+    lever = field_of_view() @ solution.estimate.X[:3, :3].T
+    J = np.concatenate([np.tile(np.eye(3), (len(lever), 1, 1)), -se3.skew(lever)], axis=2)
+    return float(np.einsum('nij,jk,nik->', J, covariance, J) / len(lever))
+
+
+def misjudged(sample: Sample, factor: float) -> Sample:
+    """Return a sample whose features state their noise times a factor."""
+    names = ('std', 'std_across')
+    return replace(sample, features=tuple(
+        replace(f, **{name: getattr(f, name) * factor for name in names if hasattr(f, name)})
+        for f in sample.features))
+
+
+def true_covariance(case: Case, solution: Solution) -> np.ndarray:
+    """Return the Cramer-Rao bound (6, 6): the covariance with the true noise."""
+    problem = replace(solution.problem, config=configured(case, 1.0))
+    noise = Noise(sensor=case.sensor_factor ** -2)
+    return evaluate(problem, solution.estimate, noise).covariance[:6, :6]
+
+
+def trial(case: Case, seed: int) -> np.ndarray:
+    """Return squared errors (t, r, mapped), their bounds, squared Mahalanobis error, time."""
+    samples, truth = simulate_samples(case.scenario, np.random.default_rng(seed))
+    samples = tuple(misjudged(sample, case.sensor_factor) for sample in samples)
+    config = configured(case, case.robot_factor)
+    start = time.perf_counter()
+    _, solution = pipeline.estimate(samples, (), config)
+    seconds = time.perf_counter() - start
+    X, X_true = solution.estimate.X, truth.T_flange_sensor
+    delta = se3.difference(X, X_true)
+    points = field_of_view()
+    off = se3.apply(X, points) - se3.apply(X_true, points)
+    bound = true_covariance(case, solution)
+    return np.array([
+        delta[:3] @ delta[:3], delta[3:] @ delta[3:], (off ** 2).sum() / len(points),
+        np.trace(bound[:3, :3]), np.trace(bound[3:, 3:]), mapped(solution, bound),
+        delta @ np.linalg.solve(solution.stated[:6, :6], delta), seconds])
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument('--trials', type=int, default=500)
+    parser.add_argument('--seed', type=int, default=0)
+    parser.add_argument('--only', default='', help='cases whose name holds this text')
+    arguments = parser.parse_args()
+    print(f'{"case":28} {"transl.":>8} {"rotation":>8} {"mapped":>8} {"in 95 %":>8} '
+          f'{"Mahal.":>8} {"mapped, mm":>10} {"ms":>6}')
+    for case in cases():
+        if arguments.only not in case.name:
+            continue
+        seeds = range(arguments.seed, arguments.seed + arguments.trials)
+        rows = np.array([trial(case, seed) for seed in seeds])
+        ratios = np.sqrt(rows[:, :3].mean(axis=0) / rows[:, 3:6].mean(axis=0))
+        print(f'{case.name:28} {ratios[0]:8.3f} {ratios[1]:8.3f} {ratios[2]:8.3f} '
+              f'{100 * (rows[:, 6] < LIMIT).mean():7.1f}% {rows[:, 6].mean() / 6:8.3f} '
+              f'{1e3 * np.sqrt(np.median(rows[:, 2])):10.4f} '
+              f'{1e3 * np.median(rows[:, 7]):6.1f}', flush=True)
+
+
+if __name__ == '__main__':
+    main()
