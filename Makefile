@@ -11,8 +11,10 @@ export PYTHON
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 # With ROS sourced, pytest would load ROS's plugins, which do not fit every pytest.
 export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
-# A test that hangs fails, with the place where it hangs.
-PYTEST := -m pytest -p xdist -n 2 --dist loadfile -p pytest_timeout --timeout 300
+# A test that hangs fails, with the place where it hangs, wherever that is: the process of the
+# worker is ended, and another goes on. What failed is told at once.
+PYTEST := -m pytest -p xdist -n 2 --dist loadfile -p pytest_instafail --instafail \
+    -p pytest_timeout --timeout 200 --timeout-method thread $(PYTEST_OPTIONS)
 # The workers share the processors; the matrices are small.
 export OPENBLAS_NUM_THREADS := 1
 # What the ROS wheels set for a process of theirs must not reach another environment's.

@@ -24,8 +24,8 @@ setup(
     install_requires=['numpy>=1.26', 'scipy>=1.11', 'PyYAML', 'mcap', 'rosbags', 'rich', 'typer'],
     extras_require={
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
-        'test': ['hypothesis', 'opencv-python-headless<5', 'pytest>=7.4', 'pytest-timeout',
-                 'pytest-xdist'],
+        'test': ['hypothesis', 'opencv-python-headless<5', 'pytest>=7.4',
+                 'pytest-instafail', 'pytest-rerunfailures', 'pytest-timeout', 'pytest-xdist'],
         'dev': ['colcon-common-extensions', 'flake8', 'flake8-blind-except', 'flake8-builtins',
                 'flake8-class-newline', 'flake8-comprehensions', 'flake8-deprecated',
                 'flake8-docstrings', 'flake8-import-order', 'flake8-quotes', 'matplotlib', 'mypy',

@@ -1,12 +1,33 @@
-"""Runs the command line as a user does."""
+"""Runs the command line as a user does, and processes that outlive no test."""
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+import signal
 import subprocess
 import sys
+from typing import Any
 
 ROOT = Path(__file__).parents[1]
 PLATE = ROOT / 'config' / 'plate.yaml'
+PATIENCE = 60.0  # s until something that does not happen fails the test
+
+
+@contextmanager
+def running(command: Sequence[Any], end: int = signal.SIGTERM,
+            **options: Any) -> Iterator[subprocess.Popen[Any]]:
+    """Run a command; end: the signal that ends it with the block, if it runs still."""
+    process = subprocess.Popen(command, **options)
+    try:
+        yield process
+        process.send_signal(end)
+        process.wait(PATIENCE)
+    finally:
+        process.kill()
+        process.wait()
+        for stream in filter(None, (process.stdout, process.stderr)):
+            stream.close()
 
 
 def handeye(*arguments, cwd, before=''):

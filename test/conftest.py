@@ -1,10 +1,13 @@
 """Isolation and repeatability, for all tests."""
 from __future__ import annotations
 
+from collections.abc import Iterator
 import os
 import signal
+from typing import Any
 
 from hypothesis import settings
+import pytest
 
 # Before anything imports ROS: what a test starts is seen by no other process of this machine or
 # the network. Of each worker of pytest-xdist its own; 0 is everyone's default.
@@ -20,3 +23,12 @@ settings.register_profile('repeatable', derandomize=True, deadline=None, databas
 settings.register_profile('fewer', settings.get_profile('repeatable'), max_examples=25)
 settings.register_profile('explore', deadline=None, max_examples=1000, print_blob=True)
 settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'repeatable'))
+
+
+@pytest.fixture
+def client() -> Iterator[Any]:
+    """Give a ROS node in the process of the test (ros_helpers.Client)."""
+    from ros_helpers import Client
+    client = Client()
+    yield client
+    client.close()

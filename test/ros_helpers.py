@@ -4,12 +4,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-import signal
 import subprocess
 import sys
 import time
 from typing import Any
 
+from command import PATIENCE, ROOT, running
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 import numpy as np
@@ -22,8 +22,6 @@ from ros_clouds import cloud
 from sensor_msgs.msg import PointCloud2, PointField
 from std_srvs.srv import SetBool, Trigger
 
-ROOT = Path(__file__).parents[1]
-PATIENCE = 60.0  # s until a condition that does not come true fails the test
 RELIABLE = QoSProfile(depth=2000)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 XZ = {'x': (0, 7), 'z': (4, 7)}
@@ -34,13 +32,9 @@ def running_node(tmp_path: Path, *arguments: str) -> Iterator[subprocess.Popen[s
     """Run the node; what it prints goes to node.log, what it saves below tmp_path."""
     command = [sys.executable, '-m', 'handeye_ros.ros.node', '--ros-args',
                '-p', f'output_dir:={tmp_path}', *arguments]
-    with (tmp_path / 'node.log').open('w') as log:
-        process = subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log, text=True)
-        try:
-            yield process
-        finally:
-            process.send_signal(signal.SIGTERM)
-            process.wait(PATIENCE)
+    with ((tmp_path / 'node.log').open('w') as log,
+          running(command, cwd=ROOT, stdout=log, stderr=log, text=True) as process):
+        yield process
 
 
 def run_module(module: str, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -62,6 +56,7 @@ class Client:
         self._executor.add_node(self.node)
         self._told: list[dict[str, str]] = []
         self._before: dict[str, str] = {}
+        self._services: dict[str, Any] = {}
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
         self.profiles = self.node.create_publisher(PointCloud2, '/profile', RELIABLE)
         self.poses = self.node.create_publisher(PoseStamped, '/flange_pose', RELIABLE)
@@ -99,11 +94,12 @@ class Client:
         return self.request(kind, service, request)
 
     def request(self, kind: Any, service: str, request: Any) -> Any:
-        client = self.node.create_client(kind, f'/handeye/{service}')
+        if service not in self._services:
+            self._services[service] = self.node.create_client(kind, f'/handeye/{service}')
+        client = self._services[service]
         self.until(client.service_is_ready, f'{service} is there')
         future = client.call_async(request)
         self.until(future.done, f'{service} answers')
-        self.node.destroy_client(client)
         return future.result()
 
     def state(self) -> dict[str, str]:

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 
-from command import assert_refused, handeye, PLATE, ROOT
+from command import assert_refused, handeye, PATIENCE, PLATE, ROOT, running
 from handeye_ros import __version__, export, pipeline
 from handeye_ros.cli import main
 from handeye_ros.config import Config, load
@@ -148,11 +148,11 @@ def test_wrong_usage_is_2(arguments, tmp_path):
 
 def test_interrupted_it_goes_quietly(tmp_path):
     os.mkfifo(tmp_path / 'x.mcap')
-    with subprocess.Popen([sys.executable, '-m', 'handeye_ros', 'solve', tmp_path / 'x.mcap'],
-                          cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+    with running([sys.executable, '-m', 'handeye_ros', 'solve', tmp_path / 'x.mcap'],
+                 cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         descriptor = open_for_a_reader(tmp_path / 'x.mcap', process)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate()
+        out, err = process.communicate(timeout=PATIENCE)
         os.close(descriptor)
     assert (process.returncode, out, err) == (130, b'', b'')
 

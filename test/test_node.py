@@ -1,7 +1,6 @@
 """The node in its own process, over real DDS."""
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 import signal
 import subprocess
@@ -49,14 +48,6 @@ needs_tf2 = pytest.mark.skipif(TFMessage is None, reason='tf2_msgs is not built:
 PLATE = ROOT / 'config' / 'plate.yaml'
 SHARED = ROOT.parent / 'shared' / 'bags' / 'sphere_r40'
 needs_shared = pytest.mark.skipif(not SHARED.exists(), reason='sphere_r40 is not there')
-
-
-@pytest.fixture
-def client() -> Iterator[Client]:
-    """Give a client of the node."""
-    client = Client()
-    yield client
-    client.close()
 
 
 @pytest.mark.parametrize(('bag', 'config'), [

@@ -16,10 +16,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('colcon_core', reason='needs colcon')
-import rclpy  # noqa: E402
-from rclpy.context import Context  # noqa: E402
-from rclpy.executors import Executor, SingleThreadedExecutor  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
+from command import running  # noqa: E402, I100
+from ros_helpers import Client  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -113,39 +111,18 @@ def log(tmp_path: Path) -> Path:
 def node(workspace: Path, sourced: dict[str, str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Start the node from the workspace; its output goes to log."""
     config = share(workspace) / 'config' / 'plate.yaml'
-    with log.open('w', encoding='utf-8') as output:
-        process = subprocess.Popen(
-            [executable(workspace, 'calibrate'), '--ros-args', '--params-file', config],
-            cwd=log.parent, env=sourced, stdout=output, stderr=subprocess.STDOUT)
-        try:
-            yield process
-        finally:
-            process.send_signal(signal.SIGINT)
-            process.wait()
+    command = [executable(workspace, 'calibrate'), '--ros-args', '--params-file', config]
+    with (log.open('w', encoding='utf-8') as output,
+          running(command, signal.SIGINT, cwd=log.parent, env=sourced, stdout=output,
+                  stderr=subprocess.STDOUT) as process):
+        yield process
 
 
-@pytest.fixture
-def executor() -> Iterator[Executor]:
-    """Give an executor that spins a node of this test."""
-    context = Context()
-    rclpy.init(context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(rclpy.create_node('test_packaging', context=context))
-    yield executor
-    rclpy.shutdown(context=context)
-
-
-def test_the_installed_node_answers(
-        node: subprocess.Popen[bytes], executor: Executor, log: Path) -> None:
-    client = executor.get_nodes()[0].create_client(Trigger, '/handeye/compute_calibration')
-    while not client.wait_for_service(1.0):
-        assert node.poll() is None, log.read_text(encoding='utf-8')
-    answer = client.call_async(Trigger.Request())
-    executor.spin_until_future_complete(answer)
-    response = answer.result()
-    assert response is not None
+def test_the_installed_node_answers(node: subprocess.Popen[bytes], client: Client) -> None:
+    response = client.call('compute_calibration')
     assert not response.success  # nothing moves here, and it says so
     assert '/flange_pose' in response.message
+    assert node.poll() is None
 
 
 @pytest.mark.skipif(sys.prefix == sys.base_prefix, reason='not in a virtual environment')

@@ -1,7 +1,7 @@
 """The replay of a bag, heard by a subscriber in another process."""
 from __future__ import annotations
 
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 import subprocess
 import sys
@@ -9,7 +9,8 @@ import sys
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from geometry_msgs.msg import PoseStamped  # noqa: E402, I100
+from command import running  # noqa: E402, I100
+from geometry_msgs.msg import PoseStamped  # noqa: E402
 from handeye_ros.ros.storage import scan  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
 from ros_helpers import Client, RELIABLE, ROOT, run_module  # noqa: E402
@@ -21,16 +22,8 @@ pytestmark = pytest.mark.ros
 BAG = ROOT / 'bags' / 'one_orientation'
 
 
-@pytest.fixture
-def client() -> Iterator[Client]:
-    """Give a node that listens."""
-    client = Client()
-    yield client
-    client.close()
-
-
-def start(*arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
+def replaying(*arguments: str) -> AbstractContextManager[subprocess.Popen[str]]:
+    return running(
         [sys.executable, '-m', 'handeye_ros.ros.replay', *arguments], cwd=ROOT, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
@@ -43,10 +36,11 @@ def test_every_message_arrives_as_it_was_recorded(client: Client) -> None:
         client.node.create_subscription(kind, topic, heard[topic].append, RELIABLE)
     clock: list[Clock] = []
     client.node.create_subscription(Clock, '/clock', clock.append, RELIABLE)
-    replay = start(str(BAG), '--rate', '20')
-    client.until(lambda: replay.poll() is not None, 'the replay ends')
-    client.until(lambda: sum(map(len, heard.values())) == len(recorded.messages), 'all is heard')
-    assert (replay.returncode, replay.communicate()) == (0, ('', ''))
+    with replaying(str(BAG), '--rate', '20') as replay:
+        client.until(lambda: replay.poll() is not None, 'the replay ends')
+        client.until(lambda: sum(map(len, heard.values())) == len(recorded.messages),
+                     'all is heard')
+        assert (replay.returncode, replay.communicate()) == (0, ('', ''))
     for topic, messages in heard.items():
         assert messages == [deserialize_message(raw.data, types[topic])
                             for raw in recorded.messages if raw.topic == topic]
@@ -77,8 +71,8 @@ def test_wrong_input(arguments: list[str], reason: str) -> None:
 def test_interrupted_it_ends_cleanly(client: Client) -> None:
     heard: list[object] = []
     client.node.create_subscription(client.poses.msg_type, '/flange_pose', heard.append, RELIABLE)
-    replay = start(str(BAG), '--wait-for', '1')
-    client.until(lambda: heard, 'the replay has begun')
-    replay.terminate()
-    client.until(lambda: replay.poll() is not None, 'the replay ends')
-    assert (replay.returncode, replay.communicate()) == (0, ('', ''))
+    with replaying(str(BAG), '--wait-for', '1') as replay:
+        client.until(lambda: heard, 'the replay has begun')
+        replay.terminate()
+        client.until(lambda: replay.poll() is not None, 'the replay ends')
+        assert (replay.returncode, replay.communicate()) == (0, ('', ''))

@@ -23,14 +23,6 @@ SPHERE = ('-p', 'target.type:=sphere', '-p', 'target.radius:=0.04', '-p',
           'profile_topic:=/profile', '-p', 'pose_topic:=/flange_pose')
 
 
-@pytest.fixture
-def client() -> Iterator[Client]:
-    """Give a client of the node."""
-    client = Client()
-    yield client
-    client.close()
-
-
 @pytest.fixture(scope='module')
 def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Popen[str]]:
     """Run a node that looks for a sphere, for all tests that leave it running."""
