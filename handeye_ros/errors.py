@@ -171,20 +171,29 @@ class TooUncertainError(DataError):
     """An answer that is less certain than the limits allow."""
 
     @classmethod
-    def translation(cls, direction: str, std: float, limit: float, others: str
+    def translation(cls, direction: str, std: float, limit: float, missing: str
                     ) -> TooUncertainError:
         """Return the error for a translation, metres."""
         return cls(f'the position along {direction} is known only to {_mm(std)} (1 sigma; '
-                   f'limits.translation is {_mm(limit)}): tilt the tool by 15 degrees or more, '
-                   f'to both sides, about {others}')
+                   f'limits.translation is {_mm(limit)}): {missing}')
 
     @classmethod
-    def rotation(cls, axis: str, std: float, limit: float) -> TooUncertainError:
+    def rotation(cls, axis: str, std: float, limit: float, missing: str) -> TooUncertainError:
         """Return the error for a rotation, radians."""
         return cls(f'the rotation about {axis} is known only to {_degrees(std)} (1 sigma; '
-                   f'limits.rotation is {_degrees(limit)}): spread the target over the field '
-                   'of view (near, far, left, right) and tilt the tool by 15 degrees or more '
-                   'about two axes')
+                   f'limits.rotation is {_degrees(limit)}): {missing}')
+
+
+def missing_turn(axes: str, turn: float) -> str:
+    """Return what to do about poses that turn too little about some axes, by turn RMS (rad)."""
+    return (f'the poses turn only by {_degrees(turn)} RMS about {axes}; tilt the tool by 15 '
+            'degrees or more, to both sides, about it')
+
+
+def missing_spread() -> str:
+    """Return what to do about poses that turn enough."""
+    return ('take more samples, with the target all over the field of view (near, far, left, '
+            'right), at different tilts each')
 
 
 def _mm(metres: float) -> str:

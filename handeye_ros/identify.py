@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import (
+    missing_spread,
+    missing_turn,
     OneAxisError,
     OneOrientationError,
     TooFewSamplesError,
@@ -17,6 +19,7 @@ from handeye_ros.solve import Solution
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+ENOUGH_TURN = 0.12  # rad: RMS about the second axis, of tilts to both sides by 12 degrees
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 
 
@@ -105,10 +108,20 @@ def require_certain(solution: Solution, config: Config) -> None:
     Raises TooUncertainError, which names the direction and the motion that is missing.
     """
     limits, frame = config.limits, mount_frame(config)
+    missing = missing_motion(solution.problem.poses, frame)
     turn_std, axis = worst_rotation(solution.stated)
     if turn_std > limits.rotation:
-        raise TooUncertainError.rotation(name_direction(axis, frame), turn_std, limits.rotation)
+        raise TooUncertainError.rotation(name_direction(axis, frame), turn_std, limits.rotation,
+                                         missing)
     shift_std, direction = worst_translation(solution.stated)
     if shift_std > limits.translation:
         raise TooUncertainError.translation(name_direction(direction, frame), shift_std,
-                                            limits.translation, other_axes(direction, frame))
+                                            limits.translation, missing)
+
+
+def missing_motion(poses: Array, frame: str) -> str:
+    """Return what poses (n, 4, 4) should do that they do too little, in words."""
+    turns, axes = turning(poses)
+    if turns[1] > ENOUGH_TURN:
+        return missing_spread()
+    return missing_turn(name_direction(axes[1], frame), float(turns[1]))

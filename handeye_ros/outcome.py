@@ -11,12 +11,13 @@ from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, Sample
 from handeye_ros.identify import mount_frame, weakest
 from handeye_ros.method import Estimate
 from handeye_ros.robust import Consensus
-from handeye_ros.shape import shape_of
+from handeye_ros.shape import scale_error, shape_of
 from handeye_ros.solve import Problem, Solution, without
 import numpy as np
 from numpy.typing import NDArray
 
 MOST_POINTS = 200_000
+LARGEST_SCALE_STD = 0.1  # of a scale worth telling
 MOST_FOLDS = 20  # of the left-out check: with fewer stations each is left out by itself
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
@@ -78,7 +79,8 @@ def describe_target(solution: Solution, config: Config) -> dict[str, Any]:
     if shape:
         told |= {shape.label: shape.estimated, f'{shape.label}_std': shape.std}
         told |= {'note': shape.note} if shape.contradicts else {}
-    return told
+    error, std = scale_error(solution)
+    return told | ({'scale': 1 + error, 'scale_std': std} if std < LARGEST_SCALE_STD else {})
 
 
 def _used_reports(used: Sequence[Sample], solution: Solution, measured: Measured

@@ -111,16 +111,19 @@ def _target_values(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield name, _millimetres(values) + _sigma(std, 1e3)
         elif key.endswith(ANGLES):
             yield name, f'{math.degrees(value):.4f} degrees' + _sigma(std, math.degrees(1))
+        elif key == 'scale':
+            yield 'lengths', f'of the robot {value:.5f} times those of the sensor' + _sigma(
+                std, 1, 5)
         elif key in DIRECTIONS:
             yield name, ' '.join(f'{v:.6f}' for v in value)
         elif not key.endswith('_std'):
             yield name, str(value)
 
 
-def _sigma(std: float | None, factor: float) -> str:
+def _sigma(std: float | None, factor: float, digits: int = 4) -> str:
     if std is None:
         return ''
-    return f', 1 sigma {std * factor:.4f}' if std else ', given'
+    return f', 1 sigma {std * factor:.{digits}f}' if std else ', given'
 
 
 def _millimetres(values: Any) -> str:

@@ -12,9 +12,16 @@ import numpy as np
 import pytest
 
 
-def solved(scenario: Scenario, seed: int, **changes: object) -> tuple[Calibration, float]:
-    """Return the calibration of simulated samples and the error of its translation."""
+def solved(scenario: Scenario, seed: int, scale: float = 1.0, **changes: object
+           ) -> tuple[Calibration, float]:
+    """
+    Return the calibration of simulated samples and the error of its translation.
+
+    scale: of the lengths of the robot.
+    """
     samples, truth = simulate_samples(scenario, np.random.default_rng(seed))
+    samples = [replace(s, T_base_flange=se3.transform(
+        s.T_base_flange[:3, :3], scale * s.T_base_flange[:3, 3])) for s in samples]
     values = settings(scenario) | {'noise.distortion': 0.0}
     values |= {key.replace('__', '.'): value for key, value in changes.items()}
     config = configs.with_values(Config(), values, 'the test')
@@ -54,3 +61,11 @@ def test_an_unknown_radius_is_estimated_without_a_note() -> None:
     found, _ = solved(SCENARIOS['sphere'], 2, target__radius=0.0)
     assert found.target['radius'] == pytest.approx(0.04, abs=4 * found.target['radius_std'])
     assert 'note' not in found.target
+
+
+@pytest.mark.parametrize('scale', [1.0, 1.0015, 0.999])
+@pytest.mark.parametrize('name', ['plate', 'sphere'])
+def test_the_scale_between_robot_and_sensor_is_told(name: str, scale: float) -> None:
+    found, _ = solved(SCENARIOS[name], 2, scale)
+    assert 0 < found.target['scale_std'] < 7e-4
+    assert found.target['scale'] == pytest.approx(scale, abs=3 * found.target['scale_std'])
