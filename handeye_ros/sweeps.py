@@ -14,7 +14,7 @@ from handeye_ros.arcs import arc_features
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Profile, TimedPose
 from handeye_ros.errors import DegenerateError, FeatureError
-from handeye_ros.methods.tracker import Sweep
+from handeye_ros.methods.tracker_model import Sweep, SWEPT
 from handeye_ros.pairing import interpolate
 from handeye_ros.segment import noise_level, Segment, straight_segments
 import numpy as np
@@ -33,13 +33,14 @@ FEWEST_PROFILES = 5
 
 
 def sweep_from(profiles: Sequence[Profile], poses: Sequence[TimedPose], config: Config,
-               q3_first: float, q30: float) -> Sweep:
+               q3_first: float, q30: float | None = None) -> Sweep:
     """
     Return the points of a sweep.
 
     profiles, poses: in the order of their stamps; q3_first: the reading of P3 at the first pose,
-    q30: that at which the flange is taken (m). config: noise.sensor, target.radius of the ball
-    (0: unknown), sampling.min_points. Raises DegenerateError.
+    q30: that at which the flange is taken (m), the middle of all when not given. config:
+    noise.sensor, target.radius of the ball (0: unknown), sampling.min_points. Raises
+    DegenerateError.
     """
     first, last = poses[0].stamp, poses[-1].stamp
     inside = [p for p in profiles if first <= p.stamp <= last]
@@ -47,22 +48,33 @@ def sweep_from(profiles: Sequence[Profile], poses: Sequence[TimedPose], config: 
         raise DegenerateError(NAME, 'no profile lies within the time of the poses',
                               'record both together')
     ways = q3_first + _ways(interpolate(poses, [first, *(p.stamp for p in inside)]))
-    found: dict[str, list[Array]] = {'ball': [], 'face_c': [], 'face_d': []}
-    arcs: list[tuple[float, Arc]] = []
-    for profile, q3 in zip(inside, ways, strict=True):
-        faces, points = ridge(profile.points, config), profile.points
-        if faces:
-            for name, segment in zip(('face_c', 'face_d'), faces, strict=True):
-                found[name].append(_at(q3, *_face_points(segment, points)))
-        elif arc := _arc(points, config):
-            arcs.append((float(q3), arc))
-    found['ball'] = _ball(arcs, config.target.radius)
+    found = _found(inside, ways, config)
     for what, name in (('ball', 'ball'), ('block', 'face_c')):
         if len(found[name]) < FEWEST_PROFILES:
             raise DegenerateError(NAME, f'{len(found[name])} profiles show the {what}',
                                   f'sweep over it slowly, at least {FEWEST_PROFILES} profiles')
-    ball, face_c, face_d = (np.concatenate(parts) for parts in found.values())
-    return Sweep(ball, face_c, face_d, q30)
+    parts = {name: np.concatenate([rows for _, rows in found[name]]) for name in SWEPT}
+    stamps = {name: np.concatenate([np.full(len(rows), stamp) for stamp, rows in found[name]])
+              for name in SWEPT}
+    return Sweep(**parts, q30=float(np.ptp(ways) / 2 + ways.min()) if q30 is None else q30,
+                 stamps=stamps)
+
+
+def _found(profiles: Sequence[Profile], ways: Array, config: Config
+           ) -> dict[str, list[tuple[int, Array]]]:
+    """Return for each part of the sweep the stamps and the rows of the profiles that show it."""
+    found: dict[str, list[tuple[int, Array]]] = {name: [] for name in SWEPT}
+    arcs: list[tuple[int, float, Arc]] = []
+    for profile, q3 in zip(profiles, ways, strict=True):
+        faces, points = ridge(profile.points, config), profile.points
+        if faces:
+            for name, segment in zip(SWEPT[1:], faces, strict=True):
+                rows = _at(q3, *_face_points(segment, points))
+                found[name].append((profile.stamp, rows))
+        elif arc := _arc(points, config):
+            arcs.append((profile.stamp, float(q3), arc))
+    found['ball'] = _ball(arcs, config.target.radius)
+    return found
 
 
 def _ways(T: Array) -> Array:
@@ -122,15 +134,15 @@ def _arc(points: Array, config: Config) -> Arc | None:
     return arc if enough else None
 
 
-def _ball(arcs: Sequence[tuple[float, Arc]], radius: float) -> list[Array]:
-    """Return the rows of the arcs, without points that the light only grazes."""
-    radius = radius or max((arc.radius for _, arc in arcs), default=0.0)
-    rows = []
-    for q3, arc in arcs:
+def _ball(arcs: Sequence[tuple[int, float, Arc]], radius: float) -> list[tuple[int, Array]]:
+    """Return stamps and rows of the arcs, without points that the light only grazes."""
+    radius = radius or max((arc.radius for *_, arc in arcs), default=0.0)
+    found = []
+    for stamp, q3, arc in arcs:
         steep = np.abs(arc.points[:, 1] - arc.centre[1]) > STEEP * radius
         if steep.any():
-            rows.append(_at(q3, arc.points[steep], arc.std[steep]))
-    return rows
+            found.append((stamp, _at(q3, arc.points[steep], arc.std[steep])))
+    return found
 
 
 def _at(q3: float, points: Array, std: Array) -> Array:
