@@ -163,11 +163,11 @@ def _start(T: Array, T_camera_target: Array) -> State:
 
 def _squares(T: Array, T_camera_target: Array, state: State) -> Array:
     """Return the squared residuals (n,), translations in units of LENGTH."""
-    r = _residuals(T, T_camera_target, state) / np.repeat([LENGTH, 1.0], 3)
+    r = residuals(T, T_camera_target, state) / np.repeat([LENGTH, 1.0], 3)
     return np.asarray((r ** 2).sum(axis=1))
 
 
-def _residuals(T: Array, T_camera_target: Array, state: State) -> Array:
+def residuals(T: Array, T_camera_target: Array, state: State) -> Array:
     """Return the (n, 6) differences of measured and predicted views, in the camera frame."""
     X, Z = state
     predicted = se3.inverse(T @ X) @ Z
@@ -202,7 +202,7 @@ def _factors(T: Array, state: State, noise: PoseNoise) -> Array:
 def _model(T: Array, T_camera_target: Array, noise: PoseNoise) -> Model[State]:
     def blocks(state: State) -> tuple[Array, Array]:
         inverse = np.linalg.inv(_factors(T, state, noise))
-        r = _residuals(T, T_camera_target, state)
+        r = residuals(T, T_camera_target, state)
         return (inverse @ r[..., None])[..., 0], inverse @ _derivatives(T, state)[0]
 
     def retract(state: State, step: Array) -> State:
@@ -215,10 +215,10 @@ def _with_noise(T: Array, T_camera_target: Array, start: State, noise: PoseNoise
     """Return the adjusted state, and the noise that was given or that its residuals show."""
     if noise is not None:
         return adjust(_model(T, T_camera_target, noise), start), noise
-    noise = _seen_noise(_residuals(T, T_camera_target, start), 12)
+    noise = _seen_noise(residuals(T, T_camera_target, start), 12)
     fit = adjust(_model(T, T_camera_target, noise), start)
     for _ in range(ROUNDS):
-        left = _residuals(T, T_camera_target, fit.state)[fit.used]
+        left = residuals(T, T_camera_target, fit.state)[fit.used]
         noise = _seen_noise(left, 12)
         fit = adjust(_model(T, T_camera_target, noise), fit.state)
     return fit, noise
