@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from handeye_ros import features, methods, se3
-from handeye_ros.config import Config, flipped_range, SamplingConfig
-from handeye_ros.data import Array, Feature, Profile, Reject, Sample, TimedPose
+from handeye_ros.config import Config, flipped_range
+from handeye_ros.data import Feature, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import (
     FeatureError,
     MovingError,
@@ -24,82 +24,11 @@ from handeye_ros.errors import (
     PositionUnitError,
     TwoFramesError,
 )
+from handeye_ros.stations import FOREVER, interpolate, NS, Station, StationFinder
+from handeye_ros.stream import LARGEST_STEP, Stream
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
-NS = 1_000_000_000
-MAX_STATION = 10 * NS  # more of one stop adds nothing but memory
-FOREVER = 2**63
 LARGEST_POSITION = 50.0  # of a flange in metres: more is another unit
-
-
-@dataclass(frozen=True, eq=False)
-class Station:
-    """A time during which the robot stood still; poses in order of their stamps."""
-
-    poses: tuple[TimedPose, ...]
-
-    @property
-    def start(self) -> int:
-        """Return the stamp of the first pose."""
-        return self.poses[0].stamp
-
-    @property
-    def end(self) -> int:
-        """Return the stamp of the last pose."""
-        return self.poses[-1].stamp
-
-
-class StationFinder:
-    """Cuts a stream of poses into the times during which the robot stood still."""
-
-    def __init__(self, sampling: SamplingConfig) -> None:
-        """Start with no poses."""
-        self.sampling = sampling
-        self._run: list[TimedPose] = []
-        self._latest = -1
-
-    def add(self, pose: TimedPose) -> Station | None:
-        """Take the next pose; return the station that it ends, if it ends one."""
-        continues = bool(self._run) and self._continues(pose)
-        self._latest = pose.stamp
-        if continues:
-            self._extend(pose)
-            return None
-        ended, self._run = self._run, [pose]
-        return self._station(ended)
-
-    def current(self) -> Station | None:
-        """Return the station that the robot stands in now, if it has stood still for long."""
-        return self._station(self._run)
-
-    def window(self) -> tuple[int, int]:
-        """Return the first and last stamp that can still matter to this stop of the robot."""
-        if not self._run:
-            return 0, FOREVER
-        limited = self.sampling.auto
-        return self._run[0].stamp, self._run[0].stamp + MAX_STATION if limited else FOREVER
-
-    def _extend(self, pose: TimedPose) -> None:
-        """Let a long stop use its first seconds, or its last when samples are asked for."""
-        if pose.stamp - self._run[0].stamp <= MAX_STATION:
-            self._run.append(pose)
-        elif not self.sampling.auto:
-            self._run = [p for p in self._run[1:] if pose.stamp - p.stamp <= MAX_STATION]
-            self._run.append(pose)
-
-    def _continues(self, pose: TimedPose) -> bool:
-        first, limits = self._run[0], self.sampling
-        moved = np.linalg.norm(pose.translation - first.translation)
-        # |q1 - q2| is half the angle between close orientations
-        turned = 2 * min(np.linalg.norm(pose.quaternion - first.quaternion),
-                         np.linalg.norm(pose.quaternion + first.quaternion))
-        return bool(moved <= limits.still_translation and turned <= limits.still_rotation
-                    and pose.stamp - self._latest <= limits.max_pose_gap * NS)
-
-    def _station(self, run: Sequence[TimedPose]) -> Station | None:
-        still = bool(run) and run[-1].stamp - run[0].stamp >= self.sampling.still_time * NS
-        return Station(tuple(run)) if still else None
 
 
 class Session:
@@ -120,10 +49,8 @@ class Session:
         self._taken_until = -1
         self._pose_count = 0
         self._largest_position = 0.0
-        self._last_stamp = {'pose': -1, 'profile': -1}
-        self._frames: dict[str, str] = {}
-        self._conflict: TwoFramesError | None = None
-        self._warnings: Counter[str] = Counter()
+        self._pose_stream: Stream[TimedPose] = Stream('pose')
+        self._profile_stream: Stream[Profile] = Stream('profile')
 
     def set_auto(self, auto: bool) -> None:
         """Take a sample at every stop of the robot from now on, or only when asked."""
@@ -144,16 +71,30 @@ class Session:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return what was dropped on the way, one sentence each."""
-        return tuple(f'{text} ({count} times)' for text, count in self._warnings.items())
+        return self._pose_stream.warnings + self._profile_stream.warnings
 
     @property
     def frame_id(self) -> str:
         """Return the frame of the profiles, empty before the first."""
-        return self._frames.get('profile', '')
+        return self._profile_stream.frame or ''
+
+    @property
+    def conflict(self) -> TwoFramesError | None:
+        """Return the error of a topic with messages of two frames, None if there is none."""
+        return self._pose_stream.conflict or self._profile_stream.conflict
+
+    @property
+    def late(self) -> tuple[str, ...]:
+        """Return what comes with stamps older than before, and is dropped: poses, profiles."""
+        late = {'poses': self._pose_stream.late, 'profiles': self._profile_stream.late}
+        return tuple(kind for kind, is_late in late.items() if is_late)
 
     def add_pose(self, pose: TimedPose) -> None:
         """Take a pose of the flange; one that cannot be used is dropped with a warning."""
-        if self._accept('pose', pose.stamp, pose.parent_frame):
+        self._take_poses(self._pose_stream.add(pose, pose.parent_frame))
+
+    def _take_poses(self, poses: Sequence[TimedPose]) -> None:
+        for pose in poses:
             self._pose_count += 1
             reach = float(np.linalg.norm(pose.translation))
             self._largest_position = max(self._largest_position, reach)
@@ -163,12 +104,11 @@ class Session:
 
     def add_profile(self, profile: Profile) -> None:
         """Take a laser profile; one that cannot be used is dropped with a warning."""
-        if self._accept('profile', profile.stamp, profile.frame_id):
-            self._profiles.append(profile)
+        self._profiles += self._profile_stream.add(profile, profile.frame_id)
 
     def collect(self) -> list[Sample | Reject]:
         """Return what became of the stations that both streams have passed since the last call."""
-        passed = [s for s in self._waiting if self._last_stamp['profile'] > s.end]
+        passed = [s for s in self._waiting if self._profile_stream.latest > s.end]
         self._waiting = [s for s in self._waiting if s not in passed]
         outcomes = [self._outcome(s) for s in passed if s.start > self._taken_until]
         self._outcomes.extend(outcomes)
@@ -181,8 +121,9 @@ class Session:
 
         Raises TwoFramesError when messages of two frames came on one topic.
         """
-        if self._conflict:
-            raise self._conflict
+        self._require_one_frame()
+        self._take_poses(self._pose_stream.rest(FOREVER))
+        self._profiles += self._profile_stream.rest(FOREVER)
         current = self._finder.current()
         if current and self._config.sampling.auto:
             self._waiting.append(current)
@@ -213,11 +154,14 @@ class Session:
 
         Raises MovingError, NoPosesError, or a NoProfilesError or FeatureError with the reason.
         """
-        if self._last_stamp['pose'] < 0:
+        self._require_one_frame()
+        if self._pose_stream.frame is None:
             raise NoPosesError(self._config.pose_topic)
         station = self._finder.current()
         if station is None:
             raise MovingError(self._config.sampling.still_time)
+        # a sensor that is triggered once at each stop sends no next profile before it is asked
+        self._profiles += self._profile_stream.rest(station.end + LARGEST_STEP)
         if station.start <= self._taken_until:
             self._outcomes = [o for o in self._outcomes if o.stamp < station.start]
         sample = self._sample(station)
@@ -250,18 +194,9 @@ class Session:
         outcome = self._outcome(station)
         return outcome if isinstance(outcome, Sample) else None
 
-    def _accept(self, kind: str, stamp: int, frame: str) -> bool:
-        first = self._frames.setdefault(kind, frame)
-        if frame != first:
-            self._conflict = TwoFramesError(kind, first, frame)
-            self._warnings[f'dropped a {kind} of frame "{frame}"'] += 1
-            return False
-        if stamp <= self._last_stamp[kind]:
-            self._warnings[f'dropped a {kind} whose stamp is not later than the one before: '
-                           'clear the samples if a bag was started again'] += 1
-            return False
-        self._last_stamp[kind] = stamp
-        return True
+    def _require_one_frame(self) -> None:
+        if self.conflict:
+            raise self.conflict
 
     def _outcome(self, station: Station) -> Sample | Reject:
         try:
@@ -310,19 +245,3 @@ class Session:
         oldest = min([*starts, first])
         newest = max([*(s.end for s in self._waiting), last])
         self._profiles = [p for p in self._profiles if oldest <= p.stamp <= newest]
-
-
-def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
-    """
-    Return the poses T_base_flange (n, 4, 4) at n stamps within the time of the given poses.
-
-    Linear in the translation, slerp in the rotation. Raises ValueError outside.
-    """
-    times = np.array([p.stamp - poses[0].stamp for p in poses], dtype=float)
-    at = np.array([s - poses[0].stamp for s in stamps], dtype=float)
-    if at.min() < times[0] or at.max() > times[-1]:
-        raise ValueError('a stamp lies outside the time of the poses')
-    translations = np.array([p.translation for p in poses])
-    rotations = Slerp(times, Rotation.from_quat([p.quaternion for p in poses]))(at)
-    translation = np.column_stack([np.interp(at, times, column) for column in translations.T])
-    return se3.transform(rotations.as_matrix(), translation)

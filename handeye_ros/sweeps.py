@@ -15,8 +15,8 @@ from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Profile, TimedPose
 from handeye_ros.errors import DegenerateError, FeatureError
 from handeye_ros.methods.tracker_model import Sweep, SWEPT
-from handeye_ros.pairing import interpolate
 from handeye_ros.segment import noise_level, Segment, straight_segments
+from handeye_ros.stations import interpolate
 import numpy as np
 
 NAME = 'the sweep over ball and block'

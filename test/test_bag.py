@@ -366,6 +366,33 @@ def test_time_that_starts_again_is_refused(tmp_path):
         bag.read(file, CONFIG)
 
 
+@pytest.mark.parametrize('topic', ['/profile', '/flange_pose'])
+@pytest.mark.parametrize('wild', [1, START - 10**18, START + 20 * 10**9, 2_100_000_000 * 10**9])
+@pytest.mark.parametrize('places', [[0], [15], [28, 29], [3, 4, 20]])
+def test_a_few_wild_stamps_are_dropped_and_told(folder, tmp_path, topic, wild, places):
+    items = PROFILES if topic == '/profile' else POSES
+    stamps = {item.stamp: item.stamp for item in items}
+    stamps |= {items[i].stamp: wild + i for i in places}
+    file = rewrite_with_header_stamps(folder, tmp_path, [topic], stamps.__getitem__)
+    recording = bag.read(file, CONFIG)
+    kept = recording.profiles if topic == '/profile' else recording.poses
+    inside = {p.stamp for p in kept} - {wild + i for i in places}
+    assert inside == {item.stamp for i, item in enumerate(items) if i not in places}
+    # what is wild at an end of the recording is in order, and far from all stations
+    inner = [i for i in places if 0 < i < len(items) - 2]
+    assert len(kept) <= len(items) - len(inner)
+    if inner:
+        warning, = recording.warnings
+        assert f'of {len(items)} messages on {topic} were left out: their stamps' in warning
+
+
+def test_two_interleaved_runs_are_refused(folder, tmp_path):
+    shift = {p.stamp: p.stamp - i % 2 * 60 * 10**9 for i, p in enumerate(POSES)}
+    file = rewrite_with_header_stamps(folder, tmp_path, ['/flange_pose'], shift.__getitem__)
+    with pytest.raises(TimeBackwardsError, match='two runs'):
+        bag.read(file, CONFIG)
+
+
 def test_a_driver_without_stamps_gets_the_times_of_receipt(folder, tmp_path):
     file = rewrite_with_header_stamps(folder, tmp_path, ['/profile'], lambda _: 0)
     recording = bag.read(file, CONFIG)
@@ -422,6 +449,15 @@ def test_poses_from_a_chain_of_transforms(folder, tmp_path):
     for i, pose in enumerate(recording.poses):
         np.testing.assert_allclose(pose.translation, [0.01 * i, 0.1, 0.5], atol=1e-12)
         np.testing.assert_allclose(pose.quaternion, [0, 0, half, half], atol=1e-12)
+
+
+def test_a_wild_stamp_in_the_transforms_is_dropped(folder, tmp_path):
+    moving = [(START + i * POSES_PERIOD, [transform(
+        START + i * POSES_PERIOD if i != 50 else 1, 'base', 'flange', (0.01 * i, 0.0, 0.0))])
+        for i in range(100)]
+    recording = bag.read(tf_bag(folder, tmp_path, moving, []), Config(pose_source='tf'))
+    assert len(recording.poses) == 99
+    assert '1 of 100 messages on /tf (frame flange) were left out' in recording.warnings[0]
 
 
 def test_a_chain_with_a_link_missing_names_the_frames(folder, tmp_path):

@@ -17,7 +17,8 @@ from handeye_ros.errors import (
     PositionUnitError,
     TwoFramesError,
 )
-from handeye_ros.pairing import interpolate, MAX_STATION, NS, Session
+from handeye_ros.pairing import Session
+from handeye_ros.stations import interpolate, MAX_STATION, NS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -237,6 +238,60 @@ def test_time_that_goes_backwards_is_dropped_and_counted() -> None:
     assert len(session.samples) == 1 and session.samples[0].T_base_flange[0, 3] == 0
     kinds = [(w.split(' whose')[0], w.rsplit('(', 1)[1]) for w in session.warnings]
     assert kinds == [('dropped a pose', '4 times)'), ('dropped a profile', '1 times)')]
+
+
+@pytest.mark.parametrize('jump', [-1e9, -30.0, 1.5, 30.0, 1e9])
+@pytest.mark.parametrize('kind', ['pose', 'profile'])
+@pytest.mark.parametrize('place', [0, 7, 8])
+def test_one_wild_stamp_changes_nothing_but_that_message(
+        jump: float, kind: str, place: int) -> None:
+    streams: dict[str, list[TimedPose | Profile]] = {
+        'pose': [*STREAM_POSES], 'profile': [*STREAM_PROFILES]}
+    wild = streams[kind][place]
+    items = sorted([*STREAM_POSES, *STREAM_PROFILES], key=lambda item: item.stamp)
+    outcomes = []
+    for left_out in (True, False):
+        session = Session(CONFIG)
+        for item in items:
+            if item is not wild:
+                add(session, item)
+            elif not left_out:
+                add(session, replace(item, stamp=item.stamp + round(jump * NS)))
+            session.collect()
+        session.finish()
+        outcomes.append(key(session._outcomes))
+        assert not session.late
+    assert outcomes[0] == outcomes[1]
+    # the first of all may be early: nothing tells that it is
+    assert len(session.warnings) == (0 if place == 0 and jump < 0 else 1)
+
+
+def test_a_sensor_that_is_triggered_once_at_each_stop() -> None:
+    session = Session(MANUAL)
+    for stop in (0, 20, 40):
+        for t in np.arange(stop, stop + 1, 0.02):
+            add(session, pose(t, x=0.01 * stop))
+        add(session, profile(stop + 0.5))
+        sample = session.take_sample()
+        assert (sample.profiles, sample.stamp) == (1, START + round((stop + 0.5) * NS))
+    assert len(session.samples) == 3 and not session.warnings
+
+
+def test_a_clock_that_is_set_goes_on() -> None:
+    late = [*stops((100, 101)), *profiles(100, 101)]
+    session = played([*stops((0, 1)), *late], [*profiles(0, 1)])
+    assert len(session.samples) == 2 and not session.warnings
+
+
+def test_a_bag_that_starts_again_is_late_until_the_samples_are_cleared() -> None:
+    session = played(stops((0, 1)), profiles(0, 1), finish=False)
+    assert session.late == ()
+    add(session, pose(0.0))
+    assert session.late == ('poses',)
+    add(session, profile(0.0))
+    assert session.late == ('poses', 'profiles')
+    session.clear()
+    assert session.late == ()
 
 
 @pytest.mark.parametrize('kind', ['pose', 'profile'])

@@ -4,6 +4,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 import hashlib
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -28,14 +29,13 @@ from handeye_ros.ros.messages import (
 )
 from handeye_ros.ros.storage import scan
 from handeye_ros.ros.transforms import FlangeTracker
+from handeye_ros.stream import in_order, LARGEST_STEP
 from rosbags.serde import SerdeError
 from rosbags.typesys import get_typestore, Stores
 
 CLOUD = 'sensor_msgs/msg/PointCloud2'
 POSE = 'geometry_msgs/msg/PoseStamped'
 TF = 'tf2_msgs/msg/TFMessage'
-
-LARGEST_STEP_BACK = 1_000_000_000  # ns; what lies within was only reordered on its way
 
 T = TypeVar('T')
 Stamped = TypeVar('Stamped', Profile, TimedPose)
@@ -93,8 +93,8 @@ class _Reader:
         topic = full_name(topic)
         decoded = self._decoded(key, topic, kind, convert)
         stamped = self._stamped(topic, decoded)
-        _check_order(topic, [item.stamp for item in stamped])
-        return sorted(stamped, key=lambda item: item.stamp)
+        fitting = self._in_order(topic, [(item.stamp, item) for item in stamped])
+        return sorted(fitting, key=lambda item: item.stamp)
 
     def transforms(self, config: Config) -> list[TimedPose]:
         """Return the poses that the transform tree of the bag holds."""
@@ -106,10 +106,12 @@ class _Reader:
                 tracker.add(messages, static=True)
         moving = [transforms for transforms, _ in
                   self._decoded('pose_source', '/tf', TF, _transforms)]
-        for child in dict.fromkeys(t.child_frame_id for ts in moving for t in ts):
-            _check_order(f'/tf (frame {child})', [stamp_of(t.header) for ts in moving for t in ts
-                                                  if t.child_frame_id == child])
-        poses = [pose for transforms in moving for pose in tracker.add(transforms, static=False)]
+        fitting = {id(t) for child in dict.fromkeys(t.child_frame_id for ts in moving for t in ts)
+                   for t in self._in_order(f'/tf (frame {child})', [
+                       (stamp_of(t.header), t) for ts in moving for t in ts
+                       if t.child_frame_id == child])}
+        poses = [pose for ts in moving
+                 for pose in tracker.add([t for t in ts if id(t) in fitting], static=False)]
         if not poses:
             raise BagError(self._path, 'no flange poses in its transforms: '
                            + (tracker.missing() or 'they share no time')
@@ -160,19 +162,33 @@ class _Reader:
                                        'which they were recorded are used')
         return [replace(item, stamp=raw.log_time) for item, raw in decoded]
 
+    def _in_order(self, topic: str, stamped: Sequence[tuple[int, T]]) -> list[T]:
+        """Return what fits the order of the stamps; raises TimeBackwardsError."""
+        stamps = [stamp for stamp, _ in stamped]
+        fits = in_order(stamps)
+        if fits is None:
+            raise TimeBackwardsError(topic, *_first_jump_back(stamps))
+        wrong = [index for index, right in enumerate(fits) if not right]
+        if wrong:
+            self._contents.warnings.append(
+                f'{len(wrong)} of {len(stamps)} messages on {topic} were left out: their stamps '
+                f'are far from those around them (first message {wrong[0] + 1}, of '
+                f'{stamps[wrong[0]] * 1e-9:.3f} s)')
+        return [item for (_, item), right in zip(stamped, fits, strict=True) if right]
+
+
+def _first_jump_back(stamps: Sequence[int]) -> tuple[int, float]:
+    """Return the index behind the first jump back, and by how many seconds it goes."""
+    for index, latest in enumerate(accumulate(stamps, max)):
+        if latest - stamps[index] > LARGEST_STEP:
+            return index, (latest - stamps[index]) * 1e-9
+    raise ValueError('the stamps never jump back')
+
 
 def _transforms(msg: Any) -> Any:
     for transform in msg.transforms:
         pose_from_transform(transform)  # raises where one is malformed
     return msg.transforms
-
-
-def _check_order(topic: str, stamps: Sequence[int]) -> None:
-    latest = 0
-    for index, stamp in enumerate(stamps):
-        if latest - stamp > LARGEST_STEP_BACK:
-            raise TimeBackwardsError(topic, index, (latest - stamp) * 1e-9)
-        latest = max(latest, stamp)
 
 
 def _check_frames(kind: str, frames: Iterable[str]) -> None:

@@ -13,8 +13,8 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
-from handeye_ros.pairing import interpolate
 from handeye_ros.ros.messages import pose_from_transform
+from handeye_ros.stations import interpolate
 import numpy as np
 
 KEPT = 1000  # transforms of a link: 10 s of a robot driver at 100 Hz

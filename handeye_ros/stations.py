@@ -1,0 +1,100 @@
+"""When the robot stood still, cut out of a stream of poses, and where it was in between."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from handeye_ros import se3
+from handeye_ros.config import SamplingConfig
+from handeye_ros.data import Array, TimedPose
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+NS = 1_000_000_000
+MAX_STATION = 10 * NS  # more of one stop adds nothing but memory
+FOREVER = 2**63
+
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    """A time during which the robot stood still; poses in order of their stamps."""
+
+    poses: tuple[TimedPose, ...]
+
+    @property
+    def start(self) -> int:
+        """Return the stamp of the first pose."""
+        return self.poses[0].stamp
+
+    @property
+    def end(self) -> int:
+        """Return the stamp of the last pose."""
+        return self.poses[-1].stamp
+
+
+class StationFinder:
+    """Cuts a stream of poses into the times during which the robot stood still."""
+
+    def __init__(self, sampling: SamplingConfig) -> None:
+        """Start with no poses."""
+        self.sampling = sampling
+        self._run: list[TimedPose] = []
+        self._latest = -1
+
+    def add(self, pose: TimedPose) -> Station | None:
+        """Take the next pose; return the station that it ends, if it ends one."""
+        continues = bool(self._run) and self._continues(pose)
+        self._latest = pose.stamp
+        if continues:
+            self._extend(pose)
+            return None
+        ended, self._run = self._run, [pose]
+        return self._station(ended)
+
+    def current(self) -> Station | None:
+        """Return the station that the robot stands in now, if it has stood still for long."""
+        return self._station(self._run)
+
+    def window(self) -> tuple[int, int]:
+        """Return the first and last stamp that can still matter to this stop of the robot."""
+        if not self._run:
+            return 0, FOREVER
+        limited = self.sampling.auto
+        return self._run[0].stamp, self._run[0].stamp + MAX_STATION if limited else FOREVER
+
+    def _extend(self, pose: TimedPose) -> None:
+        """Let a long stop use its first seconds, or its last when samples are asked for."""
+        if pose.stamp - self._run[0].stamp <= MAX_STATION:
+            self._run.append(pose)
+        elif not self.sampling.auto:
+            self._run = [p for p in self._run[1:] if pose.stamp - p.stamp <= MAX_STATION]
+            self._run.append(pose)
+
+    def _continues(self, pose: TimedPose) -> bool:
+        first, limits = self._run[0], self.sampling
+        moved = np.linalg.norm(pose.translation - first.translation)
+        # |q1 - q2| is half the angle between close orientations
+        turned = 2 * min(np.linalg.norm(pose.quaternion - first.quaternion),
+                         np.linalg.norm(pose.quaternion + first.quaternion))
+        return bool(moved <= limits.still_translation and turned <= limits.still_rotation
+                    and pose.stamp - self._latest <= limits.max_pose_gap * NS)
+
+    def _station(self, run: Sequence[TimedPose]) -> Station | None:
+        still = bool(run) and run[-1].stamp - run[0].stamp >= self.sampling.still_time * NS
+        return Station(tuple(run)) if still else None
+
+
+def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
+    """
+    Return the poses T_base_flange (n, 4, 4) at n stamps within the time of the given poses.
+
+    Linear in the translation, slerp in the rotation. Raises ValueError outside.
+    """
+    times = np.array([p.stamp - poses[0].stamp for p in poses], dtype=float)
+    at = np.array([s - poses[0].stamp for s in stamps], dtype=float)
+    if at.min() < times[0] or at.max() > times[-1]:
+        raise ValueError('a stamp lies outside the time of the poses')
+    translations = np.array([p.translation for p in poses])
+    rotations = Slerp(times, Rotation.from_quat([p.quaternion for p in poses]))(at)
+    translation = np.column_stack([np.interp(at, times, column) for column in translations.T])
+    return se3.transform(rotations.as_matrix(), translation)
