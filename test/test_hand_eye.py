@@ -106,7 +106,7 @@ def test_derivatives_are_those_of_the_residuals() -> None:
                    (np.array([se3.perturb(pose, step) for pose in T]), (X, Z))]
         expected = (by_state[:, :, k], by_state[:, :, 6 + k], by_pose[:, :, k])
         for (poses, state), slope in zip(changed, expected, strict=True):
-            r = hand_eye._residuals(poses, views, state)
+            r = hand_eye.residuals(poses, views, state)
             np.testing.assert_allclose(r / 1e-6, slope, atol=1e-5)
 
 

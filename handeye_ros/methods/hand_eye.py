@@ -13,6 +13,7 @@ from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.adjust import adjust, Adjusted, Model
+from handeye_ros.components import first_variances, variance_components
 from handeye_ros.data import Array
 from handeye_ros.errors import DegenerateError, OneAxisError, OneOrientationError, TooFewError
 from handeye_ros.identify import name_direction, other_axes, SMALLEST_TURN, turning
@@ -40,7 +41,11 @@ State: TypeAlias = tuple[Array, Array]
 
 @dataclass(frozen=True)
 class PoseNoise:
-    """1 sigma of each axis: of the target's pose as seen (camera frame), and of the robot's."""
+    """
+    1 sigma of each axis: of the target's pose as seen (camera frame), and of the robot's.
+
+    Where it is estimated, target_translation holds that of both, which look alike.
+    """
 
     target_translation: float
     target_rotation: float
@@ -215,19 +220,30 @@ def _with_noise(T: Array, T_camera_target: Array, start: State, noise: PoseNoise
     """Return the adjusted state, and the noise that was given or that its residuals show."""
     if noise is not None:
         return adjust(_model(T, T_camera_target, noise), start), noise
-    noise = _seen_noise(residuals(T, T_camera_target, start), 12)
-    fit = adjust(_model(T, T_camera_target, noise), start)
+    parts, r = _parts(T, start), residuals(T, T_camera_target, start)
+    fit = adjust(_model(T, T_camera_target, _pose_noise(first_variances(r, parts))), start)
     for _ in range(ROUNDS):
-        left = residuals(T, T_camera_target, fit.state)[fit.used]
-        noise = _seen_noise(left, 12)
+        r = residuals(T, T_camera_target, fit.state)[fit.used]
+        J, parts = _derivatives(T, fit.state)[0][fit.used], _parts(T[fit.used], fit.state)
+        noise = _pose_noise(variance_components(r, J, parts, first_variances(r, parts)))
         fit = adjust(_model(T, T_camera_target, noise), fit.state)
+    assert noise
     return fit, noise
 
 
-def _seen_noise(residuals: Array, unknowns: int) -> PoseNoise:
-    """Return the noise of residuals (n, 6), robust while some may be wrong."""
-    n = len(residuals)
-    lengths = np.linalg.norm(residuals.reshape(n, 2, 3), axis=2)
-    seen = np.median(lengths, axis=0) / 1.538  # the median of a chi distribution of 3
-    seen *= np.sqrt(6 * n / max(6 * n - unknowns, 1))
-    return PoseNoise(*(max(float(s), SMALLEST_NOISE) for s in seen))
+def _parts(T: Array, state: State) -> Array:
+    """
+    Return what unit variances do to the residuals, (3, n, 6, 6).
+
+    Of translation, of the target's rotation, of the robot's, which shifts the target too. The
+    translations of target and robot have the same effect: they are one.
+    """
+    own = np.broadcast_to(np.eye(6), (len(T), 6, 6))
+    by_turn = _derivatives(T, state)[1][:, :, 3:]
+    return np.array([own * ([1] * 3 + [0] * 3), own * ([0] * 3 + [1] * 3),
+                     by_turn @ np.swapaxes(by_turn, 1, 2)])
+
+
+def _pose_noise(variances: Array) -> PoseNoise:
+    shift, turn, robot_turn = np.maximum(np.sqrt(variances), SMALLEST_NOISE).tolist()
+    return PoseNoise(shift, turn, robot_rotation=robot_turn)
