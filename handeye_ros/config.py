@@ -16,6 +16,7 @@ from handeye_ros.errors import BadValueError, InputError, UnknownKeyError
 import yaml
 
 SIGNED_AXES = ('x', 'y', 'z', '-x', '-y', '-z')
+UNNAMED_FRAME = 'sensor'  # what the frame of profiles without a frame_id is called
 
 
 def _key(default: Any, description: str, **limits: Any) -> Any:

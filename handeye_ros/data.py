@@ -20,15 +20,17 @@ class Profile:
     """
     One laser profile, in the sensor's own plane.
 
-    points: (n, 2), along the laser line and range, in the order the driver sent them;
+    points: (n, 2), along the laser line and range, in the order of the line, either way;
     a row with NaN is a column without a return.
     axes: the signed axes of frame_id that the two columns of points run along.
+    beside: the third coordinate in frame_id, across the plane (metres); it is not used.
     """
 
     stamp: int
     frame_id: str
     points: Array
     axes: tuple[str, str] = ('x', 'z')
+    beside: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,8 +64,12 @@ class TwoFramesError(InputError):
     """Messages of two frames on one topic."""
 
     def __init__(self, kind: str, first: str, second: str) -> None:
-        super().__init__(f'the {kind} topic carries two frames, "{first}" and "{second}": they '
-                         'cannot be one sensor; give each its own topic')
+        cannot, advice = {
+            'profile': ('of one sensor', 'give each sensor its own topic'),
+            'pose': ('in one robot base', 'let only one node publish them, in one frame'),
+        }[kind]
+        super().__init__(f'the {kind} topic carries two frames, "{first}" and "{second}": the '
+                         f'{kind}s cannot be {cannot}; {advice}')
 
 
 class NoPosesError(DataError):

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from handeye_ros import features, methods, se3
-from handeye_ros.config import Config, flipped_range
+from handeye_ros.config import Config, flipped_range, UNNAMED_FRAME
 from handeye_ros.data import Feature, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import (
     FeatureError,
@@ -24,6 +24,7 @@ from handeye_ros.errors import (
     PositionUnitError,
     TwoFramesError,
 )
+from handeye_ros.notes import frame_notes
 from handeye_ros.stations import FOREVER, interpolate, NS, Station, StationFinder
 from handeye_ros.stream import LARGEST_STEP, Stream
 import numpy as np
@@ -49,6 +50,7 @@ class Session:
         self._taken_until = -1
         self._pose_count = 0
         self._largest_position = 0.0
+        self._beside = 0.0
         self._pose_stream: Stream[TimedPose] = Stream('pose')
         self._profile_stream: Stream[Profile] = Stream('profile')
 
@@ -71,12 +73,14 @@ class Session:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return what was dropped on the way, one sentence each."""
-        return self._pose_stream.warnings + self._profile_stream.warnings
+        notes = frame_notes(self._profile_stream.frame, self._beside, self._config)
+        return (*self._pose_stream.warnings, *self._profile_stream.warnings, *notes)
 
     @property
     def frame_id(self) -> str:
         """Return the frame of the profiles, empty before the first."""
-        return self._profile_stream.frame or ''
+        frame = self._profile_stream.frame
+        return '' if frame is None else frame or UNNAMED_FRAME
 
     @property
     def conflict(self) -> TwoFramesError | None:
@@ -104,6 +108,7 @@ class Session:
 
     def add_profile(self, profile: Profile) -> None:
         """Take a laser profile; one that cannot be used is dropped with a warning."""
+        self._beside = max(self._beside, abs(profile.beside))
         self._profiles += self._profile_stream.add(profile, profile.frame_id)
 
     def collect(self) -> list[Sample | Reject]:

@@ -294,6 +294,26 @@ def test_a_bag_that_starts_again_is_late_until_the_samples_are_cleared() -> None
     assert session.late == ()
 
 
+@pytest.mark.parametrize(('frame', 'beside', 'name', 'words'), [
+    ('laser', 0.0005, 'laser', None), ('', 0.0, 'sensor', 'have no frame_id'),
+    ('flange', 0.0, 'flange', 'is a frame of the robot'),
+    ('laser', -0.012, 'laser', 'up to 12.0 mm beside the plane of x and z')])
+def test_what_is_odd_about_the_frame_of_the_profiles_is_told(
+        frame: str, beside: float, name: str, words: str | None) -> None:
+    odd = [replace(p, frame_id=frame, beside=beside) for p in profiles(0, 1)]
+    session = played(stops((0, 1)), odd)
+    assert len(session.samples) == 1 and session.frame_id == name
+    assert len(session.warnings) == (words is not None)
+    assert words is None or words in session.warnings[0]
+
+
+@pytest.mark.parametrize(('kind', 'words'), [
+    ('pose', 'the poses cannot be in one robot base'),
+    ('profile', 'the profiles cannot be of one sensor')])
+def test_two_frames_are_told_apart_by_topic(kind: str, words: str) -> None:
+    assert words in str(TwoFramesError(kind, 'a', 'b'))
+
+
 @pytest.mark.parametrize('kind', ['pose', 'profile'])
 def test_two_frames_on_one_topic_are_refused(kind: str) -> None:
     session = played(stops((0, 1)), profiles(0, 1), finish=False)

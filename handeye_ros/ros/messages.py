@@ -7,23 +7,20 @@ message raises MessageError and nothing else.
 """
 from __future__ import annotations
 
+from dataclasses import replace
 import math
 from typing import Any
 
 from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.errors import MessageError
+from handeye_ros.ros.points import along_the_line, require_one_plane, require_unit, returns
 import numpy as np
 
 # sensor_msgs/PointField: datatype -> numpy
 DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 
 UNITS = {'m': 1.0, 'mm': 1e-3}
-
-# No line profiler measures so far (m): a coordinate beyond is no return, and when most
-# are, or with mm all lie nearer than NEAR, the unit is wrong.
-FAR = 10.0
-NEAR = 1e-3
 
 LARGEST_POSITION = 1e6  # m; a robot in mm stays below, so that the solver can name that slip
 
@@ -35,20 +32,44 @@ def stamp_of(header: Any) -> int:
 
 def profile_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
     """
-    Return the profile in a sensor_msgs/PointCloud2, in metres.
+    Return the profile in a sensor_msgs/PointCloud2, in metres and in the order of the line.
 
-    A point with any value that is not finite, or farther than FAR, is no return: NaN in both
-    columns; rows of the message follow each other. A cloud without points is a profile
+    A point with any value that is not finite, or that cannot be measured, is no return: NaN in
+    both columns; rows of the message follow each other. A cloud without points is a profile
     without returns. Raises MessageError.
 
     """
-    if int(msg.width) * int(msg.height) == 0:
-        points = np.empty((0, 2))
-    else:
-        points = np.column_stack([_column(msg, axis) for axis in config.axes])
-        points = _in_metres(points, config.unit)
     along, across = config.axes
-    return Profile(stamp_of(msg.header), str(msg.header.frame_id), points, (along, across))
+    profile = Profile(stamp_of(msg.header), frame_name(msg.header.frame_id), np.empty((0, 2)),
+                      (along, across))
+    if int(msg.width) * int(msg.height) == 0:
+        return profile
+    columns = (_column(msg, along), _column(msg, across), _beside(msg, config))
+    points = np.column_stack(columns) * UNITS[config.unit]
+    require_unit(points, config.unit)
+    plain = (along[-1], across[-1], _third(config))
+    seen = points[returns(points)]
+    require_one_plane(seen, plain)
+    beside = float(np.nan_to_num(np.median(seen[:, 2]))) if len(seen) else 0.0
+    return replace(profile, points=along_the_line(points[:, :2], plain), beside=beside)
+
+
+def frame_name(frame_id: str) -> str:
+    """Return the name of a frame as tf2 has it, without the slash of ROS 1."""
+    return str(frame_id).removeprefix('/')
+
+
+def _third(config: ProfileConfig) -> str:
+    """Return the axis that is not in the sensor plane."""
+    return ({'x', 'y', 'z'} - {axis[-1] for axis in config.axes}).pop()
+
+
+def _beside(msg: Any, config: ProfileConfig) -> Array:
+    """Return the coordinates across the sensor plane (n,), NaN where the message has none."""
+    try:
+        return _column(msg, _third(config))
+    except MessageError:
+        return np.full(int(msg.width) * int(msg.height), np.nan)
 
 
 def _column(msg: Any, axis: str) -> Array:
@@ -87,7 +108,7 @@ def _field(msg: Any, name: str) -> Any:
 def _layout(msg: Any, height: int, width: int) -> tuple[int, int, Any]:
     """Return the steps in bytes and the buffer, which is long enough for all points."""
     point_step, row_step = int(msg.point_step), int(msg.row_step)
-    if height == 1:  # drivers of unorganised clouds often leave row_step unset
+    if height == 1 or row_step == 0:  # drivers often leave it unset
         row_step = width * point_step
     if point_step == 0:
         raise MessageError('PointCloud2', 'point_step is 0')
@@ -100,23 +121,6 @@ def _layout(msg: Any, height: int, width: int) -> tuple[int, int, Any]:
                            f'{needed} bytes, but data holds {len(msg.data)}')
     data = np.asarray(msg.data, np.uint8) if isinstance(msg.data, list) else msg.data
     return point_step, row_step, data
-
-
-def _in_metres(points: Array, unit: str) -> Array:
-    """Return points (n, 2) in metres with NaN rows for no return."""
-    points = points * UNITS[unit]
-    reach = np.abs(points).max(axis=1)
-    finite = np.isfinite(reach)
-    far = finite & (reach > FAR)
-    if far.sum() > finite.sum() / 2:
-        raise MessageError('PointCloud2', f'coordinates reach {reach[far].max():.3g} m'
-                           + (': set profile.unit to mm' if unit == 'm' else ''))
-    largest = reach[finite & ~far].max(initial=0.0)
-    if unit == 'mm' and 0.0 < largest < NEAR:
-        raise MessageError('PointCloud2', f'no coordinate is larger than {largest * 1e3:.3g} mm: '
-                           'set profile.unit to m')
-    points[~finite | far] = np.nan
-    return points
 
 
 def pose_from_stamped(msg: Any) -> TimedPose:
@@ -144,4 +148,4 @@ def _pose(kind: str, header: Any, position: Any, rotation: Any) -> TimedPose:
         raise MessageError(kind, f'quaternion of length {norm:.4g}, expected 1')
     sign = -1.0 if quaternion[3] < 0 else 1.0
     return TimedPose(stamp_of(header), np.array(translation),
-                     np.array(quaternion) * (sign / norm), str(header.frame_id))
+                     np.array(quaternion) * (sign / norm), frame_name(header.frame_id))

@@ -1,0 +1,26 @@
+"""What a user should know of the frame of the profiles, though it stops no calibration."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from handeye_ros.config import Config, UNNAMED_FRAME
+
+LARGEST_BESIDE = 1e-3  # m; of profiles beside their plane that need not be told
+
+
+def frame_notes(frame: str | None, beside: float, config: Config) -> Iterator[str]:
+    """
+    Yield what does not fit, one sentence each.
+
+    frame: of the profiles, None before the first; beside: how far they lie beside their plane
+    (metres).
+    """
+    if frame == '':
+        yield f'the profiles have no frame_id: the result calls their frame "{UNNAMED_FRAME}"'
+    elif frame in (config.robot_base_frame, config.robot_effector_frame):
+        yield (f'the profiles have the frame_id "{frame}", which is a frame of the robot: give '
+               'the sensor one of its own in its driver')
+    if beside > LARGEST_BESIDE:
+        yield (f'the profiles lie up to {beside * 1e3:.1f} mm beside the plane of '
+               f'{" and ".join(config.profile.axes)} in their frame: that coordinate is not '
+               'used, and the result holds for points in the plane')
