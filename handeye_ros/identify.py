@@ -108,15 +108,15 @@ def require_certain(solution: Solution, config: Config) -> None:
     Raises TooUncertainError, which names the direction and the motion that is missing.
     """
     limits, frame = config.limits, mount_frame(config)
-    missing = missing_motion(solution.problem.poses, frame)
     turn_std, axis = worst_rotation(solution.stated)
     if turn_std > limits.rotation:
         raise TooUncertainError.rotation(name_direction(axis, frame), turn_std, limits.rotation,
-                                         missing)
+                                         missing_motion(solution.problem.poses, frame))
     shift_std, direction = worst_translation(solution.stated)
     if shift_std > limits.translation:
         raise TooUncertainError.translation(name_direction(direction, frame), shift_std,
-                                            limits.translation, missing)
+                                            limits.translation,
+                                            missing_motion(solution.problem.poses, frame))
 
 
 def missing_motion(poses: Array, frame: str) -> str:

@@ -38,6 +38,7 @@ CHANCE_FACTOR = 0.5  # a variance factor between this and 1 says nothing
 SMALLEST_FACTOR = 1e-3
 MOST_FREEDOM = 6  # of a station's residuals: a pose has no more
 FALSE_ALARM = 1e-3  # of a good recording losing one station
+NEAR = 1e-3  # step length in sigmas that ends a round of annealing
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +107,8 @@ def _refined(problem: Problem, estimate: Estimate) -> _Trial:
             break
         width = max(control, scale)
         weights = (width / (width + squares)) ** 2
-        estimate = least_squares(problem, estimate, Noise(), weights, iterations=4)
+        estimate = least_squares(problem, estimate, Noise(), weights, iterations=4,
+                                 converged=NEAR)
         problem = _relabelled(whole, estimate)
         squares, before, control = _squares(problem, estimate), spread, control / 2
     return _Trial(problem, estimate, squares)

@@ -13,6 +13,8 @@ from handeye_ros.data import Array
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+SMALLEST_ANGLE = 1e-30  # rad: keeps sin(a) / a defined
+
 
 def transform(rotation: Array, translation: Array) -> Array:
     """Return the (..., 4, 4) transform of (..., 3, 3) rotation and (..., 3) translation."""
@@ -39,10 +41,10 @@ def exp_rotation(vector: Array) -> Array:
 
     Rodrigues' formula; it is in the innermost loop, where a general library is slow.
     """
-    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    angle = np.sqrt((vector * vector).sum(axis=-1))[..., None, None] + SMALLEST_ANGLE
     S = skew(vector)
-    half = np.sinc(angle / (2 * np.pi))
-    return cast(Array, np.eye(3) + np.sinc(angle / np.pi) * S + 0.5 * half * half * (S @ S))
+    half = 2 * np.sin(angle / 2) / angle
+    return cast(Array, np.eye(3) + np.sin(angle) / angle * S + 0.5 * half * half * (S @ S))
 
 
 def log_rotation(R: Array) -> Array:

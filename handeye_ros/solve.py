@@ -21,10 +21,12 @@ MAX_ITERATIONS = 50
 LARGEST_STD = 1e3  # stands for infinity (m or rad)
 SMALLEST_STD = 1e-9  # of a feature without any noise, which would weigh infinitely (m)
 DISTORTION_LENGTH = 0.01  # over which the error of a sensor's field is alike (m)
-MAX_DAMPINGS = 12
+FIRST_DAMPING, DAMPING_FACTOR, MAX_DAMPINGS = 1e-4, 30.0, 8
 COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on after them
 ROUNDING = 1e-12  # keeps a covariance invertible that one pose error rules
-CONVERGED = 1e-10  # step length in sigmas
+CONVERGED = 1e-8  # step length in sigmas
+ROUNDING_OF_COST = 1e-9  # relative; whitened residuals are differences of large numbers
+NEAR = 1e-6  # that of a start (m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,12 +152,18 @@ def covariances(problem: Problem, linear: Linear, rows: NDArray[np.intp]) -> tup
     H = linear.by_feature[rows]
     shared = source[:, :, None] == source[:, None, :]
     feature = (H @ np.swapaxes(H, 1, 2)) * shared + SMALLEST_STD ** 2 * np.eye(rows.shape[1])
-    points, D = obs.points[rows], linear.by_point[rows]
-    apart = points[:, :, None] - points[:, None, :]
-    near = np.exp(-0.5 * (apart ** 2).sum(axis=3) / DISTORTION_LENGTH ** 2)
-    distortion = noise.distortion ** 2 * near * (D @ np.swapaxes(D, 1, 2))
+    distortion = _distortion(obs.points[rows], linear.by_point[rows], noise.distortion)
     G = linear.by_pose[rows] * np.repeat([noise.robot_translation, noise.robot_rotation], 3)
     return feature, distortion, G @ np.swapaxes(G, 1, 2)
+
+
+def _distortion(points: Array, by_point: Array, sigma: float) -> Array:
+    """Return the covariances (n, c, c) of a smooth field at points (n, c, 2)."""
+    if not sigma:
+        return np.zeros((*points.shape[:2], points.shape[1]))
+    apart = points[:, :, None] - points[:, None, :]
+    near = np.exp(-0.5 * (apart ** 2).sum(axis=3) / DISTORTION_LENGTH ** 2)
+    return np.asarray(sigma ** 2 * near * (by_point @ np.swapaxes(by_point, 1, 2)))
 
 
 def whitening(problem: Problem, linear: Linear, noise: Noise) -> Whitening:
@@ -185,16 +193,17 @@ def move(problem: Problem, estimate: Estimate, step: Array) -> Estimate:
 
 
 def least_squares(problem: Problem, start: Estimate, noise: Noise | None = None,
-                  weights: Array | None = None, iterations: int = MAX_ITERATIONS) -> Estimate:
+                  weights: Array | None = None, iterations: int = MAX_ITERATIONS,
+                  converged: float = CONVERGED) -> Estimate:
     """
     Return the estimate with the least squared whitened residuals (Levenberg-Marquardt).
 
     noise: None for plain residuals, which is best far from the solution; weights: (n,) of the
-    stations' squared residuals.
+    stations' squared residuals; converged: a step that changes the residuals by less ends it.
     """
     columns, station = problem.columns, problem.observations.station
     root = np.ones(len(station)) if weights is None else np.sqrt(weights)[station]
-    damping, estimate, linear = 1e-6, start, linearise(problem, start)
+    damping, estimate, linear = FIRST_DAMPING, start, linearise(problem, start)
     for _ in range(iterations):
         white = whitening(problem, linear, noise) if noise else Whitening((), ())
         r = white(linear.residuals) * root
@@ -204,13 +213,14 @@ def least_squares(problem: Problem, start: Estimate, noise: Noise | None = None,
             step = _damped_step(J, r, damping)
             moved = move(problem, estimate, step)
             moved_linear = linearise(problem, moved)
-            if ((white(moved_linear.residuals) * root) ** 2).sum() <= cost_now * (1 + 1e-12):
+            cost_moved = ((white(moved_linear.residuals) * root) ** 2).sum()
+            if cost_moved <= cost_now * (1 + ROUNDING_OF_COST):
                 break
-            damping *= 10
+            damping *= DAMPING_FACTOR
         else:
             return estimate
-        estimate, linear, damping = moved, moved_linear, max(damping / 10, 1e-15)
-        if np.linalg.norm(J @ step) < CONVERGED * (1.0 + np.linalg.norm(r)):
+        estimate, linear, damping = moved, moved_linear, max(damping / DAMPING_FACTOR**2, 1e-15)
+        if np.linalg.norm(J @ step) < converged * (1.0 + np.linalg.norm(r)):
             break
     return estimate
 
@@ -223,7 +233,7 @@ def best_of(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
     """
     survivors = list(starts)
     for iterations, kept in COMPETITION:
-        survivors = [least_squares(problem, start, iterations=iterations)
+        survivors = [least_squares(problem, start, iterations=iterations, converged=NEAR)
                      for start in survivors]
         survivors = sorted(survivors, key=lambda estimate: cost(problem, estimate))[:kept]
     return survivors
