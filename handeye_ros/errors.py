@@ -60,6 +60,14 @@ class BadValueError(InputError):
         super().__init__(f'{key} is {value!r}, expected {expected}')
 
 
+class OnlyFromFilesError(InputError):
+    """A target that no profiles of stations are taken of."""
+
+    def __init__(self, target: str) -> None:
+        super().__init__(f'target.type {target} is solved from files, not from a stream of '
+                         'profiles: run "handeye solve INPUT --config FILE"')
+
+
 class TwoFramesError(InputError):
     """Messages of two frames on one topic."""
 
@@ -218,6 +226,15 @@ class InconsistentError(DataError):
                          'profile.unit, profile.axes, profile.range_sign')
 
 
+class ScatteredOrientationsError(DataError):
+    """Orientations that no tool takes that keeps a target in sight."""
+
+    def __init__(self, residual: float) -> None:
+        super().__init__(f'samples and poses contradict each other by {_mm(residual)} RMS, and '
+                         'the orientations of the poses point all over, as they do when angles '
+                         'in degrees are taken for radians: convert the angles of the poses')
+
+
 class ScatterError(DataError):
     """Residuals far larger than the configured noise."""
 
@@ -250,7 +267,7 @@ class LeftOutError(DataError):
     """Stations that the others do not predict."""
 
     def __init__(self, left_out: float, limit: float) -> None:
-        super().__init__(f'stations miss by {_mm(left_out)} RMS what the others predict '
+        super().__init__(f'samples miss by {_mm(left_out)} RMS what the others predict '
                          f'(limits.residual is {_mm(limit)}): too few samples, or some are '
                          'wrong; take more')
 

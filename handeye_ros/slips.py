@@ -16,6 +16,7 @@ from handeye_ros.errors import (
     HandeyeError,
     InconsistentError,
     RangeSignError,
+    ScatteredOrientationsError,
     ScatterError,
     SlipError,
 )
@@ -32,6 +33,7 @@ WILD, WILD_RATIO = 40.0, 4.0  # variance factor and residual over noise that no 
 BELIEVABLE = 4.0  # that a slip must lead to
 CHANCE = 1e-5  # of naming a slip where there is none
 LARGEST_DROPPED_SHARE = 0.34
+SCATTERED = 0.6  # mean of the cosines to the best direction, below which there is none
 
 
 def _inverse(T: Array) -> Array:
@@ -100,8 +102,8 @@ def require_consistent(problem: Problem, agreed: Consensus, flipped: Problem | N
 
     flipped: the problem with the range counted the other way, if it can be posed.
 
-    Raises SlipError, ScaleError, InconsistentError, ContradictingStationsError
-    or ScatterError.
+    Raises SlipError, ScatteredOrientationsError, ScaleError, InconsistentError,
+    ContradictingStationsError or ScatterError.
     """
     share = dropped_share(problem, agreed)
     rms, limit = residual_rms(agreed.solution), problem.config.limits.residual
@@ -123,6 +125,8 @@ def require_consistent(problem: Problem, agreed: Consensus, flipped: Problem | N
     if good:
         name = min(good, key=lambda key: good[key].solution.variance_factor)
         raise SlipError(name, rms, residual_rms(good[name].solution), SLIPS[name][1])
+    if hopeless and orientations_scatter(problem.poses):
+        raise ScatteredOrientationsError(rms)
     require_not_only_scale(agreed.solution)
     if rms > limit:
         raise InconsistentError(rms, limit)
@@ -130,6 +134,15 @@ def require_consistent(problem: Problem, agreed: Consensus, flipped: Problem | N
         raise ContradictingStationsError(len(agreed.dropped), len(problem.poses))
     if wild:
         raise ScatterError(rms, expected, scatter)
+
+
+def orientations_scatter(poses: Array) -> bool:
+    """
+    Return whether no direction of the tool keeps to a side, in poses (n, 4, 4).
+
+    A sensor that sees its target does keep to a side; wrapped angles are as good as random.
+    """
+    return float(np.linalg.norm(poses[:, :3, :3].mean(axis=0), 2)) < SCATTERED
 
 
 def _tried(problem: Problem, rng: np.random.Generator) -> Consensus | None:

@@ -13,11 +13,12 @@ from handeye_ros.errors import (
     DataError,
     InconsistentError,
     PositionUnitError,
+    ScatteredOrientationsError,
     SlipError,
 )
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.simulate.slips import SLIPS as SIMULATED
-from handeye_ros.slips import SLIPS
+from handeye_ros.slips import orientations_scatter, SLIPS
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -88,6 +89,14 @@ def test_further_slips_are_named(change: Callable[[Array], Array], words: str) -
     with pytest.raises(DataError) as caught:
         pipeline.solve(with_poses(made, change), [], made.config, 'laser')
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize('target', ['plate', 'sphere'])
+def test_degrees_taken_for_radians_are_named(target: str) -> None:
+    made = cell(target, 1)
+    with pytest.raises(ScatteredOrientationsError, match='degrees are taken for radians'):
+        pipeline.solve(with_poses(made, simulated('degrees')), [], made.config, 'laser')
+    assert not orientations_scatter(made.problem.poses)
 
 
 @pytest.mark.parametrize('name', SLIPS)
