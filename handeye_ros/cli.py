@@ -20,6 +20,8 @@ from typer.core import TyperGroup
 if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.data import Calibration
+    from handeye_ros.files.method import FileMethod
+    from handeye_ros.files.method import Input as Given
     from handeye_ros.ros.bag import Recording
 
 INTERRUPTED = 130
@@ -44,6 +46,9 @@ app = typer.Typer(cls=Verbs, add_completion=False, no_args_is_help=True, rich_ma
 
 NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
 Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
+Input = Annotated[Path, typer.Argument(metavar='INPUT', help=(
+    'A bag: a rosbag2 folder, or an .mcap or .db3 file; for points and hand_eye a CSV or YAML '
+    'file.'))]
 ConfigFile = Annotated[NoPath, typer.Option(
     help='A ROS parameter file, such as config/plate.yaml; without it, the defaults.')]
 Assignments = Annotated[list[str], typer.Option(
@@ -65,26 +70,33 @@ def _options(version: Annotated[bool, typer.Option(
 
 @app.command()
 def solve(
-    bag: Bag,
+    path: Input,
     config: ConfigFile = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
     out: Annotated[NoPath, typer.Option(
         metavar='DIR', help='Where calibration.yaml is written; out/NAME if not given.')] = None,
 ) -> None:
-    """Find the transform from a recording, and write calibration.yaml."""
+    """Find the transform from a recording or a file, and write calibration.yaml."""
     settings = _configuration(config, assignments)
-    path = _target(out, settings) / 'calibration.yaml'
+    target = _target(out, settings) / 'calibration.yaml'
 
-    from handeye_ros import export, report
+    from handeye_ros import export, files, report
     from handeye_ros.truth import true_transform
     from handeye_ros.verify import errors_against
-    T_true = true_transform(bag)
-    calibration = _solve(bag, settings)
-    export.write_calibration(calibration, path)
+    method, T_true = files.of(settings), true_transform(path)
+    field, over = None, 'the field of view'
+    if method:
+        given = _read_files(method, path, settings)
+        calibration = _solve_files(method, given, settings)
+        field, over = method.field(given.data), method.over
+    else:
+        calibration = _solve_bag(path, settings)
+    export.write_calibration(calibration, target)
     _print(report.table(calibration))
     if T_true is not None:
-        typer.echo(report.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
-    typer.echo(f'wrote {path}')
+        errors = errors_against(calibration.T_flange_sensor, T_true, field)
+        typer.echo(report.error_sentence(errors, over))
+    typer.echo(f'wrote {target}')
 
 
 def _configuration(file: Path | None, assignments: list[str]) -> 'Config':
@@ -107,7 +119,7 @@ def _read(bag: Path, settings: 'Config') -> 'Recording':
     return recording
 
 
-def _solve(bag: Path, settings: 'Config') -> 'Calibration':
+def _solve_bag(bag: Path, settings: 'Config') -> 'Calibration':
     recording = _read(bag, settings)
     with _doing('solving'):
         from handeye_ros import pipeline
@@ -116,6 +128,26 @@ def _solve(bag: Path, settings: 'Config') -> 'Calibration':
         typer.echo(f'warning: {warning}', err=True)
     provenance = {**calibration.provenance, 'inputs': list(recording.inputs)}
     return replace(calibration, provenance=provenance)
+
+
+def _read_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
+                ) -> 'Given[Any]':
+    def read_bag(bag: Path, settings: 'Config') -> 'Recording':
+        from handeye_ros.ros.bag import read
+        return read(bag, settings)
+
+    with _doing('reading the files'):
+        given = method.read(path, settings, read_bag)
+    for warning in given.warnings:
+        typer.echo(f'warning: {warning}', err=True)
+    return given
+
+
+def _solve_files(method: 'FileMethod[Any]', given: 'Given[Any]', settings: 'Config'
+                 ) -> 'Calibration':
+    with _doing('solving'):
+        from handeye_ros.files.outcome import calibrate
+        return calibrate(method, given, settings)
 
 
 @contextmanager
@@ -139,7 +171,7 @@ def _print(renderable: Any) -> None:
 
 @app.command()
 def compare(
-    bag: Bag,
+    path: Input,
     config: ConfigFile = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
 ) -> None:
@@ -147,13 +179,18 @@ def compare(
     settings = _configuration(config, assignments)
 
     from handeye_ros import compare as comparing
-    from handeye_ros import report_compare
+    from handeye_ros import files, report_compare
     from handeye_ros.truth import true_transform
-    T_true = true_transform(bag)
-    recording = _read(bag, settings)
-    with _doing('finding the samples') as now:
-        found = comparing.compare_recording(recording.profiles, recording.poses, settings,
-                                            T_true, progress=now)
+    method, T_true = files.of(settings), true_transform(path)
+    if method:
+        given = _read_files(method, path, settings)
+        with _doing('solving') as now:
+            found = comparing.compare_files(method, given, settings, T_true, progress=now)
+    else:
+        recording = _read(path, settings)
+        with _doing('finding the samples') as now:
+            found = comparing.compare_recording(recording.profiles, recording.poses, settings,
+                                                T_true, progress=now)
     if found.answered:
         _print(report_compare.ComparisonTable(found))
     if found.refusal:
@@ -176,25 +213,20 @@ def replay(
 @app.command()
 def simulate(
     scenario: Annotated[str, typer.Argument(help='The name of a scenario; see the README.')],
-    directory: Annotated[Path, typer.Argument(metavar='DIR', help='The bag to make.')],
+    directory: Annotated[Path, typer.Argument(
+        metavar='DIR', help='The folder to make: a bag, or files of measured values.')],
     seed: Annotated[int, typer.Option(min=0, help='Of all random numbers.')] = 0,
     force: Annotated[bool, typer.Option('--force', help='Replace a bag that is there.')] = False,
 ) -> None:
     """Make a recording with a known answer, which is written to truth.yaml in it."""
-    from handeye_ros.simulate import SCENARIOS
-    if scenario not in SCENARIOS:
-        raise UnknownNameError('scenario', scenario, list(SCENARIOS))
+    from handeye_ros.simulate import FILE_SCENES, SCENARIOS
+    if scenario not in {*SCENARIOS, *FILE_SCENES}:
+        raise UnknownNameError('scenario', scenario, [*SCENARIOS, *FILE_SCENES])
 
-    from handeye_ros import simulate as simulator
-    from handeye_ros.ros import bag_write
-    from handeye_ros.truth import truth_values
-    import numpy as np
+    from handeye_ros.ros import simulated
     with _doing('simulating'):
-        made = simulator.simulate(SCENARIOS[scenario], np.random.default_rng(seed))
-        bag_write.write(directory, made.profiles, made.poses, truth=truth_values(made, seed),
-                        force=force)
-    typer.echo(f'wrote {directory.absolute()}: {len(made.profiles)} profiles, '
-               f'{len(made.poses)} poses')
+        made = simulated.write(scenario, seed, directory, force)
+    typer.echo(f'wrote {directory.absolute()}: {made}')
 
 
 def main() -> None:

@@ -4,19 +4,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 import time
+from typing import Any
 
 from handeye_ros import methods, pipeline, se3
 from handeye_ros.border import without_border_ends
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError
-from handeye_ros.estimators import Estimator, ESTIMATORS, Known, Stations
+from handeye_ros.estimators import Estimator, ESTIMATORS
+from handeye_ros.files.method import FileMethod, Input
+from handeye_ros.files.outcome import require_trusted
+from handeye_ros.given import Given, Known, Measurements, Stations
 from handeye_ros.identify import require_certain
-from handeye_ros.method import Estimate
-from handeye_ros.outcome import measured_points, sensor_axes
 from handeye_ros.pairing import Session
-from handeye_ros.solve import least_squares, Problem
-from handeye_ros.verify import Errors, errors_against
+from handeye_ros.verify import Errors, errors_against, FIELD
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,13 +52,14 @@ class Comparison:
     The rows, the target's own method first.
 
     used, rejected: how many stations every estimator was given, and how many not. refusal: why
-    the target's own method has no answer, or None.
+    the target's own method has no answer, or None. over: of which points the errors are told.
     """
 
     rows: tuple[Row, ...]
     used: int
     rejected: int
     refusal: DataError | None
+    over: str = FIELD
 
     @property
     def answered(self) -> bool:
@@ -101,17 +103,54 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     believes. Raises BadValueError for a target or method that does not exist.
     """
     config = own_method(config)
-    own, *others = ESTIMATORS[methods.of(config).name]
     ordered, at_border = without_border_ends(sorted(samples, key=lambda sample: sample.stamp))
-    progress(own.name)
+    progress(config.target.type)
     start = time.perf_counter()
     stations, refusal = _believed(ordered, [*rejects, *at_border], config)
-    first = Row(own.name, time.perf_counter() - start, failure=str(refusal or ''))
-    if stations.known and not refusal:
-        first = _judged(first, own, stations, stations.known.estimate.X, T_true, folds, progress)
-    rows = (first, *(_row(estimator, stations, T_true, folds, progress) for estimator in others))
-    used = len(stations.samples)
-    return Comparison(rows, used, len(samples) + len(rejects) - used, refusal)
+    seconds = time.perf_counter() - start
+    X = stations.known.estimate.X if stations.known and not refusal else None
+    return _compared(stations, X, refusal, seconds, len(samples) + len(rejects),
+                     _Judge(T_true, folds, progress))
+
+
+def compare_files(method: FileMethod[Any], given: Input[Any], config: Config,
+                  T_true: Array | None = None, folds: int = FOLDS,
+                  progress: Progress = lambda doing: None) -> Comparison:
+    """Return the rows of all estimators from what was read of files; see `compare`."""
+    progress(method.name)
+    start = time.perf_counter()
+    measured, X, refusal = Measurements(method, given.data, config), None, None
+    total = len(measured)
+    try:
+        answer = method.solve(given.data, config)
+        measured = replace(measured, data=answer.agreed)
+        require_trusted(method, answer, config)
+        X = answer.X
+    except DataError as error:
+        refusal = error
+    seconds = time.perf_counter() - start
+    found = _compared(measured, X, refusal, seconds, total, _Judge(T_true, folds, progress))
+    return replace(found, over=method.over)
+
+
+@dataclass(frozen=True, eq=False)
+class _Judge:
+    """What every row is held against: see `compare`."""
+
+    T_true: Array | None
+    folds: int
+    progress: Progress
+
+
+def _compared(given: Given, X: Array | None, refusal: DataError | None, seconds: float,
+              total: int, judge: _Judge) -> Comparison:
+    """Return the rows, the first that of the answer X of the target's own method, if any."""
+    own, *others = ESTIMATORS[given.config.target.type]
+    first = Row(own.name, seconds, failure=str(refusal or ''))
+    if X is not None:
+        first = _judged(first, own, given, X, judge)
+    rows = (first, *(_row(estimator, given, judge) for estimator in others))
+    return Comparison(rows, len(given), total - len(given), refusal)
 
 
 def _believed(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Config
@@ -130,66 +169,45 @@ def _believed(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Conf
     return stations, None
 
 
-def _row(estimator: Estimator, stations: Stations, T_true: Array | None, folds: int,
-         progress: Progress) -> Row:
+def _row(estimator: Estimator, given: Given, judge: _Judge) -> Row:
     """Return the row of an estimator, with its reason when it fails."""
-    progress(estimator.name)
+    judge.progress(estimator.name)
     start = time.perf_counter()
     try:
-        X = estimator.fit(stations)
+        X = estimator.fit(given)
     except (DataError, np.linalg.LinAlgError) as error:
         return Row(estimator.name, time.perf_counter() - start, failure=str(error))
     row = Row(estimator.name, time.perf_counter() - start)
-    return _judged(row, estimator, stations, X, T_true, folds, progress)
+    return _judged(row, estimator, given, X, judge)
 
 
-def _judged(row: Row, estimator: Estimator, stations: Stations, X: Array, T_true: Array | None,
-            folds: int, progress: Progress) -> Row:
+def _judged(row: Row, estimator: Estimator, given: Given, X: Array, judge: _Judge) -> Row:
     """Return a row with the transform from the sensor plane X (4, 4) and all that tells of it."""
-    T_sensor_plane = sensor_axes(stations.config)
-    row = replace(row, T_flange_sensor=X @ se3.inverse(T_sensor_plane))
-    if T_true is not None:
-        row = replace(row, errors=errors_against(X, T_true @ T_sensor_plane))
-    if stations.known is None:
+    row = replace(row, T_flange_sensor=X @ se3.inverse(given.T_sensor_plane))
+    if judge.T_true is not None:
+        T_true = judge.T_true @ given.T_sensor_plane
+        row = replace(row, errors=errors_against(X, T_true, given.field))
+    every = np.arange(len(given))
+    residuals = given.residuals(X, every, every)
+    if residuals is None:
         return row
-    every = np.arange(len(stations.samples))
-    row = replace(row, residual_rms=_root_mean_square(_residuals(stations, X, every, every)))
-    if not folds or not estimator.refit:
+    row = replace(row, residual_rms=_root_mean_square(residuals))
+    if not judge.folds or not estimator.refit:
         return row
-    return replace(row, holdout_rms=_left_out(estimator, stations, folds, progress))
+    return replace(row, holdout_rms=_left_out(estimator, given, judge))
 
 
-class _GivenTransform(Problem):
-    """A problem of which only the target is unknown."""
-
-    @property
-    def columns(self) -> NDArray[np.intp]:
-        return super().columns[6:]
-
-
-def _residuals(stations: Stations, X: Array, fitted: NDArray[np.intp],
-               measured: NDArray[np.intp]) -> Array:
-    """Return the residuals of some stations with a transform, the target fitted to others."""
-    assert stations.known
-    known = stations.known
-    part = known.problem.subset(fitted)
-    given = _GivenTransform(part.method, part.poses, part.observations, part.config)
-    estimate = least_squares(given, Estimate(X, known.estimate.target), known.noise)
-    points = measured_points(stations.samples, known.problem)
-    return points.select(np.isin(points.station, measured)).residuals(known.problem, estimate)
-
-
-def _left_out(estimator: Estimator, stations: Stations, folds: int, progress: Progress
-              ) -> float | None:
-    """Return the RMS residual of each part of the stations, the rest having been fitted anew."""
+def _left_out(estimator: Estimator, given: Given, judge: _Judge) -> float | None:
+    """Return the RMS residual of each part of the samples, the rest having been fitted anew."""
     residuals = []
-    for part, (rest, left_out) in enumerate(_split(len(stations.samples), folds)):
-        progress(f'{estimator.name}: left out, part {part + 1} of {folds}')
+    for part, (rest, left_out) in enumerate(_split(len(given), judge.folds)):
+        judge.progress(f'{estimator.name}: left out, part {part + 1} of {judge.folds}')
         try:
-            X = estimator.fit(stations.subset(rest))
+            X = estimator.fit(given.subset(rest))
         except (DataError, np.linalg.LinAlgError):
             return None
-        residuals.append(_residuals(stations, X, rest, left_out))
+        found = given.residuals(X, rest, left_out)
+        residuals += [] if found is None else [found]
     return _root_mean_square(np.concatenate(residuals))
 
 

@@ -42,7 +42,8 @@ class TargetConfig:
     """What the laser is pointed at."""
 
     type: str = _key(  # noqa: A003
-        'plate', 'The target: plate, line, plane or sphere.')
+        'plate', 'The target: plate, line, plane or sphere; from files: points, hand_eye or '
+        'tracker.')
     radius: float = _key(0.0, 'Radius of the sphere in m; 0: unknown, estimated.',
                          minimum=0.0, maximum=10.0)
     size: tuple[float, ...] = _key(
@@ -73,6 +74,24 @@ class SamplingConfig:
                            minimum=5, maximum=100000)
     min_crossing_angle: float = _key(0.44, 'A laser line that crosses an edge at a smaller '
                                      'angle is not used (rad).', minimum=0.0, maximum=1.5)
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """What is known of the laser tracker and of the arm that it follows (target.type tracker)."""
+
+    file: str = _key('tracker.csv', 'Name of the file of reflector points beside the bag.')
+    noise: float = _key(2e-5, 'Noise of a reflector centre, each axis (m).',
+                        minimum=1e-9, maximum=0.01)
+    h0: float = _key(0.0, 'Height of the reflector above the top of P3 (m).',
+                     minimum=-10.0, maximum=10.0)
+    h1: float = _key(0.0, 'Height of the top of P3 above the origin of frame 2 (m).',
+                     minimum=-10.0, maximum=10.0)
+    first_reading: float = _key(0.0, 'Reading of P3 at the first pose of the bag (m).',
+                                minimum=-100.0, maximum=100.0)
+    direction: tuple[float, ...] = _key(
+        (0.0, 1.0, 0.0), 'Direction of the sweep in the sensor frame, roughly.',
+        minimum=-1.0, maximum=1.0, length=(3,))
 
 
 @dataclass(frozen=True)
@@ -114,6 +133,8 @@ class Config:
                                  choices=('eye_in_hand', 'eye_on_base'))
     robot_base_frame: str = _key('base', 'Frame id of the robot base.')
     robot_effector_frame: str = _key('flange', 'Frame id of the flange.')
+    sensor_frame: str = _key('camera', 'Frame id of a sensor whose files name none (points, '
+                             'hand_eye).')
     pose_source: str = _key('topic', 'Where the flange poses come from: PoseStamped messages '
                             '(topic) or the transform tree (tf).', choices=('topic', 'tf'))
     pose_topic: str = _key('flange_pose', 'Topic of the flange poses.')
@@ -122,6 +143,7 @@ class Config:
     target: TargetConfig = field(default_factory=TargetConfig)
     method: str = _key('auto', 'The estimator; auto: the one of the target.')
     sampling: SamplingConfig = field(default_factory=SamplingConfig)
+    tracker: TrackerConfig = field(default_factory=TrackerConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     limits: LimitsConfig = field(default_factory=LimitsConfig)
 

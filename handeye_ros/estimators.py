@@ -10,49 +10,26 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 import math
+from typing import Any
 
 from handeye_ros import pipeline, se3
-from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, EdgePoint, Sample
+from handeye_ros.data import Arc, Array, EdgePoint
 from handeye_ros.errors import SingularError
+from handeye_ros.files.outcome import require_trusted
+from handeye_ros.given import Known, Measurements, Stations
 from handeye_ros.identify import require_certain
-from handeye_ros.method import Estimate
-from handeye_ros.methods import line, plate
-from handeye_ros.published import chen2023, fixed_point, zheng2018
-from handeye_ros.solve import Noise, Problem
+from handeye_ros.methods import hand_eye, line, plate
+from handeye_ros.published import (
+    chen2023,
+    cn105021139a,
+    fixed_point,
+    wu2017,
+    zheng2018,
+)
 import numpy as np
-from numpy.typing import NDArray
 
 ZHENG_START_OFF = np.repeat([0.01, math.radians(5)], 3) / 3 ** 0.5
 """From our answer to where Zheng 2018 starts: 10 mm and 5 degrees."""
-
-
-@dataclass(frozen=True, eq=False)
-class Known:
-    """The stations as the target's own method sees them, labelled, its estimate and noise."""
-
-    problem: Problem
-    estimate: Estimate
-    noise: Noise
-
-
-@dataclass(frozen=True, eq=False)
-class Stations:
-    """
-    What an estimator is given.
-
-    samples: in the order of their stamps; known: of the same stations, in the same order, None
-    where the target's own method has no answer.
-    """
-
-    samples: tuple[Sample, ...]
-    config: Config
-    known: Known | None = None
-
-    def subset(self, stations: NDArray[np.intp]) -> Stations:
-        """Return a part of the stations (ascending indices)."""
-        known = self.known and replace(self.known, problem=self.known.problem.subset(stations))
-        return replace(self, samples=tuple(self.samples[i] for i in stations), known=known)
 
 
 @dataclass(frozen=True)
@@ -65,7 +42,7 @@ class Estimator:
     """
 
     name: str
-    fit: Callable[[Stations], Array]
+    fit: Callable[[Any], Array]
     refit: bool = True
 
 
@@ -142,6 +119,29 @@ def _zheng(stations: Stations) -> Array:
     return np.asarray(found.T_flange_sensor @ to_plane)
 
 
+def _from_files(given: Measurements) -> Array:
+    answer = given.method.solve(given.data, given.config)
+    require_trusted(given.method, answer, given.config)
+    return answer.X
+
+
+def _wu(given: Measurements) -> Array:
+    return wu2017.solve(given.data.in_camera, given.data.in_base).T_base_camera
+
+
+def _park(given: Measurements) -> Array:
+    return hand_eye.closed_form(given.data.T_fixed_mount, given.data.T_camera_target)[0]
+
+
+def _cn105021139a(given: Measurements) -> Array:
+    motions = cn105021139a.motions(given.data.T_fixed_mount, given.data.T_camera_target)
+    return np.asarray(cn105021139a.solve_motions(*motions))
+
+
+def _jing(given: Measurements) -> Array:
+    return np.asarray(given.data.chain(given.config).T_flange_sensor)
+
+
 ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
     'plate': (
         Estimator('plate', _by_method('plate')),
@@ -161,6 +161,19 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
     ),
     'plane': (
         Estimator('plane', _by_method('plane')),
+    ),
+    'points': (
+        Estimator('points', _from_files),
+        Estimator('Wu 2017, best of all quadruples', _wu),
+    ),
+    'hand_eye': (
+        Estimator('hand_eye', _from_files),
+        Estimator('closed form (Park and Martin 1994)', _park),
+        Estimator('CN105021139A', _cn105021139a),
+    ),
+    'tracker': (
+        Estimator('tracker', _from_files),
+        Estimator('Jing 2020', _jing),
     ),
 }
 """By target, its own method first."""

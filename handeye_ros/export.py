@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from datetime import datetime, UTC
+import hashlib
 import math
 import os
 from pathlib import Path
@@ -96,6 +97,12 @@ def transform_values(T: Array) -> dict[str, dict[str, float]]:
 def _sample_values(report: SampleReport) -> dict[str, Any]:
     return {key: _plain(value) for key, value in asdict(report).items()
             if value is not None and value != ''}
+
+
+def input_values(file: Path) -> dict[str, str]:
+    """Return what the provenance tells of a file that was read: path and sha256."""
+    with file.open('rb') as stream:
+        return {'path': str(file), 'sha256': hashlib.file_digest(stream, 'sha256').hexdigest()}
 
 
 def _provenance(provenance: Mapping[str, Any]) -> dict[str, Any]:

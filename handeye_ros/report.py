@@ -130,8 +130,8 @@ def _millimetres(values: Any) -> str:
     return ' '.join(f'{v * 1e3:.3f}' for v in values) + ' mm'
 
 
-def error_sentence(errors: Errors) -> str:
-    """Return the errors against what is true."""
+def error_sentence(errors: Errors, over: str = 'the field of view') -> str:
+    """Return the errors against what is true; over: of which points."""
     return (f'error against truth.yaml: translation {errors.translation * 1e3:.3f} mm, rotation '
             f'{math.degrees(errors.rotation):.4f} degrees, mapped points '
-            f'{errors.mapped_points * 1e3:.3f} mm RMS over the field of view')
+            f'{errors.mapped_points * 1e3:.3f} mm RMS over {over}')

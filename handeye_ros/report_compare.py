@@ -37,7 +37,8 @@ class ComparisonTable:
         else:
             yield _table(self.comparison, True, False)
             yield _table(self.comparison, False, True)
-        yield from (Text(line) for line in _legend(with_errors))
+        over = self.comparison.over if with_errors else ''
+        yield from (Text(line) for line in _legend(over))
 
 
 def title(comparison: Comparison) -> str:
@@ -94,8 +95,8 @@ def _millimetres(value: float | None) -> str:
     return NOT_KNOWN if value is None else f'{value * 1e3:.4f}'
 
 
-def _legend(with_errors: bool) -> Iterator[str]:
+def _legend(over: str) -> Iterator[str]:
     yield ('residual: RMS of what the first method minimises, with each transform, the target '
            'fitted to it; left out: of samples the estimator was not given')
-    if with_errors:
-        yield 'error: against truth.yaml; mapped: RMS over x within +-20 mm, range 160-190 mm'
+    if over:
+        yield f'error: against truth.yaml; mapped: RMS over {over}'

@@ -1,6 +1,7 @@
 """truth.yaml: what is true of a simulated recording, kept beside it."""
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -12,7 +13,7 @@ from handeye_ros.export import transform_from, transform_values
 import yaml
 
 if TYPE_CHECKING:
-    from handeye_ros.simulate import Simulated
+    from handeye_ros.simulate import Measured, Simulated
 
 NAME = 'truth.yaml'
 
@@ -21,16 +22,30 @@ def truth_values(simulated: Simulated, seed: int) -> dict[str, Any]:
     """Return what truth.yaml holds, with all that is needed to make the recording again."""
     scenario = simulated.scenario
     return {
-        'made_by': f'handeye_ros {__version__}: handeye simulate {scenario.name} --seed {seed}',
-        'scenario': scenario.name,
-        'seed': seed,
-        'T_flange_sensor': transform_values(simulated.truth.T_flange_sensor),
+        **_values(scenario.name, seed, simulated.truth.T_flange_sensor),
         'T_base_target': transform_values(simulated.truth.T_base_target),
         'noise': {'sensor': scenario.sensor.noise,
                   'robot_translation': scenario.robot.repeatability[0],
                   'robot_rotation': scenario.robot.repeatability[1]},
         'parameters': _plain(asdict(scenario)),
     }
+
+
+def measured_truth_values(made: Measured, name: str, seed: int) -> dict[str, Any]:
+    """Return what truth.yaml holds beside files of measured values; name: of the scene."""
+    return {**_values(name, seed, made.T_flange_sensor), 'noise': _plain(dict(made.noise)),
+            'settings': _plain(dict(made.settings))}
+
+
+def _values(name: str, seed: int, T_flange_sensor: Array) -> dict[str, Any]:
+    return {'made_by': f'handeye_ros {__version__}: handeye simulate {name} --seed {seed}',
+            'scenario': name, 'seed': seed,
+            'T_flange_sensor': transform_values(T_flange_sensor)}
+
+
+def text(values: Mapping[str, Any]) -> str:
+    """Return the text of truth.yaml."""
+    return str(yaml.safe_dump(dict(values), sort_keys=False, default_flow_style=None))
 
 
 def _plain(value: Any) -> Any:

@@ -8,6 +8,7 @@ from handeye_ros.data import Array
 import numpy as np
 
 STEPS = 13  # points along each side of the field of view
+FIELD = 'x within +-20 mm, range 160-190 mm'
 
 
 @dataclass(frozen=True)
@@ -23,11 +24,15 @@ class Errors:
     mapped_points: float
 
 
-def errors_against(T_est: Array, T_true: Array) -> Errors:
-    """Return the errors of T_flange_sensor (4, 4) against the true one."""
+def errors_against(T_est: Array, T_true: Array, field: Array | None = None) -> Errors:
+    """
+    Return the errors of T_flange_sensor (4, 4) against the true one.
+
+    field: points (k, 3) in the sensor frame that are mapped, field_points when not given.
+    """
     delta = se3.difference(T_est, T_true)
     return Errors(float(np.linalg.norm(delta[:3])), float(np.linalg.norm(delta[3:])),
-                  mapped_point_error(T_est, T_true))
+                  _mapped(T_est, T_true, field_points() if field is None else field))
 
 
 def mapped_point_error(T_est: Array, T_true: Array, x: tuple[float, float] = (-0.02, 0.02),
@@ -40,7 +45,16 @@ def mapped_point_error(T_est: Array, T_true: Array, x: tuple[float, float] = (-0
     lever arm of the rotation.
 
     """
+    return _mapped(T_est, T_true, field_points(x, z))
+
+
+def field_points(x: tuple[float, float] = (-0.02, 0.02), z: tuple[float, float] = (0.16, 0.19)
+                 ) -> Array:
+    """Return a grid (k, 3) in the sensor plane, see mapped_point_error."""
     along, across = np.meshgrid(np.linspace(*x, STEPS), np.linspace(*z, STEPS))
-    points = np.column_stack([along.ravel(), np.zeros(along.size), across.ravel()])
+    return np.column_stack([along.ravel(), np.zeros(along.size), across.ravel()])
+
+
+def _mapped(T_est: Array, T_true: Array, points: Array) -> float:
     difference = se3.apply(T_est, points) - se3.apply(T_true, points)
     return float(np.sqrt((difference ** 2).sum(axis=1).mean()))

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from handeye_ros.config import Config
-from handeye_ros.errors import BadValueError
+from handeye_ros.errors import BadValueError, OnlyFromFilesError
 from handeye_ros.method import Method
 from handeye_ros.methods.line import LINE
 from handeye_ros.methods.plane import PLANE
@@ -11,16 +11,21 @@ from handeye_ros.methods.sphere import SPHERE
 
 METHODS: dict[str, Method] = {
     'plate': PLATE, 'line': LINE, 'plane': PLANE, 'sphere': SPHERE}
+FROM_FILES = ('points', 'hand_eye', 'tracker')  # see files
 
 
 def of(config: Config) -> Method:
     """
     Return the method that a configuration asks for.
 
-    Raises BadValueError for a name that does not exist.
+    Raises BadValueError for a name that does not exist, OnlyFromFilesError for a target that is
+    solved from files.
     """
+    if config.target.type in FROM_FILES:
+        raise OnlyFromFilesError(config.target.type)
     key, name = ('target.type', config.target.type) if config.method == 'auto' else (
         'method', config.method)
     if name not in METHODS:
-        raise BadValueError(key, name, 'one of ' + ', '.join(METHODS))
+        known = [*METHODS, *FROM_FILES] if key == 'target.type' else METHODS
+        raise BadValueError(key, name, 'one of ' + ', '.join(known))
     return METHODS[name]

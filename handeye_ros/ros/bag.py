@@ -3,7 +3,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-import hashlib
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,6 +19,7 @@ from handeye_ros.errors import (
     TopicTypeError,
     TwoFramesError,
 )
+from handeye_ros.export import input_values
 from handeye_ros.ros.contents import Contents, full_name, Raw
 from handeye_ros.ros.messages import (
     pose_from_stamped,
@@ -76,7 +76,7 @@ def read(path: Path, config: Config) -> Recording:
     _check_frames('pose', (p.parent_frame for p in poses))
     _check_clocks(profiles, poses)
     return Recording(tuple(profiles), tuple(poses), tuple(contents.warnings),
-                     tuple(_provenance(file) for file in contents.files))
+                     tuple(input_values(file) for file in contents.files))
 
 
 class _Reader:
@@ -201,8 +201,3 @@ def _check_clocks(profiles: Sequence[Profile], poses: Sequence[TimedPose]) -> No
     gap = max(profiles[0].stamp - poses[-1].stamp, poses[0].stamp - profiles[-1].stamp)
     if gap > 0:
         raise ClocksApartError(gap * 1e-9)
-
-
-def _provenance(file: Path) -> dict[str, str]:
-    with file.open('rb') as stream:
-        return {'path': str(file), 'sha256': hashlib.file_digest(stream, 'sha256').hexdigest()}

@@ -1,25 +1,19 @@
-"""
-Writes profiles and poses as a rosbag2 folder (mcap), as a driver and a robot would.
-
-Everything is made in a hidden folder beside the final one and renamed when it is whole.
-"""
+"""Writes profiles and poses as a rosbag2 folder (mcap), as a driver and a robot would."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-import shutil
-import tempfile
 from typing import Any
 
+from handeye_ros import folder
+from handeye_ros import truth as truth_file
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, TimedPose
-from handeye_ros.errors import BagError, UnwritableError
 from handeye_ros.ros.contents import full_name
 from handeye_ros.ros.messages import DATATYPES, UNITS
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
-import yaml
 
 # The points of real drivers: dtypes with the fields x, y and z.
 LAYOUTS: dict[str, np.dtype[Any]] = {
@@ -36,46 +30,21 @@ LAYOUTS: dict[str, np.dtype[Any]] = {
 
 def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
           config: Config | None = None, *, truth: Mapping[str, Any] | None = None,
-          layout: str = 'xyz', force: bool = False) -> None:
+          tables: Mapping[str, str] | None = None, layout: str = 'xyz', force: bool = False
+          ) -> None:
     """
     Write a rosbag2 folder, with truth.yaml in it when the truth is given.
 
-    config: gives the topics and the unit of the coordinates; layout: a key of LAYOUTS.
-    force: an existing bag is replaced. Raises BagError when there is something at path
-    already, UnwritableError when it cannot be made.
+    config: gives the topics and the unit of the coordinates; tables: texts of other files in the
+    folder, by name; layout: a key of LAYOUTS. force: an existing bag is replaced. Raises BagError
+    when there is something at path already, UnwritableError when it cannot be made.
 
     """
-    config, path = config or Config(), path.resolve()
-    try:
-        _check_free(path, force)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix='.', suffix='.tmp', dir=path.parent) as folder:
-            made = Path(folder) / path.name
-            _write_messages(made, profiles, poses, config, LAYOUTS[layout])
-            if truth is not None:
-                (made / 'truth.yaml').write_text(
-                    yaml.safe_dump(dict(truth), sort_keys=False, default_flow_style=None),
-                    encoding='utf-8')
-            _move(made, path, Path(folder) / 'replaced')
-    except OSError as error:
-        raise UnwritableError(path, error.strerror or str(error)) from error
-
-
-def _check_free(path: Path, force: bool) -> None:
-    if not path.exists() or path.is_dir() and not any(path.iterdir()):
-        return
-    if not force:
-        raise BagError(path, 'is there already: choose another place, or replace it with --force')
-    if not (path / 'metadata.yaml').is_file():
-        raise BagError(path, 'is there already and is no bag, so it is not replaced: choose '
-                             'another place')
-
-
-def _move(made: Path, path: Path, aside: Path) -> None:
-    """Put what was made in place; what was there before goes away with the aside folder."""
-    if path.exists():
-        shutil.move(path, aside)
-    made.rename(path)
+    texts = dict(tables or {})
+    if truth is not None:
+        texts[truth_file.NAME] = truth_file.text(truth)
+    folder.write(path, texts, lambda made: _write_messages(
+        made, profiles, poses, config or Config(), LAYOUTS[layout]), force)
 
 
 def _write_messages(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],

@@ -1,13 +1,15 @@
 """
 Simulated recordings with known truth, without ROS.
 
-`simulate` renders profiles and poses; `simulate_samples` makes the features directly.
+`simulate` renders profiles and poses; `simulate_samples` makes the features directly;
+`FILE_SCENES` make files of measured values.
 """
+from handeye_ros.simulate.measured import FILE_SCENES, Measured
 from handeye_ros.simulate.recording import simulate, Simulated
 from handeye_ros.simulate.samples import simulate_samples
 from handeye_ros.simulate.scenario import Scenario, Station, Truth
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.settings import settings
 
-__all__ = ['SCENARIOS', 'Scenario', 'Simulated', 'Station', 'Truth', 'settings', 'simulate',
-           'simulate_samples']
+__all__ = ['FILE_SCENES', 'Measured', 'SCENARIOS', 'Scenario', 'Simulated', 'Station', 'Truth',
+           'settings', 'simulate', 'simulate_samples']

@@ -53,17 +53,17 @@ def arm(turn: float, q3: float) -> Array:
 
 
 def simulate_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
-                     noise: float = TRACKER_NOISE) -> TrackerCell:
-    """Return a session; noise: of the tracker, 1 sigma of each axis (m)."""
+                     noise: float = TRACKER_NOISE, reported: float = REPORTED) -> TrackerCell:
+    """Return a session; noise, reported: of the tracker and P3, 1 sigma of each axis (m)."""
     turn = Rotation.from_euler('xyz', [90, 0, 0] + rng.uniform(-1.5, 1.5, 3), degrees=True)
     X = se3.transform(turn.as_matrix(), rng.uniform([0.04, -0.13, 0.03], [0.07, -0.09, 0.06]))
     T_base_target = arm(SWEEP_ANGLE, 0.0) @ X @ _sensor_to_target(rng)
     q3 = np.linspace(-0.03, 0.11, 151)
     T = np.array([arm(SWEEP_ANGLE, q) for q in q3])
     profiles = _profiles(se3.inverse(T_base_target) @ T @ X, sensor, rng)
-    reported = T[:, :3, 3] + REPORTED * rng.normal(size=(len(T), 3))
+    places = T[:, :3, 3] + reported * rng.normal(size=(len(T), 3))
     poses = tuple(TimedPose(int(stamp), t, q) for stamp, t, q in zip(
-        _stamps(len(T)), reported, se3.quaternion(T), strict=True))
+        _stamps(len(T)), places, se3.quaternion(T), strict=True))
     reflector = {kind: points + noise * rng.normal(size=points.shape)
                  for kind, points in _reflector(T_base_target, rng).items()}
     return TrackerCell(reflector, H0, H1, profiles, poses, float(q3[0]), 0.003, X)
