@@ -2,17 +2,19 @@
 """
 Our estimators beside the published ones, on the same simulated samples.
 
-usage: python bench/compare.py [--plates N] [--spheres N] [--lines N] [--seed S]
+usage: python bench/compare.py [--trials N] [--seed S] [--only TARGET] [--brief]
 
 Simulates features with known noise (no profiles), which the settings state, and runs what
-`handeye compare` runs. A row per estimator: in how many trials it had an answer, and of these
-the medians of error (translation, rotation, mapped points over x within +-20 mm, range
-160-190 mm; and its worst), residual and time; then its median mapped error over ours.
+`handeye compare` runs. A row per estimator: medians of error (translation, rotation, mapped
+points over x within +-20 mm, range 160-190 mm; and its worst); then each median over ours, with
+its 95 % interval (see bench/paired.py). A second table holds the medians of residual and time.
+--brief: a line per target, our medians and the nearest published one in each quantity.
+The line has one more row: what our line makes of the face lines in the same samples.
 """
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections import defaultdict
 import math
 
 from handeye_ros import config as configs
@@ -20,53 +22,68 @@ from handeye_ros.compare import compare, Row
 from handeye_ros.config import Config
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
 import numpy as np
+from paired import print_header, print_nearest, print_table
+
+TARGETS = ('plate', 'sphere', 'line', 'plane')
+WITH_FACE = 'line, with its face'
+OURS = (WITH_FACE, 'plane, the face lines alone', 'line, one edge alone')
+NOTHING = (math.nan,) * 3
 
 
-def trial(target: str, seed: int) -> tuple[Row, ...]:
-    """Return the rows of one simulated cell."""
+def trial(target: str, seed: int) -> dict[str, Row]:
+    """Return the rows of one simulated cell by name."""
     scenario = SCENARIOS[target]
     samples, truth = simulate_samples(scenario, np.random.default_rng(seed))
     values = settings(scenario) | {'noise.distortion': 0.0}  # features are made without
     config = configs.with_values(Config(), values, 'the scenario')
-    return compare(samples, (), config, truth.T_flange_sensor, folds=0).rows
+    rows = compare(samples, (), config, truth.T_flange_sensor, folds=0).rows
+    found = {row.name: row for row in rows}
+    if target == 'line':
+        config = configs.with_values(Config(), values | {'target.use_face': True}, 'the scenario')
+        found[WITH_FACE] = compare(samples, (), config, truth.T_flange_sensor, folds=0).rows[0]
+    return found
 
 
-def figures(rows: Sequence[Row]) -> np.ndarray:
-    """Return errors (mm, degrees, mm), residual (mm) and seconds (n, 5) of answers."""
-    return np.array([
-        (1e3 * row.errors.translation, math.degrees(row.errors.rotation),
-         1e3 * row.errors.mapped_points, 1e3 * row.residual_rms, row.seconds)
-        for row in rows if row.errors and row.residual_rms is not None]).reshape(-1, 5)
+def run(target: str, seeds: range) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Return errors (n, 3) of each estimator (mm, degrees, mm), and residual (mm), seconds."""
+    errors, others = defaultdict(list), defaultdict(list)
+    for seed in seeds:
+        for name, row in trial(target, seed).items():
+            e = row.errors
+            errors[name].append((1e3 * e.translation, math.degrees(e.rotation),
+                                 1e3 * e.mapped_points) if e else NOTHING)
+            others[name].append((1e3 * (row.residual_rms or math.nan), row.seconds))
+    return ({name: np.array(values) for name, values in errors.items()},
+            {name: np.array(values) for name, values in others.items()})
+
+
+def print_others(found: dict[str, np.ndarray]) -> None:
+    """Print the medians of residual and time of each estimator."""
+    print(f'{"":28} {"residual, mm":>12} {"time, s":>8}')
+    for name, values in found.items():
+        residual, seconds = np.nanmedian(values, axis=0)
+        print(f'{name:28} {residual:12.4f} {seconds:8.4f}')
+    print(flush=True)
 
 
 def main() -> None:
-    """Print a table for each target."""
+    """Print the tables of each target, or a line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument('--plates', type=int, default=20)
-    parser.add_argument('--spheres', type=int, default=50)
-    parser.add_argument('--lines', type=int, default=50)
+    parser.add_argument('--trials', type=int, default=50)
     parser.add_argument('--seed', type=int, default=0)
+    parser.add_argument('--only', choices=TARGETS)
+    parser.add_argument('--brief', action='store_true', help='a line per target')
     arguments = parser.parse_args()
-    for target in ('plate', 'sphere', 'line'):
-        count = getattr(arguments, f'{target}s')
-        trials = [trial(target, arguments.seed + k) for k in range(count)]
-        print(f'{target}, {count} trials')
-        print(f'{"":28} {"answers":>7} {"transl.":>8} {"rotation":>8} {"mapped":>8} {"worst":>8} '
-              f'{"residual":>8} {"time":>8} {"mapped /":>8}')
-        print(f'{"":28} {"":7} {"mm":>8} {"degrees":>8} {"mm":>8} {"mm":>8} {"mm":>8} {"s":>8} '
-              f'{"ours":>8}')
-        ours = None
-        for rows in zip(*trials, strict=True):
-            values = figures(rows)
-            if not len(values):
-                print(f'{rows[0].name:28} {0:7}')
-                continue
-            t, r, mapped, residual, seconds = np.median(values, axis=0)
-            ours = ours or mapped
-            print(f'{rows[0].name:28} {len(values):7} {t:8.3f} {r:8.4f} {mapped:8.4f} '
-                  f'{values[:, 2].max():8.4f} {residual:8.4f} {seconds:8.4f} '
-                  f'{mapped / ours:8.2f}', flush=True)
-        print()
+    if arguments.brief:
+        print(f'{arguments.trials} trials')
+        print_header()
+    for target in (arguments.only,) if arguments.only else TARGETS:
+        found, others = run(target, range(arguments.seed, arguments.seed + arguments.trials))
+        if arguments.brief:
+            print_nearest(target, found, OURS)
+            continue
+        print_table(f'{target}, {arguments.trials} trials', found)
+        print_others(others)
 
 
 if __name__ == '__main__':
