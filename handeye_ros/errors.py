@@ -81,11 +81,13 @@ class TwoFramesError(InputError):
 
 
 class NoPosesError(DataError):
-    """No pose of the flange was received."""
+    """No pose of the flange was received; topic: None if they come from transforms."""
 
-    def __init__(self, topic: str) -> None:
-        super().__init__(f'no flange pose was received on {topic}: start the robot driver, or '
-                         'set pose_topic')
+    def __init__(self, topic: str | None) -> None:
+        super().__init__(
+            'no flange pose was received from /tf: start the robot driver, or set '
+            'robot_base_frame and robot_effector_frame' if topic is None else
+            f'no flange pose was received on {topic}: start the robot driver, or set pose_topic')
 
 
 class MovingError(DataError):
@@ -224,6 +226,30 @@ class InconsistentError(DataError):
                          f'(limits.residual is {_mm(limit)}), and no usual slip explains it: '
                          'check the poses (frames, convention, units), target.type and '
                          'profile.unit, profile.axes, profile.range_sign')
+
+
+class MovedError(DataError):
+    """Target, sensor or tool frame changed in the middle of a recording."""
+
+    @classmethod
+    def sensor(cls, station: int, total: int, distance: float, turn: float, frame: str
+               ) -> MovedError:
+        """Return the error for a sensor that moved in a frame of the robot (metres, radians)."""
+        return cls(f'{_parted(station, total)}: in between, the sensor moved in {frame} by '
+                   f'{_mm(distance)} and {_degrees(turn)}, or {frame} became another frame (tool '
+                   'or base of the robot switched); take all samples with the same')
+
+    @classmethod
+    def target(cls, station: int, total: int, frame: str) -> MovedError:
+        """Return the error for a target that moved in a frame of the robot."""
+        return cls(f'{_parted(station, total)}: in between, the target moved in {frame}, or '
+                   f'{frame} became another frame (tool or base of the robot switched); fix the '
+                   'target, and take all samples with the same')
+
+
+def _parted(station: int, total: int) -> str:
+    return (f'the first {station} samples agree among themselves, and so do the other '
+            f'{total - station}, but not with each other')
 
 
 class ScatteredOrientationsError(DataError):
@@ -370,6 +396,14 @@ class NothingToSaveError(DataError):
     def __init__(self) -> None:
         super().__init__('there is no calibration to save: call ~/compute_calibration first, and '
                          'see that it succeeds')
+
+
+class ClearedError(DataError):
+    """The samples were cleared while they were solved."""
+
+    def __init__(self) -> None:
+        super().__init__('the samples were cleared while the calibration was computed, so there '
+                         'is none: take new samples')
 
 
 class UnknownNameError(InputError):

@@ -37,6 +37,12 @@ def mount_frame(config: Config) -> str:
     return config.robot_effector_frame if in_hand else config.robot_base_frame
 
 
+def target_frame(config: Config) -> str:
+    """Return the frame that the target is fixed in."""
+    in_hand = config.calibration_type == 'eye_in_hand'
+    return config.robot_base_frame if in_hand else config.robot_effector_frame
+
+
 def require_rotations(poses: Array, config: Config, lost: str) -> None:
     """
     Refuse poses (n, 4, 4) that turn about no axis, or about only one.

@@ -15,11 +15,14 @@ from handeye_ros.errors import (
     ContradictingStationsError,
     HandeyeError,
     InconsistentError,
+    MovedError,
     RangeSignError,
     ScatteredOrientationsError,
     ScatterError,
     SlipError,
 )
+from handeye_ros.identify import mount_frame, target_frame
+from handeye_ros.moved import find_move
 from handeye_ros.robust import Consensus, consensus
 from handeye_ros.shape import require_not_only_scale
 from handeye_ros.solve import covariances, groups, Problem, Solution
@@ -102,8 +105,8 @@ def require_consistent(problem: Problem, agreed: Consensus, flipped: Problem | N
 
     flipped: the problem with the range counted the other way, if it can be posed.
 
-    Raises SlipError, ScatteredOrientationsError, ScaleError, InconsistentError,
-    ContradictingStationsError or ScatterError.
+    Raises SlipError, ScatteredOrientationsError, MovedError, ScaleError,
+    InconsistentError, ContradictingStationsError or ScatterError.
     """
     share = dropped_share(problem, agreed)
     rms, limit = residual_rms(agreed.solution), problem.config.limits.residual
@@ -127,6 +130,8 @@ def require_consistent(problem: Problem, agreed: Consensus, flipped: Problem | N
         raise SlipError(name, rms, residual_rms(good[name].solution), SLIPS[name][1])
     if hopeless and orientations_scatter(problem.poses):
         raise ScatteredOrientationsError(rms)
+    if hopeless:
+        require_unmoved(problem, agreed, rng)
     require_not_only_scale(agreed.solution)
     if rms > limit:
         raise InconsistentError(rms, limit)
@@ -134,6 +139,18 @@ def require_consistent(problem: Problem, agreed: Consensus, flipped: Problem | N
         raise ContradictingStationsError(len(agreed.dropped), len(problem.poses))
     if wild:
         raise ScatterError(rms, expected, scatter)
+
+
+def require_unmoved(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> None:
+    """Raise MovedError when two parts of the recording fit, each by itself."""
+    move, total = find_move(problem, agreed, rng), len(problem.poses)
+    if move is None:
+        return
+    if move.sensor is None:
+        raise MovedError.target(move.station, total, target_frame(problem.config))
+    distance, turn = np.linalg.norm(move.sensor[:3, 3]), se3.angle(move.sensor[:3, :3])
+    raise MovedError.sensor(move.station, total, float(distance), float(turn),
+                            mount_frame(problem.config))
 
 
 def orientations_scatter(poses: Array) -> bool:
