@@ -34,6 +34,8 @@ class Table:
     def __init__(self, path: Path) -> None:
         """Read a .csv file, or else YAML; raises TableError."""
         self.path = path
+        if path.is_dir():
+            raise TableError(path, 'is a folder; give the file in it')
         header, rows = _csv(path) if path.suffix.lower() == '.csv' else _yaml(path)
         names = [_HEADER.fullmatch(str(cell)) for cell in header]
         for cell, match in zip(header, names, strict=True):

@@ -3,23 +3,25 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from handeye_ros.config import Config
+from handeye_ros.config import Config, flatten, load
 from handeye_ros.ros import bag
-from handeye_ros.simulate import SCENARIOS, simulate
+from handeye_ros.simulate import FILE_SCENES, SCENARIOS, simulate
 from handeye_ros.truth import true_transform
 import numpy as np
 import pytest
 import yaml
 
 BAGS = Path(__file__).parents[1] / 'bags'
-NAMES = ('plate', 'sphere', 'one_orientation', 'inverted_poses', 'line', 'plane')
+NAMES = ('plate', 'sphere', 'one_orientation', 'inverted_poses', 'line', 'plane', 'tracker')
 
 
 @pytest.mark.parametrize('name', NAMES)
 def test_a_bag_holds_what_its_truth_says_it_was_made_from(name: str) -> None:
     truth = yaml.safe_load((BAGS / name / 'truth.yaml').read_text(encoding='utf-8'))
-    made = simulate(SCENARIOS[truth['scenario']], np.random.default_rng(truth['seed']))
-    assert np.allclose(true_transform(BAGS / name), made.truth.T_flange_sensor, atol=1e-9)
+    rng, scenario = np.random.default_rng(truth['seed']), truth['scenario']
+    made = FILE_SCENES[scenario](rng) if name == 'tracker' else simulate(SCENARIOS[scenario], rng)
+    T_true = made.T_flange_sensor if name == 'tracker' else made.truth.T_flange_sensor
+    assert np.allclose(true_transform(BAGS / name), T_true, atol=1e-9)
     read = bag.read(BAGS / name, Config())
     assert not read.warnings
     for there, here in zip(read.profiles, made.profiles, strict=True):
@@ -30,6 +32,20 @@ def test_a_bag_holds_what_its_truth_says_it_was_made_from(name: str) -> None:
         assert there.stamp == here.stamp
         assert np.allclose(there.translation, here.translation, rtol=0, atol=1e-9)
         assert np.allclose(there.quaternion, here.quaternion, rtol=0, atol=1e-9)
+
+
+def test_the_reflector_of_the_tracker_is_what_its_truth_says() -> None:
+    truth = yaml.safe_load((BAGS / 'tracker' / 'truth.yaml').read_text(encoding='utf-8'))
+    rng = np.random.default_rng(truth['seed'])
+    made = FILE_SCENES[truth['scenario']](rng).tables['tracker.csv']
+    there = (BAGS / 'tracker' / 'tracker.csv').read_text(encoding='utf-8')
+    for line, other in zip(there.splitlines(), made.splitlines(), strict=True):
+        (kind, *values), (other_kind, *others) = line.split(', '), other.split(', ')
+        assert kind == other_kind
+        if kind != 'kind':
+            assert np.allclose(np.array(values, float), np.array(others, float), atol=1e-6)
+    config = load(BAGS.parent / 'config' / 'tracker.yaml')
+    assert {key: flatten(config)[key] for key in truth['settings']} == truth['settings']
 
 
 def test_the_bags_are_small_and_explained() -> None:

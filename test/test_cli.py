@@ -4,6 +4,7 @@ from __future__ import annotations
 from dataclasses import replace
 import errno
 import os
+from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -110,6 +111,20 @@ def test_solve_imports_no_ros(simulated, tmp_path):
               'if m.split(".")[0] in ("rclpy", "rosidl_parser", "sensor_msgs")]))')
     run = handeye('solve', simulated[0], '--config', PLATE, cwd=tmp_path, before=before)
     assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines()[-1] == '[]'
+
+
+def test_a_bag_with_a_file_beside_it_is_solved_as_well(tmp_path):
+    before = ('import atexit; atexit.register(lambda: print([m for m in sys.modules '
+              'if m.split(".")[0] in ("rclpy", "rosidl_parser", "sensor_msgs")]))')
+    run = handeye('solve', ROOT / 'bags' / 'tracker', '--config', ROOT / 'config' / 'tracker.yaml',
+                  cwd=tmp_path, before=before)
+    assert (run.returncode, run.stderr) == (0, '')
+    calibration = export.read_calibration(tmp_path / 'out' / 'tracker' / 'calibration.yaml')
+    T_true = true_transform(ROOT / 'bags' / 'tracker')
+    assert mapped_point_error(calibration.T_flange_sensor, T_true) < 1e-4
+    assert [Path(entry['path']).name for entry in calibration.provenance['inputs']] == [
+        'tracker.mcap', 'tracker.csv']
     assert run.stdout.splitlines()[-1] == '[]'
 
 

@@ -10,6 +10,7 @@ from handeye_ros import pipeline, report_compare, se3
 from handeye_ros.compare import compare, Comparison, Row
 from handeye_ros.errors import BadValueError, OneOrientationError, TooUncertainError
 from handeye_ros.estimators import ESTIMATORS
+from handeye_ros.files import FILE_METHODS
 from handeye_ros.methods import METHODS
 from handeye_ros.outcome import sensor_axes
 from handeye_ros.simulate import SCENARIOS
@@ -64,13 +65,14 @@ def plate() -> Comparison:
 
 
 def test_every_target_has_its_own_method_first() -> None:
-    assert ESTIMATORS.keys() == METHODS.keys()
+    assert ESTIMATORS.keys() == METHODS.keys() | FILE_METHODS.keys()
     for target, estimators in ESTIMATORS.items():
-        assert estimators[0].name == METHODS[target].name == target
+        method = METHODS.get(target) or FILE_METHODS[target]
+        assert estimators[0].name == method.name == target
         assert len({e.name for e in estimators}) == len(estimators)
 
 
-@pytest.mark.parametrize('target', ESTIMATORS)
+@pytest.mark.parametrize('target', METHODS)
 def test_without_noise_all_estimators_find_the_truth(target: str) -> None:
     made = nearly_exact(target)
     comparison = compared(made)

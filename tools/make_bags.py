@@ -5,10 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 import sys
 
-from handeye_ros.ros import bag_write
-from handeye_ros.simulate import SCENARIOS, simulate
-from handeye_ros.truth import truth_values
-import numpy as np
+from handeye_ros.ros import simulated
 
 # bag: scenario, seed
 BAGS = {
@@ -18,17 +15,16 @@ BAGS = {
     'inverted_poses': ('small_inverted_poses', 4),
     'line': ('small_line', 5),
     'plane': ('small_plane', 6),
+    'tracker': ('small_tracker', 7),
 }
 
 
 def main(folder: Path) -> None:
     """Make every bag in the folder; what is there already is replaced."""
     for bag, (name, seed) in BAGS.items():
-        made = simulate(SCENARIOS[name], np.random.default_rng(seed))
-        bag_write.write(folder / bag, made.profiles, made.poses, truth=truth_values(made, seed),
-                        force=True)
+        made = simulated.write(name, seed, folder / bag, force=True)
         size = sum(file.stat().st_size for file in (folder / bag).iterdir())
-        print(f'{folder / bag}: {len(made.profiles)} profiles, {size / 1e6:.2f} MB')
+        print(f'{folder / bag}: {made}, {size / 1e6:.2f} MB')
 
 
 if __name__ == '__main__':

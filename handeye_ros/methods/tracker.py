@@ -29,6 +29,7 @@ NAME = 'the chain through the laser tracker'
 KINDS = ('arc', 'line', 'ball', 'face_c', 'face_d')
 TOO_FEW = {'arc': 6, 'line': 3, 'ball': 1, 'face_c': 3, 'face_d': 3}
 SMALLEST_ANGLE = 0.17  # between the faces, and of the arc (rad)
+LARGEST_TURN = 0.35  # between the sweep as the ball shows it and the line of the reflector (rad)
 LARGEST_STD = (5e-3, 1e-2)  # of an answer (m, rad)
 LARGEST_VARIANCE = 9.0
 LARGEST_DROPPED_SHARE = 0.34
@@ -92,6 +93,7 @@ def solve(tracker: jing2020.Tracker, sweep: Sweep, tracker_noise: float = 2e-5,
     """
     chain = jing2020.solve(tracker, sweep.published, direction)
     _require_angles(tracker, chain.angles)
+    _require_one_direction(chain)
     seen = Seen(tracker, sweep, tracker_noise)
     fit = adjust(tracker_model.model(seen), tracker_model.start(chain, seen))
     _require_agreement(fit)
@@ -122,6 +124,16 @@ def _require_angles(tracker: jing2020.Tracker, faces: Array) -> None:
     if min(*faces, *(np.pi - faces)) < SMALLEST_ANGLE:
         raise DegenerateError(NAME, 'the two faces of the block are nearly parallel',
                               'use faces at 45 degrees or more')
+
+
+def _require_one_direction(chain: jing2020.Result) -> None:
+    """Refuse a sweep that the ball shows to run another way than the link that carries it."""
+    cosine = float(chain.direction @ chain.T_flange_sensor[2, :3])
+    if cosine < np.cos(LARGEST_TURN):
+        raise DegenerateError(
+            NAME, f'the sweep runs {np.degrees(np.arccos(max(cosine, -1.0))):.0f} degrees beside '
+            'the line of the reflector', 'check which face is which, tracker.direction, and that '
+            'the line was measured towards larger readings of P3')
 
 
 def _require_agreement(fit: Adjusted[State]) -> None:

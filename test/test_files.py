@@ -1,0 +1,380 @@
+"""Targets solved from files: every verb, what is written, and what is refused."""
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+import hashlib
+from pathlib import Path
+import sys
+
+from command import ROOT
+from handeye_ros import export, files, se3
+from handeye_ros.cli import main
+from handeye_ros.compare import compare_files
+from handeye_ros.config import Config, load, with_values
+from handeye_ros.data import Array, Calibration
+from handeye_ros.errors import BadValueError, OnlyFromFilesError
+from handeye_ros.estimators import ESTIMATORS
+from handeye_ros.files import FILE_METHODS
+from handeye_ros.files.outcome import calibrate
+from handeye_ros.methods import FROM_FILES, METHODS, of
+from handeye_ros.outcome import sensor_axes
+from handeye_ros.ros import bag, bag_write, simulated
+from handeye_ros.simulate import FILE_SCENES, measured
+from handeye_ros.simulate.scenario import SensorModel
+from handeye_ros.truth import true_transform
+from handeye_ros.verify import errors_against
+import numpy as np
+import pytest
+
+TABLES = {'points': 'points.csv', 'hand_eye': 'poses.csv', 'tracker': 'tracker.csv'}
+PERFECT = SensorModel(columns=640, rate=10.0, noise=1e-9, mixed=0.0, lost=0.0, lost_at_edge=0.0,
+                      outliers=0.0, rim_bias=0.0)
+EXACT: dict[str, Callable[[np.random.Generator], measured.Measured]] = {
+    'points': lambda rng: measured.points(rng, 0.0),
+    'hand_eye': lambda rng: measured.hand_eye(rng, noise=0.0),
+    'hand_eye_on_base': lambda rng: measured.hand_eye(rng, True, 0.0),
+    'tracker': lambda rng: measured.laser_tracker(rng, PERFECT, 0.0, 0.0)}
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+        ) -> Run:
+    """Return a function that runs the command in a folder of its own."""
+    def handeye(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, 'argv', ['handeye', *map(str, arguments)])
+        monkeypatch.chdir(tmp_path)
+        with pytest.raises(SystemExit) as caught:
+            main()
+        told = capsys.readouterr()
+        return int(caught.value.code or 0), told.out, told.err
+    return handeye
+
+
+@pytest.fixture(scope='module', params=[name for name in FILE_SCENES if name != 'tracker'])
+def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+          ) -> tuple[str, Path]:
+    """Return the name of a scene and its folder; the small tracker will do."""
+    path = tmp_path_factory.mktemp('scenes') / request.param
+    simulated.write(request.param, 1, path)
+    return request.param, path
+
+
+def target_of(name: str) -> str:
+    return next(target for target in FILE_METHODS if target in name)
+
+
+def given(name: str, folder: Path) -> tuple[object, ...]:
+    """Return the arguments that solve or compare what is in the folder of a scene."""
+    target = target_of(name)
+    where = 'eye_on_base' if name in ('points', 'hand_eye_on_base') else 'eye_in_hand'
+    return (folder if target == 'tracker' else folder / TABLES[target], '--config',
+            ROOT / 'config' / f'{target}.yaml', '--set', f'calibration_type={where}')
+
+
+def refused(told: tuple[int, str, str], code: int, *words: str) -> None:
+    """Check that a run ended with a sentence, and that nothing was written."""
+    assert told[0] == code, told
+    assert 'Traceback' not in told[2] and len(told[2].splitlines()) == 1
+    for word in words:
+        assert word in told[2]
+    assert not Path('out').exists()
+
+
+def off(T: Array, T_true: Array) -> float:
+    return float(np.abs(se3.difference(T, T_true)).max())
+
+
+def read_configured(name: str, folder: Path) -> tuple[files.FileMethod, object, Config]:
+    """Return method, input and configuration of a scene in a folder."""
+    path, _, file, *_ = given(name, folder)
+    config = with_values(load(Path(str(file))), dict([str(given(name, folder)[-1]).split('=')]),
+                         'test')
+    method = files.of(config)
+    assert method is not None
+    return method, method.read(Path(str(path)), config, bag.read), config
+
+
+def test_every_target_has_all_that_belongs_to_it() -> None:
+    assert FROM_FILES == tuple(FILE_METHODS)
+    assert not METHODS.keys() & FILE_METHODS.keys()
+    for name, method in FILE_METHODS.items():
+        config = load(ROOT / 'config' / f'{name}.yaml')
+        assert files.of(config) is method
+        assert name in FILE_SCENES
+        assert ESTIMATORS[name][0].name == name == method.name
+    assert files.of(Config()) is None
+
+
+@pytest.mark.parametrize('name', FILE_SCENES)
+def test_simulate_writes_files_and_truth(name: str, run: Run, tmp_path: Path) -> None:
+    simulated.write(name, 1, folder := tmp_path / 'again')
+    code, out, err = run('simulate', name, 'made', '--seed', 1)
+    assert (code, err) == (0, '')
+    table = TABLES[target_of(name)]
+    assert out.startswith(f'wrote {Path("made").absolute()}: ') and table in out
+    for file in (table, 'truth.yaml'):
+        assert Path('made', file).read_bytes() == (folder / file).read_bytes()
+    assert f'simulate {name} --seed 1' in Path('made', 'truth.yaml').read_text()
+    code, _, err = run('simulate', name, 'made', '--seed', 2)
+    assert code == 2 and '--force' in err
+    assert run('simulate', name, 'made', '--seed', 2, '--force')[0] == 0
+    assert Path('made', table).read_bytes() != (folder / table).read_bytes()
+
+
+def test_solve_answers_near_the_truth_and_says_how_near(scene: tuple[str, Path], run: Run
+                                                        ) -> None:
+    name, folder = scene
+    code, out, err = run('solve', *given(name, folder), '--out', 'out')
+    assert (code, err) == (0, '')
+    found = export.read_calibration(Path('out', 'calibration.yaml'))
+    T_true = true_transform(folder)
+    assert T_true is not None
+    delta = se3.difference(found.T_flange_sensor, T_true)
+    assert delta @ np.linalg.solve(found.covariance, delta) < 25
+    assert found.method == target_of(name)
+    assert (found.parent_frame, found.child_frame) == (
+        'base' if name in ('points', 'hand_eye_on_base') else 'flange',
+        'laser' if 'tracker' in name else 'camera')
+    quality = found.quality
+    assert quality.residual_rms < quality.holdout_rms < 3e-4
+    assert quality.samples_used == len(found.samples) >= 10
+    assert quality.samples_rejected == 0
+    assert all(sample.used and sample.residual is not None for sample in found.samples)
+    _check_provenance(found, folder)
+    method, read, _ = read_configured(name, folder)
+    errors = errors_against(found.T_flange_sensor, T_true, method.field(read.data))
+    assert f'mapped points {errors.mapped_points * 1e3:.3f} mm RMS over {method.over}' in out
+    assert out.splitlines()[-1] == f'wrote {Path("out", "calibration.yaml").absolute()}'
+
+
+def _check_provenance(found: Calibration, folder: Path) -> None:
+    inputs = {entry['path']: entry['sha256'] for entry in found.provenance['inputs']}
+    assert str(folder / TABLES[found.method]) in inputs
+    assert len(inputs) == (2 if found.method == 'tracker' else 1)
+    for path, digest in inputs.items():
+        assert hashlib.sha256(Path(path).read_bytes()).hexdigest() == digest
+    assert found.provenance['config']['target.type'] == found.method
+
+
+def test_what_is_written_reads_back_equal(scene: tuple[str, Path], tmp_path: Path) -> None:
+    method, read, config = read_configured(*scene)
+    found = calibrate(method, read, config)
+    export.write_calibration(found, tmp_path / 'calibration.yaml')
+    back = export.read_calibration(tmp_path / 'calibration.yaml')
+    back.provenance.pop('created')
+    assert export.equal(found, back)
+
+
+def test_compare_shows_every_estimator(scene: tuple[str, Path], run: Run,
+                                       monkeypatch: pytest.MonkeyPatch) -> None:
+    name, folder = scene
+    quickly = partial(compare_files, folds=2)
+    monkeypatch.setattr('handeye_ros.compare.compare_files', quickly)
+    code, out, err = run('compare', *given(name, folder))
+    assert (code, err) == (0, '')
+    for estimator in ESTIMATORS[target_of(name)]:
+        row = next(row for row in out.splitlines() if row.startswith(f' {estimator.name} '))
+        assert len(row.split('  ')) >= 7 and ' - ' not in row and 'failed' not in row
+    assert f'mapped: RMS over {FILE_METHODS[target_of(name)].over}' in out
+    assert not Path('out').exists()
+
+
+@pytest.mark.parametrize('name', EXACT)
+def test_without_noise_all_find_the_truth(name: str, run: Run, tmp_path: Path) -> None:
+    made, folder = EXACT[name](np.random.default_rng(3)), tmp_path / 'exact'
+    if made.profiles:
+        bag_write.write(folder, made.profiles, made.poses, tables=made.tables, layout='double')
+    else:
+        folder.mkdir()
+        (folder / TABLES[target_of(name)]).write_text(next(iter(made.tables.values())))
+    code, _, err = run('solve', *given(name, folder), '--out', 'out')
+    assert code == 0, err
+    found = export.read_calibration(Path('out', 'calibration.yaml'))
+    assert off(found.T_flange_sensor, made.T_flange_sensor) < 1e-6
+    method, read, config = read_configured(name, folder)
+    comparison = compare_files(method, read, config, made.T_flange_sensor, folds=0)
+    assert comparison.refusal is None
+    for row in comparison.rows:
+        assert row.T_flange_sensor is not None, row.failure
+        assert off(row.T_flange_sensor, made.T_flange_sensor) < 1e-6, row.name
+        assert row.residual_rms is not None and row.residual_rms < 1e-6
+
+
+def test_compare_gives_all_the_samples_that_agree(tmp_path: Path) -> None:
+    simulated.write('points', 1, tmp_path / 'cell')
+    file = tmp_path / 'cell' / 'points.csv'
+    header, first, *rest = file.read_text().splitlines()
+    wrong = first.replace(first.split(',')[0], '500.0')
+    file.write_text('\n'.join([header, wrong, *rest]))
+    method, read, config = read_configured('points', tmp_path / 'cell')
+    comparison = compare_files(method, read, config, folds=9)
+    assert (comparison.used, comparison.rejected) == (9, 1)
+    for row in comparison.rows:
+        assert row.residual_rms < row.holdout_rms < 1e-4
+    found = calibrate(method, read, config)
+    assert [sample.used for sample in found.samples] == [False] + 9 * [True]
+    assert found.samples[0].stamp == 1
+    assert found.samples[0].reason == 'contradicts the others'
+    assert found.samples[0].residual > 0.4
+    assert (found.quality.samples_used, found.quality.samples_rejected) == (9, 1)
+    assert comparison.rows[0].residual_rms == pytest.approx(found.quality.residual_rms)
+
+
+def test_the_samples_of_the_tracker_are_its_rows_and_the_profiles(tmp_path: Path) -> None:
+    simulated.write('small_tracker', 2, tmp_path / 'cell')
+    file = tmp_path / 'cell' / 'tracker.csv'
+    lines = file.read_text().splitlines()
+    row = next(i for i, line in enumerate(lines) if line.startswith('face_d'))
+    kind, x, y, z = lines[row].split(', ')
+    lines[row] = f'{kind}, {float(x) + 3}, {y}, {float(z) - 3}'
+    file.write_text('\n'.join(lines))
+    method, read, config = read_configured('small_tracker', tmp_path / 'cell')
+    found = calibrate(method, read, config)
+    (lost,) = [sample for sample in found.samples if not sample.used]
+    assert (lost.stamp, lost.edge) == (row, 'face_d')
+    kinds = [sample.edge for sample in found.samples]
+    assert [kinds.count(kind) for kind in ('arc', 'line', 'face_c', 'face_d')] == [40, 30, 40, 40]
+    swept = {sample.stamp for sample in found.samples if sample.edge.startswith('swept')}
+    assert kinds.count('swept ball') > 20 < kinds.count('swept faces')
+    assert swept <= {profile.stamp for profile in bag.read(tmp_path / 'cell', config).profiles}
+    part = method.subset(read.data, np.arange(20, len(kinds)))
+    assert list(method.samples(part)) == list(method.samples(read.data))[20:]
+    assert [len(part.of[name]) for name in ('arc', 'centre')] == [20, 1]
+    assert part.of['arc'].tolist() == list(range(20))
+
+
+def test_axes_other_than_x_z_turn_the_answer_of_the_tracker(tmp_path: Path) -> None:
+    simulated.write('small_tracker', 3, tmp_path / 'cell')
+    method, read, config = read_configured('small_tracker', tmp_path / 'cell')
+    turned = with_values(config, {'profile.axes': ['y', 'z'], 'tracker.direction': [-1, 0, 0]},
+                         'test')
+    T, T_turned = (calibrate(method, read, c).T_flange_sensor for c in (config, turned))
+    np.testing.assert_allclose(T_turned @ sensor_axes(turned), T, atol=1e-9)
+
+
+def edited(name: str, folder: Path, change: Callable[[str], str]) -> tuple[object, ...]:
+    """Return the arguments for a scene whose table was changed."""
+    simulated.write(name, 1, folder)
+    file = folder / TABLES[target_of(name)]
+    file.write_text(change(file.read_text()))
+    return given(name, folder)
+
+
+def rows(change: Callable[[list[str]], list[str]]) -> Callable[[str], str]:
+    """Return a change of the rows below the header."""
+    def changed(text: str) -> str:
+        header, *lines = text.splitlines()
+        return '\n'.join([header, *change(lines)])
+    return changed
+
+
+def replaced(old: str, new: str) -> Callable[[str], str]:
+    return lambda text: text.replace(old, new)
+
+
+@pytest.mark.parametrize(('name', 'change', 'words'), [
+    ('points', replaced('camera_x [mm]', 'camera_x'), 'camera_x names no unit; write camera_x'),
+    ('points', replaced('base_z [mm]', 'base_z [inch]'), 'base_z has the unit inch'),
+    ('points', replaced('base_y', 'bass_y'), 'no column base_y; did you mean bass_y'),
+    ('points', rows(lambda lines: []), 'holds no rows'),
+    ('hand_eye', replaced('target_qw', 'target_w'), 'has no column target_qw'),
+    ('hand_eye', replaced('flange_x [mm]', 'flange_x [deg]'), 'flange_x has the unit deg'),
+    ('hand_eye', replaced('flange_qx', 'flange_qx [rad]'), 'flange_qx has the unit rad'),
+    ('small_tracker', replaced('x [mm]', 'x'), 'the column x names no unit'),
+    ('small_tracker', replaced('arc', 'arch'), 'row 1: kind is "arch", expected arc'),
+    ('small_tracker', replaced('ball', 'line'), 'holds 0 points of the kind ball')])
+def test_files_that_cannot_be_read_end_with_2(name: str, change: Callable[[str], str],
+                                              words: str, run: Run, tmp_path: Path) -> None:
+    arguments = edited(name, tmp_path / 'cell', change)
+    refused(run('solve', *arguments), 2, words.replace('did you mean bass_y', 'did you mean'))
+
+
+@pytest.mark.parametrize(('name', 'change', 'words'), [
+    ('points', rows(lambda lines: lines[:3]), 'needs at least 4 points, got 3'),
+    ('points', rows(lambda lines: lines[:1] * 10), 'the points lie in one line'),
+    ('points', replaced('base_x [mm], base_y [mm], base_z [mm]',
+                        'base_x [m], base_y [m], base_z [m]'), 'their units'),
+    ('hand_eye', rows(lambda lines: lines[:2]), 'needs at least 3 poses, got 2'),
+    ('hand_eye', rows(lambda lines: lines[:1] * 5), 'all poses share one orientation'),
+    ('hand_eye', replaced('flange_x [mm], flange_y [mm], flange_z [mm]',
+                          'flange_x [m], flange_y [m], flange_z [m]'), 'and the units'),
+    ('hand_eye', replaced('flange_qx, flange_qy, flange_qz, flange_qw',
+                          'flange_qw, flange_qx, flange_qy, flange_qz'), 'contradict the others'),
+    ('small_tracker', rows(lambda lines: lines[:3] * 2 + lines[40:]), 'the arc spans 5.9 degrees'),
+    ('small_tracker', rows(lambda lines: lines[:40] + lines[40:70][::-1] + lines[70:]),
+     'that the line was measured towards larger readings'),
+    ('small_tracker', lambda text: text.replace('face_c', 'x_').replace(
+        'face_d', 'face_c').replace('x_', 'face_d'), 'check which face is which')])
+def test_files_without_an_answer_end_with_3(name: str, change: Callable[[str], str],
+                                            words: str, run: Run, tmp_path: Path) -> None:
+    refused(run('solve', *edited(name, tmp_path / 'cell', change)), 3, words)
+
+
+@pytest.mark.parametrize('eye_on_base', [False, True])
+def test_turns_about_one_axis_are_refused(eye_on_base: bool, run: Run, tmp_path: Path) -> None:
+    made = measured.hand_eye(np.random.default_rng(0), eye_on_base, tilts=(0.0, 0.0, 60.0))
+    (tmp_path / 'poses.csv').write_text(made.tables['poses.csv'])
+    name = 'hand_eye_on_base' if eye_on_base else 'hand_eye'
+    refused(run('solve', *given(name, tmp_path)), 3, 'all poses share one rotation axis',
+            'about base' if eye_on_base else 'about flange')
+
+
+def test_an_answer_beyond_the_limits_is_refused(run: Run, tmp_path: Path) -> None:
+    simulated.write('points', 1, tmp_path / 'cell')
+    arguments = ('solve', *given('points', tmp_path / 'cell'))
+    for limit, words in (('translation=1e-6', 'the position along'),
+                         ('rotation=1e-6', 'the rotation about')):
+        told = run(*arguments, '--set', f'limits.{limit}')
+        refused(told, 3, words, 'take more points, spread over a larger volume')
+    refused(run(*arguments, '--set', 'limits.residual=1e-6'), 3, 'samples miss by 0.04')
+
+
+def test_what_we_refuse_others_may_answer(run: Run, tmp_path: Path) -> None:
+    simulated.write('points', 1, tmp_path / 'cell')
+    code, out, err = run('compare', *given('points', tmp_path / 'cell'), '--set',
+                         'limits.translation=1e-6')
+    assert code == 3 and 'the position along' in err
+    assert ' points    failed: the position along' in ' '.join(out.split()).replace(
+        'points failed', 'points    failed')
+    assert 'Wu 2017' in out
+
+
+@pytest.mark.parametrize(('settings', 'words'), [
+    (('target.type=points', 'calibration_type=eye_in_hand'),
+     "calibration_type is 'eye_in_hand', expected eye_on_base with target.type points"),
+    (('target.type=tracker', 'calibration_type=eye_on_base'), 'expected eye_in_hand with'),
+    (('target.type=points', 'calibration_type=eye_on_base', 'method=plate'),
+     "method is 'plate', expected auto or points with target.type points"),
+    (('target.type=tracker', 'tracker.direction=[0, 0, 0]'), 'a direction that is not zero'),
+    (('target.type=pointz',), "target.type is 'pointz', expected one of plate, line, ")])
+def test_settings_that_do_not_fit_end_with_2(settings: tuple[str, ...], words: str, run: Run,
+                                             tmp_path: Path) -> None:
+    simulated.write('small_tracker', 1, tmp_path / 'cell')
+    given = [argument for setting in settings for argument in ('--set', setting)]
+    for verb in ('solve', 'compare'):
+        refused(run(verb, tmp_path / 'cell', *given), 2, words)
+
+
+def test_inputs_that_are_none_end_with_2(run: Run, tmp_path: Path) -> None:
+    simulated.write('small_tracker', 1, tmp_path / 'cell')
+    _, *settings = given('points', tmp_path)
+    refused(run('solve', 'nowhere.csv', *settings), 2, 'nowhere.csv', 'cannot be read')
+    refused(run('solve', 'cell', *settings), 2, 'is a folder; give the file in it')
+    refused(run('solve', 'cell/small_tracker.mcap', *settings), 2, 'cannot be read')
+    (tmp_path / 'cell' / 'tracker.csv').unlink()
+    refused(run('solve', *given('small_tracker', tmp_path / 'cell')), 2,
+            'tracker.csv: no such file', 'set tracker.file')
+    _, *settings = given('small_tracker', tmp_path)
+    refused(run('solve', 'nowhere', *settings), 2, 'no such file or folder')
+
+
+@pytest.mark.parametrize('name', FILE_METHODS)
+def test_what_takes_profiles_refuses_them(name: str) -> None:
+    with pytest.raises(OnlyFromFilesError, match=f'{name} is solved from files, .*: run "handeye '
+                       'solve'):
+        of(load(ROOT / 'config' / f'{name}.yaml'))
+    with pytest.raises(BadValueError):
+        of(with_values(Config(), {'method': name}, 'test'))
