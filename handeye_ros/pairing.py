@@ -47,7 +47,7 @@ class Session:
         self._finder = StationFinder(self._config.sampling)
         self._waiting: list[Station] = []
         self._profiles: list[Profile] = []
-        self._taken_until = -1
+        self._taken: set[int] = set()  # when the stops began of which there is an outcome
         self._pose_count = 0
         self._largest_position = 0.0
         self._beside = 0.0
@@ -113,10 +113,12 @@ class Session:
 
     def collect(self) -> list[Sample | Reject]:
         """Return what became of the stations that both streams have passed since the last call."""
+        # a sensor that is triggered once at each stop does not send the next profile soon
+        now = self._pose_stream.latest
+        self._profiles += self._profile_stream.believed(now - LARGEST_STEP, now + LARGEST_STEP)
         passed = [s for s in self._waiting if self._profile_stream.latest > s.end]
         self._waiting = [s for s in self._waiting if s not in passed]
-        outcomes = [self._outcome(s) for s in passed if s.start > self._taken_until]
-        self._outcomes.extend(outcomes)
+        outcomes = self._judged(passed)
         self._forget_old_profiles()
         return outcomes
 
@@ -127,16 +129,20 @@ class Session:
         Raises TwoFramesError when messages of two frames came on one topic.
         """
         self._require_one_frame()
-        self._take_poses(self._pose_stream.rest(FOREVER))
-        self._profiles += self._profile_stream.rest(FOREVER)
+        self._take_poses(self._pose_stream.believed(0, FOREVER))
+        self._profiles += self._profile_stream.believed(0, FOREVER)
         current = self._finder.current()
         if current and self._config.sampling.auto:
             self._waiting.append(current)
-        outcomes = [self._outcome(s) for s in self._waiting if s.start > self._taken_until]
-        if self._waiting:
-            self._taken_until = max(self._taken_until, self._waiting[-1].end)
-        self._waiting = []
-        self._outcomes.extend(outcomes)
+        outcomes, self._waiting = self._judged(self._waiting), []
+        return outcomes
+
+    def _judged(self, stations: Sequence[Station]) -> list[Sample | Reject]:
+        """Return what becomes of stations, and keep it; not of those taken by hand."""
+        new = [station for station in stations if station.began not in self._taken]
+        outcomes = [self._outcome(station) for station in new]
+        self._taken |= {station.began for station in new}
+        self._outcomes += outcomes
         return outcomes
 
     def require_stations(self) -> None:
@@ -148,7 +154,7 @@ class Session:
         if self._outcomes:
             return
         if not self._pose_count:
-            raise NoPosesError(self._config.pose_topic)
+            raise self._no_poses()
         if self._largest_position > LARGEST_POSITION:
             raise PositionUnitError(self._largest_position)
         raise NoStationsError(self._pose_count, self._config.sampling.still_time)
@@ -161,17 +167,14 @@ class Session:
         """
         self._require_one_frame()
         if self._pose_stream.frame is None:
-            raise NoPosesError(self._config.pose_topic)
+            raise self._no_poses()
         station = self._finder.current()
         if station is None:
             raise MovingError(self._config.sampling.still_time)
-        # a sensor that is triggered once at each stop sends no next profile before it is asked
-        self._profiles += self._profile_stream.rest(station.end + LARGEST_STEP)
-        if station.start <= self._taken_until:
-            self._outcomes = [o for o in self._outcomes if o.stamp < station.start]
+        self._profiles += self._profile_stream.believed(station.start, station.end)
         sample = self._sample(station)
-        self._outcomes.append(sample)
-        self._taken_until = station.end
+        self._outcomes = [o for o in self._outcomes if o.stamp < station.began] + [sample]
+        self._taken.add(station.began)
         return sample
 
     def remove_last(self) -> Sample:
@@ -180,9 +183,9 @@ class Session:
 
         Raises NothingToRemoveError when there is none.
         """
-        standing = self._standing()
+        standing, began = self._standing()
         if standing:
-            self._taken_until = standing.stamp
+            self._taken.add(began)
             return standing
         if not self.samples:
             raise NothingToRemoveError
@@ -190,14 +193,17 @@ class Session:
         self._outcomes.remove(last)
         return last
 
-    def _standing(self) -> Sample | None:
-        """Return the sample that the present stop will give, if it gives one."""
+    def _standing(self) -> tuple[Sample | None, int]:
+        """Return the sample that the present stop will give, if any, and when it began."""
         station = self._finder.current()
-        if station is None or not self._finder.sampling.auto or (
-                station.start <= self._taken_until):
-            return None
+        if station is None or not self._finder.sampling.auto or station.began in self._taken:
+            return None, 0
         outcome = self._outcome(station)
-        return outcome if isinstance(outcome, Sample) else None
+        return (outcome if isinstance(outcome, Sample) else None), station.began
+
+    def _no_poses(self) -> NoPosesError:
+        by_topic = self._config.pose_source == 'topic'
+        return NoPosesError(self._config.pose_topic if by_topic else None)
 
     def _require_one_frame(self) -> None:
         if self.conflict:

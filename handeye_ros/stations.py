@@ -17,9 +17,14 @@ FOREVER = 2**63
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """A time during which the robot stood still; poses in order of their stamps."""
+    """
+    A time during which the robot stood still; poses in order of their stamps.
+
+    began: the stamp of the first pose of this stop, which poses may no longer hold.
+    """
 
     poses: tuple[TimedPose, ...]
+    began: int
 
     @property
     def start(self) -> int:
@@ -39,7 +44,7 @@ class StationFinder:
         """Start with no poses."""
         self.sampling = sampling
         self._run: list[TimedPose] = []
-        self._latest = -1
+        self._began = self._latest = -1
 
     def add(self, pose: TimedPose) -> Station | None:
         """Take the next pose; return the station that it ends, if it ends one."""
@@ -48,8 +53,9 @@ class StationFinder:
         if continues:
             self._extend(pose)
             return None
-        ended, self._run = self._run, [pose]
-        return self._station(ended)
+        ended = self._station(self._run)
+        self._run, self._began = [pose], pose.stamp
+        return ended
 
     def current(self) -> Station | None:
         """Return the station that the robot stands in now, if it has stood still for long."""
@@ -81,7 +87,7 @@ class StationFinder:
 
     def _station(self, run: Sequence[TimedPose]) -> Station | None:
         still = bool(run) and run[-1].stamp - run[0].stamp >= self.sampling.still_time * NS
-        return Station(tuple(run)) if still else None
+        return Station(tuple(run), self._began) if still else None
 
 
 def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:

@@ -66,10 +66,10 @@ class Stream(Generic[Stamped]):
             passed.append(self._passed(item))
         return passed
 
-    def rest(self, until: int) -> list[Stamped]:
-        """Return what is held back with a stamp up to until: no next message will tell."""
+    def believed(self, first: int, last: int) -> list[Stamped]:
+        """Return what is held back if its stamp lies between two times that make it credible."""
         held = self._held
-        if held is None or held.stamp > until:
+        if held is None or not first <= held.stamp <= last:
             return []
         self._held = None
         return [self._passed(held)]

@@ -211,6 +211,7 @@ def test_wrong_parameters_end_the_node(argument: str, reason: str) -> None:
     ('noise.sensor:=abc', "noise.sensor is 'abc', expected a value of type float"),
     ('noise.sensor:=5.0', 'noise.sensor is 5.0, expected a number from 1e-09 to 0.01'),
     ('target.type:=cone', "target.type is 'cone', expected one of"),
+    ('target.type:=points', 'target.type points is solved from files, .* "handeye solve'),
     ('name:=a/b', "name is 'a/b', expected the name of a folder"),
     ('name:=[]', 'name is \\[], expected a value of type str'),
     ('target.size:=[1.0]', 'target.size is \\[1.0], expected a list of 0 or 2 values'),

@@ -366,6 +366,41 @@ def test_taking_twice_at_one_stop_keeps_one_sample() -> None:
     assert session.samples == (second,) and second.profiles > first.profiles
 
 
+def test_however_often_one_spot_is_taken_it_is_one_sample() -> None:
+    session = Session(MANUAL)
+    length = 3 * MAX_STATION // NS
+    for item in sorted([*stops((0, length)), *profiles(0, length, rate=1.0)],
+                       key=lambda item: item.stamp):
+        add(session, item)
+        if isinstance(item, Profile) and item.stamp > START + NS and item.stamp // NS % 2:
+            session.take_sample()
+        assert len(session.samples) <= 1
+
+
+def test_a_sample_is_kept_when_taking_it_again_fails() -> None:
+    session = played(stops((0, 1)), profiles(0, 1), MANUAL, finish=False)
+    sample = session.take_sample()
+    for p in [pose(1.02 + 0.02 * i) for i in range(200)]:
+        session.add_pose(p)
+    for p in profiles(1.0, 4.9, points=BAD):
+        session.add_profile(p)
+    with pytest.raises(FeatureError):
+        session.take_sample()
+    assert session.samples == (sample,)
+
+
+def test_a_sample_by_hand_takes_none_from_the_stop_before() -> None:
+    session = Session(CONFIG)  # one profile a stop: the first stop waits for that of the second
+    for start in (0, 20):
+        for t in np.arange(start, start + 1, 0.02):
+            add(session, pose(t, x=0.01 * start))
+        add(session, profile(start + 0.5))
+        session.collect()
+    session.take_sample()
+    session.finish()
+    assert sorted(round(float(s.T_base_flange[0, 3]), 6) for s in session.samples) == [0.0, 0.2]
+
+
 def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
     session = played(stops((0, 1)), profiles(0, 1), finish=False)
     session.take_sample()

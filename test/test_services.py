@@ -13,7 +13,7 @@ from rcl_interfaces.msg import SetParametersResult  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from ros_helpers import Client, LATCHED, pose_message, running_node, sphere_profile  # noqa: E402
-from std_srvs.srv import SetBool  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -121,11 +121,50 @@ def test_a_looping_bag_is_explained_and_may_start_again(
     stand_still(client, START)
     state = client.until_counted(profiles=40, poses=40)
     assert 'clear the samples if a bag was started again (20 times)' in state['dropped']
+    assert state['level'] == DiagnosticStatus.WARN
+    assert ('poses and profiles are dropped, as their stamps are older than those before: call '
+            '~/clear_samples if a bag was started again') in state['message']
     assert client.call('clear_samples').success
+    assert 'dropped' not in client.state()['message']
     stand_still(client, START)
     client.until_counted(profiles=60, poses=60)
     assert client.state()['dropped'] == ''
     assert client.call('take_sample').success
+
+
+def test_one_wild_stamp_makes_nothing_else_late(
+        client: Client, node: subprocess.Popen[str]) -> None:
+    stand_still(client, START, 0.3)
+    for stamp in (0, START + 10**9 * NS, 1):  # 0: the time of receipt, years after START
+        client.profiles.publish(sphere_profile(stamp))
+        client.poses.publish(pose_message(stamp))
+        stand_still(client, START + 3 * NS // 10 + 5 * (stamp % 7) * NS // 100, 0.05)
+    stand_still(client, START + 6 * NS // 10)
+    state = client.until_counted(profiles=32, poses=32)
+    assert 'older than those before' not in state['message']
+    taken = client.call('take_sample')
+    assert taken.success, taken.message
+
+
+def test_profiles_without_a_frame(client: Client, node: subprocess.Popen[str]) -> None:
+    client.profiles.publish(sphere_profile(START, ''))
+    state = client.until_counted(profiles=1)
+    assert 'have no frame_id: the result calls their frame "sensor"' in state['dropped']
+
+
+def test_one_spot_is_one_sample_however_often_it_is_taken(
+        client: Client, node: subprocess.Popen[str]) -> None:
+    stand_still(client, START)
+    client.until_counted(profiles=20, poses=20)
+    assert client.call('take_sample').message.startswith('sample 1 taken: ')
+    services = [client.node.create_client(Trigger, '/handeye/take_sample') for _ in range(3)]
+    for service in services:
+        client.until(service.service_is_ready, 'the service is there')
+    answers = [service.call_async(Trigger.Request()) for service in services for _ in range(9)]
+    client.until(lambda: all(answer.done() for answer in answers), 'all are answered')
+    again = 'sample 1 taken again, as the robot has not moved since: '
+    assert all(answer.result().message.startswith(again) for answer in answers)
+    assert client.state()['samples'] == '1'
 
 
 def test_messages_without_stamp_get_the_time_of_receipt(

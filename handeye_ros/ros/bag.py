@@ -20,7 +20,7 @@ from handeye_ros.errors import (
     TwoFramesError,
 )
 from handeye_ros.export import input_values
-from handeye_ros.ros.contents import Contents, full_name, Raw
+from handeye_ros.ros.contents import CLOUD, Contents, full_name, POSE, Raw, TF
 from handeye_ros.ros.messages import (
     pose_from_stamped,
     pose_from_transform,
@@ -32,10 +32,6 @@ from handeye_ros.ros.transforms import FlangeTracker
 from handeye_ros.stream import in_order, LARGEST_STEP
 from rosbags.serde import SerdeError
 from rosbags.typesys import get_typestore, Stores
-
-CLOUD = 'sensor_msgs/msg/PointCloud2'
-POSE = 'geometry_msgs/msg/PoseStamped'
-TF = 'tf2_msgs/msg/TFMessage'
 
 T = TypeVar('T')
 Stamped = TypeVar('Stamped', Profile, TimedPose)

@@ -7,6 +7,10 @@ from typing import NamedTuple
 
 import zstandard
 
+CLOUD = 'sensor_msgs/msg/PointCloud2'
+POSE = 'geometry_msgs/msg/PoseStamped'
+TF = 'tf2_msgs/msg/TFMessage'
+
 ZSTD = b'\x28\xb5\x2f\xfd'
 
 

@@ -1,6 +1,8 @@
 """What /diagnostics tells of the node, once a second."""
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from handeye_ros.ros.live import LiveSession
@@ -10,9 +12,10 @@ from std_msgs.msg import Header
 SILENCE = 2.0  # s without a message after which a person should look
 
 
-def diagnostics(live: LiveSession, name: str, stamp: Time, no_poses: str) -> DiagnosticArray:
-    """Return the state of a session; no_poses: why transforms give none, or empty."""
-    troubles = _troubles(live, no_poses)
+def diagnostics(live: LiveSession, name: str, stamp: Time, obstacle: Callable[[str], str]
+                ) -> DiagnosticArray:
+    """Return the state of a session; obstacle: tells why no profile, or pose, comes in."""
+    troubles = _troubles(live, obstacle)
     samples = len(live.samples)
     status = DiagnosticStatus(
         name=f'{name}: calibration', hardware_id=live.config.robot_effector_frame,
@@ -32,19 +35,19 @@ def diagnostics(live: LiveSession, name: str, stamp: Time, no_poses: str) -> Dia
     return DiagnosticArray(header=Header(stamp=stamp), status=[status])
 
 
-def _troubles(live: LiveSession, no_poses: str) -> list[str]:
+def _troubles(live: LiveSession, obstacle: Callable[[str], str]) -> list[str]:
     config = live.config
-    profiles = _silence(live, 'profile', f'on {config.profile_topic}')
-    if config.pose_source == 'tf':
-        poses = _silence(live, 'pose', f'from /tf ({no_poses})' if no_poses else 'from /tf')
-    else:
-        poses = _silence(live, 'pose', f'on {config.pose_topic}')
-    return [trouble for trouble in (profiles, poses) if trouble]
+    by_topic = config.pose_source == 'topic'
+    places = {'profile': f'on {config.profile_topic}',
+              'pose': f'on {config.pose_topic}' if by_topic else 'from /tf'}
+    silences = [_silence(live, kind, place, obstacle) for kind, place in places.items()]
+    return [trouble for trouble in (*silences, live.trouble) if trouble]
 
 
-def _silence(live: LiveSession, kind: str, place: str) -> str:
+def _silence(live: LiveSession, kind: str, place: str, obstacle: Callable[[str], str]) -> str:
     seconds = live.arrivals.silence(kind)
     if seconds < SILENCE:
         return ''
     none = 'no' if live.arrivals.counts[kind] == 0 else 'no more'
-    return f'{none} {kind}s {place} for {seconds:.0f} s'
+    why = obstacle(kind)
+    return f'{none} {kind}s {place} for {seconds:.0f} s' + (f' ({why})' if why else '')

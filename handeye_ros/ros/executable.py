@@ -3,16 +3,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+import os
 import signal
 import sys
 
 from handeye_ros.errors import HandeyeError, InputError
 import rclpy
-from rclpy._rclpy_pybind11 import RCLError  # rclpy has its errors in this module alone
+from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
-__all__ = ['exit_code', 'RCLError', 'ros']
+__all__ = ['exit_code', 'InvalidHandle', 'RCLError', 'ros']
 
 
 def exit_code(run: Callable[[], None]) -> int:
@@ -37,6 +38,9 @@ def ros(args: Sequence[str] | None = None, *, interruptible: bool = False) -> It
     and parameter files that ROS cannot read.
 
     """
+    if not any(os.environ.get(name) for name in ('ROS_LOG_DIR', 'ROS_HOME', 'HOME')):
+        raise InputError('ROS does not start: it has no place for its logs, as none of '
+                         'ROS_LOG_DIR, ROS_HOME and HOME is set; set one of them')
     options = SignalHandlerOptions.NO if interruptible else SignalHandlerOptions.ALL
     try:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=options)

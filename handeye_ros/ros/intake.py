@@ -9,6 +9,8 @@ from typing import Any, TypeVar
 from geometry_msgs.msg import PoseStamped
 from handeye_ros.data import Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import InputError, MessageError
+from handeye_ros.ros.contents import CLOUD, POSE
+from handeye_ros.ros.graph import elsewhere
 from handeye_ros.ros.live import LiveSession
 from handeye_ros.ros.messages import pose_from_stamped, profile_from_cloud
 from handeye_ros.ros.transforms import FlangeTracker
@@ -58,9 +60,14 @@ class Intake:
             raise InputError('pose_source is tf, but tf2_msgs is not installed: install it '
                              '(ros-jazzy-tf2-msgs), or publish the poses on pose_topic')
 
-    def missing_link(self) -> str:
-        """Return why the transform tree gives no poses, or an empty string."""
-        return self._tracker.missing() if self._live.config.pose_source == 'tf' else ''
+    def obstacle(self, kind: str) -> str:
+        """Return why no messages of a kind (profile, pose) come in, or an empty string."""
+        config = self._live.config
+        if kind == 'profile':
+            return elsewhere(self._node, config.profile_topic, CLOUD)
+        if config.pose_source == 'topic':
+            return elsewhere(self._node, config.pose_topic, POSE)
+        return self._tracker.missing()
 
     def restart(self) -> None:
         """Let the times of transforms start again."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
 import os
@@ -19,9 +20,15 @@ import time
 from handeye_ros import export, pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
-from handeye_ros.errors import NothingToSaveError
+from handeye_ros.errors import ClearedError, DataError, NothingToSaveError
 from handeye_ros.pairing import Session
-from handeye_ros.ros.wording import calibration_summary, count_of, sample_summary
+from handeye_ros.ros.wording import (
+    calibration_summary,
+    changes_since,
+    count_of,
+    late_sentence,
+    sample_summary,
+)
 
 
 class Arrivals:
@@ -56,6 +63,9 @@ class LiveSession:
         self._lock = threading.Lock()
         self._session = Session(config)
         self._calibration: Calibration | None = None
+        self._solved: frozenset[int] = frozenset()  # stamps of the samples of the calibration
+        self._cleared = 0  # how often
+        self.is_solving = False
         self.config = config
         self.output_dir = output_dir
         self.arrivals = Arrivals()
@@ -78,6 +88,14 @@ class LiveSession:
         """Return what was dropped, one sentence each."""
         with self._lock:
             return self._session.warnings
+
+    @property
+    def trouble(self) -> str:
+        """Return why what comes in now is of no use, and what to do; empty if it is."""
+        with self._lock:
+            conflict, late = self._session.conflict, self._session.late
+        return '; '.join([*([str(conflict)] if conflict else []),
+                          *([late_sentence(late)] if late else [])])
 
     @property
     def calibration(self) -> Calibration | None:
@@ -117,9 +135,11 @@ class LiveSession:
     def take_sample(self) -> tuple[Sample, str]:
         """Return a sample of where the robot stands, and what to say; raises DataError."""
         with self._lock:
+            before = len(self._session.samples)
             sample = self._session.take_sample()
             count = len(self._session.samples)
-        return sample, f'sample {count} taken: {sample_summary(sample)}'
+        again = ' again, as the robot has not moved since' if count == before else ''
+        return sample, f'sample {count} taken{again}: {sample_summary(sample)}'
 
     def remove_last_sample(self) -> str:
         """Forget the last sample; raises DataError when there is none."""
@@ -133,6 +153,7 @@ class LiveSession:
         with self._lock:
             count = len(self._session.samples)
             self._session.clear()
+            self._cleared += 1
             self._calibration = None
         return f'{count_of(count, "sample")} removed; bags and clocks may start again'
 
@@ -144,33 +165,47 @@ class LiveSession:
 
         """
         with self._lock:
-            session = deepcopy(self._session)
-            config = self.config
+            session, config, cleared = deepcopy(self._session), self.config, self._cleared
             self._calibration = None
         session.finish()
         session.require_stations()
-        found = pipeline.solve(session.samples, session.rejects, config, session.frame_id)
+        self.is_solving = True
+        try:
+            found = pipeline.solve(session.samples, session.rejects, config, session.frame_id)
+        finally:
+            self.is_solving = False
         inputs = [{'topic': config.profile_topic},
                   {'topic': config.pose_topic if config.pose_source == 'topic' else '/tf'}]
         found = replace(found, provenance={**found.provenance, 'inputs': inputs})
-        self._calibration = found
+        with self._lock:
+            if self._cleared != cleared:
+                raise ClearedError
+            self._calibration, self._solved = found, _stamps(session)
         return found, calibration_summary(found)
 
     def save(self) -> str:
         """Write the last answer; raises NothingToSaveError, and InputError if it cannot."""
-        calibration = self._calibration
+        with self._lock:
+            calibration, solved, session = self._calibration, self._solved, deepcopy(self._session)
         if calibration is None:
             raise NothingToSaveError
         name = export.folder_name(self.config)
         path = self._parent_folder() / name / 'calibration.yaml'
         export.write_calibration(replace(calibration, name=name), path)
-        return f'wrote {path}'
+        with suppress(DataError):
+            session.finish()
+        return f'wrote {path}{changes_since(solved, _stamps(session))}'
 
     def _parent_folder(self) -> Path:
         """Return what is above the folder of this calibration, as an absolute path."""
         home = os.environ.get('ROS_HOME') or Path.home() / '.ros'
         parent = Path(self.output_dir) if self.output_dir else Path(home) / 'handeye'
         return parent.expanduser().absolute()
+
+
+def _stamps(session: Session) -> frozenset[int]:
+    """Return what tells the samples of a session apart."""
+    return frozenset(sample.stamp for sample in session.samples)
 
 
 def _differs(config: Config, other: Config) -> bool:

@@ -3,7 +3,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+import os
 import sys
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
@@ -11,14 +13,14 @@ from handeye_ros.data import Reject, Sample
 from handeye_ros.errors import HandeyeError, TopicsError
 from handeye_ros.ros import params
 from handeye_ros.ros.diagnostics import diagnostics
-from handeye_ros.ros.executable import exit_code, RCLError, ros
+from handeye_ros.ros.executable import exit_code, InvalidHandle, RCLError, ros
 from handeye_ros.ros.intake import Intake, TFMessage, THROTTLE
 from handeye_ros.ros.live import LiveSession
 from handeye_ros.ros.outgoing import feature_cloud, markers, transform_stamped
 from handeye_ros.ros.wording import sample_summary
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
@@ -29,6 +31,8 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+REQUESTS = QoSProfile(depth=1000)  # that wait for a solve; ROS would drop all but ten
+UNSENDABLE = (RCLError, InvalidHandle)
 THREADS = 4  # the streams, the quick services, a solve, and the rest
 
 
@@ -50,6 +54,11 @@ class HandeyeNode(Node):
             f'waiting for profiles on {config.profile_topic}, poses '
             + (f'on {config.pose_topic}' if config.pose_source == 'topic' else 'from /tf'))
 
+    @property
+    def is_solving(self) -> bool:
+        """Return whether a calibration is being computed."""
+        return self._live.is_solving
+
     def _advertise(self) -> None:
         self._calibration = self.create_publisher(TransformStamped, '~/calibration', LATCHED)
         self._markers = self.create_publisher(MarkerArray, '~/markers', LATCHED)
@@ -70,9 +79,23 @@ class HandeyeNode(Node):
         for group, service in ((quick, self.take_sample), (quick, self.remove_last_sample),
                                (quick, self.clear_samples), (slow, self.compute_calibration),
                                (slow, self.save_calibration)):
-            self.create_service(Trigger, f'~/{service.__name__}', partial(self._answer, service),
-                                callback_group=group)
-        self.create_service(SetBool, '~/auto_sample', self._auto_sample, callback_group=quick)
+            self._offer(Trigger, service.__name__, partial(self._answer, service), group)
+        self._offer(SetBool, 'auto_sample', self._auto_sample, quick)
+
+    def _offer(self, kind: Any, name: str, callback: Any, group: CallbackGroup) -> None:
+        """Create a service; whoever has gone away before the answer must not end the node."""
+        service = self.create_service(kind, f'~/{name}', callback, callback_group=group,
+                                      qos_profile=REQUESTS)
+        send = service.send_response
+
+        def respond(response: Any, header: Any) -> None:
+            try:
+                send(response, header)
+            except UNSENDABLE as error:
+                if rclpy.ok():
+                    self.get_logger().warning(f'nobody took the answer of ~/{name}: {error}')
+
+        service.send_response = respond
 
     # what goes out
 
@@ -101,7 +124,7 @@ class HandeyeNode(Node):
     def _diagnose(self) -> None:
         self._diagnostics.publish(diagnostics(
             self._live, self.get_name(), self.get_clock().now().to_msg(),
-            self._intake.missing_link()))
+            self._intake.obstacle))
 
     # what is asked; each returns what to say
 
@@ -129,7 +152,8 @@ class HandeyeNode(Node):
         calibration, text = self._live.compute()
         transform = transform_stamped(calibration, self.get_clock().now().to_msg())
         self._calibration.publish(transform)
-        if self._tf_static:
+        robot = (self._live.config.robot_base_frame, self._live.config.robot_effector_frame)
+        if self._tf_static and calibration.child_frame not in robot:
             self._tf_static.publish(TFMessage(transforms=[transform]))
         self._publish_markers()
         return text
@@ -146,6 +170,9 @@ class HandeyeNode(Node):
         except HandeyeError as error:
             response.message, response.success = str(error), False
             self.get_logger().warning(f'{service.__name__}: {error}')
+        except UNSENDABLE:
+            if rclpy.ok():  # else the node ends, and nobody hears of it any more
+                raise
         return response
 
     def _auto_sample(self, request: SetBool.Request, response: SetBool.Response
@@ -182,12 +209,19 @@ def run() -> None:
         executor.add_node(node)
         try:
             executor.spin()
+        except KeyboardInterrupt:
+            pass
         except RCLError:
             if rclpy.ok():  # else a signal came while it prepared to wait
                 raise
         finally:
             executor.shutdown()
             node.destroy_node()
+        if node.is_solving:
+            # nobody is left to answer; Python would wait for the thread of the solve
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(0)
 
 
 def main() -> int:

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence, Set
 import math
 
 from handeye_ros import se3
@@ -21,6 +22,22 @@ def sample_summary(sample: Sample) -> str:
     counts = Counter(NAMES[type(feature).__name__] for feature in sample.features)
     seen = ', '.join(count_of(count, name) for name, count in counts.items())
     return f'{seen} from {count_of(sample.profiles, "profile")}'
+
+
+def late_sentence(kinds: Sequence[str]) -> str:
+    """Return what is wrong where messages (poses, profiles) are older than those before."""
+    return (f'{" and ".join(kinds)} are dropped, as their stamps are older than those before: '
+            'call ~/clear_samples if a bag was started again')
+
+
+def changes_since(solved: Set[int], now: Set[int]) -> str:
+    """Return how the samples, by their stamps, differ from those of an answer, if they do."""
+    removed, added = len(solved - now), len(now - solved)
+    if not removed and not added:
+        return ''
+    what = ' and '.join([f'{removed} removed'] * bool(removed) + [f'{added} added'] * bool(added))
+    return (f'; it was computed from {count_of(len(solved), "sample")}, which have changed since '
+            f'({what}): call ~/compute_calibration for an answer from the {len(now)} of now')
 
 
 def calibration_summary(calibration: Calibration) -> str:
