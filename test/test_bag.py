@@ -429,9 +429,9 @@ def tf_bag(folder, tmp_path, moving, static):
     raws = [r for r in storage.scan(folder).messages if r.topic == '/profile']
     for topic, messages in (('/tf', moving), ('/tf_static', static)):
         for stamp, transforms in messages:
-            data = TYPES.serialize_cdr(TYPES.types[bag.TF](transforms), bag.TF)
+            data = TYPES.serialize_cdr(TYPES.types[contents.TF](transforms), contents.TF)
             raws.append(contents.Raw(topic, stamp, bytes(data)))
-    types = {'/tf': bag.TF, '/tf_static': bag.TF}
+    types = {'/tf': contents.TF, '/tf_static': contents.TF}
     return rewrite(folder, tmp_path / 'tf.mcap', raws, types=types)
 
 

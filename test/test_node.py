@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from geometry_msgs.msg import TransformStamped  # noqa: E402, I100
+from command import running  # noqa: E402, I100
+from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped  # noqa: E402
 from handeye_ros.ros import params  # noqa: E402
 from rcl_interfaces.srv import GetParameters  # noqa: E402
 import rclpy  # noqa: E402
@@ -23,6 +24,7 @@ from rclpy.context import Context  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from ros_clouds import cloud  # noqa: E402
 from ros_helpers import (  # noqa: E402
+    BEST_EFFORT,
     Client,
     cloud_message,
     LATCHED,
@@ -79,6 +81,11 @@ def test_a_bag_through_the_node_gives_the_offline_result(
         path = tmp_path / settings.name / 'calibration.yaml'
         assert (saved.success, saved.message) == (True, f'wrote {path}')
         client.until(lambda: markers and len(markers[-1].markers) > 3, 'the target is drawn')
+        assert client.call('remove_last_sample').success
+        n = offline.quality.samples_used + offline.quality.samples_rejected
+        assert client.call('save_calibration').message == (
+            f'wrote {path}; it was computed from {n} samples, which have changed since '
+            f'(1 removed): call ~/compute_calibration for an answer from the {n - 1} of now')
     online = read_calibration(path)
     np.testing.assert_allclose(online.T_flange_sensor, offline.T_flange_sensor, atol=1e-9, rtol=0)
     np.testing.assert_allclose(online.covariance, offline.covariance, rtol=1e-6, atol=1e-15)
@@ -225,6 +232,74 @@ def test_wrong_parameters(argument: str, reason: str) -> None:
             params.declare(Node('handeye', context=context))
     finally:
         rclpy.shutdown(context=context)
+
+
+SLOW = """
+import sys, threading
+from handeye_ros import pipeline
+
+def solve(*args):
+    print('solving', flush=True)
+    threading.Event().wait()
+
+pipeline.solve = solve
+from handeye_ros.ros.node import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_the_node_ends_cleanly_while_it_solves(
+        tmp_path: Path, client: Client, number: int) -> None:
+    log = tmp_path / 'node.log'
+    command = [sys.executable, '-c', SLOW, '--ros-args', '-p', 'target.type:=sphere', '-p',
+               'target.radius:=0.04']
+    with log.open('w') as stream, running(command, cwd=ROOT, stdout=stream,
+                                          stderr=stream) as process:
+        client.connect()
+        for stamp in range(10**18, 10**18 + 10**9, 10**9 // 20):
+            client.poses.publish(pose_message(stamp))
+            client.profiles.publish(sphere_profile(stamp + 1))
+        client.until_counted(profiles=20, poses=20)
+        service = client.node.create_client(Trigger, '/handeye/compute_calibration')
+        client.until(service.service_is_ready, 'the service is there')
+        service.call_async(Trigger.Request())
+        client.until(lambda: 'solving' in log.read_text(), 'it solves')
+        process.send_signal(number)
+        assert process.wait(60) == 0
+    said = log.read_text().splitlines()
+    assert [line for line in said if '[INFO]' not in line and '[WARN]' not in line] == ['solving']
+
+
+def test_poses_of_a_best_effort_driver(tmp_path: Path, client: Client) -> None:
+    poses = client.node.create_publisher(PoseStamped, '/robot/pose', BEST_EFFORT)
+    with running_node(tmp_path, '-p', 'pose_topic:=/robot/pose'):
+        client.until(poses.get_subscription_count, 'the node subscribes')
+        before = int(client.state()['poses'])
+        poses.publish(pose_message(10**18))
+        client.until(lambda: int(client.state()['poses']) > before, 'the pose is counted')
+
+
+def test_what_is_published_instead_is_told(tmp_path: Path, client: Client) -> None:
+    client.node.create_publisher(PointStamped, '/arm', RELIABLE)
+    with running_node(tmp_path, '-p', 'pose_topic:=/arm', '-p', 'profile_topic:=/scan'):
+        client.until(lambda: 'no poses on /arm' in client.state()['message'], 'poses are missed')
+        client.until(lambda: all(told in client.state()['message'] for told in (
+            '(it carries geometry_msgs/msg/PointStamped, expected geometry_msgs/msg/PoseStamped; '
+            'geometry_msgs/msg/PoseStamped is on /flange_pose)',
+            '(nobody publishes /scan; sensor_msgs/msg/PointCloud2 is on /profile)')),
+            'it says what is there')
+
+
+@pytest.mark.parametrize('module', ['node', 'replay'])
+def test_without_a_place_for_logs(module: str) -> None:
+    block = ('import os; [os.environ.pop(name, 0) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR")]'
+             f'; import sys; from handeye_ros.ros.{module} import main; sys.exit(main())')
+    run = subprocess.run([sys.executable, '-c', block, 'bags/sphere'], cwd=ROOT, text=True,
+                         capture_output=True, check=False, timeout=60)
+    assert run.returncode == 2
+    assert run.stderr.startswith('ROS does not start: it has no place for its logs')
+    assert run.stderr.count('\n') == 1
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
