@@ -217,8 +217,19 @@ def _checked(parameter: Parameter, value: Any) -> Any:
         value = float(value)
     if type(value) is not kind or (kind is float and not math.isfinite(value)):
         raise BadValueError(parameter.key, value, f'a value of type {kind.__name__}')
+    if kind is str:
+        _check_text(parameter, value)
     _check_limits(parameter, value)
     return value
+
+
+def _check_text(parameter: Parameter, value: str) -> None:
+    """Refuse texts that nobody can read, and empty ones where a name is needed."""
+    if not value.isprintable() or value != value.strip():
+        raise BadValueError(parameter.key, value,
+                            'a text without control characters, or blanks around it')
+    if parameter.default and not value:
+        raise BadValueError(parameter.key, value, f'a text such as {parameter.default}')
 
 
 def _checked_list(parameter: Parameter, value: Any) -> tuple[Any, ...]:
@@ -289,7 +300,7 @@ def _dotted(section: Mapping[str, Any], prefix: str) -> dict[str, Any]:
 
 def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
     """Return config with `key=value` texts (values in YAML) put in."""
-    numbers = {p.key for p in parameters() if isinstance(p.default, float)}
+    kinds = {p.key: type(p.default) for p in parameters()}
     for text in assignments:
         key, equals, value = text.partition('=')
         if not equals:
@@ -298,9 +309,12 @@ def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
             parsed = yaml.safe_load(value)
         except yaml.YAMLError as error:
             raise InputError(f'the value in "{text}" is not valid YAML') from error
-        if isinstance(parsed, str) and key.strip() in numbers:
+        kind = kinds.get(key.strip())
+        if kind is float and isinstance(parsed, str):
             # YAML reads 3e-5 as text: its numbers want a dot
             parsed = _number(parsed)
+        elif kind is str and parsed is None:
+            parsed = ''
         config = with_values(config, {key.strip(): parsed}, '--set')
     return config
 

@@ -37,7 +37,8 @@ def values_of(parameter: Parameter) -> st.SearchStrategy[object]:
     if kind is bool:
         return st.booleans()
     if kind is str:
-        return st.text(max_size=20)
+        letters = st.characters(codec='utf-8', exclude_categories=['C', 'Z'])
+        return st.text(letters, min_size=1, max_size=20)
     if kind is int:
         return st.integers(int(parameter.minimum or 0), int(parameter.maximum or 0))
     return st.floats(parameter.minimum, parameter.maximum)
@@ -115,6 +116,13 @@ def test_a_key_like_none_suggests_none() -> None:
     ('target.size', [0.2, -0.1], 'a number from 0'),
     ('calibration_type', 'eye_to_hand', 'one of eye_in_hand, eye_on_base'),
     ('noise', {'sensor': 1.0}, ''),
+    ('name', '  ', 'without control characters, or blanks'),
+    ('name', 'a\0b', 'without control characters, or blanks'),
+    ('name', 'plate\n', 'without control characters, or blanks'),
+    ('robot_base_frame', 'base\x07', 'without control characters, or blanks'),
+    ('pose_topic', ' ', 'without control characters, or blanks'),
+    ('pose_topic', '', 'a text such as flange_pose'),
+    ('robot_effector_frame', '', 'a text such as flange'),
 ])
 def test_a_wrong_value_is_refused_by_key(key: str, value: object, expected: str) -> None:
     with pytest.raises(InputError) as caught:
@@ -221,7 +229,8 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     ('limits.residual=1', 'limits.residual', 1.0),
     ('sampling.auto=false', 'sampling.auto', False),
     ('name=a=b', 'name', 'a=b'),
-    ('name=', 'name', None),
+    ('name=', 'name', ''),
+    ('pose_topic=', 'pose_topic', None),
     ('target.size=[0.2, 0.15]', 'target.size', [0.2, 0.15]),
     ('target.size=[]', 'target.size', []),
     ('profile.axes=[-x, z]', 'profile.axes', ['-x', 'z']),

@@ -20,7 +20,7 @@ import time
 from handeye_ros import export, pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
-from handeye_ros.errors import ClearedError, DataError, NothingToSaveError
+from handeye_ros.errors import ClearedError, DataError, NothingToSaveError, UnwritableError
 from handeye_ros.pairing import Session
 from handeye_ros.ros.wording import (
     calibration_summary,
@@ -198,9 +198,12 @@ class LiveSession:
 
     def _parent_folder(self) -> Path:
         """Return what is above the folder of this calibration, as an absolute path."""
-        home = os.environ.get('ROS_HOME') or Path.home() / '.ros'
-        parent = Path(self.output_dir) if self.output_dir else Path(home) / 'handeye'
-        return parent.expanduser().absolute()
+        home = os.environ.get('ROS_HOME') or '~/.ros'
+        parent = Path(self.output_dir or f'{home}/handeye')
+        try:
+            return parent.expanduser().absolute()
+        except RuntimeError as error:
+            raise UnwritableError(parent, str(error)) from error
 
 
 def _stamps(session: Session) -> frozenset[int]:

@@ -73,7 +73,7 @@ def _value(parameter: RosParameter) -> Any:
 
 
 def _checked_folder(value: Any) -> str:
-    if not isinstance(value, str):
+    if not isinstance(value, str) or not value.isprintable():
         raise BadValueError(OUTPUT_DIR, value, 'the path of a folder')
     return value
 
@@ -113,7 +113,7 @@ def changed(config: Config, changes: Iterable[RosParameter], samples: int) -> Co
 
     """
     values = {p.name: _value(p) for p in changes if not p.name.startswith(NOT_OURS)}
-    values.pop(OUTPUT_DIR, None)
+    _checked_folder(values.pop(OUTPUT_DIR, ''))
     new = configuration.with_values(config, values, "the node's parameters")
     before, after = configuration.flatten(config), configuration.flatten(new)
     for key in values:
