@@ -334,21 +334,33 @@ class NoTopicError(InputError):
 
     def __init__(self, path: object, key: str, topic: str, wanted: str,
                  topics: Mapping[str, str]) -> None:
-        there = sorted(topics.items(), key=lambda item: (item[1] != wanted, item[0]))
-        names = [f'{name} ({kind})' for name, kind in there[:12]]
-        more = [f'{len(there) - 12} more'] if len(there) > 12 else []
-        fitting = [name for name, kind in there if kind == wanted]
-        advice = f': set {key}, as in --set {key}={fitting[0]}' if fitting else \
-            f'; none of them is a {wanted}'
-        super().__init__(f'{path} has no topic {topic}. It holds {", ".join(names + more)}'
-                         f'{advice}')
+        super().__init__(f'{path} has no topic {topic}. {_what_is_there(key, wanted, topics)}')
 
 
 class TopicTypeError(InputError):
-    """A topic of another type than the expected one."""
+    """A topic of another type than the expected one; topics: all of the bag, with the types."""
 
-    def __init__(self, key: str, topic: str, kind: str, wanted: str) -> None:
-        super().__init__(f'{topic} carries {kind}, expected {wanted}: set {key} to another topic')
+    def __init__(self, key: str, topic: str, wanted: str, topics: Mapping[str, str]) -> None:
+        super().__init__(f'{topic} carries {topics[topic]}, but only {wanted} can be read there. '
+                         + _what_is_there(key, wanted, topics))
+
+
+def _what_is_there(key: str, wanted: str, topics: Mapping[str, str]) -> str:
+    """Return the topics of a bag, those of the wanted type first, and what to set."""
+    there = sorted(topics.items(), key=lambda item: (item[1] != wanted, item[0]))
+    names = [f'{name} ({kind})' for name, kind in there[:12]]
+    more = [f'{len(there) - 12} more'] if len(there) > 12 else []
+    fitting = [name for name, kind in there if kind == wanted]
+    transforms = key == 'pose_topic' and topics.get('/tf') == 'tf2_msgs/msg/TFMessage'
+    if key == 'pose_source':  # there is only one place for transforms
+        advice = '; record /tf, or set pose_source to topic'
+    elif fitting:
+        advice = f': set {key}, as in --set {key}={fitting[0]}'
+    elif transforms:
+        advice = ': take the poses from /tf, as in --set pose_source=tf'
+    else:
+        advice = f'; none of them is a {wanted}: publish and record one'
+    return f'It holds {", ".join(names + more)}{advice}'
 
 
 class AllMalformedError(InputError):

@@ -282,9 +282,32 @@ def test_wrong_topic_lists_what_is_there(folder):
 
 
 def test_wrong_type(folder):
-    with pytest.raises(TopicTypeError, match='/profile carries sensor_msgs/msg/PointCloud2, '
-                                             'expected geometry_msgs/msg/PoseStamped'):
+    with pytest.raises(TopicTypeError, match='/profile carries sensor_msgs/msg/PointCloud2, but '
+                       'only geometry_msgs/msg/PoseStamped can be read there. It holds '
+                       '/flange_pose .*--set pose_topic=/flange_pose'):
         bag.read(folder, Config(pose_topic='profile'))
+
+
+@pytest.mark.parametrize(('kind', 'advice'), [
+    ('nav_msgs/msg/Odometry', 'none of them is a geometry_msgs/msg/PoseStamped'),
+    ('geometry_msgs/msg/PoseWithCovarianceStamped', 'none of them is a geometry_msgs/msg/Pose'),
+    ('geometry_msgs/msg/TransformStamped', 'none of them is a geometry_msgs/msg/PoseStamped')])
+def test_poses_of_other_types(folder, tmp_path, kind, advice):
+    file = rewrite(folder, tmp_path / 'other.mcap', types={'/flange_pose': kind})
+    with pytest.raises(TopicTypeError, match=rf'/flange_pose carries {kind}, but only.*{advice}'):
+        bag.read(file, CONFIG)
+
+
+@pytest.mark.parametrize('topic', ['flange_pose', 'tf'])
+def test_transforms_where_poses_are_expected(folder, tmp_path, topic):
+    file = tf_bag(folder, tmp_path, [(START, [transform(START, 'base', 'flange', (0, 0, 0))])], [])
+    with pytest.raises(InputError, match='take the poses from /tf, as in --set pose_source=tf'):
+        bag.read(file, Config(pose_topic=topic))
+
+
+def test_no_transforms_where_they_are_expected(folder):
+    with pytest.raises(NoTopicError, match='has no topic /tf. .*record /tf, or set pose_source'):
+        bag.read(folder, Config(pose_source='tf'))
 
 
 def test_no_poses(tmp_path):

@@ -143,7 +143,7 @@ class _Reader:
         if topic not in topics:
             raise NoTopicError(self._path, key, topic, wanted, topics)
         if topics[topic] != wanted:
-            raise TopicTypeError(key, topic, topics[topic], wanted)
+            raise TopicTypeError(key, topic, wanted, topics)
 
     def _stamped(self, topic: str, decoded: Sequence[tuple[Stamped, Raw]]) -> list[Stamped]:
         """Return items with stamps; a driver that leaves all empty gets the times of receipt."""
