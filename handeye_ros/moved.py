@@ -43,7 +43,7 @@ def find_move(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> 
              and (both := _parts(problem, int(place), rng))]
     if not found:
         return None
-    both, place = min(found, key=lambda pair: _variance(pair[0]))
+    both, place = min(found, key=lambda pair: (_dropped(pair[0]), _variance(pair[0])))
     freedom = sum(part.solution.degrees_of_freedom for part in both)
     gain = _without_drops(problem, agreed) / max(_variance(both), 1.0)
     if gain < float(f_distribution.isf(CHANCE, freedom, freedom)):
@@ -67,6 +67,10 @@ def _parts(problem: Problem, place: int, rng: np.random.Generator
             return None
         parts.append(part)
     return parts[0], parts[1]
+
+
+def _dropped(both: tuple[Consensus, Consensus]) -> int:
+    return sum(len(part.dropped) for part in both)
 
 
 def _variance(both: tuple[Consensus, Consensus]) -> float:
