@@ -12,6 +12,8 @@ from handeye_ros.errors import DataError, MovedError
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.thorough
+
 OTHER_TOOL = se3.perturb(np.eye(4), np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.2]))
 BUMPED = se3.perturb(np.eye(4), np.array([0.004, 0.002, 0.0, 0.0, 0.0, 0.01]))
 
