@@ -379,6 +379,38 @@ def test_slight_disorder_is_sorted(tmp_path):
     assert [p.stamp for p in recording.poses] == [p.stamp for p in POSES]
 
 
+def test_messages_that_lie_in_any_order_are_sorted_by_their_receipt(folder, tmp_path):
+    messages = storage.scan(folder).messages
+    shuffled = [messages[i] for i in np.random.default_rng(5).permutation(len(messages))]
+    times = [raw.log_time for raw in messages]
+    spread = [raw._replace(log_time=times[0] + 60 * (raw.log_time - times[0]))
+              for raw in shuffled]
+
+    def later(stamp):
+        return times[0] + 60 * (stamp - times[0])
+
+    file = rewrite(folder, tmp_path / 'shuffled.mcap', spread)
+    (tmp_path / 'again').mkdir()
+    file = rewrite_with_header_stamps(file, tmp_path / 'again', ['/profile', '/flange_pose'],
+                                      lambda log_time: log_time)
+    recording = bag.read(file, CONFIG)
+    assert [p.stamp for p in recording.profiles] == [later(p.stamp) for p in PROFILES]
+    assert [p.stamp for p in recording.poses] == [later(p.stamp) for p in POSES]
+    assert all('were sorted' in warning for warning in recording.warnings)
+    assert len(recording.warnings) == 2
+
+
+def test_two_runs_of_one_simulated_clock_are_refused(folder, tmp_path):
+    messages = storage.scan(folder).messages
+    spread = [raw._replace(log_time=START + 9 * (raw.log_time - START)) for raw in messages]
+    (tmp_path / 'again').mkdir()
+    file = rewrite(folder, tmp_path / 'twice.mcap', spread + spread)
+    file = rewrite_with_header_stamps(file, tmp_path / 'again', ['/profile', '/flange_pose'],
+                                      lambda log_time: log_time)
+    with pytest.raises(TimeBackwardsError, match='two runs'):
+        bag.read(file, CONFIG)
+
+
 def test_time_that_starts_again_is_refused(tmp_path):
     longer = restamped(POSES, [START + i * 100_000_000 for i in range(len(POSES))])
     folder = written(tmp_path, poses=longer)

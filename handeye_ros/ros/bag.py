@@ -88,9 +88,26 @@ class _Reader:
         """Return what the messages of a topic, which the configuration key names, stand for."""
         topic = full_name(topic)
         decoded = self._decoded(key, topic, kind, convert)
-        stamped = self._stamped(topic, decoded)
+        stamped = self._stamped(topic, self._as_received(topic, decoded))
         fitting = self._in_order(topic, [(item.stamp, item) for item in stamped])
         return sorted(fitting, key=lambda item: item.stamp)
+
+    def _as_received(self, topic: str, decoded: Sequence[tuple[Stamped, Raw]]
+                     ) -> Sequence[tuple[Stamped, Raw]]:
+        """
+        Return messages in the order in which they were received, if that is not how they lie.
+
+        The order in the file is believed first: two runs of a simulated clock, one behind the
+        other, have the same times of receipt, and must not be taken for one.
+        """
+        stamps = [item.stamp for item, _ in decoded]
+        by_receipt = sorted(decoded, key=lambda pair: pair[1].log_time)
+        if (in_order(stamps) or not in_order([item.stamp for item, _ in by_receipt])
+                or len(set(stamps)) < len(stamps)):
+            return decoded
+        self._contents.warnings.append(f'the messages on {topic} do not lie in the order in which '
+                                       'they were received, and were sorted')
+        return by_receipt
 
     def transforms(self, config: Config) -> list[TimedPose]:
         """Return the poses that the transform tree of the bag holds."""
