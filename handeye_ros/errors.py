@@ -364,11 +364,12 @@ def _what_is_there(key: str, wanted: str, topics: Mapping[str, str]) -> str:
 
 
 class AllMalformedError(InputError):
-    """No message of a topic can be used."""
+    """Most messages of a topic cannot be used."""
 
-    def __init__(self, topic: str, count: int, first: str) -> None:
-        super().__init__(f'none of the {count} messages on {topic} can be used; the first: '
-                         f'{first}')
+    def __init__(self, topic: str, count: int, total: int, first: str) -> None:
+        some = 'none' if count == total else f'only {total - count}'
+        super().__init__(f'{some} of the {total} messages on {topic} can be used; the first '
+                         f'reason: {first}')
 
 
 class TimeBackwardsError(DataError):

@@ -342,8 +342,16 @@ def test_malformed_messages_are_counted_and_left_out(folder, tmp_path):
 def test_quaternions_of_no_length_are_refused(tmp_path):
     zero = [replace(p, quaternion=np.zeros(4)) for p in POSES]
     with pytest.raises(AllMalformedError, match='none of the 100 messages on /flange_pose can be '
-                                                'used; the first: .*quaternion of length 0'):
+                                                'used; the first reason: .*of length 0'):
         bag.read(written(tmp_path, poses=zero), CONFIG)
+
+
+def test_a_unit_that_most_messages_contradict_is_named(tmp_path):
+    few = [replace(p, points=p.points * np.nan) if i < 5 else p for i, p in enumerate(PROFILES)]
+    path = written(tmp_path, few, config=Config(profile=ProfileConfig(unit='mm')))
+    with pytest.raises(AllMalformedError, match='only 5 of the 30 messages on /profile can be '
+                                                'used; .*: set profile.unit to mm'):
+        bag.read(path, CONFIG)
 
 
 @settings(max_examples=200, deadline=None)

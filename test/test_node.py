@@ -283,6 +283,19 @@ def test_poses_of_a_best_effort_driver(tmp_path: Path, client: Client) -> None:
         client.until(lambda: int(client.state()['poses']) > before, 'the pose is counted')
 
 
+def test_a_wrong_unit_is_named_where_a_sample_is_asked_for(
+        tmp_path: Path, client: Client) -> None:
+    with running_node(tmp_path, '-p', 'profile.unit:=mm'):
+        client.connect()
+        for stamp in range(10**18, 10**18 + 10**9, 10**9 // 20):
+            client.poses.publish(pose_message(stamp))
+            client.profiles.publish(sphere_profile(stamp + 1))
+        state = client.until_counted(malformed=20, poses=20)
+        for text in (state['message'], client.call('take_sample').message):
+            assert '20 of 20 profiles cannot be used; the last reason: ' in text
+            assert text.endswith('set profile.unit to m')
+
+
 def test_what_is_published_instead_is_told(tmp_path: Path, client: Client) -> None:
     client.node.create_publisher(PointStamped, '/arm', RELIABLE)
     with running_node(tmp_path, '-p', 'pose_topic:=/arm', '-p', 'profile_topic:=/scan'):

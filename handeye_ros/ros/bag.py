@@ -148,8 +148,8 @@ class _Reader:
                 reasons.append(str(error))
             except (SerdeError, IndexError) as error:
                 reasons.append(f'damaged message: {error}')
-        if reasons and not decoded:
-            raise AllMalformedError(topic, len(reasons), reasons[0])
+        if len(reasons) > len(decoded):
+            raise AllMalformedError(topic, len(reasons), len(raws), reasons[0])
         if reasons:
             self._contents.warnings.append(f'{len(reasons)} of {len(raws)} messages on {topic} '
                                            f'were left out; the first: {reasons[0]}')

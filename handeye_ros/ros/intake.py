@@ -95,7 +95,8 @@ class Intake:
         try:
             take(msg)
         except MessageError as error:
-            self._live.arrivals.malformed(str(error))
+            kind = 'profile' if isinstance(msg, PointCloud2) else 'pose'
+            self._live.arrivals.malformed(kind, str(error))
             self._node.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 
     def _on_profile(self, msg: PointCloud2) -> None:

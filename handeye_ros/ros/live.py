@@ -38,6 +38,7 @@ class Arrivals:
         """Start with nothing, now."""
         self.counts = Counter({'profile': 0, 'pose': 0, 'malformed': 0})
         self.last_malformed = ''
+        self._malformed: Counter[str] = Counter()
         self._latest = dict.fromkeys(('profile', 'pose'), time.monotonic())
 
     def came(self, kind: str) -> None:
@@ -45,10 +46,19 @@ class Arrivals:
         self.counts[kind] += 1
         self._latest[kind] = time.monotonic()
 
-    def malformed(self, reason: str) -> None:
+    def malformed(self, kind: str, reason: str) -> None:
         """Count a message that could not be understood."""
         self.counts['malformed'] += 1
+        self._malformed[kind] += 1
         self.last_malformed = reason
+
+    @property
+    def mostly_malformed(self) -> str:
+        """Return which messages cannot be understood, if that is most of a kind, and why."""
+        bad = [f'{self._malformed[kind]} of {self._malformed[kind] + self.counts[kind]} {kind}s'
+               for kind in ('profile', 'pose') if self._malformed[kind] > self.counts[kind]]
+        return (f'{" and ".join(bad)} cannot be used; the last reason: {self.last_malformed}'
+                if bad else '')
 
     def silence(self, kind: str) -> float:
         """Return the seconds since the last good message, or since the start."""
@@ -94,8 +104,9 @@ class LiveSession:
         """Return why what comes in now is of no use, and what to do; empty if it is."""
         with self._lock:
             conflict, late = self._session.conflict, self._session.late
-        return '; '.join([*([str(conflict)] if conflict else []),
-                          *([late_sentence(late)] if late else [])])
+        found = (self.arrivals.mostly_malformed, str(conflict or ''),
+                 late_sentence(late) if late else '')
+        return '; '.join(filter(None, found))
 
     @property
     def calibration(self) -> Calibration | None:

@@ -168,8 +168,9 @@ class HandeyeNode(Node):
             response.message, response.success = service(), True
             self.get_logger().info(response.message)
         except HandeyeError as error:
-            response.message, response.success = str(error), False
-            self.get_logger().warning(f'{service.__name__}: {error}')
+            told = filter(None, (str(error), self._live.arrivals.mostly_malformed))
+            response.message, response.success = '; '.join(told), False
+            self.get_logger().warning(f'{service.__name__}: {response.message}')
         except UNSENDABLE:
             if rclpy.ok():  # else the node ends, and nobody hears of it any more
                 raise
