@@ -203,10 +203,9 @@ def _left_out(estimator: Estimator, given: Given, judge: _Judge) -> float | None
     for part, (rest, left_out) in enumerate(_split(len(given), judge.folds)):
         judge.progress(f'{estimator.name}: left out, part {part + 1} of {judge.folds}')
         try:
-            X = estimator.fit(given.subset(rest))
+            found = given.residuals(estimator.fit(given.subset(rest)), rest, left_out)
         except (DataError, np.linalg.LinAlgError):
             return None
-        found = given.residuals(X, rest, left_out)
         residuals += [] if found is None else [found]
     return _root_mean_square(np.concatenate(residuals))
 

@@ -17,7 +17,7 @@ from handeye_ros.data import Arc, Array, EdgePoint
 from handeye_ros.errors import SingularError
 from handeye_ros.files.outcome import require_trusted
 from handeye_ros.given import Known, Measurements, Stations
-from handeye_ros.identify import require_certain
+from handeye_ros.identify import require_certain, require_rotations
 from handeye_ros.methods import hand_eye, line, plate
 from handeye_ros.published import (
     chen2023,
@@ -130,6 +130,7 @@ def _wu(given: Measurements) -> Array:
 
 
 def _park(given: Measurements) -> Array:
+    require_rotations(given.data.T_fixed_mount, given.config, hand_eye.LOST)
     return hand_eye.closed_form(given.data.T_fixed_mount, given.data.T_camera_target)[0]
 
 

@@ -76,7 +76,7 @@ def _facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
     yield 'quaternion', ' '.join(f'{q:.9f}' for q in quaternion) + '  (x y z w)'
     yield 'method', calibration.method
     yield 'residual', f'{quality.residual_rms * 1e3:.3f} mm RMS'
-    yield 'left out', f'{quality.holdout_rms * 1e3:.3f} mm RMS (each station predicted from ' \
+    yield 'left out', f'{quality.holdout_rms * 1e3:.3f} mm RMS (each sample predicted from ' \
                       'the others)'
     yield 'weakest', _weakest(quality.weakest_direction, quality.weakest_std)
     yield 'samples', f'{quality.samples_used} used, {quality.samples_rejected} rejected'

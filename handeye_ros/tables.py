@@ -25,6 +25,7 @@ UNITS = {LENGTH: {'m': 1.0, 'mm': 1e-3, 'um': 1e-6},
          ANGLE: {'rad': 1.0, 'deg': math.radians(1.0)}}
 QUATERNION, RPY = ('qx', 'qy', 'qz', 'qw'), ('roll', 'pitch', 'yaw')
 QUATERNION_TOLERANCE = 1e-3
+LARGEST = 1e6  # m or rad: more is a mistake
 _HEADER = re.compile(r'\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*')
 
 
@@ -101,8 +102,13 @@ class Table:
             raise TableError(self.path, f'the column {name} ' + (
                 f'has the unit {unit}' if unit else 'names no unit')
                 + '; write ' + ' or '.join(f'{name} [{u}]' if u else name for u in factors))
-        return factors[unit] * np.array([self._number(name, row, value)
-                                         for row, value in enumerate(column, 1)])
+        values = factors[unit] * np.array([self._number(name, row, value)
+                                           for row, value in enumerate(column, 1)])
+        far = np.flatnonzero(np.abs(values) > LARGEST)
+        if len(far):
+            raise TableError(self.path, f'row {far[0] + 1}: {name} is {column[far[0]]}, which is '
+                             'beyond all measure')
+        return np.asarray(values)
 
     def _number(self, name: str, row: int, value: Any) -> float:
         try:

@@ -75,8 +75,8 @@ def given(name: str, folder: Path) -> tuple[object, ...]:
 
 
 def refused(told: tuple[int, str, str], code: int, *words: str) -> None:
-    """Check that a run ended with a sentence, and that nothing was written."""
-    assert told[0] == code, told
+    """Check that a run ended with a sentence, and that nothing was answered or written."""
+    assert (told[0], told[1]) == (code, ''), told
     assert 'Traceback' not in told[2] and len(told[2].splitlines()) == 1
     for word in words:
         assert word in told[2]
@@ -280,6 +280,8 @@ def replaced(old: str, new: str) -> Callable[[str], str]:
     ('points', replaced('base_z [mm]', 'base_z [inch]'), 'base_z has the unit inch'),
     ('points', replaced('base_y', 'bass_y'), 'no column base_y; did you mean bass_y'),
     ('points', rows(lambda lines: []), 'holds no rows'),
+    ('points', rows(lambda lines: ['1e30' + lines[0][lines[0].index(','):], *lines]),
+     'row 1: camera_x is 1e30, which is beyond all measure'),
     ('hand_eye', replaced('target_qw', 'target_w'), 'has no column target_qw'),
     ('hand_eye', replaced('flange_x [mm]', 'flange_x [deg]'), 'flange_x has the unit deg'),
     ('hand_eye', replaced('flange_qx', 'flange_qx [rad]'), 'flange_qx has the unit rad'),
@@ -320,6 +322,7 @@ def test_turns_about_one_axis_are_refused(eye_on_base: bool, run: Run, tmp_path:
     name = 'hand_eye_on_base' if eye_on_base else 'hand_eye'
     refused(run('solve', *given(name, tmp_path)), 3, 'all poses share one rotation axis',
             'about base' if eye_on_base else 'about flange')
+    refused(run('compare', *given(name, tmp_path)), 3, 'all poses share one rotation axis')
 
 
 def test_an_answer_beyond_the_limits_is_refused(run: Run, tmp_path: Path) -> None:

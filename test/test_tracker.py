@@ -95,6 +95,14 @@ def test_what_cannot_carry_an_answer_is_refused() -> None:
         tracker.solve(replace(measured, arc=measured.arc[:4]), sigma)
     with pytest.raises(DegenerateError, match='nearly parallel'):
         tracker.solve(replace(measured, face_d=measured.face_c + 1e-3 * np.ones(3)), sigma)
+    order = np.random.default_rng(1).permutation(30)
+    with pytest.raises(DegenerateError, match='the points of the arc go back and forth'):
+        tracker.solve(replace(measured, arc=measured.arc[order]), sigma)
+    with pytest.raises(DegenerateError, match='the points of the line go back and forth'):
+        tracker.solve(replace(measured, line=measured.line[order]), sigma)
+    wrong = measured.face_c + np.linspace(0, 9e-3, len(measured.face_c))[:, None]
+    with pytest.raises(DegenerateError, match='% of those of .* left out'):
+        tracker.solve(replace(measured, face_c=wrong), sigma)
     with pytest.raises(DegenerateError, match='check which face is which'):
         tracker.solve(measured, replace(sigma, face_c=sigma.face_d, face_d=sigma.face_c))
     with pytest.raises(DegenerateError, match='known only to'):

@@ -22,6 +22,7 @@ NAME = 'the transform between two sets of points'
 MINIMUM = 4
 ALL_TRIPLES = 40  # up to so many points every three of them are tried as a start
 TRIPLES = 2000
+JUDGES = 500  # points that at most are asked which three they believe
 BELIEVED_SHARE = 0.7
 SMALLEST_ANGLE = 0.05  # of a triangle, spread across over along (rad)
 LARGEST_DROPPED_SHARE = 0.34
@@ -116,7 +117,8 @@ def _start(in_camera: Array, in_base: Array, rng: np.random.Generator) -> Array:
     if len(triples) > TRIPLES:
         triples = triples[rng.permutation(len(triples))[:TRIPLES]]
     T = fit_rigid(in_camera[triples], in_base[triples])
-    off = np.linalg.norm(se3.apply(T, in_camera) - in_base, axis=-1)
+    some = rng.permutation(n)[:JUDGES]
+    off = np.linalg.norm(se3.apply(T, in_camera[some]) - in_base[some], axis=-1)
     return np.asarray(T[int(np.argmin(np.quantile(off, BELIEVED_SHARE, axis=1)))])
 
 

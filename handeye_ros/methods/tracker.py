@@ -29,6 +29,8 @@ NAME = 'the chain through the laser tracker'
 KINDS = ('arc', 'line', 'ball', 'face_c', 'face_d')
 TOO_FEW = {'arc': 6, 'line': 3, 'ball': 1, 'face_c': 3, 'face_d': 3}
 SMALLEST_ANGLE = 0.17  # between the faces, and of the arc (rad)
+ORDERED = 20  # points of arc and line whose order is looked at
+ONE_WAY = 0.75  # of the steps between them; of points in no order hardly more than half
 LARGEST_TURN = 0.35  # between the sweep as the ball shows it and the line of the reflector (rad)
 LARGEST_STD = (5e-3, 1e-2)  # of an answer (m, rad)
 LARGEST_VARIANCE = 9.0
@@ -91,12 +93,13 @@ def solve(tracker: jing2020.Tracker, sweep: Sweep, tracker_noise: float = 2e-5,
     tracker_noise: 1 sigma per axis of a reflector centre (m); direction: (3,) of the sweep in
     the sensor frame, roughly. Raises TooFewError, DegenerateError.
     """
+    _require_order(tracker)
     chain = jing2020.solve(tracker, sweep.published, direction)
     _require_angles(tracker, chain.angles)
     _require_one_direction(chain)
     seen = Seen(tracker, sweep, tracker_noise)
     fit = adjust(tracker_model.model(seen), tracker_model.start(chain, seen))
-    _require_agreement(fit)
+    _require_agreement(fit, seen)
     _require_certain(fit.covariance[6:12, 6:12])
     return _result(fit, seen)
 
@@ -111,6 +114,18 @@ def _result(fit: Adjusted[State], seen: Seen) -> TrackerResult:
         fit.covariance[6:12, 6:12], float(state.rest[0]), float(np.arccos(cosine)),
         float(state.rest[7]), fit.variance_factor, distances, fit.used,
         fit.left_out[:, 0] * sigma[fit.used], float(np.sqrt((fit.left_out ** 2).mean())), state)
+
+
+def _require_order(tracker: jing2020.Tracker) -> None:
+    """Refuse an arc or a line whose points are not in the order measured."""
+    arc, line = (points[np.linspace(0, len(points) - 1, min(len(points), ORDERED)).astype(int)]
+                 for points in (tracker.arc, tracker.line))
+    centre, axis = jing2020.fit_arc(tracker.arc)
+    turns = np.cross(arc[:-1] - centre, arc[1:] - centre) @ axis
+    for what, steps in (('arc', turns), ('line', np.diff(line @ jing2020.fit_line(line)))):
+        if max((steps > 0).mean(), (steps < 0).mean()) < ONE_WAY:
+            raise DegenerateError(NAME, f'the points of the {what} go back and forth',
+                                  'list them in the order measured')
 
 
 def _require_angles(tracker: jing2020.Tracker, faces: Array) -> None:
@@ -136,13 +151,16 @@ def _require_one_direction(chain: jing2020.Result) -> None:
             'the line was measured towards larger readings of P3')
 
 
-def _require_agreement(fit: Adjusted[State]) -> None:
-    dropped = 1 - len(fit.used) / len(fit.residuals)
-    if fit.variance_factor > LARGEST_VARIANCE or dropped > LARGEST_DROPPED_SHARE:
+def _require_agreement(fit: Adjusted[State], seen: Seen) -> None:
+    part = tracker_model.parts(seen)
+    dropped = 1 - np.bincount(part[fit.used], minlength=part.max() + 1) / np.bincount(part)
+    worst = int(np.argmax(dropped))
+    if fit.variance_factor > LARGEST_VARIANCE or dropped[worst] > LARGEST_DROPPED_SHARE:
         raise DegenerateError(
             NAME, f'the points contradict each other: {fit.variance_factor ** 0.5:.1f} times '
-            f'their noise, {100 * dropped:.0f} % left out', 'check which face is which, h0 and '
-            'h1, the readings of P3, and the noise of both instruments')
+            f'their noise, {100 * dropped[worst]:.0f} % of those of '
+            f'{list(tracker_model.PARTS.values())[worst]} left out', 'check which face is which, '
+            'h0 and h1, the readings of P3, and the noise of both instruments')
 
 
 def _require_certain(covariance: Array) -> None:

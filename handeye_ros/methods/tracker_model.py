@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 
 QUARTER_TURN = se3.exp_rotation(np.array([np.pi / 2, 0.0, 0.0]))
 STEP = 1e-7  # of the numeric derivatives (m, rad, 1)
+PARTS = {'arc': 'the arc', 'line': 'the line', 'centre': "the ball's centre",
+         'spots_c': 'face_c', 'spots_d': 'face_d', 'ball': 'the swept ball',
+         'face_c': 'the swept face at smaller x', 'face_d': 'the swept face at larger x'}
 SWEPT = ('ball', 'face_c', 'face_d')
 UNKNOWNS = 26
 OF_X = slice(6, 12)
@@ -126,6 +129,15 @@ def sources(of: Mapping[str, NDArray[np.intp]]) -> NDArray[np.intp]:
     return np.concatenate([of['arc'], of['arc'], np.repeat(of['line'], 2),
                            np.repeat(of['centre'], 3), of['spots_c'], of['spots_d'],
                            *(of[part] for part in SWEPT)])
+
+
+def parts(seen: Seen) -> NDArray[np.intp]:
+    """Return for each of the distances (n,) the part that its point is of, an index into PARTS."""
+    tracker, sweep = seen.tracker, seen.sweep
+    points = (tracker.arc, tracker.line, tracker.ball[None], tracker.face_c, tracker.face_d,
+              sweep.ball, sweep.face_c, sweep.face_d)
+    return sources({part: np.full(len(of), i) for i, (part, of) in enumerate(
+        zip(PARTS, points, strict=True))})
 
 
 def _of_tracker(state: State, seen: Seen) -> Array:
