@@ -36,6 +36,7 @@ class Case:
     scenario: Scenario
     sensor_factor: float = 1.0
     robot_factor: float = 1.0
+    use_face: bool = False
 
 
 def cases() -> list[Case]:
@@ -49,6 +50,9 @@ def cases() -> list[Case]:
             found.append(Case(f'{target}, {what}', scenario, sensor, robot))
         model = replace(scenario.robot, systematic=(1.5e-4, math.radians(0.02)))
         found.append(Case(f'{target}, systematic robot', replace(scenario, robot=model)))
+    for target in ('line', 'plane'):
+        found.append(Case(f'{target}, noise known', SCENARIOS[target]))
+    found.append(Case('line with its face, noise known', SCENARIOS['line'], use_face=True))
     return found
 
 
@@ -58,6 +62,7 @@ def configured(case: Case, robot_factor: float) -> Config:
     return configs.with_values(Config(), {
         'target.type': case.scenario.scene,
         'target.radius': float(getattr(case.scenario.target, 'radius', 0.0)),
+        'target.use_face': case.use_face,
         'noise.sensor': sensor.noise, 'noise.distortion': 0.0,
         'noise.robot_translation': robot.repeatability[0] * robot_factor,
         'noise.robot_rotation': robot.repeatability[1] * robot_factor}, case.name)
@@ -117,7 +122,7 @@ def main() -> None:
     parser.add_argument('--seed', type=int, default=0)
     parser.add_argument('--only', default='', help='cases whose name holds this text')
     arguments = parser.parse_args()
-    print(f'{"case":28} {"transl.":>8} {"rotation":>8} {"mapped":>8} {"in 95 %":>8} '
+    print(f'{"case":32} {"transl.":>8} {"rotation":>8} {"mapped":>8} {"in 95 %":>8} '
           f'{"Mahal.":>8} {"mapped, mm":>10} {"ms":>6}')
     for case in cases():
         if arguments.only not in case.name:
@@ -125,7 +130,7 @@ def main() -> None:
         seeds = range(arguments.seed, arguments.seed + arguments.trials)
         rows = np.array([trial(case, seed) for seed in seeds])
         ratios = np.sqrt(rows[:, :3].mean(axis=0) / rows[:, 3:6].mean(axis=0))
-        print(f'{case.name:28} {ratios[0]:8.3f} {ratios[1]:8.3f} {ratios[2]:8.3f} '
+        print(f'{case.name:32} {ratios[0]:8.3f} {ratios[1]:8.3f} {ratios[2]:8.3f} '
               f'{100 * (rows[:, 6] < LIMIT).mean():7.1f}% {rows[:, 6].mean() / 6:8.3f} '
               f'{1e3 * np.sqrt(np.median(rows[:, 2])):10.4f} '
               f'{1e3 * np.median(rows[:, 7]):6.1f}', flush=True)

@@ -23,7 +23,8 @@ TILTS = np.array([30.0, 30.0, 60.0])
 
 
 def cell(seed: int, noise: tuple[float, float] = (0.0, 0.0), count: int = 12,
-         tilts: Array = TILTS) -> tuple[Array, Array, Array, Array]:
+         tilts: Array = TILTS, robot: tuple[float, float] = ROBOT
+         ) -> tuple[Array, Array, Array, Array]:
     """
     Return T_flange_camera, T_base_target, poses and views; noise of the views (m, rad).
 
@@ -36,7 +37,7 @@ def cell(seed: int, noise: tuple[float, float] = (0.0, 0.0), count: int = 12,
     place = rng.uniform([-0.05, -0.05, 0.2], [0.05, 0.05, 0.3], (count, 3))
     views = se3.transform(turns.as_matrix() @ np.diag([1.0, -1.0, -1.0]), place)
     T = Z @ se3.inverse(views) @ se3.inverse(X)
-    return X, Z, disturbed(T, ROBOT, rng) if any(noise) else T, disturbed(views, noise, rng)
+    return X, Z, disturbed(T, robot, rng) if any(noise) else T, disturbed(views, noise, rng)
 
 
 def disturbed(T: Array, noise: tuple[float, float], rng: np.random.Generator) -> Array:
@@ -71,6 +72,26 @@ def test_as_near_as_opencv_on_a_hundred_seeds() -> None:
             off[name].append((np.linalg.norm(delta[:3]), np.linalg.norm(delta[3:])))
     median = {name: np.median(values, axis=0) for name, values in off.items()}
     assert all((median['ours'] <= median[name]).all() for name in names)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(('noise', 'robot', 'count'), [
+    (NOISE, (0.0, 0.0), 12), ((1e-9, 1e-9), (1e-4, 5e-4), 12), ((1e-4, 2e-4), (1e-4, 1e-3), 12),
+    ((1e-4, 1e-2), ROBOT, 12), (NOISE, ROBOT, 5)])
+def test_whoever_was_noisy_nearer_than_the_closed_form_and_near_the_noise_known(
+        noise: tuple[float, float], robot: tuple[float, float], count: int) -> None:
+    off = []
+    for seed in range(1000, 1030):
+        X, _, T, views = cell(seed, noise, count, robot=robot)
+        known = hand_eye.PoseNoise(*noise, *robot)
+        answers = (hand_eye.solve(T, views).T_flange_camera,
+                   hand_eye.solve(T, views, known).T_flange_camera,
+                   hand_eye.closed_form(T, views)[0])
+        deltas = np.array([se3.difference(answer, X) for answer in answers])
+        off.append(np.linalg.norm(deltas.reshape(3, 2, 3), axis=2))
+    ours, known, closed = np.sqrt(np.mean(np.square(off), axis=0))
+    assert (ours < closed).all()
+    assert (ours < 1.15 * known).all()
 
 
 def test_nearer_than_the_two_motions_of_the_patent() -> None:

@@ -1,0 +1,59 @@
+"""Variance components: each cause of noise is found, one that is absent is not."""
+from __future__ import annotations
+
+from handeye_ros.components import first_variances, variance_components
+from handeye_ros.data import Array
+import numpy as np
+import pytest
+
+SIZES = (1e-3, 2e-3)  # 1 sigma of the two causes
+
+
+def blocks(n: int, sizes: tuple[float, float], rng: np.random.Generator
+           ) -> tuple[Array, Array, Array]:
+    """Return residuals (n, 3) of an adjustment, its Jacobian, and parts: white, and common."""
+    parts = np.array([np.broadcast_to(np.eye(3), (n, 3, 3)), np.ones((n, 3, 3))])
+    noise = sizes[0] * rng.normal(size=(n, 3)) + sizes[1] * rng.normal(size=(n, 1))
+    J = rng.normal(size=(n, 3, 4))
+    flat = J.reshape(-1, 4)
+    state = np.linalg.lstsq(flat, noise.ravel(), rcond=None)[0]
+    return noise - J @ state, J, parts
+
+
+def test_the_causes_are_told_apart() -> None:
+    r, J, parts = blocks(4000, SIZES, np.random.default_rng(0))
+    found = variance_components(r, J, parts, np.array([1e-6, 1e-6]))
+    np.testing.assert_allclose(np.sqrt(found), SIZES, rtol=0.05)
+
+
+@pytest.mark.parametrize('absent', [0, 1])
+def test_an_absent_cause_is_small(absent: int) -> None:
+    sizes = (0.0, SIZES[1]) if absent == 0 else (SIZES[0], 0.0)
+    r, J, parts = blocks(400, sizes, np.random.default_rng(1))
+    found = np.sqrt(variance_components(r, J, parts, np.array([1e-6, 1e-6])))
+    assert found[absent] < 0.3 * found[1 - absent]
+    assert found[1 - absent] == pytest.approx(sizes[1 - absent], rel=0.15)
+
+
+def test_few_residuals_do_not_make_it_too_small_on_average() -> None:
+    """Restricted: four unknowns of eighteen residuals would make it 12 % too small."""
+    rng, start = np.random.default_rng(2), np.square(SIZES)
+    found = [variance_components(*blocks(6, SIZES, rng), start) for _ in range(400)]
+    np.testing.assert_allclose(np.mean(found, axis=0) / start, 1.0, atol=0.1)
+
+
+def test_the_first_guess_ignores_wrong_blocks() -> None:
+    rng = np.random.default_rng(3)
+    r = np.concatenate([rng.normal(size=(300, 3)), 5 * rng.normal(size=(300, 3))], axis=1)
+    r[:30] += 1e3
+    own = np.broadcast_to(np.eye(6), (300, 6, 6))
+    both = own + 8.0 * own * ([1] * 3 + [0] * 3)
+    found = first_variances(r, np.array([own * ([0] * 3 + [1] * 3), both]))
+    assert found == pytest.approx([25 / 2, 1 / 9 / 2], rel=0.3)
+
+
+def test_without_any_noise_they_stay_positive() -> None:
+    r, J, parts = blocks(10, (0.0, 0.0), np.random.default_rng(4))
+    first = first_variances(r, parts)
+    found = variance_components(r, J, parts, first)
+    assert (found > 0).all() and (found < 1e-20).all()
