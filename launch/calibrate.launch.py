@@ -17,5 +17,6 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument('use_sim_time', default_value='false',
                               description='take the time from /clock'),
         Node(package='handeye_ros', executable='calibrate', name='handeye', output='screen',
-             parameters=[LaunchConfiguration('params_file'), {'use_sim_time': use_sim_time}]),
+             # a file that says what the time is must not be overruled by a default
+             parameters=[{'use_sim_time': use_sim_time}, LaunchConfiguration('params_file')]),
     ])

@@ -74,6 +74,13 @@ def test_every_stamp_is_told_once_and_in_order():
     assert stamps == [3, 4, 6]
 
 
+def test_a_wild_stamp_makes_no_other_late():
+    tracker, T = FlangeTracker('/base', 'flange'), random_transform()
+    stamps = [p.stamp for s in (3, 4, 10**18, 6, 1, 7)
+              for p in tracker.add([message('base', 'flange', T, s)], static=False)]
+    assert stamps == [3, 4, 6, 7]
+
+
 def test_times_may_start_again_and_static_links_stay():
     tracker, T = FlangeTracker('base', 'flange'), random_transform()
     tracker.add([message('link_6', 'flange', T)], static=True)
@@ -103,6 +110,10 @@ def test_a_loop_ends():
 def test_malformed_transform():
     bad = message('base', 'flange', np.eye(4), 1)
     bad.transform.rotation.w = 0.0
+    tracker = FlangeTracker('base', 'flange')
     with pytest.raises(MessageError, match='TransformStamped message not used: quaternion of '
                        'length 0'):
-        FlangeTracker('base', 'flange').add([bad], static=False)
+        tracker.add([bad], static=False)
+    other = message('base', 'camera', np.eye(4), 1)
+    other.transform.rotation.w = 0.0
+    assert len(tracker.add([other, message('base', 'flange', np.eye(4), 1)], static=False)) == 1

@@ -23,12 +23,11 @@ from handeye_ros.export import input_values
 from handeye_ros.ros.contents import CLOUD, Contents, full_name, POSE, Raw, TF
 from handeye_ros.ros.messages import (
     pose_from_stamped,
-    pose_from_transform,
     profile_from_cloud,
     stamp_of,
 )
 from handeye_ros.ros.storage import scan
-from handeye_ros.ros.transforms import FlangeTracker
+from handeye_ros.ros.transforms import FlangeTracker, well_formed
 from handeye_ros.stream import in_order, LARGEST_STEP
 from rosbags.serde import SerdeError
 from rosbags.typesys import get_typestore, Stores
@@ -199,9 +198,7 @@ def _first_jump_back(stamps: Sequence[int]) -> tuple[int, float]:
 
 
 def _transforms(msg: Any) -> Any:
-    for transform in msg.transforms:
-        pose_from_transform(transform)  # raises where one is malformed
-    return msg.transforms
+    return [transform for transform, _ in well_formed(msg.transforms)]
 
 
 def _check_frames(kind: str, frames: Iterable[str]) -> None:

@@ -13,8 +13,10 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
+from handeye_ros.errors import MessageError
 from handeye_ros.ros.messages import pose_from_transform
 from handeye_ros.stations import interpolate
+from handeye_ros.stream import Stream
 import numpy as np
 
 KEPT = 1000  # transforms of a link: 10 s of a robot driver at 100 Hz
@@ -28,11 +30,11 @@ class Link:
         self.parent = parent
         self.static = static
         self._poses: deque[TimedPose] = deque(maxlen=1 if static else KEPT)
+        self._stream: Stream[TimedPose] = Stream('transform')
 
     def add(self, pose: TimedPose) -> None:
         """Take the next transform; one that is not newer is dropped, but a static one replaces."""
-        if self.static or not self._poses or pose.stamp > self._poses[-1].stamp:
-            self._poses.append(pose)
+        self._poses.extend([pose] if self.static else self._stream.add(pose, self.parent))
 
     def stamps(self, after: int) -> list[int]:
         """Return the stamps later than after."""
@@ -51,13 +53,30 @@ class Link:
         return interpolate([poses[index - 1], poses[index]], [stamp])[0]
 
 
+def well_formed(transforms: Any) -> list[tuple[Any, TimedPose]]:
+    """
+    Return the transforms of one message that can be understood, each with its pose.
+
+    Raises MessageError when none can: a frame that does not matter must not spoil the others.
+    """
+    good, malformed = [], None
+    for transform in transforms:
+        try:
+            good.append((transform, pose_from_transform(transform)))
+        except MessageError as error:
+            malformed = error
+    if malformed and not good:
+        raise malformed
+    return good
+
+
 class FlangeTracker:
     """Turns transforms into poses of the flange in the base; times are those of its last joint."""
 
     def __init__(self, base: str, flange: str) -> None:
         """Start with an empty tree."""
-        self._base = base
-        self._flange = flange
+        self._base = _name(base)
+        self._flange = _name(flange)
         self._links: dict[str, Link] = {}
         self._sent_until = -1
 
@@ -65,10 +84,9 @@ class FlangeTracker:
         """
         Take the transforms of one message; return the poses that can now be told.
 
-        Raises MessageError for a malformed transform.
+        Raises MessageError when all are malformed.
         """
-        for transform in transforms:
-            pose = pose_from_transform(transform)
+        for transform, pose in well_formed(transforms):
             child, parent = _name(transform.child_frame_id), _name(pose.parent_frame)
             link = self._links.get(child)
             if link is None or (link.parent, link.static) != (parent, static):
