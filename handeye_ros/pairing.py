@@ -151,7 +151,7 @@ class Session:
 
         Raises NoPosesError, PositionUnitError or NoStationsError.
         """
-        if self._outcomes:
+        if self._outcomes or self._taken:  # or what was taken has been removed
             return
         if not self._pose_count:
             raise self._no_poses()

@@ -209,6 +209,16 @@ def test_a_split_bag(folder, tmp_path, listed):
     assert len(recording.inputs) == 11
 
 
+def test_types_named_in_the_short_form(folder, tmp_path):
+    short = {'/profile': 'sensor_msgs/PointCloud2', '/flange_pose': 'geometry_msgs/PoseStamped'}
+    assert_equal_recordings(bag.read(rewrite(folder, tmp_path / 's.mcap', types=short), CONFIG))
+
+
+def test_messages_that_are_not_of_ros_2_are_named():
+    assert contents.type_of('sensor_msgs/PointCloud2', 'ros1') == (
+        'sensor_msgs/msg/PointCloud2 in ros1')
+
+
 def test_a_split_bag_with_a_file_missing(folder, tmp_path):
     target = split(folder, tmp_path / 'split', listed=True)
     (target / 'split_4.mcap').unlink()

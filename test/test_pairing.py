@@ -434,6 +434,12 @@ def test_the_last_sample_can_be_removed() -> None:
         session.remove_last()
 
 
+def test_stops_whose_samples_were_removed_are_stops() -> None:
+    session = played(stops((0, 1)), profiles(0, 1))
+    session.remove_last()
+    session.require_stations()
+
+
 def test_clearing_forgets_everything_also_the_frames_and_the_time() -> None:
     session = played(stops((0, 1)), [*profiles(0, 1), profile(1.5, frame='x')], finish=False)
     session.clear()

@@ -51,4 +51,6 @@ def message_of(data: bytes) -> bytes:
 
 def type_of(name: str, encoding: str) -> str:
     """Return the type of a topic; a serialization that ROS does not use is part of it."""
-    return name if encoding == 'cdr' else f'{name} in {encoding}'
+    package, _, kind = name.partition('/')
+    full = name if not kind or '/' in kind else f'{package}/msg/{kind}'
+    return full if encoding == 'cdr' else f'{full} in {encoding}'
