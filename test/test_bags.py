@@ -4,6 +4,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from handeye_ros.config import Config, flatten, load
+from handeye_ros.data import Array
 from handeye_ros.ros import bag
 from handeye_ros.simulate import FILE_SCENES, SCENARIOS, simulate
 from handeye_ros.truth import true_transform
@@ -13,6 +14,12 @@ import yaml
 
 BAGS = Path(__file__).parents[1] / 'bags'
 NAMES = ('plate', 'sphere', 'one_orientation', 'inverted_poses', 'line', 'plane', 'tracker')
+
+
+def in_order(points: Array) -> Array:
+    """Return the points along the line, as a cloud of scattered ones is read."""
+    seen = points[np.isfinite(points).all(axis=1)]
+    return seen[np.argsort(seen[:, 0])]
 
 
 @pytest.mark.parametrize('name', NAMES)
@@ -27,7 +34,8 @@ def test_a_bag_holds_what_its_truth_says_it_was_made_from(name: str) -> None:
     for there, here in zip(read.profiles, made.profiles, strict=True):
         assert there.stamp == here.stamp
         # single precision; another numpy may round a coordinate to the next step
-        assert np.allclose(there.points, here.points, rtol=0, atol=2e-6, equal_nan=True)
+        points = here.points if len(there.points) == len(here.points) else in_order(here.points)
+        assert np.allclose(there.points, points, rtol=0, atol=2e-6, equal_nan=True)
     for there, here in zip(read.poses, made.poses, strict=True):
         assert there.stamp == here.stamp
         assert np.allclose(there.translation, here.translation, rtol=0, atol=1e-9)
