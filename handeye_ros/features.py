@@ -5,12 +5,33 @@ The scatter between the profiles gives the uncertainty of what they share.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 
 from handeye_ros.arcs import normal_points
-from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature
+from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature, Profile
 from handeye_ros.errors import FeatureError
 import numpy as np
+
+
+def of_station(profiles: Sequence[Profile], extract: Callable[[Array], tuple[Feature, ...]]
+               ) -> tuple[list[Profile], tuple[Feature, ...]]:
+    """
+    Return the profiles of a station that show the target, and their features combined.
+
+    extract: gives the features of the points (n, 2) of one profile, or raises FeatureError.
+    Raises FeatureError when most do not show it, or do not agree.
+    """
+    used, found, reasons = [], [], Counter[str]()
+    for profile in profiles:
+        try:
+            found.append(extract(profile.points))
+            used.append(profile)
+        except FeatureError as error:
+            reasons[str(error)] += 1
+    if not found or 2 * len(found) < len(profiles):
+        raise FeatureError(reasons.most_common(1)[0][0])
+    return used, combine(found)
 
 
 def combine(found: Sequence[tuple[Feature, ...]]) -> tuple[Feature, ...]:

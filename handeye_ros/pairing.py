@@ -7,7 +7,7 @@ samples do not depend on how poses and profiles were interleaved on arrival.
 """
 from __future__ import annotations
 
-from collections import Counter
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -29,6 +29,7 @@ from handeye_ros.stations import FOREVER, interpolate, NS, Station, StationFinde
 from handeye_ros.stream import LARGEST_STEP, Stream
 import numpy as np
 
+MOST_PROFILES = 300  # of one stop, evenly spread: more adds nothing but time
 LARGEST_POSITION = 50.0  # of a flange in metres: more is another unit
 
 
@@ -221,7 +222,10 @@ class Session:
                 if station.start + settle <= p.stamp <= station.end - settle]
         if not seen:
             raise NoProfilesError((station.end - station.start) / NS)
-        used, combined = self._features(seen)
+        if len(seen) > MOST_PROFILES:
+            seen = [seen[i] for i in np.linspace(0, len(seen) - 1, MOST_PROFILES).astype(int)]
+        used, combined = features.of_station(
+            seen, lambda points: self._method.extract(points, self._config))
         poses = interpolate(station.poses, [p.stamp for p in used])
         return Sample(used[0].stamp, se3.mean_pose(poses), combined, len(used),
                       self._flipped(used[0]))
@@ -235,24 +239,11 @@ class Session:
         except FeatureError:
             return ()
 
-    def _features(self, profiles: Sequence[Profile]
-                  ) -> tuple[list[Profile], tuple[Feature, ...]]:
-        """Return the profiles that show the target, and their features combined."""
-        used, found, reasons = [], [], Counter[str]()
-        for profile in profiles:
-            try:
-                found.append(self._method.extract(profile.points, self._config))
-                used.append(profile)
-            except FeatureError as error:
-                reasons[str(error)] += 1
-        if not found or 2 * len(found) < len(profiles):
-            raise FeatureError(reasons.most_common(1)[0][0])
-        return used, features.combine(found)
-
     def _forget_old_profiles(self) -> None:
         """Keep only what a station that is waiting, or not yet over, can still need."""
         starts = [s.start for s in self._waiting]
         first, last = self._finder.window()
         oldest = min([*starts, first])
         newest = max([*(s.end for s in self._waiting), last])
-        self._profiles = [p for p in self._profiles if oldest <= p.stamp <= newest]
+        del self._profiles[bisect_right(self._profiles, newest, key=lambda p: p.stamp):]
+        del self._profiles[:bisect_left(self._profiles, oldest, key=lambda p: p.stamp)]

@@ -17,7 +17,7 @@ from handeye_ros.errors import (
     PositionUnitError,
     TwoFramesError,
 )
-from handeye_ros.pairing import Session
+from handeye_ros.pairing import MOST_PROFILES, Session
 from handeye_ros.stations import interpolate, MAX_STATION, NS
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -146,6 +146,16 @@ def test_a_long_stop_uses_its_first_seconds() -> None:
     session = played(stops((0, length + 5)), profiles(0, length + 5, rate=5.0))
     sample, = session.samples
     assert sample.profiles <= 5 * length + 1 and sample.stamp < START + NS
+
+
+def test_a_fast_sensor_is_thinned_out_evenly() -> None:
+    session = played(stops((0, 2)), profiles(0, 2, rate=500.0), finish=True)
+    sample, = session.samples
+    assert sample.profiles == MOST_PROFILES < 900
+    edge, = (f for f in sample.features if isinstance(f, EdgePoint))
+    few, = played(stops((0, 2)), profiles(0, 2, rate=50.0)).samples
+    other, = (f for f in few.features if isinstance(f, EdgePoint))
+    assert np.allclose(edge.point, other.point, atol=1e-9)
 
 
 def test_a_stop_without_profiles_or_without_a_target_is_refused_with_a_reason() -> None:
