@@ -19,7 +19,7 @@ from typer.core import TyperGroup
 
 if TYPE_CHECKING:
     from handeye_ros.config import Config
-    from handeye_ros.data import Calibration
+    from handeye_ros.data import Array, Calibration
     from handeye_ros.files.method import FileMethod
     from handeye_ros.files.method import Input as Given
     from handeye_ros.ros.bag import Recording
@@ -84,18 +84,13 @@ def solve(
     from handeye_ros.truth import true_transform
     from handeye_ros.verify import errors_against
     method, T_true = files.of(settings), true_transform(path)
-    field, over = None, 'the field of view'
-    if method:
-        given = _read_files(method, path, settings)
-        calibration = _solve_files(method, given, settings)
-        field, over = method.field(given.data), method.over
-    else:
-        calibration = _solve_bag(path, settings)
+    calibration, field = (_solve_files(method, path, settings) if method else
+                          (_solve_bag(path, settings), None))
     export.write_calibration(calibration, target)
     _print(report.table(calibration))
     if T_true is not None:
         errors = errors_against(calibration.T_flange_sensor, T_true, field)
-        typer.echo(report.error_sentence(errors, over))
+        typer.echo(report.error_sentence(errors, *([method.over] if method else [])))
     typer.echo(f'wrote {target}')
 
 
@@ -143,11 +138,13 @@ def _read_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
     return given
 
 
-def _solve_files(method: 'FileMethod[Any]', given: 'Given[Any]', settings: 'Config'
-                 ) -> 'Calibration':
+def _solve_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
+                 ) -> tuple['Calibration', 'Array']:
+    """Return the calibration, and the points over which its errors are told."""
+    given = _read_files(method, path, settings)
     with _doing('solving'):
         from handeye_ros.files.outcome import calibrate
-        return calibrate(method, given, settings)
+        return calibrate(method, given, settings), method.field(given.data)
 
 
 @contextmanager

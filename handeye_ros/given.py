@@ -46,7 +46,7 @@ class Given(Protocol):
 
     def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]
                   ) -> Array | None:
-        """Return the residuals (m) of some with a transform, the target fitted to others."""
+        """Return by how much (m) some miss with a transform, the target fitted to others."""
 
 
 @dataclass(frozen=True, eq=False)

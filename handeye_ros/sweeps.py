@@ -49,15 +49,11 @@ def sweep_from(profiles: Sequence[Profile], poses: Sequence[TimedPose], config: 
                               'record both together')
     ways = q3_first + _ways(interpolate(poses, [first, *(p.stamp for p in inside)]))
     found = _found(inside, ways, config)
-    for what, name in (('ball', 'ball'), ('block', 'face_c')):
-        if len(found[name]) < FEWEST_PROFILES:
-            raise DegenerateError(NAME, f'{len(found[name])} profiles show the {what}',
-                                  f'sweep over it slowly, at least {FEWEST_PROFILES} profiles')
     parts = {name: np.concatenate([rows for _, rows in found[name]]) for name in SWEPT}
     stamps = {name: np.concatenate([np.full(len(rows), stamp) for stamp, rows in found[name]])
               for name in SWEPT}
-    return Sweep(**parts, q30=float(np.ptp(ways) / 2 + ways.min()) if q30 is None else q30,
-                 stamps=stamps)
+    middle = float(ways.min() + ways.max()) / 2
+    return Sweep(**parts, q30=middle if q30 is None else q30, stamps=stamps)
 
 
 def _found(profiles: Sequence[Profile], ways: Array, config: Config
@@ -74,6 +70,10 @@ def _found(profiles: Sequence[Profile], ways: Array, config: Config
         elif arc := _arc(points, config):
             arcs.append((profile.stamp, float(q3), arc))
     found['ball'] = _ball(arcs, config.target.radius)
+    for what, name in (('ball', 'ball'), ('block', 'face_c')):
+        if len(found[name]) < FEWEST_PROFILES:
+            raise DegenerateError(NAME, f'{len(found[name])} profiles show the {what}',
+                                  f'sweep over it slowly, at least {FEWEST_PROFILES} profiles')
     return found
 
 

@@ -59,9 +59,7 @@ def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float =
     T_near = se3.transform(near, rng.normal(scale=0.1, size=3))
     T_far = se3.transform(far, np.array([0.7, 0.1, 0.2]))
     X, Z = (T_far, T_near) if eye_on_base else (T_near, T_far)
-    turns = Rotation.from_euler('xyz', rng.uniform(-1, 1, (count, 3)) * tilts, degrees=True)
-    views = se3.transform(turns.as_matrix() @ np.diag([1.0, -1.0, -1.0]),
-                          rng.uniform([-0.05, -0.05, 0.2], [0.05, 0.05, 0.3], (count, 3)))
+    views = _views(rng, count, tilts)
     T_fixed_mount = Z @ se3.inverse(views) @ se3.inverse(X)
     poses = se3.inverse(T_fixed_mount) if eye_on_base else T_fixed_mount
     robot, target = (3e-5 * noise, 1e-4 * noise), (1e-4 * noise, 1e-3 * noise)
@@ -74,6 +72,13 @@ def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float =
                     dict(zip(names, (*robot, *target), strict=True)),
                     {'target.type': 'hand_eye', 'calibration_type': (
                         'eye_on_base' if eye_on_base else 'eye_in_hand')})
+
+
+def _views(rng: np.random.Generator, count: int, tilts: Sequence[float]) -> Array:
+    """Return poses (n, 4, 4) of a target that faces the camera, but for tilts (degrees)."""
+    turns = Rotation.from_euler('xyz', rng.uniform(-1, 1, (count, 3)) * tilts, degrees=True)
+    return se3.transform(turns.as_matrix() @ np.diag([1.0, -1.0, -1.0]),
+                         rng.uniform([-0.05, -0.05, 0.2], [0.05, 0.05, 0.3], (count, 3)))
 
 
 def _columns(T: Array) -> Array:
