@@ -1,6 +1,7 @@
 """Bags in every form that recorders leave them in."""
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 import sqlite3
 
@@ -259,6 +260,30 @@ def test_a_single_db3_and_a_cut_one(folder, tmp_path):
     file.write_bytes(whole[:len(whole) * 2 // 3])
     with pytest.raises(BagError, match='copy.db3 is cut off or damaged'):
         bag.read(file, CONFIG)
+
+
+@pytest.mark.parametrize('broken', [False, True])
+def test_a_db3_whose_recorder_was_killed_keeps_the_rest_in_its_log(folder, tmp_path, broken):
+    copy = rosbags_copy(folder, tmp_path / 'copy', StoragePlugin.SQLITE3, CompressionMode.NONE)
+    killed = tmp_path / 'killed'
+    killed.mkdir()
+    with closing(sqlite3.connect(copy / 'copy.db3')) as database:
+        rows = database.execute('SELECT * FROM messages').fetchall()
+        database.execute('PRAGMA journal_mode=WAL')
+        database.execute('DELETE FROM messages WHERE id > 60')
+        database.commit()
+        database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
+        database.executemany('INSERT INTO messages VALUES (?, ?, ?, ?)', rows[60:])
+        database.commit()
+        for name in ('copy.db3', 'copy.db3-wal'):
+            (killed / name).write_bytes((copy / name).read_bytes())
+    if broken:
+        (killed / 'copy.db3-wal').write_bytes(b'no log at all' * 100)
+    before = sorted((p.name, p.read_bytes()) for p in killed.iterdir())
+    recording = bag.read(killed / 'copy.db3', CONFIG)
+    count = len(recording.profiles) + len(recording.poses)
+    assert count == (60 if broken else len(PROFILES) + len(POSES))
+    assert sorted((p.name, p.read_bytes()) for p in killed.iterdir()) == before
 
 
 def test_not_there(tmp_path):

@@ -1,10 +1,12 @@
 """The raw messages in a rosbag2 folder or file, as far as they can be read."""
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import closing, contextmanager, suppress
 import io
 from pathlib import Path
 import re
+import shutil
 import sqlite3
 import tempfile
 from typing import Any, BinaryIO
@@ -93,9 +95,30 @@ def _scan_file(path: Path, contents: Contents, wanted: set[str] | None) -> None:
                 unpacked.flush()
                 _scan_sqlite(Path(unpacked.name), path, contents, wanted)
         elif magic == SQLITE[:len(MCAP)]:
-            _scan_sqlite(path, path, contents, wanted)
+            with _with_its_log(path) as database:
+                _scan_sqlite(database, path, contents, wanted)
         else:
             raise BagError(path, _not_a_bag(magic))
+
+
+@contextmanager
+def _with_its_log(path: Path) -> Iterator[Path]:
+    """
+    Give a database that holds what a recorder that was killed left in its write-ahead log.
+
+    SQLite would put it into the file itself, but a recording is not ours to change.
+    """
+    log = path.with_name(f'{path.name}-wal')
+    if not (log.exists() and log.stat().st_size):
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        for file in (path, log):
+            shutil.copyfile(file, Path(folder) / file.name)
+        copy = Path(folder) / path.name
+        with suppress(sqlite3.DatabaseError), closing(sqlite3.connect(copy)) as connection:
+            connection.execute('PRAGMA wal_checkpoint(TRUNCATE)')
+        yield copy
 
 
 def _magic(stream: BinaryIO) -> bytes:
