@@ -21,6 +21,7 @@ S = TypeVar('S')
 MAX_ITERATIONS = 60
 MAX_DAMPINGS = 12
 CONVERGED = 1e-8  # step length in sigmas
+ROUNDING = 1e-12  # of the sum of squares
 BELIEVED_SHARE = 0.7  # of the blocks that a good answer must explain
 FALSE_ALARM = 1e-3  # of good data losing one block
 BATCH = 50  # one of so many blocks is left out at a time
@@ -121,12 +122,15 @@ def _least_squares(model: Model[S], state: S, weights: Array, iterations: int) -
             step = -np.linalg.solve(N + damping * np.eye(len(N)), g) / scale
             moved = model.retract(state, step)
             r_moved, J_moved = model.blocks(moved)
-            if float(((r_moved * root) ** 2).sum()) <= cost * (1 + 1e-12):
+            cost_moved = float(((r_moved * root) ** 2).sum())
+            if cost_moved <= cost * (1 + ROUNDING):
                 break
             damping *= 10
         else:
             return state
         state, r, J, damping = moved, r_moved, J_moved, max(damping / 10, 1e-15)
-        if np.linalg.norm(A @ step) < CONVERGED * (1 + cost ** 0.5):
+        # what is left is the rounding of the derivatives: more steps would lead nowhere
+        if np.linalg.norm(A @ step) < CONVERGED * (1 + cost ** 0.5) or (
+                cost_moved >= cost * (1 - ROUNDING)):
             break
     return state
