@@ -17,7 +17,7 @@ from handeye_ros.ros.executable import exit_code, InvalidHandle, RCLError, ros
 from handeye_ros.ros.intake import Intake, TFMessage, THROTTLE
 from handeye_ros.ros.live import LiveSession
 from handeye_ros.ros.outgoing import feature_cloud, markers, transform_stamped
-from handeye_ros.ros.wording import sample_summary
+from handeye_ros.ros.wording import sample_summary, with_trouble
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
@@ -156,7 +156,7 @@ class HandeyeNode(Node):
         if self._tf_static and calibration.child_frame not in robot:
             self._tf_static.publish(TFMessage(transforms=[transform]))
         self._publish_markers()
-        return text
+        return with_trouble(text, self._live.trouble)
 
     def save_calibration(self) -> str:
         """Write the last answer."""
@@ -168,8 +168,7 @@ class HandeyeNode(Node):
             response.message, response.success = service(), True
             self.get_logger().info(response.message)
         except HandeyeError as error:
-            told = filter(None, (str(error), self._live.arrivals.mostly_malformed))
-            response.message, response.success = '; '.join(told), False
+            response.message = with_trouble(str(error), self._live.trouble)
             self.get_logger().warning(f'{service.__name__}: {response.message}')
         except UNSENDABLE:
             if rclpy.ok():  # else the node ends, and nobody hears of it any more

@@ -30,6 +30,11 @@ def late_sentence(kinds: Sequence[str]) -> str:
             'call ~/clear_samples if a bag was started again')
 
 
+def with_trouble(text: str, trouble: str) -> str:
+    """Return a text, and what else a person should know who reads it."""
+    return text if trouble in text else f'{text}; {trouble}'
+
+
 def changes_since(solved: Set[int], now: Set[int]) -> str:
     """Return how the samples, by their stamps, differ from those of an answer, if they do."""
     removed, added = len(solved - now), len(now - solved)
