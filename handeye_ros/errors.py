@@ -143,7 +143,17 @@ class NoStationsError(DataError):
 
     def __init__(self, poses: int, still_time: float) -> None:
         super().__init__(f'the robot never stood still for {still_time:g} s in {poses} poses: '
-                         'stop at each sample, or lower sampling.still_time')
+                         'stop at each sample, or lower sampling.still_time; if its poses are '
+                         'noisy, raise sampling.still_translation and sampling.still_rotation')
+
+
+class SparsePosesError(DataError):
+    """Poses too far apart to tell when the robot stood still."""
+
+    def __init__(self, period: float, limit: float) -> None:
+        super().__init__(f'the flange poses come only every {period:.2g} s, further apart than '
+                         f'sampling.max_pose_gap ({limit:g} s): publish them more often, also '
+                         'while the robot stands still, or raise sampling.max_pose_gap')
 
 
 class PositionUnitError(DataError):

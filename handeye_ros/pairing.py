@@ -22,6 +22,7 @@ from handeye_ros.errors import (
     NoStationsError,
     NothingToRemoveError,
     PositionUnitError,
+    SparsePosesError,
     TwoFramesError,
 )
 from handeye_ros.notes import frame_notes
@@ -49,7 +50,6 @@ class Session:
         self._waiting: list[Station] = []
         self._profiles: list[Profile] = []
         self._taken: set[int] = set()  # when the stops began of which there is an outcome
-        self._pose_count = 0
         self._largest_position = 0.0
         self._beside = 0.0
         self._pose_stream: Stream[TimedPose] = Stream('pose')
@@ -100,7 +100,6 @@ class Session:
 
     def _take_poses(self, poses: Sequence[TimedPose]) -> None:
         for pose in poses:
-            self._pose_count += 1
             reach = float(np.linalg.norm(pose.translation))
             self._largest_position = max(self._largest_position, reach)
             station = self._finder.add(pose)
@@ -150,15 +149,18 @@ class Session:
         """
         Refuse a recording in which the robot never stood still.
 
-        Raises NoPosesError, PositionUnitError or NoStationsError.
+        Raises NoPosesError, PositionUnitError, SparsePosesError or NoStationsError.
         """
         if self._outcomes or self._taken:  # or what was taken has been removed
             return
-        if not self._pose_count:
+        poses, sampling = self._pose_stream, self._config.sampling
+        if not poses.count:
             raise self._no_poses()
         if self._largest_position > LARGEST_POSITION:
             raise PositionUnitError(self._largest_position)
-        raise NoStationsError(self._pose_count, self._config.sampling.still_time)
+        if poses.period > sampling.max_pose_gap:
+            raise SparsePosesError(poses.period, sampling.max_pose_gap)
+        raise NoStationsError(poses.count, sampling.still_time)
 
     def take_sample(self) -> Sample:
         """

@@ -28,8 +28,9 @@ class Stream(Generic[Stamped]):
     """
     Passes on the messages of one topic, or drops them with a warning.
 
-    latest: the stamp of the last one passed on, -1 before the first; late: whether the last
-    one that came was dropped because it is older than that; frame: that of the first one.
+    latest: the stamp of the last one passed on, -1 before the first; count: how many were;
+    late: whether the last one that came was dropped because it is older than that;
+    frame: that of the first one.
     """
 
     def __init__(self, kind: str) -> None:
@@ -37,7 +38,9 @@ class Stream(Generic[Stamped]):
         self._kind = kind
         self._held: Stamped | None = None
         self._dropped: Counter[str] = Counter()
+        self._first = 0
         self.latest = -1
+        self.count = 0
         self.late = False
         self.frame: str | None = None
         self.conflict: TwoFramesError | None = None
@@ -47,6 +50,11 @@ class Stream(Generic[Stamped]):
         """Return what was dropped, one sentence for each reason."""
         return tuple(f'dropped a {self._kind} {reason} ({count} times)'
                      for reason, count in self._dropped.items())
+
+    @property
+    def period(self) -> float:
+        """Return the mean time between the messages (s), 0 for one or none."""
+        return (self.latest - self._first) * 1e-9 / (self.count - 1) if self.count > 1 else 0.0
 
     def add(self, item: Stamped, frame: str) -> list[Stamped]:
         """Take the next message; return those that are now known to be right."""
@@ -88,7 +96,9 @@ class Stream(Generic[Stamped]):
         return []
 
     def _passed(self, item: Stamped) -> Stamped:
+        self._first = self._first if self.count else item.stamp
         self.latest = item.stamp
+        self.count += 1
         return item
 
 

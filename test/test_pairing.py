@@ -15,6 +15,7 @@ from handeye_ros.errors import (
     NoStationsError,
     NothingToRemoveError,
     PositionUnitError,
+    SparsePosesError,
     TwoFramesError,
 )
 from handeye_ros.pairing import MOST_PROFILES, Session
@@ -343,6 +344,11 @@ def test_no_poses_no_stops_and_millimetres_are_told_apart() -> None:
     metres_per_thousand = [replace(p, translation=p.translation * 1e3) for p in moving]
     with pytest.raises(PositionUnitError, match='mm'):
         played(metres_per_thousand, profiles(0, 3)).require_stations()
+    sparse = [pose(t, x=0.1 * (t // 10)) for t in range(60)]
+    with pytest.raises(SparsePosesError, match='only every 1 s, .*raise sampling.max_pose_gap'):
+        played(sparse, profiles(0, 60)).require_stations()
+    wide = with_values(CONFIG, {'sampling.max_pose_gap': 2.0}, 'test')
+    assert len(played(sparse, profiles(0, 60), wide).samples) == 6
     played(stops((0, 1)), []).require_stations()
 
 
