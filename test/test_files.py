@@ -304,7 +304,11 @@ def test_files_that_cannot_be_read_end_with_2(name: str, change: Callable[[str],
     ('hand_eye', replaced('flange_x [mm], flange_y [mm], flange_z [mm]',
                           'flange_x [m], flange_y [m], flange_z [m]'), 'and the units'),
     ('hand_eye', replaced('flange_qx, flange_qy, flange_qz, flange_qw',
-                          'flange_qw, flange_qx, flange_qy, flange_qz'), 'contradict the others'),
+                          'flange_qy, flange_qz, flange_qw, flange_qx'),
+     'but with flange quaternions as w x y z the residual falls from'),
+    ('hand_eye', replaced('target_qx, target_qy, target_qz, target_qw',
+                          'target_qy, target_qz, target_qw, target_qx'),
+     'but with target quaternions as w x y z the residual falls from'),
     ('small_tracker', rows(lambda lines: lines[:3] * 2 + lines[40:]), 'the arc spans 5.9 degrees'),
     ('small_tracker', rows(lambda lines: lines[:40] + lines[40:70][::-1] + lines[70:]),
      'that the line was measured towards larger readings'),
@@ -313,6 +317,15 @@ def test_files_that_cannot_be_read_end_with_2(name: str, change: Callable[[str],
 def test_files_without_an_answer_end_with_3(name: str, change: Callable[[str], str],
                                             words: str, run: Run, tmp_path: Path) -> None:
     refused(run('solve', *edited(name, tmp_path / 'cell', change)), 3, words)
+
+
+@pytest.mark.parametrize('name', ['hand_eye', 'hand_eye_on_base'])
+def test_the_wrong_calibration_type_is_named(name: str, run: Run, tmp_path: Path) -> None:
+    simulated.write(name, 1, tmp_path / 'cell')
+    other = 'eye_in_hand' if name == 'hand_eye_on_base' else 'eye_on_base'
+    told = run('solve', *given(name, tmp_path / 'cell'), '--set', f'calibration_type={other}')
+    refused(told, 3, 'with one of the two lists inverted the residual falls from',
+            'set calibration_type to the other one')
 
 
 @pytest.mark.parametrize('eye_on_base', [False, True])

@@ -1,17 +1,22 @@
 """A X = X B, from a file of poses: a camera that sees the whole pose of a target."""
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
+from handeye_ros.errors import DataError, DegenerateError, SlipError
 from handeye_ros.export import input_values, transform_values
 from handeye_ros.files.method import Answer, FileMethod, Index, Input, ReadBag
 from handeye_ros.identify import mount_frame
 from handeye_ros.methods import hand_eye
 import numpy as np
+from scipy.spatial.transform import Rotation
+
+CLEAR = 0.2  # of the misfit is left when a slip is undone
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +40,12 @@ def _read(path: Path, config: Config, read_bag: ReadBag) -> Input[Views]:
 
 
 def _solve(data: Views, config: Config) -> Answer[Views]:
-    found = hand_eye.solve(data.T_fixed_mount, data.T_camera_target, frame=mount_frame(config))
+    frame = mount_frame(config)
+    try:
+        found = hand_eye.solve(data.T_fixed_mount, data.T_camera_target, frame=frame)
+    except DegenerateError:
+        _name_slip(data, frame)
+        raise
     X, Z = found.T_flange_camera, found.T_base_target
     shifts = hand_eye.residuals(data.T_fixed_mount, data.T_camera_target, (X, Z))[:, :3]
     used = np.isin(np.arange(len(shifts)), found.used)
@@ -43,6 +53,45 @@ def _solve(data: Views, config: Config) -> Answer[Views]:
               'left_out_angle': found.holdout_rms[1]}
     return Answer(X, found.covariance, used, np.linalg.norm(shifts, axis=1), found.rms[0],
                   found.holdout_rms[0], _subset(data, found.used), target)
+
+
+def _wxyz(T: Array) -> Array:
+    """Return the poses (n, 4, 4) whose quaternions were read in the wrong order."""
+    q = np.roll(se3.quaternion(T), -1, axis=1)
+    return se3.transform(Rotation.from_quat(q).as_matrix(), T[:, :3, 3])
+
+
+def _same(T: Array) -> Array:
+    return T
+
+
+SLIPS: tuple[tuple[str, str, Callable[[Array], Array], Callable[[Array], Array]], ...] = (
+    ('one of the two lists inverted', 'set calibration_type to the other one, or, if it is right, '
+     'give the flange in the base and the target in the camera', se3.inverse, _same),
+    ('flange quaternions as w x y z', 'name the columns in the order of their values',
+     _wxyz, _same),
+    ('target quaternions as w x y z', 'name the columns in the order of their values',
+     _same, _wxyz))
+"""In words, what to do, and what puts T_fixed_mount and T_camera_target right."""
+
+
+def _name_slip(data: Views, frame: str) -> None:
+    """Raise SlipError when a usual slip explains why the poses contradict each other."""
+    before = _misfit(data.T_fixed_mount, data.T_camera_target)
+    for name, advice, of_mount, of_target in SLIPS:
+        T, seen = of_mount(data.T_fixed_mount), of_target(data.T_camera_target)
+        try:
+            after = hand_eye.solve(T, seen, frame=frame).rms[0]
+        except DataError:
+            continue
+        if after < CLEAR * before:
+            raise SlipError(name, before, after, advice)
+
+
+def _misfit(T: Array, T_camera_target: Array) -> float:
+    state = hand_eye.closed_form(T, T_camera_target)
+    off = hand_eye.residuals(T, T_camera_target, state)[:, :3]
+    return float(np.sqrt((off ** 2).sum(axis=1).mean()))
 
 
 def _samples(data: Views) -> list[tuple[int, str]]:
