@@ -12,7 +12,7 @@ from handeye_ros.errors import (
     TableError,
     TooFewError,
 )
-from handeye_ros.methods import hand_eye
+from handeye_ros.methods import hand_eye, hand_eye_model
 from handeye_ros.published import cn105021139a
 import numpy as np
 import pytest
@@ -106,13 +106,17 @@ def test_nearer_than_the_two_motions_of_the_patent() -> None:
     assert (ours < published).all()
 
 
+@pytest.mark.parametrize('eye_on_base', [False, True])
 @pytest.mark.parametrize('known', [True, False])
-def test_the_covariance_is_true(known: bool) -> None:
-    noise = hand_eye.PoseNoise(*NOISE, *ROBOT) if known else None
+def test_the_covariance_is_true(known: bool, eye_on_base: bool) -> None:
+    """The robot turns about its flange, which is elsewhere with the camera on the base."""
+    robot = (1e-4, 1e-3) if eye_on_base else ROBOT
+    noise = hand_eye.PoseNoise(*NOISE, *robot) if known else None
     squares = []
     for seed in range(40):
-        X, _, T, views = cell(seed, NOISE, count=20)
-        found = hand_eye.solve(T, views, noise)
+        X, _, T, views = cell(seed, NOISE, 20, robot=(0.0, 0.0))
+        poses = disturbed(se3.inverse(T) if eye_on_base else T, robot, np.random.default_rng(seed))
+        found = hand_eye.solve(poses, views, noise, eye_on_base)
         delta = se3.difference(found.T_flange_camera, X)
         squares.append(delta @ np.linalg.solve(found.covariance, delta) / 6)
     assert np.mean(squares) == pytest.approx(1.0, abs=0.3)
@@ -120,7 +124,7 @@ def test_the_covariance_is_true(known: bool) -> None:
 
 def test_derivatives_are_those_of_the_residuals() -> None:
     X, Z, T, views = cell(1)
-    by_state, by_pose = hand_eye._derivatives(T, (X, Z))
+    by_state, by_pose = hand_eye_model.derivatives(T, (X, Z))
     steps = 1e-6 * np.eye(6)
     for k, step in enumerate(steps):
         changed = [(T, (se3.perturb(X, step), Z)), (T, (X, se3.perturb(Z, step))),
@@ -129,6 +133,11 @@ def test_derivatives_are_those_of_the_residuals() -> None:
         for (poses, state), slope in zip(changed, expected, strict=True):
             r = hand_eye.residuals(poses, views, state)
             np.testing.assert_allclose(r / 1e-6, slope, atol=1e-5)
+    _, by_pose = hand_eye_model.derivatives(T, (X, Z), eye_on_base=True)
+    for k, step in enumerate(steps):
+        moved = se3.perturb(np.eye(4), step) @ T
+        r = hand_eye.residuals(moved, views, (X, Z))
+        np.testing.assert_allclose(r / 1e-6, by_pose[:, :, k], atol=1e-5)
 
 
 def test_a_wrong_view_is_left_out() -> None:

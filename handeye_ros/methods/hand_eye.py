@@ -9,20 +9,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 from handeye_ros import se3
-from handeye_ros.adjust import adjust, Adjusted, Model
+from handeye_ros.adjust import adjust, Adjusted
 from handeye_ros.components import first_variances, variance_components
 from handeye_ros.data import Array
 from handeye_ros.errors import DegenerateError, OneAxisError, OneOrientationError, TooFewError
 from handeye_ros.identify import name_direction, other_axes, SMALLEST_TURN, turning
+from handeye_ros.methods.hand_eye_model import (
+    causes,
+    derivatives,
+    factors,
+    MINIMUM,
+    model,
+    noise_of,
+    PoseNoise,
+    residuals,
+    State,
+)
 from handeye_ros.tables import Table
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = ['HandEyeResult', 'PoseNoise', 'closed_form', 'read', 'residuals', 'solve']
+
 NAME = 'A X = X B'
-MINIMUM = 3
 MOST_PAIRS = 2000
 LARGEST_ANGLE = 3.0  # of a turn whose axis is still certain (rad)
 SUBSETS = 20
@@ -33,24 +44,7 @@ LARGEST_DROPPED_SHARE = 0.34
 LARGEST_RMS = (1e-2, 0.05)  # of an answer that can be trusted (m, rad)
 LENGTH = 0.1  # m that weigh as much as a radian, until the residuals say better
 ROUNDS = 2  # of estimating the noise
-SMALLEST_NOISE = 1e-12
 LOST = 'the position along it is free'
-
-State: TypeAlias = tuple[Array, Array]
-
-
-@dataclass(frozen=True)
-class PoseNoise:
-    """
-    1 sigma of each axis: of the target's pose as seen (camera frame), and of the robot's.
-
-    Where it is estimated, target_translation holds that of both, which look alike.
-    """
-
-    target_translation: float
-    target_rotation: float
-    robot_translation: float = 0.0
-    robot_rotation: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,25 +79,27 @@ def read(path: Path) -> tuple[Array, Array]:
 
 
 def solve(T_base_flange: Array, T_camera_target: Array, noise: PoseNoise | None = None,
-          eye_on_base: bool = False, frame: str = 'flange') -> HandEyeResult:
+          eye_on_base: bool = False, frame: str = '') -> HandEyeResult:
     """
     Return the hand-eye transform.
 
     T_base_flange, T_camera_target: (n, 4, 4) of the same moments; noise: estimated from the
-    residuals when not given; eye_on_base: the camera stands, the target is on the flange.
+    residuals when not given; eye_on_base: the camera stands, the target is on the flange;
+    frame: what the camera is fixed in, as it is told (flange, or base).
     Raises TooFewError, OneOrientationError, OneAxisError, DegenerateError.
     """
     T = se3.inverse(T_base_flange) if eye_on_base else T_base_flange
     if len(T) < MINIMUM:
         raise TooFewError(NAME, MINIMUM, 'poses', len(T))
-    _require_rotations(T, 'base' if eye_on_base else frame)
+    frame = frame or ('base' if eye_on_base else 'flange')
+    _require_rotations(T, frame)
     start = _start(T, T_camera_target)
-    fit, noise = _with_noise(T, T_camera_target, start, noise)
+    fit, noise = _with_noise(T, T_camera_target, start, noise, eye_on_base)
     X, Z = fit.state
-    L = _factors(T, fit.state, noise)[fit.used]
+    L = factors(T, fit.state, noise, eye_on_base)[fit.used]
     rms = _rms(L, fit.residuals[fit.used])
     _require_agreement(len(T) - len(fit.used), len(T), rms)
-    _require_rotations(T[fit.used], 'base' if eye_on_base else frame)
+    _require_rotations(T[fit.used], frame)
     return HandEyeResult(X, Z, fit.covariance[:6, :6], fit.used, noise, rms,
                          _rms(L, fit.left_out))
 
@@ -172,78 +168,21 @@ def _squares(T: Array, T_camera_target: Array, state: State) -> Array:
     return np.asarray((r ** 2).sum(axis=1))
 
 
-def residuals(T: Array, T_camera_target: Array, state: State) -> Array:
-    """Return the (n, 6) differences of measured and predicted views, in the camera frame."""
-    X, Z = state
-    predicted = se3.inverse(T @ X) @ Z
-    turned = T_camera_target[:, :3, :3] @ np.swapaxes(predicted[:, :3, :3], 1, 2)
-    return np.concatenate([T_camera_target[:, :3, 3] - predicted[:, :3, 3],
-                           se3.log_rotation(turned)], axis=1)
-
-
-def _derivatives(T: Array, state: State) -> tuple[Array, Array]:
-    """Return the derivatives of the residuals by X and Z (n, 6, 12), and by the poses."""
-    X, Z = state
-    to_camera = np.swapaxes(T[:, :3, :3] @ X[:3, :3], 1, 2)
-    in_mount = se3.apply(se3.inverse(T), Z[None, :3, 3])[:, 0]
-    J, G = np.zeros((len(T), 6, 12)), np.zeros((len(T), 6, 6))
-    R_t = X[:3, :3].T
-    J[:, :3, :3], J[:, :3, 3:6] = R_t, -R_t @ se3.skew(in_mount - X[:3, 3])
-    J[:, 3:, 3:6] = R_t
-    J[:, :3, 6:9], J[:, 3:, 9:] = -to_camera, -to_camera
-    G[:, :3, :3], G[:, 3:, 3:] = to_camera, to_camera
-    G[:, :3, 3:] = -to_camera @ se3.skew(Z[:3, 3] - T[:, :3, 3])
-    return J, G
-
-
-def _factors(T: Array, state: State, noise: PoseNoise) -> Array:
-    """Return the Cholesky factors (n, 6, 6) of the residuals' covariances."""
-    _, G = _derivatives(T, state)
-    G = G * np.repeat([noise.robot_translation, noise.robot_rotation], 3)
-    own = np.repeat([noise.target_translation, noise.target_rotation], 3)
-    return np.linalg.cholesky(G @ np.swapaxes(G, 1, 2) + np.diag(own ** 2))
-
-
-def _model(T: Array, T_camera_target: Array, noise: PoseNoise) -> Model[State]:
-    def blocks(state: State) -> tuple[Array, Array]:
-        inverse = np.linalg.inv(_factors(T, state, noise))
-        r = residuals(T, T_camera_target, state)
-        return (inverse @ r[..., None])[..., 0], inverse @ _derivatives(T, state)[0]
-
-    def retract(state: State, step: Array) -> State:
-        return se3.perturb(state[0], step[:6]), se3.perturb(state[1], step[6:])
-    return Model(blocks, retract, MINIMUM)
-
-
-def _with_noise(T: Array, T_camera_target: Array, start: State, noise: PoseNoise | None
-                ) -> tuple[Adjusted[State], PoseNoise]:
+def _with_noise(T: Array, T_camera_target: Array, start: State, noise: PoseNoise | None,
+                eye_on_base: bool) -> tuple[Adjusted[State], PoseNoise]:
     """Return the adjusted state, and the noise that was given or that its residuals show."""
+    def adjusted(state: State, noise: PoseNoise) -> Adjusted[State]:
+        return adjust(model(T, T_camera_target, noise, eye_on_base), state)
+
     if noise is not None:
-        return adjust(_model(T, T_camera_target, noise), start), noise
-    parts, r = _parts(T, start), residuals(T, T_camera_target, start)
-    fit = adjust(_model(T, T_camera_target, _pose_noise(first_variances(r, parts))), start)
+        return adjusted(start, noise), noise
+    r, parts = residuals(T, T_camera_target, start), causes(T, start, eye_on_base)
+    fit = adjusted(start, noise_of(first_variances(r, parts)))
     for _ in range(ROUNDS):
         r = residuals(T, T_camera_target, fit.state)[fit.used]
-        J, parts = _derivatives(T, fit.state)[0][fit.used], _parts(T[fit.used], fit.state)
-        noise = _pose_noise(variance_components(r, J, parts, first_variances(r, parts)))
-        fit = adjust(_model(T, T_camera_target, noise), fit.state)
+        J = derivatives(T, fit.state)[0][fit.used]
+        parts = causes(T, fit.state, eye_on_base)[:, fit.used]
+        noise = noise_of(variance_components(r, J, parts, first_variances(r, parts)))
+        fit = adjusted(fit.state, noise)
     assert noise
     return fit, noise
-
-
-def _parts(T: Array, state: State) -> Array:
-    """
-    Return what unit variances do to the residuals, (3, n, 6, 6).
-
-    Of translation, of the target's rotation, of the robot's, which shifts the target too. The
-    translations of target and robot have the same effect: they are one.
-    """
-    own = np.broadcast_to(np.eye(6), (len(T), 6, 6))
-    by_turn = _derivatives(T, state)[1][:, :, 3:]
-    return np.array([own * ([1] * 3 + [0] * 3), own * ([0] * 3 + [1] * 3),
-                     by_turn @ np.swapaxes(by_turn, 1, 2)])
-
-
-def _pose_noise(variances: Array) -> PoseNoise:
-    shift, turn, robot_turn = np.maximum(np.sqrt(variances), SMALLEST_NOISE).tolist()
-    return PoseNoise(shift, turn, robot_rotation=robot_turn)
