@@ -220,6 +220,14 @@ def test_messages_that_are_not_of_ros_2_are_named():
         'sensor_msgs/msg/PointCloud2 in ros1')
 
 
+def test_a_packed_file_beside_the_unpacked_one_is_the_same(folder, tmp_path):
+    copy = rosbags_copy(folder, tmp_path / 'copy', StoragePlugin.MCAP, CompressionMode.FILE)
+    (copy / 'metadata.yaml').unlink()
+    (copy / 'copy.mcap').write_bytes((folder / 'good.mcap').read_bytes())
+    assert (copy / 'copy.mcap.zstd').exists()
+    assert_equal_recordings(bag.read(copy, CONFIG))
+
+
 def test_a_split_bag_with_a_file_missing(folder, tmp_path):
     target = split(folder, tmp_path / 'split', listed=True)
     (target / 'split_4.mcap').unlink()

@@ -242,6 +242,12 @@ def test_millimetres_taken_for_metres_are_named():
         points(msg)
 
 
+def test_micrometres_are_not_known():
+    msg = cloud({'x': X * 1e6, 'z': 172e3 + X}, XZ, 12)
+    with pytest.raises(MessageError, match='172 m, but metres and millimetres are all that'):
+        points(msg, MILLIMETRES)
+
+
 def test_metres_taken_for_millimetres_are_named():
     with pytest.raises(MessageError, match='larger than 0.174 mm: set profile.unit to m'):
         points(cloud({'x': X, 'z': Z}, XZ, 12), MILLIMETRES)

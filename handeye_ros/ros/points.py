@@ -24,12 +24,13 @@ MOST_BACK = 0.2  # of the way forth: behind a step the columns may run back by l
 
 def require_unit(points: Array, unit: str) -> None:
     """Refuse coordinates (n, k), in metres after unit, that no sensor gives (MessageError)."""
-    reach = np.abs(points[:, :2]).max(axis=1)
+    reach = np.maximum(np.abs(points[:, 0]), np.abs(points[:, 1]))
     finite = np.isfinite(reach)
     far = finite & (reach > FAR)
     if far.sum() > finite.sum() / 2:
         raise MessageError('PointCloud2', f'coordinates reach {reach[far].max():.3g} m'
-                           + (': set profile.unit to mm' if unit == 'm' else ''))
+                           + (': set profile.unit to mm' if unit == 'm' else
+                              ', but metres and millimetres are all that profile.unit knows'))
     largest = reach[finite & ~far].max(initial=0.0)
     if unit == 'mm' and 0.0 < largest < NEAR:
         raise MessageError('PointCloud2', f'no coordinate is larger than {largest * 1e3:.3g} mm: '
@@ -43,10 +44,10 @@ def returns(points: Array) -> Array:
     None is one that is not finite, is too far, or lies in the origin itself, which drivers
     give for want of a better number.
     """
-    two = points[:, :2]
+    x, z = points[:, 0], points[:, 1]  # numpy is slow along an axis of two
     with np.errstate(invalid='ignore'):
-        near = (np.abs(two) <= FAR).all(axis=1)
-    return np.asarray(near & (two != 0).any(axis=1))
+        near = (np.abs(x) <= FAR) & (np.abs(z) <= FAR)
+    return np.asarray(near & ((x != 0) | (z != 0)))
 
 
 def require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
@@ -57,7 +58,7 @@ def require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     """
     if len(points) < 2:
         return
-    spread = np.ptp(points, axis=0)
+    spread = [np.ptp(column) for column in points.T]
     if not spread[2] > THICK:  # nor where it is not finite
         return
     along, across, beside = axes

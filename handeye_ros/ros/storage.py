@@ -56,6 +56,8 @@ def _files(path: Path, contents: Contents) -> list[Path]:
     if not path.is_dir():
         return [path]
     there = sorted((p for p in path.iterdir() if p.name.endswith(SUFFIXES)), key=_natural)
+    # whoever played a packed bag has left the unpacked file beside it
+    there = [p for p in there if p.suffix != '.zstd' or p.with_suffix('') not in there]
     if not there:
         raise BagError(path, 'is not a bag: the folder holds no .mcap or .db3 file')
     try:
