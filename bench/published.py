@@ -66,12 +66,17 @@ def two_frames(rng: np.random.Generator) -> Trial:
 
 @dataclass(frozen=True)
 class Poses:
-    """A cell of A X = X B: 1 sigma per axis (m, rad) of camera and robot, views, tilts (deg)."""
+    """
+    A cell of A X = X B: 1 sigma per axis (m, rad) of camera and robot, views, tilts (degrees).
+
+    on_base: the camera stands beside the robot, which carries the target.
+    """
 
     camera: tuple[float, float] = (1e-4, 1e-3)
     robot: tuple[float, float] = (3e-5, 1e-4)
     count: int = 12
     tilts: tuple[float, float, float] = (30, 30, 60)
+    on_base: bool = False
 
     def trial(self, rng: np.random.Generator) -> Trial:
         """Return a trial; mapped: x and y within +-50 mm, range 200-300 mm."""
@@ -82,16 +87,21 @@ class Poses:
         R = Rotation.from_euler('xyz', turns, degrees=True).as_matrix() @ np.diag([1.0, -1, -1])
         place = rng.uniform([-0.05, -0.05, 0.2], [0.05, 0.05, 0.3], (self.count, 3))
         views = se3.transform(R, place)
-        T = off_by(Z @ se3.inverse(views) @ se3.inverse(X), *self.robot, rng)
+        if self.on_base:
+            X, Z = Z, X
+        T = Z @ se3.inverse(views) @ se3.inverse(X)
+        T = off_by(se3.inverse(T) if self.on_base else T, *self.robot, rng)
         side = (-0.05, 0.0, 0.05)
         return Trial(X, grid(side, side, (0.2, 0.25, 0.3)),
                      self.answers(T, off_by(views, *self.camera, rng)))
 
     def answers(self, T: np.ndarray, views: np.ndarray) -> Answers:
         """Yield what each makes of the poses."""
-        yield 'A X = X B', hand_eye.solve(T, views).T_flange_camera
+        yield 'A X = X B', hand_eye.solve(T, views, None, self.on_base).T_flange_camera
         noise = hand_eye.PoseNoise(*np.maximum(self.camera, 1e-9), *self.robot)
-        yield 'A X = X B, noise known', hand_eye.solve(T, views, noise).T_flange_camera
+        known = hand_eye.solve(T, views, noise, self.on_base).T_flange_camera
+        yield 'A X = X B, noise known', known
+        T = se3.inverse(T) if self.on_base else T
         yield 'CN105021139A', cn105021139a.solve_motions(*cn105021139a.motions(T, views))
         for name in OPENCV if cv2 else ():
             try:
@@ -133,6 +143,7 @@ CELLS: dict[str, Callable[[np.random.Generator], Trial]] = {
         'camera 0.1 mm 0.2 mrad, robot 0.1 mm 1 mrad': Poses((1e-4, 2e-4), (1e-4, 1e-3)),
         'camera 0.1 mm 10 mrad, robot 0.03 mm 0.1 mrad': Poses((1e-4, 1e-2)),
         'camera 1 mm 0.3 mrad, robot 0.03 mm 0.1 mrad': Poses((1e-3, 3e-4)),
+        'the fourth, camera on the base': Poses((1e-4, 2e-4), (1e-4, 1e-3), on_base=True),
         'the first, 4 views': Poses(count=4),
         'the first, 40 views': Poses(count=40),
         'the first, turns of 8, 8 and 15 degrees': Poses(tilts=(8, 8, 15)),

@@ -39,12 +39,19 @@ def _read(path: Path, config: Config, read_bag: ReadBag) -> Input[Views]:
     return Input(views, config.sensor_frame, (input_values(path),))
 
 
+def _found(T_fixed_mount: Array, T_camera_target: Array, config: Config
+           ) -> hand_eye.HandEyeResult:
+    on_base = config.calibration_type == 'eye_on_base'
+    T_base_flange = se3.inverse(T_fixed_mount) if on_base else T_fixed_mount
+    return hand_eye.solve(T_base_flange, T_camera_target, eye_on_base=on_base,
+                          frame=mount_frame(config))
+
+
 def _solve(data: Views, config: Config) -> Answer[Views]:
-    frame = mount_frame(config)
     try:
-        found = hand_eye.solve(data.T_fixed_mount, data.T_camera_target, frame=frame)
+        found = _found(data.T_fixed_mount, data.T_camera_target, config)
     except DegenerateError:
-        _name_slip(data, frame)
+        _name_slip(data, config)
         raise
     X, Z = found.T_flange_camera, found.T_base_target
     shifts = hand_eye.residuals(data.T_fixed_mount, data.T_camera_target, (X, Z))[:, :3]
@@ -75,13 +82,13 @@ SLIPS: tuple[tuple[str, str, Callable[[Array], Array], Callable[[Array], Array]]
 """In words, what to do, and what puts T_fixed_mount and T_camera_target right."""
 
 
-def _name_slip(data: Views, frame: str) -> None:
+def _name_slip(data: Views, config: Config) -> None:
     """Raise SlipError when a usual slip explains why the poses contradict each other."""
     before = _misfit(data.T_fixed_mount, data.T_camera_target)
     for name, advice, of_mount, of_target in SLIPS:
         T, seen = of_mount(data.T_fixed_mount), of_target(data.T_camera_target)
         try:
-            after = hand_eye.solve(T, seen, frame=frame).rms[0]
+            after = _found(T, seen, config).rms[0]
         except DataError:
             continue
         if after < CLEAR * before:
