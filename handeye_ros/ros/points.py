@@ -18,7 +18,8 @@ NEAR = 1e-3
 THICK = 2e-3  # m; points of one profile do not leave its plane by so much
 THIN = 0.01  # of the spread across the plane: an axis with less is the one across it
 SURE = 10  # so many returns do not follow each other by chance
-RESTLESS = 0.1  # of the steps along the line go back where it is not the line
+# of the steps between returns: fewer go back along the line, more along the range
+LINE_BACK, RANGE_BACK = 0.05, 0.1
 MOST_BACK = 0.2  # of the way forth: behind a step the columns may run back by less
 
 
@@ -84,7 +85,8 @@ def along_the_line(points: Array, axes: tuple[str, ...]) -> Array:
     """
     good = returns(points)
     steps = np.diff(points[good], axis=0)
-    if len(steps) >= SURE and _back(steps[:, 0]) > RESTLESS and _back(steps[:, 1]) == 0.0:
+    if (len(steps) >= SURE and _back(steps[:, 0]) > RANGE_BACK
+            and _back(steps[:, 1]) < LINE_BACK):
         raise MessageError('PointCloud2', f'the points follow each other along {axes[1]}, not '
                            f'along {axes[0]}: set profile.axes to [{axes[1]}, {axes[0]}]')
     if _in_order(steps[:, 0]):
