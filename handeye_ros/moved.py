@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.errors import HandeyeError
+from handeye_ros.errors import HandeyeError, MovedError
+from handeye_ros.identify import mount_frame, target_frame
 from handeye_ros.robust import Consensus, consensus
 from handeye_ros.solve import Problem
 import numpy as np
@@ -58,7 +59,7 @@ def _parts(problem: Problem, place: int, rng: np.random.Generator
     parts = []
     for stations in (every[:place], every[place:]):
         try:
-            part = consensus(problem.subset(stations), rng, subsets=0)
+            part = consensus(problem.subset(stations), rng)
         except (HandeyeError, np.linalg.LinAlgError):
             return None
         solution = part.solution
@@ -95,3 +96,15 @@ def _sensor_move(before: Consensus, after: Consensus) -> Array | None:
     if delta @ np.linalg.solve(covariance, delta) < chi2.isf(CHANCE, 6):
         return None
     return se3.inverse(first.estimate.X) @ second.estimate.X
+
+
+def require_unmoved(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> None:
+    """Raise MovedError when two parts of the recording fit, each by itself."""
+    move, total = find_move(problem, agreed, rng), len(problem.poses)
+    if move is None:
+        return
+    if move.sensor is None:
+        raise MovedError.target(move.station, total, target_frame(problem.config))
+    distance, turn = np.linalg.norm(move.sensor[:3, 3]), se3.angle(move.sensor[:3, :3])
+    raise MovedError.sensor(move.station, total, float(distance), float(turn),
+                            mount_frame(problem.config))

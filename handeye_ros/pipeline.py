@@ -14,11 +14,12 @@ from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import LeftOutError
 from handeye_ros.identify import require_certain, require_rotations, require_samples
+from handeye_ros.misfit import require_consistent
 from handeye_ros.outcome import describe_calibration, mounted
 from handeye_ros.pairing import Session
-from handeye_ros.robust import Consensus, consensus
+from handeye_ros.robust import Consensus, consensus, SUBSETS
 from handeye_ros.shape import believable_shape, require_one_scale, with_shape_checked
-from handeye_ros.slips import require_consistent
+from handeye_ros.slips import require_no_slip
 from handeye_ros.solve import Problem, Solution
 import numpy as np
 
@@ -78,7 +79,10 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     problem = Problem(method, poses, method.observe(ordered), config)
     rng = np.random.default_rng(SEED)
     agreed = believable_shape(problem, consensus(problem, rng), rng)
-    require_consistent(problem, agreed, flipped(ordered, problem), rng)
+    require_no_slip(problem, agreed, flipped(ordered, problem), rng)
+    if agreed.doubtful:
+        agreed = believable_shape(problem, consensus(problem, rng, SUBSETS), rng)
+    require_consistent(problem, agreed, rng)
     solution = with_shape_checked(agreed.solution)
     require_one_scale(solution)
     return agreed, solution

@@ -28,8 +28,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
 BELIEVED_SHARE = 0.65  # of the stations that a good answer must explain
-SUBSETS = 12
-SUBSET_SIZE = 8
+SUBSETS = 60
+SUBSET_SIZE = 6
+CONVINCING = 4.0  # squared residual of the believed share that ends the search of subsets
 MAX_ANNEALINGS = 40
 SMALLEST_SCALE = 9.0  # squared residual, in variances, at which a station begins to be doubted
 SCALE = 3.0  # the same, in squared residuals that the believed share stays below
@@ -43,14 +44,19 @@ NEAR = 1e-3  # step length in sigmas that ends a round of annealing
 
 @dataclass(frozen=True, eq=False)
 class Consensus:
-    """A solution from the stations used (ascending), and the squared residual of the rest."""
+    """
+    A solution from the stations used (ascending), and the squared residual of the rest.
+
+    doubtful: whether most stations are far from it.
+    """
 
     solution: Solution
     used: NDArray[np.intp]
     dropped: dict[int, float]
+    doubtful: bool = False
 
 
-def consensus(problem: Problem, rng: np.random.Generator, subsets: int = SUBSETS) -> Consensus:
+def consensus(problem: Problem, rng: np.random.Generator, subsets: int = 0) -> Consensus:
     """
     Return the solution of the stations that agree.
 
@@ -60,29 +66,49 @@ def consensus(problem: Problem, rng: np.random.Generator, subsets: int = SUBSETS
     """
     starts = _guesses(problem, rng)
     best = _refined(problem, next(starts))
-    if best.spread > DOUBTFUL or best.doubtful_share > 1 - BELIEVED_SHARE / 2:
+    if best.misfit > DOUBTFUL or best.doubtful_share > 1 - BELIEVED_SHARE / 2:
         for other in starts:
-            best = min(best, _refined(problem, other), key=lambda trial: trial.spread)
-        size = max(SUBSET_SIZE, problem.method.minimum)
-        for _ in range(subsets if len(problem.poses) > size else 0):
-            chosen = np.sort(rng.permutation(len(problem.poses))[:size])
-            start = next(_guesses(problem.subset(chosen), rng))
-            best = min(best, _refined(problem, start), key=lambda trial: trial.spread)
-    return _without_outliers(best)
+            best = min(best, _refined(problem, other), key=lambda trial: trial.misfit)
+        best = _best_of_subsets(problem, best, subsets, rng)
+    return replace(_without_outliers(best), doubtful=best.misfit > DOUBTFUL)
+
+
+def _best_of_subsets(problem: Problem, best: _Trial, subsets: int, rng: np.random.Generator
+                     ) -> _Trial:
+    """Return the best trial that a few stations lead to, until one convinces."""
+    n, size = len(problem.poses), max(SUBSET_SIZE, problem.method.minimum)
+    for _ in range(subsets if n > size else 0):
+        if best.misfit < CONVINCING:
+            break
+        chosen = np.sort(rng.permutation(n)[:size])
+        start = next(_guesses(problem.subset(chosen), rng))
+        best = min(best, _refined(problem, start), key=lambda trial: trial.misfit)
+    return best
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A robustly refined estimate and the squared residuals (n,) of all stations."""
+    """
+    A robustly refined estimate and the squared residuals (n,) of all stations.
+
+    lost: (n,) whether a station has observations that the estimate has no use for.
+    """
 
     problem: Problem
     estimate: Estimate
     squares: Array
+    lost: NDArray[np.bool_]
 
     @property
     def spread(self) -> float:
         """Return the squared residual that the believed share of stations stays below."""
         return float(np.quantile(self.squares, BELIEVED_SHARE))
+
+    @property
+    def misfit(self) -> float:
+        """Return the spread with what is lost counted as doubtful, or less would always fit."""
+        squares = np.where(self.lost, np.maximum(self.squares, 2 * DOUBTFUL), self.squares)
+        return float(np.quantile(squares, BELIEVED_SHARE))
 
     @property
     def doubtful_share(self) -> float:
@@ -111,7 +137,10 @@ def _refined(problem: Problem, estimate: Estimate) -> _Trial:
                                  converged=NEAR)
         problem = _relabelled(whole, estimate)
         squares, before, control = _squares(problem, estimate), spread, control / 2
-    return _Trial(problem, estimate, squares)
+    n = len(problem.poses)
+    lost = np.bincount(whole.observations.station, minlength=n) > np.bincount(
+        problem.observations.station, minlength=n)
+    return _Trial(problem, estimate, squares, lost)
 
 
 def _relabelled(problem: Problem, estimate: Estimate) -> Problem:

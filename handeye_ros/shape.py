@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+import math
 
 from handeye_ros.errors import DataError, ScaleError
 from handeye_ros.robust import Consensus, consensus
@@ -14,6 +15,7 @@ CONTRADICTION = 4.0  # sigmas
 DOUBTFUL = 4.0  # variance factor from which another shape is tried from the start
 LARGEST_SCALE_ERROR = 2e-3  # between robot and sensor, of an answer that can be used
 CONVINCING = 4.0  # by which it must lower it
+ROUNDING = 1e-12  # of the squared effect of a scale: less is none
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
     if free is None or not doubtful:
         return agreed
     try:
-        other = consensus(free, rng, subsets=0)
+        other = consensus(free, rng)
     except DataError:
         return agreed
     gain = agreed.solution.variance_factor / max(other.solution.variance_factor, 1.0)
@@ -105,9 +107,11 @@ def scale_error(solution: Solution) -> tuple[float, float]:
     moved = (positions - positions.mean(axis=0))[problem.observations.station]
     by_scale = (solution.linear.by_pose[:, :3] * moved).sum(axis=1)
     column = whitening(problem, solution.linear, solution.noise)(by_scale)
-    J = solution.jacobian
-    free = column - J @ (solution.covariance @ (J.T @ column))
-    information = max(float(free @ column), 1e-12)
+    Q, _ = np.linalg.qr(solution.jacobian)
+    free = column - Q @ (Q.T @ column)
+    information = float(free @ free)
+    if information < ROUNDING * float(column @ column):
+        return 0.0, math.inf
     return float(free @ solution.white) / information, information ** -0.5
 
 

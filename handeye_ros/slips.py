@@ -12,30 +12,27 @@ from dataclasses import replace
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import (
-    ContradictingStationsError,
     HandeyeError,
-    InconsistentError,
-    MovedError,
     RangeSignError,
     ScatteredOrientationsError,
-    ScatterError,
     SlipError,
 )
-from handeye_ros.identify import mount_frame, target_frame
-from handeye_ros.moved import find_move
+from handeye_ros.misfit import (
+    dropped_share,
+    LARGEST_DROPPED_SHARE,
+    misfit_of,
+    residual_rms,
+    SUSPICIOUS,
+)
 from handeye_ros.robust import Consensus, consensus
-from handeye_ros.shape import require_not_only_scale
-from handeye_ros.solve import covariances, groups, Problem, Solution
+from handeye_ros.solve import Problem
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_distribution
 
 DOUBTFUL = 3.0  # variance factor from which the other sign of the range is tried
-SUSPICIOUS = 9.0  # from which the slips with poses are
-WILD, WILD_RATIO = 40.0, 4.0  # variance factor and residual over noise that no robot explains
 BELIEVABLE = 4.0  # that a slip must lead to
 CHANCE = 1e-5  # of naming a slip where there is none
-LARGEST_DROPPED_SHARE = 0.34
 SCATTERED = 0.6  # mean of the cosines to the best direction, below which there is none
 
 
@@ -98,28 +95,23 @@ SLIPS: dict[str, tuple[Callable[[Array], Array], str]] = {
 }
 
 
-def require_consistent(problem: Problem, agreed: Consensus, flipped: Problem | None,
-                       rng: np.random.Generator) -> None:
+def require_no_slip(problem: Problem, agreed: Consensus, flipped: Problem | None,
+                    rng: np.random.Generator) -> None:
     """
-    Refuse an answer that samples or poses contradict, and name the slip if one explains it.
+    Refuse an answer that a slip in the conventions explains better.
 
     flipped: the problem with the range counted the other way, if it can be posed.
 
-    Raises SlipError, ScatteredOrientationsError, MovedError, ScaleError,
-    InconsistentError, ContradictingStationsError or ScatterError.
+    Raises RangeSignError, SlipError or ScatteredOrientationsError.
     """
-    share = dropped_share(problem, agreed)
-    rms, limit = residual_rms(agreed.solution), problem.config.limits.residual
-    expected, scatter = expected_rms(agreed.solution), problem.config.limits.scatter
-    wild = rms > scatter * expected or (
-        agreed.solution.variance_factor > WILD and rms > WILD_RATIO * expected)
-    hopeless = share > LARGEST_DROPPED_SHARE or rms > limit or wild
-    if not hopeless and agreed.solution.variance_factor < DOUBTFUL:
+    misfit = misfit_of(problem, agreed)
+    if not misfit.hopeless and misfit.variance_factor < DOUBTFUL:
         return
+    rms = misfit.rms
     other = _tried(flipped, rng) if flipped else None
     if flipped and other and _explains(flipped, other, agreed):
         raise RangeSignError(flipped.config.profile.range_sign, rms, residual_rms(other.solution))
-    if not hopeless and agreed.solution.variance_factor < SUSPICIOUS:
+    if not misfit.hopeless and misfit.variance_factor < SUSPICIOUS:
         return
     tried = {name: _tried(replace(problem, poses=undo(problem.poses)), rng)
              for name, (undo, _) in SLIPS.items()}
@@ -128,29 +120,8 @@ def require_consistent(problem: Problem, agreed: Consensus, flipped: Problem | N
     if good:
         name = min(good, key=lambda key: good[key].solution.variance_factor)
         raise SlipError(name, rms, residual_rms(good[name].solution), SLIPS[name][1])
-    if hopeless and orientations_scatter(problem.poses):
+    if misfit.hopeless and orientations_scatter(problem.poses):
         raise ScatteredOrientationsError(rms)
-    if hopeless:
-        require_unmoved(problem, agreed, rng)
-    require_not_only_scale(agreed.solution)
-    if rms > limit:
-        raise InconsistentError(rms, limit)
-    if share > LARGEST_DROPPED_SHARE:
-        raise ContradictingStationsError(len(agreed.dropped), len(problem.poses))
-    if wild:
-        raise ScatterError(rms, expected, scatter)
-
-
-def require_unmoved(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> None:
-    """Raise MovedError when two parts of the recording fit, each by itself."""
-    move, total = find_move(problem, agreed, rng), len(problem.poses)
-    if move is None:
-        return
-    if move.sensor is None:
-        raise MovedError.target(move.station, total, target_frame(problem.config))
-    distance, turn = np.linalg.norm(move.sensor[:3, 3]), se3.angle(move.sensor[:3, :3])
-    raise MovedError.sensor(move.station, total, float(distance), float(turn),
-                            mount_frame(problem.config))
 
 
 def orientations_scatter(poses: Array) -> bool:
@@ -164,7 +135,7 @@ def orientations_scatter(poses: Array) -> bool:
 
 def _tried(problem: Problem, rng: np.random.Generator) -> Consensus | None:
     try:
-        return consensus(problem, rng, subsets=0)
+        return consensus(problem, rng)
     except (HandeyeError, np.linalg.LinAlgError):
         return None
 
@@ -186,21 +157,3 @@ def _explains(problem: Problem, better: Consensus, agreed: Consensus) -> bool:
     more = len(better.used) - len(agreed.used)
     return gain > float(f_distribution.isf(CHANCE, *freedom)) or (
         gain > 0.1 and more > 0.3 * len(problem.poses))
-
-
-def dropped_share(problem: Problem, agreed: Consensus) -> float:
-    """Return the share of stations that do not fit."""
-    return len(agreed.dropped) / len(problem.poses)
-
-
-def residual_rms(solution: Solution) -> float:
-    """Return the RMS of the plain residuals of a solution (m)."""
-    return float(np.sqrt((solution.linear.residuals ** 2).mean()))
-
-
-def expected_rms(solution: Solution) -> float:
-    """Return the RMS of the plain residuals that the configured noise makes (m)."""
-    variances = [np.einsum('nii->ni', part).ravel()
-                 for rows in groups(solution.problem.observations.station)
-                 for part in covariances(solution.problem, solution.linear, rows)]
-    return float(np.sqrt(np.concatenate(variances).sum() / len(solution.white)))
