@@ -275,9 +275,11 @@ class ScatterError(DataError):
     """Residuals far larger than the configured noise."""
 
     def __init__(self, residual: float, expected: float, limit: float) -> None:
-        super().__init__(f'the residuals of {_mm(residual)} RMS are {residual / expected:.1f} '
-                         f'times what the configured noise makes (limits.scatter is {limit:g}): '
-                         'something other than noise is in them; check profile.range_sign, '
+        times = residual / expected
+        beyond = f' (limits.scatter is {limit:g})' if times > limit else ', far beyond chance'
+        super().__init__(f'the residuals of {_mm(residual)} RMS are {times:.1f} times what the '
+                         f'configured noise makes{beyond}: something other than noise is in '
+                         'them; check profile.range_sign, '
                          'profile.axes and target.type, or raise noise.* if the robot or the '
                          'sensor really is that inaccurate')
 
