@@ -21,7 +21,8 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
-from handeye_ros.solve import evaluate, Noise, Solution
+from handeye_ros.solve import evaluate, Solution
+from handeye_ros.weights import Noise
 import numpy as np
 from scipy.stats import chi2
 

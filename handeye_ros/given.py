@@ -10,8 +10,10 @@ from handeye_ros.files.method import FileMethod
 from handeye_ros.files.outcome import plane_axes
 from handeye_ros.method import Estimate
 from handeye_ros.outcome import measured_points, sensor_axes
-from handeye_ros.solve import least_squares, Noise, Problem
+from handeye_ros.problem import Problem
+from handeye_ros.solve import least_squares
 from handeye_ros.verify import field_points
+from handeye_ros.weights import Noise
 import numpy as np
 from numpy.typing import NDArray
 

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from handeye_ros.config import LimitsConfig
 from handeye_ros.errors import ContradictingStationsError, InconsistentError, ScatterError
 from handeye_ros.moved import require_unmoved
+from handeye_ros.problem import Problem
 from handeye_ros.robust import Consensus
 from handeye_ros.shape import require_not_only_scale
-from handeye_ros.solve import covariances, groups, Problem, Solution
+from handeye_ros.solve import Solution
+from handeye_ros.weights import covariances, groups
 import numpy as np
 
 SUSPICIOUS = 9.0  # variance factor from which something other than noise is looked for

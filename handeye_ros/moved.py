@@ -7,8 +7,8 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError, MovedError
 from handeye_ros.identify import mount_frame, target_frame
+from handeye_ros.problem import Problem
 from handeye_ros.robust import Consensus, consensus
-from handeye_ros.solve import Problem
 import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution

@@ -10,9 +10,10 @@ from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport
 from handeye_ros.identify import mount_frame, weakest
 from handeye_ros.method import Estimate
+from handeye_ros.problem import Problem
 from handeye_ros.robust import Consensus
 from handeye_ros.shape import scale_error, shape_of
-from handeye_ros.solve import Problem, Solution, without
+from handeye_ros.solve import Solution, without
 import numpy as np
 from numpy.typing import NDArray
 

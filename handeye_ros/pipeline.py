@@ -17,10 +17,11 @@ from handeye_ros.identify import require_certain, require_rotations, require_sam
 from handeye_ros.misfit import require_consistent
 from handeye_ros.outcome import describe_calibration, mounted
 from handeye_ros.pairing import Session
+from handeye_ros.problem import Problem
 from handeye_ros.robust import Consensus, consensus, SUBSETS
 from handeye_ros.shape import believable_shape, require_one_scale, with_shape_checked
 from handeye_ros.slips import require_no_slip
-from handeye_ros.solve import Problem, Solution
+from handeye_ros.solve import Solution
 import numpy as np
 
 SEED = 0  # of the searches inside: the same samples give the same answer

@@ -12,17 +12,9 @@ from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
 from handeye_ros.method import Estimate, UNUSED
-from handeye_ros.solve import (
-    evaluate,
-    least_squares,
-    linearise,
-    Noise,
-    points_in_base,
-    Problem,
-    Solution,
-    station_statistic,
-    whitening,
-)
+from handeye_ros.problem import linearise, points_in_base, Problem
+from handeye_ros.solve import evaluate, least_squares, Solution, station_statistic
+from handeye_ros.weights import Noise, whitening
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution

@@ -5,10 +5,12 @@ from dataclasses import dataclass, replace
 import math
 
 from handeye_ros.errors import DataError, ScaleError
+from handeye_ros.problem import Problem
 from handeye_ros.robust import Consensus, consensus
-from handeye_ros.solve import evaluate, least_squares, Problem, Solution, whitening
+from handeye_ros.solve import evaluate, least_squares, Solution
 from handeye_ros.systematic import with_systematic_error
 from handeye_ros.variance import with_estimated_noise
+from handeye_ros.weights import whitening
 import numpy as np
 
 CONTRADICTION = 4.0  # sigmas

@@ -24,8 +24,8 @@ from handeye_ros.misfit import (
     residual_rms,
     SUSPICIOUS,
 )
+from handeye_ros.problem import Problem
 from handeye_ros.robust import Consensus, consensus
-from handeye_ros.solve import Problem
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_distribution

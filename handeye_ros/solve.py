@@ -1,187 +1,24 @@
-"""
-Least squares over the transform and the target, the same for every method.
-
-A condition g(p) = 0 holds for a point of the sensor plane s = (x, 0, z) carried to the base,
-p = R_i (X s) + a_i. Its error has two parts: the feature's own, and that of the station's
-pose, which all observations of the station share. Both are whitened together.
-"""
+"""Least squares over the transform and the target, the same for every method."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from handeye_ros import se3
-from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.method import Estimate, Method, Observations
+from handeye_ros.method import Estimate
+from handeye_ros.problem import cost, Linear, linearise, Problem
+from handeye_ros.weights import groups, Noise, Whitening, whitening
 import numpy as np
 from numpy.typing import NDArray
 
 MAX_ITERATIONS = 50
 LARGEST_STD = 1e3  # stands for infinity (m or rad)
-SMALLEST_STD = 1e-9  # of a feature without any noise, which would weigh infinitely (m)
-DISTORTION_LENGTH = 0.01  # over which the error of a sensor's field is alike (m)
 FIRST_DAMPING, DAMPING_FACTOR, MAX_DAMPINGS = 1e-4, 30.0, 8
 COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on after them
-ROUNDING = 1e-12  # keeps a covariance invertible that one pose error rules
 CONVERGED = 1e-8  # step length in sigmas
 ROUNDING_OF_COST = 1e-9  # relative; whitened residuals are differences of large numbers
 NEAR = 1e-6  # that of a start (m)
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """What is to be solved: T_base_flange (n, 4, 4), observations of them, and settings."""
-
-    method: Method
-    poses: Array
-    observations: Observations
-    config: Config
-
-    @property
-    def columns(self) -> NDArray[np.intp]:
-        """Return the columns of the Jacobian that are unknown."""
-        free = self.method.free(self.config)
-        return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
-
-    def subset(self, stations: NDArray[np.intp]) -> Problem:
-        """Return the problem with only the given stations (ascending indices)."""
-        obs = self.observations
-        keep = np.isin(obs.station, stations)
-        fewer = obs.select(keep)
-        renumbered = np.searchsorted(stations, fewer.station)
-        return replace(self, poses=self.poses[stations],
-                       observations=replace(fewer, station=renumbered))
-
-
-@dataclass(frozen=True)
-class Noise:
-    """
-    Scale factors on the configured variances.
-
-    sensor: on the features' own; distortion: on the smooth error of the sensor's field;
-    robot: on the pose noise.
-    """
-
-    sensor: float = 1.0
-    distortion: float = 1.0
-    robot: float = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Linear:
-    """Residuals (m,), their Jacobian (m, 6 + k) and what the errors do to them."""
-
-    residuals: Array
-    jacobian: Array
-    by_pose: Array  # (m, 6) derivative by the pose's error, base frame, about the flange
-    by_feature: Array  # (m, 2) derivative by the feature's unit errors
-    by_point: Array  # (m, 2) derivative by the point of the sensor plane
-
-
-@dataclass(frozen=True, eq=False)
-class Whitening:
-    """
-    Per group of stations with equally many observations: their rows and inverse factors.
-
-    Without groups it leaves values as they are.
-    """
-
-    rows: tuple[NDArray[np.intp], ...]
-    factors: tuple[Array, ...]
-
-    def __call__(self, values: Array) -> Array:
-        """Return (m, ...) values with unit covariance."""
-        white = values.copy()
-        for rows, factor in zip(self.rows, self.factors, strict=True):
-            flat = values[rows].reshape(*rows.shape, -1)
-            white[rows] = (factor @ flat).reshape(values[rows].shape)
-        return white
-
-
-def points_at(observations: Observations, poses: Array, X: Array) -> Array:
-    """Return the observed points (m, 3) in the base frame, of poses (n, 4, 4) and X (4, 4)."""
-    in_mount = observations.points @ X[:3, [0, 2]].T + X[:3, 3]
-    T = poses[observations.station]
-    return np.asarray(np.einsum('mij,mj->mi', T[:, :3, :3], in_mount) + T[:, :3, 3])
-
-
-def points_in_base(problem: Problem, X: Array) -> Array:
-    """Return the observed points (m, 3) of a problem in the base frame."""
-    return points_at(problem.observations, problem.poses, X)
-
-
-def linearise(problem: Problem, estimate: Estimate) -> Linear:
-    """Return residuals and derivatives at an estimate."""
-    obs, X = problem.observations, estimate.X
-    T = problem.poses[obs.station]
-    R = T[:, :3, :3]
-    lever = obs.points @ X[:3, [0, 2]].T
-    from_flange = np.einsum('mij,mj->mi', R, lever + X[:3, 3])
-    conditions = problem.method.conditions(from_flange + T[:, :3, 3], obs.kind, estimate.target,
-                                           problem.config)
-    g_base = conditions.dg_dp
-    g_mount = np.einsum('mji,mj->mi', R, g_base)
-    jacobian = np.hstack([g_mount, se3.cross(lever, g_mount), conditions.dg_dtarget])
-    by_pose = np.hstack([g_base, se3.cross(from_flange, g_base)])
-    by_point = g_mount @ X[:3, [0, 2]]
-    by_feature = np.einsum('mi,mij->mj', by_point, obs.noise)
-    return Linear(conditions.g, jacobian, by_pose, by_feature, by_point)
-
-
-def cost(problem: Problem, estimate: Estimate) -> float:
-    """Return the sum of squared plain residuals."""
-    g = linearise(problem, estimate).residuals
-    return float(g @ g)
-
-
-def groups(station: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
-    """Return arrays (stations, count) of rows, one for each count of rows per station."""
-    _, first, count = np.unique(station, return_index=True, return_counts=True)
-    return tuple(first[count == c, None] + np.arange(c) for c in np.unique(count))
-
-
-def covariances(problem: Problem, linear: Linear, rows: NDArray[np.intp]) -> tuple[Array, ...]:
-    """
-    Return covariances, (stations, c, c), of the residuals: from features, distortion, poses.
-
-    The distortion of a sensor is smooth: points near each other in its plane share it.
-    """
-    obs, noise = problem.observations, problem.config.noise
-    source = obs.source[rows]
-    H = linear.by_feature[rows]
-    shared = source[:, :, None] == source[:, None, :]
-    feature = (H @ np.swapaxes(H, 1, 2)) * shared + SMALLEST_STD ** 2 * np.eye(rows.shape[1])
-    distortion = _distortion(obs.points[rows], linear.by_point[rows], noise.distortion)
-    G = linear.by_pose[rows] * np.repeat([noise.robot_translation, noise.robot_rotation], 3)
-    return feature, distortion, G @ np.swapaxes(G, 1, 2)
-
-
-def _distortion(points: Array, by_point: Array, sigma: float) -> Array:
-    """Return the covariances (n, c, c) of a smooth field at points (n, c, 2)."""
-    if not sigma:
-        return np.zeros((*points.shape[:2], points.shape[1]))
-    apart = points[:, :, None] - points[:, None, :]
-    near = np.exp(-0.5 * (apart ** 2).sum(axis=3) / DISTORTION_LENGTH ** 2)
-    return np.asarray(sigma ** 2 * near * (by_point @ np.swapaxes(by_point, 1, 2)))
-
-
-def whitening(problem: Problem, linear: Linear, noise: Noise) -> Whitening:
-    """Return the map to residuals of unit covariance."""
-    rows = groups(problem.observations.station)
-    factors = []
-    for group in rows:
-        parts = covariances(problem, linear, group)
-        scales = (noise.sensor, noise.distortion, noise.robot)
-        factors.append(inverse_roots(np.tensordot(scales, np.array(parts), 1)))
-    return Whitening(rows, tuple(factors))
-
-
-def inverse_roots(covariance: Array) -> Array:
-    """Return the whitening factors (n, c, c) of covariances (n, c, c)."""
-    size = np.einsum('nii->n', covariance)[:, None, None]
-    regular = covariance + ROUNDING * size * np.eye(covariance.shape[1])
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(regular)))
 
 
 def move(problem: Problem, estimate: Estimate, step: Array) -> Estimate:

@@ -11,7 +11,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros.data import Array
-from handeye_ros.solve import Solution, whitening
+from handeye_ros.solve import Solution
+from handeye_ros.weights import whitening
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2

@@ -12,15 +12,8 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass
 
 from handeye_ros.data import Array
-from handeye_ros.solve import (
-    covariances,
-    evaluate,
-    groups,
-    inverse_roots,
-    least_squares,
-    Noise,
-    Solution,
-)
+from handeye_ros.solve import evaluate, least_squares, Solution
+from handeye_ros.weights import covariances, groups, inverse_roots, Noise
 import numpy as np
 
 CONTRADICTION = 3.0  # sigmas

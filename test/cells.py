@@ -10,10 +10,11 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Profile, Sample, TimedPose
 from handeye_ros.method import Method
 from handeye_ros.outcome import mounted
+from handeye_ros.problem import Problem
 from handeye_ros.robust import consensus
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.layout import FRAMES
-from handeye_ros.solve import Problem, Solution
+from handeye_ros.solve import Solution
 from handeye_ros.verify import mapped_point_error
 import numpy as np
 

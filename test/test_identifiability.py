@@ -9,8 +9,8 @@ import re
 from cells import Cell, exact_cell
 from handeye_ros.method import Estimate, UNUSED
 from handeye_ros.methods import METHODS
+from handeye_ros.problem import linearise, points_in_base
 from handeye_ros.simulate import SCENARIOS
-from handeye_ros.solve import linearise, points_in_base
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -11,18 +11,9 @@ from handeye_ros.errors import TooUncertainError
 from handeye_ros.method import Estimate, Method
 from handeye_ros.methods import METHODS
 from handeye_ros.outcome import measured_points
-from handeye_ros.solve import (
-    evaluate,
-    groups,
-    least_squares,
-    linearise,
-    move,
-    Noise,
-    Problem,
-    Solution,
-    station_statistic,
-    without,
-)
+from handeye_ros.problem import linearise, Problem
+from handeye_ros.solve import evaluate, least_squares, move, Solution, station_statistic, without
+from handeye_ros.weights import groups, Noise
 import numpy as np
 import pytest
 

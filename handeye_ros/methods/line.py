@@ -30,7 +30,8 @@ from handeye_ros.methods.common import (
     ObservationRows,
     some_stations,
 )
-from handeye_ros.solve import best_of, points_at, Problem
+from handeye_ros.problem import points_at, Problem
+from handeye_ros.solve import best_of
 import numpy as np
 from numpy.typing import NDArray
 

@@ -26,7 +26,7 @@ from handeye_ros.methods.common import (
     some_stations,
 )
 from handeye_ros.methods.plane import guess as plane_guess
-from handeye_ros.solve import points_at
+from handeye_ros.problem import points_at
 import numpy as np
 from numpy.typing import NDArray
 

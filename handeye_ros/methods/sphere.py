@@ -21,7 +21,8 @@ from handeye_ros.methods.common import (
     ObservationRows,
     some_stations,
 )
-from handeye_ros.solve import best_of, Problem
+from handeye_ros.problem import Problem
+from handeye_ros.solve import best_of
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
