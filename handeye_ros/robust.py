@@ -31,6 +31,7 @@ CHANCE_FACTOR = 0.5  # a variance factor between this and 1 says nothing
 SMALLEST_FACTOR = 1e-3
 MOST_FREEDOM = 6  # of a station's residuals: a pose has no more
 FALSE_ALARM = 1e-3  # of a good recording losing one station
+LARGEST_VARIANCE = 1.0  # m^2 or rad^2: more is no answer at all
 NEAR = 1e-3  # step length in sigmas that ends a round of annealing
 
 
@@ -83,13 +84,13 @@ class _Trial:
     """
     A robustly refined estimate and the squared residuals (n,) of all stations.
 
-    lost: (n,) whether a station has observations that the estimate has no use for.
+    hollow: whether it has no use for some observations, and the rest leave a direction free.
     """
 
     problem: Problem
     estimate: Estimate
     squares: Array
-    lost: NDArray[np.bool_]
+    hollow: bool
 
     @property
     def spread(self) -> float:
@@ -98,9 +99,8 @@ class _Trial:
 
     @property
     def misfit(self) -> float:
-        """Return the spread with what is lost counted as doubtful, or less would always fit."""
-        squares = np.where(self.lost, np.maximum(self.squares, 2 * DOUBTFUL), self.squares)
-        return float(np.quantile(squares, BELIEVED_SHARE))
+        """Return the spread, large where too much was thrown away: less always fits better."""
+        return max(self.spread, 2 * DOUBTFUL) if self.hollow else self.spread
 
     @property
     def doubtful_share(self) -> float:
@@ -129,10 +129,15 @@ def _refined(problem: Problem, estimate: Estimate) -> _Trial:
                                  converged=NEAR)
         problem = _relabelled(whole, estimate)
         squares, before, control = _squares(problem, estimate), spread, control / 2
-    n = len(problem.poses)
-    lost = np.bincount(whole.observations.station, minlength=n) > np.bincount(
-        problem.observations.station, minlength=n)
-    return _Trial(problem, estimate, squares, lost)
+    return _Trial(problem, estimate, squares, _hollow(whole, problem, estimate))
+
+
+def _hollow(whole: Problem, labelled: Problem, estimate: Estimate) -> bool:
+    """Return whether observations were lost in labelling, and with them a direction."""
+    if len(labelled.observations.kind) == len(whole.observations.kind):
+        return False
+    solution = evaluate(labelled, estimate, Noise())
+    return float(np.linalg.eigvalsh(solution.covariance)[-1]) > LARGEST_VARIANCE
 
 
 def _relabelled(problem: Problem, estimate: Estimate) -> Problem:
