@@ -16,7 +16,6 @@ from handeye_ros.files.method import FileMethod, Input
 from handeye_ros.files.outcome import require_trusted
 from handeye_ros.given import Given, Known, Measurements, Stations
 from handeye_ros.identify import require_certain
-from handeye_ros.pairing import Session
 from handeye_ros.verify import Errors, errors_against, FIELD
 import numpy as np
 from numpy.typing import NDArray
@@ -75,13 +74,7 @@ def compare_recording(profiles: Iterable[Profile], poses: Iterable[TimedPose], c
 
     Raises DataError when the recording holds no stations.
     """
-    session = Session(own_method(config))
-    for pose in poses:
-        session.add_pose(pose)
-    for profile in profiles:
-        session.add_profile(profile)
-    session.finish()
-    session.require_stations()
+    session = pipeline.gather(profiles, poses, own_method(config))
     return compare(session.samples, session.rejects, config, T_true, progress=progress)
 
 

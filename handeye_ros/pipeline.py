@@ -34,6 +34,20 @@ def calibrate(profiles: Iterable[Profile], poses: Iterable[TimedPose], config: C
 
     Raises DataError when the recording cannot carry an answer.
     """
+    session = gather(profiles, poses, config)
+    calibration = solve(session.samples, session.rejects, config, session.frame_id)
+    if not session.warnings:
+        return calibration
+    provenance = {**calibration.provenance, 'warnings': list(session.warnings)}
+    return replace(calibration, provenance=provenance)
+
+
+def gather(profiles: Iterable[Profile], poses: Iterable[TimedPose], config: Config) -> Session:
+    """
+    Return the samples and rejects of a recording, its messages in the order of their stamps.
+
+    Raises DataError when it holds no stations.
+    """
     session = Session(config)
     for pose in poses:
         session.add_pose(pose)
@@ -41,11 +55,7 @@ def calibrate(profiles: Iterable[Profile], poses: Iterable[TimedPose], config: C
         session.add_profile(profile)
     session.finish()
     session.require_stations()
-    calibration = solve(session.samples, session.rejects, config, session.frame_id)
-    if not session.warnings:
-        return calibration
-    provenance = {**calibration.provenance, 'warnings': list(session.warnings)}
-    return replace(calibration, provenance=provenance)
+    return session
 
 
 def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, frame_id: str
