@@ -170,16 +170,11 @@ def _without_outliers(trial: _Trial) -> Consensus:
         scaled = mean_square / _scale(mean_square, freedom)
         probability = chi2_distribution.sf(scaled * freedom, freedom)
         worst = int(np.argmin(probability))
-        enough = len(used) > problem_minimum(part)
+        enough = len(used) > part.method.minimum
         if probability[worst] > FALSE_ALARM / n or not enough:
             return Consensus(solution, used, dropped)
         dropped[int(used[worst])] = float(mean_square[worst])
         used = np.delete(used, worst)
-
-
-def problem_minimum(problem: Problem) -> int:
-    """Return how many stations a problem needs at least."""
-    return problem.method.minimum
 
 
 def _mean_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
