@@ -34,7 +34,7 @@ setup(
     entry_points={
         'console_scripts': [
             'handeye = handeye_ros.cli:main',
-            'calibrate = handeye_ros.ros.node:main',
+            'calibrate = handeye_ros.ros.node.node:main',
             'replay = handeye_ros.ros.replay:main',
         ],
     },

@@ -20,9 +20,9 @@ from handeye_ros import config as configs
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
+from handeye_ros.estimation.solve import evaluate, Solution
+from handeye_ros.estimation.weights import Noise
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
-from handeye_ros.solve import evaluate, Solution
-from handeye_ros.weights import Noise
 import numpy as np
 from scipy.stats import chi2
 

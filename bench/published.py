@@ -21,10 +21,10 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.config import Config, with_values
-from handeye_ros.methods import hand_eye, points, tracker
+from handeye_ros.files import hand_eye_estimate, points_estimate, tracker_estimate
+from handeye_ros.files.sweeps import sweep_from
 from handeye_ros.published import cn105021139a, jing2020, wu2017
 from handeye_ros.simulate.tracker import RADIUS, SENSOR, simulate_tracker
-from handeye_ros.sweeps import sweep_from
 import numpy as np
 from paired import errors, grid, print_header, print_nearest, print_table
 from scipy.spatial.transform import Rotation
@@ -59,7 +59,7 @@ def two_frames(rng: np.random.Generator) -> Trial:
     camera = exact + 3e-5 * rng.normal(size=(10, 3))
 
     def answers() -> Answers:
-        yield 'points', points.solve(camera, base).T_base_camera
+        yield 'points', points_estimate.solve(camera, base).T_base_camera
         yield 'Wu 2017, best of 210', wu2017.solve(camera, base).T_base_camera
     return Trial(T, exact, answers())
 
@@ -97,9 +97,9 @@ class Poses:
 
     def answers(self, T: np.ndarray, views: np.ndarray) -> Answers:
         """Yield what each makes of the poses."""
-        yield 'A X = X B', hand_eye.solve(T, views, None, self.on_base).T_flange_camera
-        noise = hand_eye.PoseNoise(*np.maximum(self.camera, 1e-9), *self.robot)
-        known = hand_eye.solve(T, views, noise, self.on_base).T_flange_camera
+        yield 'A X = X B', hand_eye_estimate.solve(T, views, None, self.on_base).T_flange_camera
+        noise = hand_eye_estimate.PoseNoise(*np.maximum(self.camera, 1e-9), *self.robot)
+        known = hand_eye_estimate.solve(T, views, noise, self.on_base).T_flange_camera
         yield 'A X = X B, noise known', known
         T = se3.inverse(T) if self.on_base else T
         yield 'CN105021139A', cn105021139a.solve_motions(*cn105021139a.motions(T, views))
@@ -128,7 +128,7 @@ def by_tracker(rng: np.random.Generator) -> Trial:
     measured = jing2020.Tracker(**parts, h0=cell.h0, h1=cell.h1)
 
     def answers() -> Answers:
-        yield 'laser tracker', tracker.solve(measured, sweep).T_flange_sensor
+        yield 'laser tracker', tracker_estimate.solve(measured, sweep).T_flange_sensor
         yield 'Jing 2020', jing2020.solve(measured, sweep.published).T_flange_sensor
     field = grid((-0.02, 0.0, 0.02), (0.0,), (0.16, 0.175, 0.19))
     return Trial(cell.T_flange_sensor, field, answers())

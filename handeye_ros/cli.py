@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from handeye_ros.data import Array, Calibration
     from handeye_ros.files.method import FileMethod
     from handeye_ros.files.method import Input as Given
-    from handeye_ros.ros.bag import Recording
+    from handeye_ros.ros.bags.bag import Recording
 
 INTERRUPTED = 130
 
@@ -80,17 +80,18 @@ def solve(
     settings = _configuration(config, assignments)
     target = _target(out, settings) / 'calibration.yaml'
 
-    from handeye_ros import export, files, report
-    from handeye_ros.truth import true_transform
-    from handeye_ros.verify import errors_against
+    from handeye_ros import files
+    from handeye_ros.results import calibration_file, table
+    from handeye_ros.results.truth_errors import errors_against
+    from handeye_ros.results.truth_file import true_transform
     method, T_true = files.of(settings), true_transform(path)
     calibration, field = (_solve_files(method, path, settings) if method else
                           (_solve_bag(path, settings), None))
-    export.write_calibration(calibration, target)
-    _print(report.table(calibration))
+    calibration_file.write_calibration(calibration, target)
+    _print(table.table(calibration))
     if T_true is not None:
         errors = errors_against(calibration.T_flange_sensor, T_true, field)
-        typer.echo(report.error_sentence(errors, *([method.over] if method else [])))
+        typer.echo(table.error_sentence(errors, *([method.over] if method else [])))
     typer.echo(f'wrote {target}')
 
 
@@ -101,13 +102,13 @@ def _configuration(file: Path | None, assignments: list[str]) -> 'Config':
 
 def _target(out: Path | None, settings: 'Config') -> Path:
     """Return the folder of the result, absolute."""
-    from handeye_ros.export import folder_name
+    from handeye_ros.results.calibration_file import folder_name
     return (out or Path('out') / folder_name(settings)).absolute()
 
 
 def _read(bag: Path, settings: 'Config') -> 'Recording':
     with _doing('reading the recording'):
-        from handeye_ros.ros.bag import read
+        from handeye_ros.ros.bags.bag import read
         recording = read(bag, settings)
     for warning in recording.warnings:
         typer.echo(f'warning: {warning}', err=True)
@@ -128,7 +129,7 @@ def _solve_bag(bag: Path, settings: 'Config') -> 'Calibration':
 def _read_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
                 ) -> 'Given[Any]':
     def read_bag(bag: Path, settings: 'Config') -> 'Recording':
-        from handeye_ros.ros.bag import read
+        from handeye_ros.ros.bags.bag import read
         return read(bag, settings)
 
     with _doing('reading the files'):
@@ -175,9 +176,10 @@ def compare(
     """Put the same samples through every estimator that applies, ours and published ones."""
     settings = _configuration(config, assignments)
 
-    from handeye_ros import compare as comparing
-    from handeye_ros import files, report_compare
-    from handeye_ros.truth import true_transform
+    from handeye_ros import files
+    from handeye_ros.comparison import compare as comparing
+    from handeye_ros.comparison import table
+    from handeye_ros.results.truth_file import true_transform
     method, T_true = files.of(settings), true_transform(path)
     if method:
         given = _read_files(method, path, settings)
@@ -189,7 +191,7 @@ def compare(
             found = comparing.compare_recording(recording.profiles, recording.poses, settings,
                                                 T_true, progress=now)
     if found.answered:
-        _print(report_compare.ComparisonTable(found))
+        _print(table.ComparisonTable(found))
     if found.refusal:
         raise found.refusal
 
@@ -220,7 +222,7 @@ def simulate(
     if scenario not in {*SCENARIOS, *FILE_SCENES}:
         raise UnknownNameError('scenario', scenario, [*SCENARIOS, *FILE_SCENES])
 
-    from handeye_ros.ros import simulated
+    from handeye_ros.ros.bags import simulated
     with _doing('simulating'):
         made = simulated.write(scenario, seed, directory, force)
     typer.echo(f'wrote {directory.absolute()}: {made}')

@@ -9,19 +9,19 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from handeye_ros import methods
-from handeye_ros.border import without_border_ends
+from handeye_ros.checks.conventions import require_no_slip
+from handeye_ros.checks.errors import LeftOutError
+from handeye_ros.checks.misfit import require_consistent
+from handeye_ros.checks.motion import require_certain, require_rotations, require_samples
+from handeye_ros.checks.shape import believable_shape, require_one_scale, with_shape_checked
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
-from handeye_ros.errors import LeftOutError
-from handeye_ros.identify import require_certain, require_rotations, require_samples
-from handeye_ros.misfit import require_consistent
-from handeye_ros.outcome import describe_calibration, mounted
-from handeye_ros.pairing import Session
-from handeye_ros.problem import Problem
-from handeye_ros.robust import Consensus, consensus, SUBSETS
-from handeye_ros.shape import believable_shape, require_one_scale, with_shape_checked
-from handeye_ros.slips import require_no_slip
-from handeye_ros.solve import Solution
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.robust import Consensus, consensus, SUBSETS
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.results.outcome import describe_calibration, mounted
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.view_border import without_border_ends
 import numpy as np
 
 SEED = 0  # of the searches inside: the same samples give the same answer

@@ -8,14 +8,14 @@ from functools import lru_cache
 from handeye_ros import methods, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Profile, Sample, TimedPose
-from handeye_ros.method import Method
-from handeye_ros.outcome import mounted
-from handeye_ros.problem import Problem
-from handeye_ros.robust import consensus
+from handeye_ros.estimation.method import Method
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.robust import consensus
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.results.outcome import mounted
+from handeye_ros.results.truth_errors import mapped_point_error
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.layout import FRAMES
-from handeye_ros.solve import Solution
-from handeye_ros.verify import mapped_point_error
 import numpy as np
 
 EXACT_COLUMNS = 10 ** 12  # so fine that an edge has no sampling error

@@ -4,7 +4,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros.data import Profile, TimedPose
-from handeye_ros.ros.storage import scan
+from handeye_ros.ros.bags.storage import scan
 from mcap.writer import CompressionType, IndexType, Writer
 import numpy as np
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from handeye_ros.ros.messages import DATATYPES
+from handeye_ros.ros.bags.messages import DATATYPES
 import numpy as np
 
 

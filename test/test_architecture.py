@@ -12,12 +12,26 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / 'handeye_ros'
 FILES = sorted(PACKAGE.rglob('*.py'))
+INNER = [file for file in FILES if file != PACKAGE / '__init__.py']
 
-# cli, ros -> pipeline -> every other module, a stage -> se3, config, data, errors;
-# the comparison runs the pipeline and stands beside it
-HEIGHTS = {'errors': 0, 'data': 0, 'config': 0, 'se3': 0, 'pipeline': 2,
-           'estimators': 2, 'compare': 2, 'report_compare': 2, 'cli': 3, 'ros': 3, '__main__': 4}
-STAGE = 1
+# The rooms, from the ground up; an arrow points down, or sideways where it is listed.
+FLOORS = (
+    ('data', 'config', 'errors', 'se3'),
+    ('profiles', 'estimation', 'published', 'simulate'),
+    ('checks',),
+    ('methods', 'results'),
+    ('sampling', 'files', 'measure', 'guidance'),
+    ('pipeline',),
+    ('comparison',),
+    ('cli', 'ros'),
+    ('__main__',),
+)
+SIDEWAYS = {('files', 'sampling'), ('cli', 'ros')}
+HEIGHTS = {room: height for height, rooms in enumerate(FLOORS) for room in rooms}
+ROOT_MODULES = {'__init__', '__main__', 'cli', 'config', 'data', 'errors', 'pipeline', 'se3'}
+LONGEST_FUNCTION = 40  # lines
+LONGEST_MODULE = 260
+LONGEST_CONFIG = 700  # it declares and describes every key
 
 ROS_NAMES = {'ament_index_python', 'builtin_interfaces', 'launch', 'launch_ros', 'mcap',
              'rclpy', 'rosbag2_py', 'rosbags', 'tf2_ros'}
@@ -62,8 +76,15 @@ def module(file: Path) -> str:
     return str(relative.parent if relative.name == '__init__' else relative)
 
 
-def height(name: str) -> int:
-    return HEIGHTS.get(name.split('/')[0], STAGE)
+def room(name: str) -> str:
+    return name.split('/')[0]
+
+
+def allowed(source: str, target: str) -> bool:
+    """Return whether a module of one room may import one of another."""
+    ground = source in FLOORS[0] and target in FLOORS[0]
+    return source == target or ground or (source, target) in SIDEWAYS or (
+        HEIGHTS[source] > HEIGHTS[target])
 
 
 def knows_ros(name: str) -> bool:
@@ -71,10 +92,43 @@ def knows_ros(name: str) -> bool:
     return first in ROS_NAMES or first.endswith(ROS_ENDINGS)
 
 
+@pytest.mark.parametrize('file', INNER, ids=module)
+def test_arrows_between_rooms_point_down(file: Path) -> None:
+    source = room(module(file))
+    assert not {name for name in own_imports(file) if not allowed(source, room(name))}
+
+
+def test_the_root_holds_only_the_way_and_the_ground() -> None:
+    assert {file.stem for file in PACKAGE.glob('*.py')} == ROOT_MODULES
+
+
+def test_the_rooms_are_those_of_the_layout() -> None:
+    folders = {file.parent.name for file in PACKAGE.glob('*/__init__.py')}
+    assert folders <= HEIGHTS.keys()
+
+
 @pytest.mark.parametrize('file', FILES, ids=module)
-def test_no_module_imports_one_above_it(file: Path) -> None:
-    above = {name for name in own_imports(file) if height(name) > height(module(file))}
-    assert not above
+def test_the_first_line_says_what_a_module_holds(file: Path) -> None:
+    text = ast.get_docstring(ast.parse(file.read_text(encoding='utf-8')))
+    assert module(file) == '__main__' or text and text.splitlines()[0].endswith(('.', ':'))
+
+
+@pytest.mark.parametrize('file', FILES, ids=module)
+def test_nothing_private_is_imported_from_another_file(file: Path) -> None:
+    own = [name for name in imports(file) if name.startswith(f'{PACKAGE.name}.')]
+    assert not [name for name in own if name.rsplit('.', 1)[1].startswith('_')
+                and not name.endswith('__')]
+
+
+@pytest.mark.parametrize('file', FILES, ids=module)
+def test_functions_and_modules_stay_short(file: Path) -> None:
+    source = file.read_text(encoding='utf-8')
+    long = {node.name for node in ast.walk(ast.parse(source))
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+            and node.end_lineno - node.lineno + 1 > LONGEST_FUNCTION}
+    assert not long
+    limit = LONGEST_CONFIG if module(file) == 'config' else LONGEST_MODULE
+    assert len(source.splitlines()) <= limit
 
 
 def test_no_modules_import_each_other() -> None:
@@ -86,24 +140,25 @@ def test_no_modules_import_each_other() -> None:
 
 
 @pytest.mark.parametrize(
-    'file', [f for f in FILES if module(f).split('/')[0] != 'ros'], ids=module)
+    'file', [f for f in FILES if room(module(f)) != 'ros'], ids=module)
 def test_only_the_ros_folder_imports_ros(file: Path) -> None:
     assert not [name for name in imports(file) if knows_ros(name)]
 
 
 def test_the_simulator_knows_nothing_of_the_estimator() -> None:
-    files = [f for f in FILES if module(f).split('/')[0] == 'simulate']
+    files = [f for f in FILES if room(module(f)) == 'simulate']
     assert files
     for file in files:
-        others = {n for n in own_imports(file) if n.split('/')[0] != 'simulate'}
-        assert {n for n in others if height(n) > 0} == set()
+        others = {room(name) for name in own_imports(file)} - {'simulate'}
+        assert others <= set(FLOORS[0])
 
 
 def test_the_checks_see_what_they_forbid() -> None:
     source = 'def f():\n    from rclpy.node import Node\nimport std_srvs.srv\nimport numpy\n'
     assert [n for n in modules_imported(source) if knows_ros(n)] == [
         'std_srvs.srv', 'rclpy.node.Node']
-    assert height('ros/bag') > height('pipeline') > height('methods/plate') > height('se3')
+    assert allowed('ros', 'pipeline') and allowed('methods', 'estimation')
+    assert not allowed('estimation', 'methods') and not allowed('profiles', 'estimation')
 
 
 def run_without_ros(code: str) -> subprocess.CompletedProcess[str]:

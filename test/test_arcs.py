@@ -3,11 +3,11 @@ from __future__ import annotations
 
 import warnings
 
-from handeye_ros.arcs import arc_features, fit_circle, NORMAL_POINTS, normal_points
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Array
-from handeye_ros.errors import FeatureError
-from handeye_ros.features import combine
+from handeye_ros.profiles.arcs import arc_features, fit_circle, NORMAL_POINTS, normal_points
+from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.sampling.station_features import combine
 from hypothesis import given
 import numpy as np
 from profiles import any_points, drawn, face, NOISE

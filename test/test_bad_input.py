@@ -5,8 +5,8 @@ from dataclasses import replace
 
 from command import assert_refused, handeye, PLATE
 from handeye_ros import simulate
-from handeye_ros.export import read_calibration
-from handeye_ros.ros import bag_write, storage
+from handeye_ros.results.calibration_file import read_calibration
+from handeye_ros.ros.bags import bag_write, storage
 import numpy as np
 import pytest
 from recordings import rewrite

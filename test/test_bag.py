@@ -6,19 +6,10 @@ from dataclasses import replace
 import sqlite3
 
 from handeye_ros.config import Config, ProfileConfig
-from handeye_ros.errors import (
-    AllMalformedError,
-    BagError,
-    ClocksApartError,
-    DataError,
-    InputError,
-    NoTopicError,
-    TimeBackwardsError,
-    TopicTypeError,
-    TwoFramesError,
-    UnwritableError,
-)
-from handeye_ros.ros import bag, bag_write, contents, storage
+from handeye_ros.errors import BagError, DataError, InputError, UnwritableError
+from handeye_ros.ros.bags import bag, bag_write, contents, storage
+from handeye_ros.ros.errors import AllMalformedError, NoTopicError, TopicTypeError
+from handeye_ros.sampling.errors import ClocksApartError, TimeBackwardsError, TwoFramesError
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 import numpy as np

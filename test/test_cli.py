@@ -10,12 +10,13 @@ import subprocess
 import sys
 
 from command import assert_refused, handeye, PATIENCE, PLATE, ROOT, running
-from handeye_ros import __version__, export, pipeline
+from handeye_ros import __version__, pipeline
 from handeye_ros.cli import main
 from handeye_ros.config import Config, load
-from handeye_ros.ros import bag
-from handeye_ros.truth import true_transform
-from handeye_ros.verify import mapped_point_error
+from handeye_ros.results import calibration_file
+from handeye_ros.results.truth_errors import mapped_point_error
+from handeye_ros.results.truth_file import true_transform
+from handeye_ros.ros.bags import bag
 import numpy as np
 import pytest
 import yaml
@@ -43,7 +44,8 @@ def test_simulate_writes_a_bag_with_its_truth(simulated):
     assert (truth['scenario'], truth['seed'], truth['noise']['sensor']) == ('plate', 3, 3e-5)
     assert 'simulate plate --seed 3' in truth['made_by']
     T = true_transform(path)
-    assert export.transform_values(T)['translation'] == truth['T_flange_sensor']['translation']
+    values = calibration_file.transform_values(T)
+    assert values['translation'] == truth['T_flange_sensor']['translation']
 
 
 def test_the_same_seed_makes_the_same_recording(simulated, tmp_path):
@@ -81,13 +83,13 @@ def test_solve_writes_what_the_library_answers(simulated, tmp_path):
     assert run.stderr == ''
     file = tmp_path / 'out' / 'mine' / 'calibration.yaml'
     assert run.stdout.splitlines()[-1] == f'wrote {file}'
-    calibration = export.read_calibration(file)
+    calibration = calibration_file.read_calibration(file)
 
     config = replace(load(PLATE), name='mine')
     recording = bag.read(path, config)
     expected = pipeline.calibrate(recording.profiles, recording.poses, config)
     provenance = calibration.provenance
-    assert export.equal(replace(expected, provenance=provenance), calibration)
+    assert calibration_file.equal(replace(expected, provenance=provenance), calibration)
     assert provenance['inputs'] == list(recording.inputs)
     assert provenance['config']['name'] == 'mine'
     assert provenance['version'] == __version__
@@ -120,7 +122,8 @@ def test_a_bag_with_a_file_beside_it_is_solved_as_well(tmp_path):
     run = handeye('solve', ROOT / 'bags' / 'tracker', '--config', ROOT / 'config' / 'tracker.yaml',
                   cwd=tmp_path, before=before)
     assert (run.returncode, run.stderr) == (0, '')
-    calibration = export.read_calibration(tmp_path / 'out' / 'tracker' / 'calibration.yaml')
+    calibration = calibration_file.read_calibration(
+        tmp_path / 'out' / 'tracker' / 'calibration.yaml')
     T_true = true_transform(ROOT / 'bags' / 'tracker')
     assert mapped_point_error(calibration.T_flange_sensor, T_true) < 1e-4
     assert [Path(entry['path']).name for entry in calibration.provenance['inputs']] == [

@@ -6,15 +6,17 @@ import re
 
 from cells import Cell, cell, config, exact
 from command import assert_refused, handeye, PLATE, ROOT
-from handeye_ros import pipeline, report_compare, se3
-from handeye_ros.compare import compare, Comparison, Row
-from handeye_ros.errors import BadValueError, OneOrientationError, TooUncertainError
-from handeye_ros.estimators import ESTIMATORS
+from handeye_ros import pipeline, se3
+from handeye_ros.checks.errors import OneOrientationError, TooUncertainError
+from handeye_ros.comparison import table
+from handeye_ros.comparison.compare import compare, Comparison, Row
+from handeye_ros.comparison.estimators import ESTIMATORS
+from handeye_ros.errors import BadValueError
 from handeye_ros.files import FILE_METHODS
 from handeye_ros.methods import METHODS
-from handeye_ros.outcome import sensor_axes
+from handeye_ros.results.outcome import sensor_axes
+from handeye_ros.results.truth_errors import errors_against
 from handeye_ros.simulate import SCENARIOS
-from handeye_ros.verify import errors_against
 import numpy as np
 import pytest
 from rich.console import Console
@@ -215,7 +217,7 @@ def test_the_method_is_that_of_the_target(only) -> None:
 def shown(comparison: Comparison, width: int = 160) -> str:
     console = Console(width=width, color_system=None)
     with console.capture() as capture:
-        console.print(report_compare.ComparisonTable(comparison))
+        console.print(table.ComparisonTable(comparison))
     return capture.get()
 
 
@@ -225,7 +227,7 @@ def test_the_table_shows_figures_in_mm_and_degrees(plate: Comparison) -> None:
     for row in plate.rows:
         line = next(line for line in text.splitlines() if line.startswith(f' {row.name} '))
         if row.T_flange_sensor is not None:
-            assert report_compare.transform_text(row.T_flange_sensor) in line
+            assert table.transform_text(row.T_flange_sensor) in line
             assert f' {row.residual_rms * 1e3:.4f} ' in line
             left_out = '-' if row.holdout_rms is None else f'{row.holdout_rms * 1e3:.4f}'
             assert f' {left_out} ' in line

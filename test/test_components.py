@@ -1,8 +1,8 @@
 """Variance components: each cause of noise is found, one that is absent is not."""
 from __future__ import annotations
 
-from handeye_ros.components import first_variances, variance_components
 from handeye_ros.data import Array
+from handeye_ros.estimation.components import first_variances, variance_components
 import numpy as np
 import pytest
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 from dataclasses import replace
 import math
 
-from handeye_ros import export, report, se3, verify
+from handeye_ros import se3
 from handeye_ros.data import Calibration, Quality, SampleReport
-from handeye_ros.errors import CalibrationFileError, UnwritableError
+from handeye_ros.errors import UnwritableError
+from handeye_ros.results import calibration_file, table, truth_errors
+from handeye_ros.results.errors import CalibrationFileError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -22,7 +24,7 @@ CALIBRATION = Calibration(
     T_flange_sensor=se3.transform(se3.exp_rotation(np.array([0.3, -1.2, 2.0])),
                                   np.array([0.0123, -0.05, 0.1])),
     covariance=ROOT @ ROOT.T,
-    target={'pose': export.transform_values(np.eye(4)), 'edge_angle': 1.5708,
+    target={'pose': calibration_file.transform_values(np.eye(4)), 'edge_angle': 1.5708,
             'edge_angle_std': 1e-4, 'radius': 0.04, 'radius_std': 0.0, 'note': 'x'},
     quality=Quality(2, 1, 2.1e-5, 2.6e-5, 'position along z of flange (m)', 4e-5),
     samples=(SampleReport(1700000000500000001, True, 'p', 1.9e-5),
@@ -39,16 +41,16 @@ def path(tmp_path):
 
 
 def content_of(calibration, path):
-    export.write_calibration(calibration, path)
+    calibration_file.write_calibration(calibration, path)
     return yaml.safe_load(path.read_text())
 
 
 def test_read_back_it_is_equal(path):
-    export.write_calibration(CALIBRATION, path)
-    again = export.read_calibration(path)
-    assert export.equal(again, CALIBRATION)
-    assert not export.equal(replace(again, name='other'), CALIBRATION)
-    assert not export.equal(replace(again, covariance=2 * again.covariance), CALIBRATION)
+    calibration_file.write_calibration(CALIBRATION, path)
+    again = calibration_file.read_calibration(path)
+    assert calibration_file.equal(again, CALIBRATION)
+    assert not calibration_file.equal(replace(again, name='other'), CALIBRATION)
+    assert not calibration_file.equal(replace(again, covariance=2 * again.covariance), CALIBRATION)
 
 
 def test_the_documented_keys_in_their_order(path):
@@ -103,8 +105,8 @@ def calibrations(draw):
 @given(calibration=calibrations())
 def test_any_calibration_is_read_back_equal(tmp_path_factory, calibration):
     path = tmp_path_factory.mktemp('any') / 'calibration.yaml'
-    export.write_calibration(calibration, path)
-    assert export.equal(export.read_calibration(path), calibration)
+    calibration_file.write_calibration(calibration, path)
+    assert calibration_file.equal(calibration_file.read_calibration(path), calibration)
 
 
 def paths_to_values(content, prefix=()):
@@ -114,7 +116,7 @@ def paths_to_values(content, prefix=()):
             yield from paths_to_values(value, (*prefix, key))
 
 
-KEYS = [k for k in paths_to_values(export._content(CALIBRATION)) if k != ('rpy',)]
+KEYS = [k for k in paths_to_values(calibration_file._content(CALIBRATION)) if k != ('rpy',)]
 
 
 @pytest.mark.parametrize('keys', KEYS, ids='.'.join)
@@ -130,7 +132,7 @@ def test_damage_is_named(path, keys, damage):
         section[keys[-1]] = None if keys[-1] == 'name' else object_of_wrong_type(section[keys[-1]])
     path.write_text(yaml.safe_dump(content))
     with pytest.raises(CalibrationFileError) as caught:
-        export.read_calibration(path)
+        calibration_file.read_calibration(path)
     assert '.'.join(keys) in str(caught.value) or keys[-1] == 'format'
     assert str(path) in str(caught.value)
 
@@ -150,12 +152,12 @@ def object_of_wrong_type(value):
     ('covariance: [', 'covariance: [[', 'not valid YAML'),
 ])
 def test_damaged_values(path, old, new, reason):
-    export.write_calibration(CALIBRATION, path)
+    calibration_file.write_calibration(CALIBRATION, path)
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(CalibrationFileError, match=reason):
-        export.read_calibration(path)
+        calibration_file.read_calibration(path)
 
 
 @settings(max_examples=100, deadline=None)
@@ -164,18 +166,18 @@ def test_any_bytes_are_refused(tmp_path_factory, junk):
     path = tmp_path_factory.mktemp('junk') / 'calibration.yaml'
     path.write_bytes(junk)
     with pytest.raises(CalibrationFileError):
-        export.read_calibration(path)
+        calibration_file.read_calibration(path)
 
 
 def test_no_such_file(path):
     with pytest.raises(CalibrationFileError, match='No such file'):
-        export.read_calibration(path)
+        calibration_file.read_calibration(path)
 
 
 def test_a_file_before_is_replaced_and_nothing_else_is_left(path):
     path.write_text('old')
-    export.write_calibration(CALIBRATION, path)
-    assert export.equal(export.read_calibration(path), CALIBRATION)
+    calibration_file.write_calibration(CALIBRATION, path)
+    assert calibration_file.equal(calibration_file.read_calibration(path), CALIBRATION)
     assert [p.name for p in path.parent.iterdir()] == ['calibration.yaml']
 
 
@@ -184,14 +186,14 @@ def test_unwritable_places_leave_nothing_behind(tmp_path):
     (tmp_path / 'folder' / 'inside').mkdir(parents=True)
     for path in (tmp_path / 'file' / 'x.yaml', tmp_path / 'folder'):
         with pytest.raises(UnwritableError, match='cannot write'):
-            export.write_calibration(CALIBRATION, path)
+            calibration_file.write_calibration(CALIBRATION, path)
     assert sorted(p.name for p in tmp_path.iterdir()) == ['file', 'folder']
 
 
 def printed(calibration):
     console = Console(width=160, color_system=None)
     with console.capture() as capture:
-        console.print(report.table(calibration))
+        console.print(table.table(calibration))
     return capture.get()
 
 
@@ -220,7 +222,7 @@ def test_sigma_of_roll_pitch_yaw_is_that_of_drawn_rotations():
     draws = np.random.default_rng(6).multivariate_normal(
         np.zeros(3), CALIBRATION.covariance[3:, 3:], size=4000)
     rpy = [se3.rpy(se3.perturb(T, np.concatenate([np.zeros(3), d]))) for d in draws]
-    assert report.rpy_std(T, CALIBRATION.covariance[3:, 3:]) == pytest.approx(
+    assert table.rpy_std(T, CALIBRATION.covariance[3:, 3:]) == pytest.approx(
         np.std(rpy, axis=0), rel=0.05)
 
 
@@ -231,14 +233,14 @@ def test_roll_and_yaw_have_no_sigma_where_they_are_one():
 
 def test_errors_of_known_differences():
     T = CALIBRATION.T_flange_sensor
-    assert verify.errors_against(T, T) == verify.Errors(0.0, 0.0, 0.0)
+    assert truth_errors.errors_against(T, T) == truth_errors.Errors(0.0, 0.0, 0.0)
     shifted = se3.perturb(T, np.array([3e-3, 0, 4e-3, 0, 0, 0]))
-    errors = verify.errors_against(shifted, T)
+    errors = truth_errors.errors_against(shifted, T)
     assert errors.translation == pytest.approx(5e-3)
     assert errors.rotation == pytest.approx(0.0, abs=1e-12)
     assert errors.mapped_points == pytest.approx(5e-3)
     turned = T @ se3.transform(se3.exp_rotation(np.array([0.0, 0.01, 0.0])), np.zeros(3))
-    errors = verify.errors_against(turned, T)
+    errors = truth_errors.errors_against(turned, T)
     assert errors.rotation == pytest.approx(0.01)
     # turned about y, a point moves by its distance times the angle
     assert errors.mapped_points == pytest.approx(0.01 * math.sqrt(0.175 ** 2 + (

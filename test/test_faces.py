@@ -8,10 +8,10 @@ from cells import config as settings_of
 from cells import recorded
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
-from handeye_ros.errors import FeatureError
-from handeye_ros.faces import face_features
-from handeye_ros.features import combine
-from handeye_ros.pairing import Session
+from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.profiles.faces import face_features
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.station_features import combine
 from handeye_ros.simulate import SCENARIOS
 from hypothesis import given
 import numpy as np

@@ -8,22 +8,23 @@ from pathlib import Path
 import sys
 
 from command import ROOT
-from handeye_ros import export, files, se3
+from handeye_ros import files, se3
 from handeye_ros.cli import main
-from handeye_ros.compare import compare_files
+from handeye_ros.comparison.compare import compare_files
+from handeye_ros.comparison.estimators import ESTIMATORS
 from handeye_ros.config import Config, load, with_values
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import BadValueError, OnlyFromFilesError
-from handeye_ros.estimators import ESTIMATORS
 from handeye_ros.files import FILE_METHODS
 from handeye_ros.files.outcome import calibrate
 from handeye_ros.methods import FROM_FILES, METHODS, of
-from handeye_ros.outcome import sensor_axes
-from handeye_ros.ros import bag, bag_write, simulated
+from handeye_ros.results import calibration_file
+from handeye_ros.results.outcome import sensor_axes
+from handeye_ros.results.truth_errors import errors_against
+from handeye_ros.results.truth_file import true_transform
+from handeye_ros.ros.bags import bag, bag_write, simulated
 from handeye_ros.simulate import FILE_SCENES, measured
 from handeye_ros.simulate.scenario import SensorModel
-from handeye_ros.truth import true_transform
-from handeye_ros.verify import errors_against
 import numpy as np
 import pytest
 
@@ -129,7 +130,7 @@ def test_solve_answers_near_the_truth_and_says_how_near(scene: tuple[str, Path],
     name, folder = scene
     code, out, err = run('solve', *given(name, folder), '--out', 'out')
     assert (code, err) == (0, '')
-    found = export.read_calibration(Path('out', 'calibration.yaml'))
+    found = calibration_file.read_calibration(Path('out', 'calibration.yaml'))
     T_true = true_transform(folder)
     assert T_true is not None
     delta = se3.difference(found.T_flange_sensor, T_true)
@@ -162,17 +163,17 @@ def _check_provenance(found: Calibration, folder: Path) -> None:
 def test_what_is_written_reads_back_equal(scene: tuple[str, Path], tmp_path: Path) -> None:
     method, read, config = read_configured(*scene)
     found = calibrate(method, read, config)
-    export.write_calibration(found, tmp_path / 'calibration.yaml')
-    back = export.read_calibration(tmp_path / 'calibration.yaml')
+    calibration_file.write_calibration(found, tmp_path / 'calibration.yaml')
+    back = calibration_file.read_calibration(tmp_path / 'calibration.yaml')
     back.provenance.pop('created')
-    assert export.equal(found, back)
+    assert calibration_file.equal(found, back)
 
 
 def test_compare_shows_every_estimator(scene: tuple[str, Path], run: Run,
                                        monkeypatch: pytest.MonkeyPatch) -> None:
     name, folder = scene
     quickly = partial(compare_files, folds=2)
-    monkeypatch.setattr('handeye_ros.compare.compare_files', quickly)
+    monkeypatch.setattr('handeye_ros.comparison.compare.compare_files', quickly)
     code, out, err = run('compare', *given(name, folder))
     assert (code, err) == (0, '')
     for estimator in ESTIMATORS[target_of(name)]:
@@ -192,7 +193,7 @@ def test_without_noise_all_find_the_truth(name: str, run: Run, tmp_path: Path) -
         (folder / TABLES[target_of(name)]).write_text(next(iter(made.tables.values())))
     code, _, err = run('solve', *given(name, folder), '--out', 'out')
     assert code == 0, err
-    found = export.read_calibration(Path('out', 'calibration.yaml'))
+    found = calibration_file.read_calibration(Path('out', 'calibration.yaml'))
     assert off(found.T_flange_sensor, made.T_flange_sensor) < 1e-6
     method, read, config = read_configured(name, folder)
     comparison = compare_files(method, read, config, made.T_flange_sensor, folds=0)

@@ -7,9 +7,9 @@ from pathlib import Path
 import re
 
 from cells import Cell, exact_cell
-from handeye_ros.method import Estimate, UNUSED
+from handeye_ros.estimation.method import Estimate, UNUSED
+from handeye_ros.estimation.problem import linearise, points_in_base
 from handeye_ros.methods import METHODS
-from handeye_ros.problem import linearise, points_in_base
 from handeye_ros.simulate import SCENARIOS
 import numpy as np
 import pytest

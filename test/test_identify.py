@@ -7,15 +7,15 @@ import re
 
 from cells import Cell, cell, exact_cell, scenario_of
 from handeye_ros import pipeline, se3
-from handeye_ros.data import Array, Reject
-from handeye_ros.errors import (
-    DataError,
+from handeye_ros.checks.errors import (
     OneAxisError,
     OneOrientationError,
     TooFewSamplesError,
     TooUncertainError,
 )
-from handeye_ros.identify import name_direction, other_axes, turning, worst_translation
+from handeye_ros.checks.motion import name_direction, other_axes, turning, worst_translation
+from handeye_ros.data import Array, Reject
+from handeye_ros.errors import DataError
 from handeye_ros.methods import METHODS
 from handeye_ros.simulate import Scenario
 import numpy as np

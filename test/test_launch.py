@@ -72,4 +72,4 @@ def test_the_node_gets_its_file_and_the_time(described: Any) -> None:
 
 
 def test_the_executable_is_installed() -> None:
-    assert "'calibrate = handeye_ros.ros.node:main'" in (ROOT / 'setup.py').read_text()
+    assert "'calibrate = handeye_ros.ros.node.node:main'" in (ROOT / 'setup.py').read_text()

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 from cells import cell, exact_cell, recorded
 from handeye_ros import methods, pipeline, se3
+from handeye_ros.checks.errors import TooFewSamplesError
 from handeye_ros.data import EdgePoint, FaceLine
-from handeye_ros.errors import TooFewSamplesError
 from handeye_ros.published import zheng2018
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.simulate.scenario import PlateTarget

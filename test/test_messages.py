@@ -5,13 +5,13 @@ import array
 from types import SimpleNamespace
 
 from handeye_ros.config import ProfileConfig
-from handeye_ros.errors import MessageError
-from handeye_ros.ros.messages import (
+from handeye_ros.ros.bags.messages import (
     DATATYPES,
     pose_from_stamped,
     pose_from_transform,
     profile_from_cloud,
 )
+from handeye_ros.ros.errors import MessageError
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np

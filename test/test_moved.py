@@ -7,8 +7,9 @@ import re
 
 from cells import cell
 from handeye_ros import pipeline, se3
+from handeye_ros.checks.errors import MovedError
 from handeye_ros.data import Array, Sample
-from handeye_ros.errors import DataError, MovedError
+from handeye_ros.errors import DataError
 import numpy as np
 import pytest
 

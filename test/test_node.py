@@ -8,16 +8,16 @@ import sys
 
 from handeye_ros.config import load
 from handeye_ros.errors import InputError
-from handeye_ros.export import read_calibration
 from handeye_ros.pipeline import calibrate
-from handeye_ros.ros.bag import read
+from handeye_ros.results.calibration_file import read_calibration
+from handeye_ros.ros.bags.bag import read
 import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import running  # noqa: E402, I100
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped  # noqa: E402
-from handeye_ros.ros import params  # noqa: E402
+from handeye_ros.ros.node import params  # noqa: E402
 from rcl_interfaces.srv import GetParameters  # noqa: E402
 import rclpy  # noqa: E402
 from rclpy.context import Context  # noqa: E402

@@ -7,8 +7,8 @@ from dataclasses import replace
 from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, EdgePoint, Profile, Reject, Sample, TimedPose
-from handeye_ros.errors import (
-    FeatureError,
+from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.sampling.errors import (
     MovingError,
     NoPosesError,
     NoProfilesError,
@@ -18,8 +18,8 @@ from handeye_ros.errors import (
     SparsePosesError,
     TwoFramesError,
 )
-from handeye_ros.pairing import MOST_PROFILES, Session
-from handeye_ros.stations import interpolate, MAX_STATION, NS
+from handeye_ros.sampling.session import MOST_PROFILES, Session
+from handeye_ros.sampling.stations import interpolate, MAX_STATION, NS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np

@@ -8,18 +8,12 @@ from pathlib import Path
 
 from cells import Recorded, recorded
 from handeye_ros import pipeline, se3
+from handeye_ros.checks.errors import OneAxisError, OneOrientationError, TooFewSamplesError
 from handeye_ros.config import load, with_values
 from handeye_ros.data import Calibration, Profile, TimedPose
-from handeye_ros.errors import (
-    DataError,
-    NoPosesError,
-    NoStationsError,
-    OneAxisError,
-    OneOrientationError,
-    TooFewSamplesError,
-    TwoFramesError,
-)
-from handeye_ros.export import read_calibration, write_calibration
+from handeye_ros.errors import DataError
+from handeye_ros.results.calibration_file import read_calibration, write_calibration
+from handeye_ros.sampling.errors import NoPosesError, NoStationsError, TwoFramesError
 from handeye_ros.simulate import SCENARIOS, settings
 import numpy as np
 import pytest
@@ -266,7 +260,7 @@ def test_profiles_without_any_noise_are_no_trouble(scene: str) -> None:
 
 @pytest.mark.skipif(not REAL.exists(), reason=f'the real recording is not at {REAL}')
 def test_the_real_sphere_is_better_than_the_published_transform() -> None:
-    from handeye_ros.ros import bag
+    from handeye_ros.ros.bags import bag
     config = load(ROOT / 'config' / 'sphere.yaml')
     read = bag.read(REAL, config)
     found = pipeline.calibrate(read.profiles, read.poses, config)

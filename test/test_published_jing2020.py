@@ -5,8 +5,8 @@ from dataclasses import replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.errors import TooFewError
 from handeye_ros.published import jing2020
+from handeye_ros.published.errors import TooFewError
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

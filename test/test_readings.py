@@ -3,8 +3,8 @@ from dataclasses import replace
 
 from handeye_ros import config as configs
 from handeye_ros import pipeline
+from handeye_ros.checks.errors import RangeSignError, ScaleError
 from handeye_ros.config import Config
-from handeye_ros.errors import RangeSignError, ScaleError
 from handeye_ros.simulate import SCENARIOS, simulate, simulate_samples
 from handeye_ros.simulate.settings import settings
 import numpy as np

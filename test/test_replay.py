@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import running  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped  # noqa: E402
-from handeye_ros.ros.storage import scan  # noqa: E402
+from handeye_ros.ros.bags.storage import scan  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
 from ros_helpers import Client, RELIABLE, ROOT, run_module  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402

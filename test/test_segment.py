@@ -4,7 +4,7 @@ from __future__ import annotations
 import warnings
 
 from handeye_ros.data import Array
-from handeye_ros.segment import noise_level, straight_segments
+from handeye_ros.profiles.segment import noise_level, straight_segments
 from hypothesis import given
 import numpy as np
 from profiles import any_points, COLUMNS, drawn, face, gap_up_to, NOISE, PITCH, roof, step_up_to, X

@@ -6,19 +6,19 @@ from dataclasses import replace
 
 from cells import Cell, cell, recorded
 from handeye_ros import pipeline, se3
-from handeye_ros.config import with_values
-from handeye_ros.data import Array, Sample
-from handeye_ros.errors import (
+from handeye_ros.checks.conventions import orientations_scatter, SLIPS
+from handeye_ros.checks.errors import (
     ContradictingStationsError,
-    DataError,
     InconsistentError,
-    PositionUnitError,
     ScatteredOrientationsError,
     SlipError,
 )
+from handeye_ros.config import with_values
+from handeye_ros.data import Array, Sample
+from handeye_ros.errors import DataError
+from handeye_ros.sampling.errors import PositionUnitError
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.simulate.slips import SLIPS as SIMULATED
-from handeye_ros.slips import orientations_scatter, SLIPS
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

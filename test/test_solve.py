@@ -6,14 +6,21 @@ from functools import lru_cache
 
 from cells import ANY_POSE, Cell, cell, exact_cell, problem, scenario_of, solved
 from handeye_ros import pipeline, se3
+from handeye_ros.checks.errors import TooUncertainError
 from handeye_ros.data import Array, Sample
-from handeye_ros.errors import TooUncertainError
-from handeye_ros.method import Estimate, Method
+from handeye_ros.estimation.method import Estimate, Method
+from handeye_ros.estimation.problem import linearise, Problem
+from handeye_ros.estimation.solve import (
+    evaluate,
+    least_squares,
+    move,
+    Solution,
+    station_statistic,
+    without,
+)
+from handeye_ros.estimation.weights import groups, Noise
 from handeye_ros.methods import METHODS
-from handeye_ros.outcome import measured_points
-from handeye_ros.problem import linearise, Problem
-from handeye_ros.solve import evaluate, least_squares, move, Solution, station_statistic, without
-from handeye_ros.weights import groups, Noise
+from handeye_ros.results.outcome import measured_points
 import numpy as np
 import pytest
 

@@ -7,12 +7,12 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
-from handeye_ros.errors import DegenerateError, TableError
-from handeye_ros.methods import tracker
+from handeye_ros.files import tracker_estimate
+from handeye_ros.files.errors import DegenerateError, TableError
+from handeye_ros.files.sweeps import sweep_from
 from handeye_ros.published import jing2020
-from handeye_ros.ros import bag, bag_write
+from handeye_ros.ros.bags import bag, bag_write
 from handeye_ros.simulate.tracker import RADIUS, simulate_tracker, TrackerCell
-from handeye_ros.sweeps import sweep_from
 import numpy as np
 import pytest
 from test_published_jing2020 import session, T_flange_sensor
@@ -21,9 +21,9 @@ NOISE = 3.7e-5
 CONFIG = with_values(Config(), {'noise.sensor': NOISE, 'target.radius': RADIUS}, 'test')
 
 
-def with_sigma(sweep: jing2020.Sweep, sigma: float) -> tracker.Sweep:
+def with_sigma(sweep: jing2020.Sweep, sigma: float) -> tracker_estimate.Sweep:
     points = [np.insert(p, 3, sigma, axis=1) for p in (sweep.ball, sweep.face_c, sweep.face_d)]
-    return tracker.Sweep(*points, sweep.q30)
+    return tracker_estimate.Sweep(*points, sweep.q30)
 
 
 def written(cell: TrackerCell, path: Path) -> Path:
@@ -41,7 +41,7 @@ def off(T: Array, T_true: Array) -> Array:
 def test_the_truth_without_noise(skew: float) -> None:
     """The block may be crooked; the ball and the faces are what was swept."""
     measured, sweep = session(1, skew=skew)
-    found = tracker.solve(measured, with_sigma(sweep, NOISE))
+    found = tracker_estimate.solve(measured, with_sigma(sweep, NOISE))
     assert np.abs(se3.difference(found.T_flange_sensor, T_flange_sensor)).max() < 1e-9
     assert found.face_angle == pytest.approx(np.deg2rad(90.0 + skew))
     assert abs(found.skew) < 1e-9 and found.radius == pytest.approx(0.01905)
@@ -51,7 +51,7 @@ def test_nearer_than_the_published_chain_and_as_sure_as_it_says() -> None:
     ours, published, squares = [], [], []
     for seed in range(8):
         measured, sweep = session(seed, 2e-5, NOISE)
-        found = tracker.solve(measured, with_sigma(sweep, NOISE))
+        found = tracker_estimate.solve(measured, with_sigma(sweep, NOISE))
         chain = jing2020.solve(measured, sweep).T_flange_sensor
         ours.append(off(found.T_flange_sensor, T_flange_sensor))
         published.append(off(chain, T_flange_sensor))
@@ -67,9 +67,9 @@ def test_nearer_than_the_published_chain_and_as_sure_as_it_says() -> None:
 def test_from_files_and_profiles(tmp_path: Path, seed: int) -> None:
     """Noise as in the paper, and the faults of the sensor beside it; against the truth."""
     cell = simulate_tracker(np.random.default_rng(seed))
-    measured = tracker.read(written(cell, tmp_path / 'tracker.csv'), cell.h0, cell.h1)
+    measured = tracker_estimate.read(written(cell, tmp_path / 'tracker.csv'), cell.h0, cell.h1)
     sweep = sweep_from(cell.profiles, cell.poses, CONFIG, cell.q3_first, cell.q30)
-    found = tracker.solve(measured, sweep)
+    found = tracker_estimate.solve(measured, sweep)
     e_v, e_theta, e_p = off(found.T_flange_sensor, cell.T_flange_sensor)
     assert e_v < 1e-3 and e_theta < np.deg2rad(0.07) and e_p < 0.25e-3
     assert found.radius == pytest.approx(RADIUS, abs=2e-5)
@@ -81,7 +81,7 @@ def test_wrong_points_are_left_out() -> None:
     measured, sweep = session(2, 2e-5, NOISE)
     measured.arc[5] += [1e-3, 0, 0]
     measured.face_c[1] += [0, 2e-3, 1e-3]
-    found = tracker.solve(measured, with_sigma(sweep, NOISE))
+    found = tracker_estimate.solve(measured, with_sigma(sweep, NOISE))
     delta = se3.difference(found.T_flange_sensor, T_flange_sensor)
     assert delta @ np.linalg.solve(found.covariance, delta) < 20
     spot = 2 * 40 + 2 * 30 + 3 + 1
@@ -92,21 +92,22 @@ def test_what_cannot_carry_an_answer_is_refused() -> None:
     measured, sweep = session(0, 2e-5, NOISE)
     sigma = with_sigma(sweep, NOISE)
     with pytest.raises(DegenerateError, match='the arc spans 9.* degrees; turn R2 by 30'):
-        tracker.solve(replace(measured, arc=measured.arc[:4]), sigma)
+        tracker_estimate.solve(replace(measured, arc=measured.arc[:4]), sigma)
     with pytest.raises(DegenerateError, match='nearly parallel'):
-        tracker.solve(replace(measured, face_d=measured.face_c + 1e-3 * np.ones(3)), sigma)
+        tracker_estimate.solve(
+            replace(measured, face_d=measured.face_c + 1e-3 * np.ones(3)), sigma)
     order = np.random.default_rng(1).permutation(30)
     with pytest.raises(DegenerateError, match='the points of the arc go back and forth'):
-        tracker.solve(replace(measured, arc=measured.arc[order]), sigma)
+        tracker_estimate.solve(replace(measured, arc=measured.arc[order]), sigma)
     with pytest.raises(DegenerateError, match='the points of the line go back and forth'):
-        tracker.solve(replace(measured, line=measured.line[order]), sigma)
+        tracker_estimate.solve(replace(measured, line=measured.line[order]), sigma)
     wrong = measured.face_c + np.linspace(0, 9e-3, len(measured.face_c))[:, None]
     with pytest.raises(DegenerateError, match='% of those of .* left out'):
-        tracker.solve(replace(measured, face_c=wrong), sigma)
+        tracker_estimate.solve(replace(measured, face_c=wrong), sigma)
     with pytest.raises(DegenerateError, match='check which face is which'):
-        tracker.solve(measured, replace(sigma, face_c=sigma.face_d, face_d=sigma.face_c))
+        tracker_estimate.solve(measured, replace(sigma, face_c=sigma.face_d, face_d=sigma.face_c))
     with pytest.raises(DegenerateError, match='known only to'):
-        tracker.solve(measured, with_sigma(sweep, 5e-2), tracker_noise=5e-2)
+        tracker_estimate.solve(measured, with_sigma(sweep, 5e-2), tracker_noise=5e-2)
 
 
 def test_a_sweep_that_is_none_is_refused() -> None:
@@ -139,7 +140,7 @@ def test_files_that_cannot_be_used(tmp_path: Path, change: tuple[str, str], mess
     path = written(simulate_tracker(np.random.default_rng(0)), tmp_path / 'tracker.csv')
     path.write_text(path.read_text().replace(*change))
     with pytest.raises(TableError) as caught:
-        tracker.read(path, 0.02, 0.03)
+        tracker_estimate.read(path, 0.02, 0.03)
     assert message in str(caught.value)
 
 

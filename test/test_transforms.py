@@ -4,8 +4,8 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 from handeye_ros import se3
-from handeye_ros.errors import MessageError
-from handeye_ros.ros.transforms import FlangeTracker
+from handeye_ros.ros.bags.transforms import FlangeTracker
+from handeye_ros.ros.errors import MessageError
 import numpy as np
 import pytest
 from ros_clouds import header

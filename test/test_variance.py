@@ -9,9 +9,9 @@ from cells import config as settings_of
 from handeye_ros import pipeline, se3
 from handeye_ros.config import with_values
 from handeye_ros.data import Arc, EdgePoint, FaceLine, Sample
+from handeye_ros.estimation.systematic import likeness, with_systematic_error
+from handeye_ros.estimation.variance import with_estimated_noise
 from handeye_ros.simulate import Scenario, SCENARIOS
-from handeye_ros.systematic import likeness, with_systematic_error
-from handeye_ros.variance import with_estimated_noise
 import numpy as np
 import pytest
 

@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros import se3
+from handeye_ros.checks.errors import SlipError
+from handeye_ros.checks.motion import mount_frame
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.errors import DataError, DegenerateError, SlipError
-from handeye_ros.export import input_values, transform_values
+from handeye_ros.errors import DataError
+from handeye_ros.files import hand_eye_estimate
+from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.method import Answer, FileMethod, Index, Input, ReadBag
-from handeye_ros.identify import mount_frame
-from handeye_ros.methods import hand_eye
+from handeye_ros.results.calibration_file import input_values, transform_values
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -33,18 +35,18 @@ class Views:
 
 
 def _read(path: Path, config: Config, read_bag: ReadBag) -> Input[Views]:
-    T_base_flange, T_camera_target = hand_eye.read(path)
+    T_base_flange, T_camera_target = hand_eye_estimate.read(path)
     in_hand = config.calibration_type == 'eye_in_hand'
     views = Views(T_base_flange if in_hand else se3.inverse(T_base_flange), T_camera_target)
     return Input(views, config.sensor_frame, (input_values(path),))
 
 
 def _found(T_fixed_mount: Array, T_camera_target: Array, config: Config
-           ) -> hand_eye.HandEyeResult:
+           ) -> hand_eye_estimate.HandEyeResult:
     on_base = config.calibration_type == 'eye_on_base'
     T_base_flange = se3.inverse(T_fixed_mount) if on_base else T_fixed_mount
-    return hand_eye.solve(T_base_flange, T_camera_target, eye_on_base=on_base,
-                          frame=mount_frame(config))
+    return hand_eye_estimate.solve(T_base_flange, T_camera_target, eye_on_base=on_base,
+                                   frame=mount_frame(config))
 
 
 def _solve(data: Views, config: Config) -> Answer[Views]:
@@ -54,7 +56,7 @@ def _solve(data: Views, config: Config) -> Answer[Views]:
         _name_slip(data, config)
         raise
     X, Z = found.T_flange_camera, found.T_base_target
-    shifts = hand_eye.residuals(data.T_fixed_mount, data.T_camera_target, (X, Z))[:, :3]
+    shifts = hand_eye_estimate.residuals(data.T_fixed_mount, data.T_camera_target, (X, Z))[:, :3]
     used = np.isin(np.arange(len(shifts)), found.used)
     target = {'pose': transform_values(Z), 'residual_angle': found.rms[1],
               'left_out_angle': found.holdout_rms[1]}
@@ -96,8 +98,8 @@ def _name_slip(data: Views, config: Config) -> None:
 
 
 def _misfit(T: Array, T_camera_target: Array) -> float:
-    state = hand_eye.closed_form(T, T_camera_target)
-    off = hand_eye.residuals(T, T_camera_target, state)[:, :3]
+    state = hand_eye_estimate.closed_form(T, T_camera_target)
+    off = hand_eye_estimate.residuals(T, T_camera_target, state)[:, :3]
     return float(np.sqrt((off ** 2).sum(axis=1).mean()))
 
 
@@ -112,7 +114,7 @@ def _subset(data: Views, keep: Index) -> Views:
 def _residuals(data: Views, X: Array, fitted: Index, measured: Index, config: Config) -> Array:
     T, seen = data.T_fixed_mount, data.T_camera_target
     Z = se3.mean_pose(T[fitted] @ X @ seen[fitted])
-    off = hand_eye.residuals(T[measured], seen[measured], (X, Z))[:, :3]
+    off = hand_eye_estimate.residuals(T[measured], seen[measured], (X, Z))[:, :3]
     return np.asarray(np.linalg.norm(off, axis=1))
 
 

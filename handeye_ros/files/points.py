@@ -7,9 +7,9 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.export import input_values
+from handeye_ros.files import points_estimate
 from handeye_ros.files.method import Answer, FileMethod, Index, Input, ReadBag
-from handeye_ros.methods import points
+from handeye_ros.results.calibration_file import input_values
 import numpy as np
 
 
@@ -22,11 +22,11 @@ class Pairs:
 
 
 def _read(path: Path, config: Config, read_bag: ReadBag) -> Input[Pairs]:
-    return Input(Pairs(*points.read(path)), config.sensor_frame, (input_values(path),))
+    return Input(Pairs(*points_estimate.read(path)), config.sensor_frame, (input_values(path),))
 
 
 def _solve(data: Pairs, config: Config) -> Answer[Pairs]:
-    found = points.solve(data.in_camera, data.in_base)
+    found = points_estimate.solve(data.in_camera, data.in_base)
     used = np.isin(np.arange(len(data.in_base)), found.used)
     return Answer(found.T_base_camera, found.covariance, used, found.residuals, found.rms,
                   found.holdout_rms, _subset(data, found.used), {'point_noise': found.noise})

@@ -5,19 +5,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from handeye_ros.adjust import adjust
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.errors import BadValueError, TableError
-from handeye_ros.export import input_values
+from handeye_ros.errors import BadValueError
+from handeye_ros.estimation.adjust import adjust
+from handeye_ros.files import tracker_estimate, tracker_model
+from handeye_ros.files.errors import TableError
 from handeye_ros.files.method import Answer, FileMethod, Index, Input, ReadBag
-from handeye_ros.methods import tracker, tracker_model
-from handeye_ros.methods.tracker_model import Seen, State, Sweep, SWEPT
-from handeye_ros.outcome import sensor_axes
+from handeye_ros.files.sweeps import sweep_from
+from handeye_ros.files.tables import Table
+from handeye_ros.files.tracker_model import Seen, State, Sweep, SWEPT
 from handeye_ros.published import jing2020
-from handeye_ros.sweeps import sweep_from
-from handeye_ros.tables import Table
-from handeye_ros.verify import FIELD, field_points
+from handeye_ros.results.calibration_file import input_values
+from handeye_ros.results.outcome import sensor_axes
+from handeye_ros.results.truth_errors import FIELD, field_points
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,7 +68,7 @@ def _read(path: Path, config: Config, read_bag: ReadBag) -> Input[Session]:
         raise TableError(file, 'no such file: put the reflector points beside the bag, or set '
                          'tracker.file')
     known = config.tracker
-    reflector = tracker.read(file, known.h0, known.h1)
+    reflector = tracker_estimate.read(file, known.h0, known.h1)
     sweep = sweep_from(recording.profiles, recording.poses, config, known.first_reading)
     session = _session(reflector, sweep, np.array(Table(file).text('kind')))
     return Input(session, recording.profiles[0].frame_id or 'laser',
@@ -89,7 +90,8 @@ def _session(reflector: jing2020.Tracker, sweep: Sweep, kinds: NDArray[np.str_])
 
 
 def _solve(data: Session, config: Config) -> Answer[Session]:
-    found = tracker.solve(data.reflector, data.sweep, config.tracker.noise, direction(config))
+    found = tracker_estimate.solve(data.reflector, data.sweep, config.tracker.noise,
+                                   direction(config))
     good = np.isin(np.arange(len(found.distances)), found.used)
     of, count = tracker_model.sources(data.of), len(data.samples)
     mine, total = of != NO_SAMPLE, np.bincount(of[of != NO_SAMPLE], minlength=count)

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, OnlyFromFilesError
-from handeye_ros.method import Method
+from handeye_ros.estimation.method import Method
 from handeye_ros.methods.line import LINE
 from handeye_ros.methods.plane import PLANE
 from handeye_ros.methods.plate import PLATE

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from handeye_ros import se3
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
-from handeye_ros.method import Observations
+from handeye_ros.estimation.method import Observations
 import numpy as np
 from numpy.typing import NDArray
 

@@ -16,8 +16,16 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
-from handeye_ros.faces import face_features
-from handeye_ros.method import Conditions, Estimate, Method, Observations, observed_points, UNUSED
+from handeye_ros.estimation.method import (
+    Conditions,
+    Estimate,
+    Method,
+    Observations,
+    observed_points,
+    UNUSED,
+)
+from handeye_ros.estimation.problem import points_at, Problem
+from handeye_ros.estimation.solve import best_of
 from handeye_ros.methods.common import (
     add_face,
     best_linear,
@@ -30,8 +38,7 @@ from handeye_ros.methods.common import (
     ObservationRows,
     some_stations,
 )
-from handeye_ros.problem import points_at, Problem
-from handeye_ros.solve import best_of
+from handeye_ros.profiles.faces import face_features
 import numpy as np
 from numpy.typing import NDArray
 

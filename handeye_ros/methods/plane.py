@@ -11,8 +11,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Feature, Sample
-from handeye_ros.faces import plane_features
-from handeye_ros.method import (
+from handeye_ros.estimation.method import (
     Conditions,
     Estimate,
     kind_unchanged,
@@ -20,6 +19,8 @@ from handeye_ros.method import (
     Observations,
     observed_points,
 )
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.solve import best_of
 from handeye_ros.methods.common import (
     add_face,
     best_linear,
@@ -30,8 +31,7 @@ from handeye_ros.methods.common import (
     ObservationRows,
     some_stations,
 )
-from handeye_ros.problem import Problem
-from handeye_ros.solve import best_of
+from handeye_ros.profiles.faces import plane_features
 import numpy as np
 from numpy.typing import NDArray
 

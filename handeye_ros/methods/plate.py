@@ -15,8 +15,15 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
-from handeye_ros.faces import face_features
-from handeye_ros.method import Conditions, Estimate, Method, Observations, observed_points, UNUSED
+from handeye_ros.estimation.method import (
+    Conditions,
+    Estimate,
+    Method,
+    Observations,
+    observed_points,
+    UNUSED,
+)
+from handeye_ros.estimation.problem import points_at
 from handeye_ros.methods.common import (
     add_face,
     collect,
@@ -26,7 +33,7 @@ from handeye_ros.methods.common import (
     some_stations,
 )
 from handeye_ros.methods.plane import guess as plane_guess
-from handeye_ros.problem import points_at
+from handeye_ros.profiles.faces import face_features
 import numpy as np
 from numpy.typing import NDArray
 

@@ -11,18 +11,19 @@ from dataclasses import replace
 from typing import Any
 
 from handeye_ros import se3
-from handeye_ros.arcs import arc_features, fit_circle
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Feature, Sample
-from handeye_ros.method import Conditions, Estimate, kind_unchanged, Method, Observations
-from handeye_ros.methods.common import (
-    collect,
-    GUESS_STATIONS,
-    ObservationRows,
-    some_stations,
+from handeye_ros.estimation.method import (
+    Conditions,
+    Estimate,
+    kind_unchanged,
+    Method,
+    Observations,
 )
-from handeye_ros.problem import Problem
-from handeye_ros.solve import best_of
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.solve import best_of
+from handeye_ros.methods.common import collect, GUESS_STATIONS, ObservationRows, some_stations
+from handeye_ros.profiles.arcs import arc_features, fit_circle
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation

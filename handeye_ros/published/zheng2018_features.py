@@ -14,7 +14,7 @@ maximum.
 from __future__ import annotations
 
 from handeye_ros.data import Array
-from handeye_ros.errors import TooFewError
+from handeye_ros.published.errors import TooFewError
 import numpy as np
 from scipy.ndimage import median_filter
 

@@ -18,11 +18,12 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from handeye_ros import config as configuration
-from handeye_ros import export, report
-from handeye_ros.errors import InputError, NodeError, RefusedError, UnwritableError
+from handeye_ros.errors import InputError, UnwritableError
+from handeye_ros.results import calibration_file, table
+from handeye_ros.results.truth_errors import errors_against
+from handeye_ros.results.truth_file import true_transform
+from handeye_ros.ros.errors import NodeError, RefusedError
 from handeye_ros.ros.executable import exit_code, ros
-from handeye_ros.truth import true_transform
-from handeye_ros.verify import errors_against
 import rclpy
 from rclpy.node import Node
 from rich.console import Console
@@ -59,11 +60,11 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
             client.call('save_calibration')
         path = out / 'calibration.yaml'
         os.replace(next(saved.glob('*/calibration.yaml')), path)
-    calibration = export.read_calibration(path)
+    calibration = calibration_file.read_calibration(path)
     terminal = sys.stdout.isatty()
-    Console(width=None if terminal else 160).print(report.table(calibration))
+    Console(width=None if terminal else 160).print(table.table(calibration))
     if T_true is not None:
-        print(report.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
+        print(table.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
     print(f'wrote {path}')
 
 

@@ -11,9 +11,9 @@ import time
 from typing import Any
 
 from handeye_ros.errors import InputError
-from handeye_ros.ros.contents import Raw
+from handeye_ros.ros.bags.contents import Raw
+from handeye_ros.ros.bags.storage import scan
 from handeye_ros.ros.executable import exit_code, ros
-from handeye_ros.ros.storage import scan
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher

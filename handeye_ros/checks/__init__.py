@@ -1,0 +1,1 @@
+"""What is refused and named: motion, conventions, moves, shape, misfit."""

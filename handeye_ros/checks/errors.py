@@ -1,0 +1,159 @@
+"""Why an answer is refused: motion, conventions, scale, scatter, moves."""
+from __future__ import annotations
+
+from handeye_ros.errors import DataError, degrees, mm
+
+
+class TooFewSamplesError(DataError):
+    """Fewer samples than the method needs."""
+
+    def __init__(self, method: str, usable: int, needed: int, lost: int, reason: str) -> None:
+        why = f' ({lost} stations gave none, most often: {reason})' if lost else ''
+        super().__init__(f'{usable} usable samples{why}; {method} needs at least {needed}: '
+                         'take more, with the laser across the target')
+
+
+class OneOrientationError(DataError):
+    """The robot never turned."""
+
+    def __init__(self, turn: float) -> None:
+        super().__init__(f'all poses share one orientation (within {turn * 57.3:.2f} degrees): '
+                         'the translation of the sensor cannot be told from the place of the '
+                         'target; tilt the tool by 15 degrees or more about two axes')
+
+
+class OneAxisError(DataError):
+    """The robot turned about one axis only."""
+
+    def __init__(self, axis: str, turn: float, others: str, lost: str) -> None:
+        super().__init__(f'all poses share one rotation axis ({axis}; they turn by '
+                         f'{turn * 57.3:.1f} degrees RMS about it): {lost}; tilt the tool by '
+                         f'15 degrees or more about {others}')
+
+
+class TooUncertainError(DataError):
+    """An answer that is less certain than the limits allow."""
+
+    @classmethod
+    def translation(cls, direction: str, std: float, limit: float, missing: str
+                    ) -> TooUncertainError:
+        """Return the error for a translation, metres."""
+        return cls(f'the position along {direction} is known only to {mm(std)} (1 sigma; '
+                   f'limits.translation is {mm(limit)}): {missing}')
+
+    @classmethod
+    def rotation(cls, axis: str, std: float, limit: float, missing: str) -> TooUncertainError:
+        """Return the error for a rotation, radians."""
+        return cls(f'the rotation about {axis} is known only to {degrees(std)} (1 sigma; '
+                   f'limits.rotation is {degrees(limit)}): {missing}')
+
+
+def missing_turn(axes: str, turn: float) -> str:
+    """Return what to do about poses that turn too little about some axes, by turn RMS (rad)."""
+    return (f'the poses turn only by {degrees(turn)} RMS about {axes}; tilt the tool by 15 '
+            'degrees or more, to both sides, about it')
+
+
+def missing_spread() -> str:
+    """Return what to do about poses that turn enough."""
+    return ('take more samples, with the target all over the field of view (near, far, left, '
+            'right), at different tilts each')
+
+
+class InconsistentError(DataError):
+    """Residuals too large for any trusted answer."""
+
+    def __init__(self, residual: float, limit: float) -> None:
+        super().__init__(f'samples and poses contradict each other by {mm(residual)} RMS '
+                         f'(limits.residual is {mm(limit)}), and no usual slip explains it: '
+                         'check the poses (frames, convention, units), target.type and '
+                         'profile.unit, profile.axes, profile.range_sign')
+
+
+class MovedError(DataError):
+    """Target, sensor or tool frame changed in the middle of a recording."""
+
+    @classmethod
+    def sensor(cls, station: int, total: int, distance: float, turn: float, frame: str
+               ) -> MovedError:
+        """Return the error for a sensor that moved in a frame of the robot (metres, radians)."""
+        return cls(f'{_parted(station, total)}: in between, the sensor moved in {frame} by '
+                   f'{mm(distance)} and {degrees(turn)}, or {frame} became another frame (tool '
+                   'or base of the robot switched); take all samples with the same')
+
+    @classmethod
+    def target(cls, station: int, total: int, frame: str) -> MovedError:
+        """Return the error for a target that moved in a frame of the robot."""
+        return cls(f'{_parted(station, total)}: in between, the target moved in {frame}, or '
+                   f'{frame} became another frame (tool or base of the robot switched); fix the '
+                   'target, and take all samples with the same')
+
+
+def _parted(station: int, total: int) -> str:
+    return (f'the first {station} samples agree among themselves, and so do the other '
+            f'{total - station}, but not with each other')
+
+
+class ScatteredOrientationsError(DataError):
+    """Orientations that no tool takes that keeps a target in sight."""
+
+    def __init__(self, residual: float) -> None:
+        super().__init__(f'samples and poses contradict each other by {mm(residual)} RMS, and '
+                         'the orientations of the poses point all over, as they do when angles '
+                         'in degrees are taken for radians: convert the angles of the poses')
+
+
+class ScatterError(DataError):
+    """Residuals far larger than the configured noise."""
+
+    def __init__(self, residual: float, expected: float, limit: float) -> None:
+        times = residual / expected
+        beyond = f' (limits.scatter is {limit:g})' if times > limit else ', far beyond chance'
+        super().__init__(f'the residuals of {mm(residual)} RMS are {times:.1f} times what the '
+                         f'configured noise makes{beyond}: something other than noise is in '
+                         'them; check profile.range_sign, '
+                         'profile.axes and target.type, or raise noise.* if the robot or the '
+                         'sensor really is that inaccurate')
+
+
+class RangeSignError(DataError):
+    """A range counted the wrong way."""
+
+    def __init__(self, sign: int, before: float, after: float) -> None:
+        super().__init__(f'the samples do not fit, but with profile.range_sign {sign} the '
+                         f'residual falls from {mm(before)} to {mm(after)}: set it so')
+
+
+class ScaleError(DataError):
+    """Lengths of robot and sensor that differ."""
+
+    def __init__(self, scale: float, std: float) -> None:
+        super().__init__(f'the lengths of robot and sensor differ by {100 * scale:.2f} +- '
+                         f'{100 * std:.2f} %: one of them is scaled wrongly; measure a known '
+                         'length with each, and mend its unit or its calibration')
+
+
+class LeftOutError(DataError):
+    """Stations that the others do not predict."""
+
+    def __init__(self, left_out: float, limit: float) -> None:
+        super().__init__(f'samples miss by {mm(left_out)} RMS what the others predict '
+                         f'(limits.residual is {mm(limit)}): too few samples, or some are '
+                         'wrong; take more')
+
+
+class SlipError(DataError):
+    """A wrong pose convention that was recognised."""
+
+    def __init__(self, slip: str, before: float, after: float, advice: str) -> None:
+        super().__init__(f'the poses do not fit, but with {slip} the residual falls from '
+                         f'{mm(before)} to {mm(after)}: {advice}')
+
+
+class ContradictingStationsError(DataError):
+    """Too many stations do not fit the answer of the others."""
+
+    def __init__(self, dropped: int, total: int) -> None:
+        super().__init__(f'{dropped} of {total} stations contradict the others: no answer can '
+                         'be trusted; check that target and sensor are fixed and that the '
+                         'laser crosses only the target')

@@ -1,0 +1,86 @@
+"""By how much samples and poses contradict an answer, and what is refused for it."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from handeye_ros.checks.errors import ContradictingStationsError, InconsistentError, ScatterError
+from handeye_ros.checks.moved import require_unmoved
+from handeye_ros.checks.shape import require_not_only_scale
+from handeye_ros.config import LimitsConfig
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.robust import Consensus
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.weights import covariances, groups
+import numpy as np
+
+SUSPICIOUS = 9.0  # variance factor from which something other than noise is looked for
+WILD, WILD_RATIO = 40.0, 4.0  # variance factor and residual over noise that no robot explains
+LARGEST_DROPPED_SHARE = 0.34
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """By how much samples contradict an answer: RMS and expected RMS (m), share dropped."""
+
+    rms: float
+    expected: float
+    share: float
+    variance_factor: float
+    limits: LimitsConfig
+
+    @property
+    def wild(self) -> bool:
+        """Return whether the residuals are more than any noise."""
+        return self.rms > self.limits.scatter * self.expected or (
+            self.variance_factor > WILD and self.rms > WILD_RATIO * self.expected)
+
+    @property
+    def hopeless(self) -> bool:
+        """Return whether there can be no answer."""
+        return (self.share > LARGEST_DROPPED_SHARE or self.rms > self.limits.residual
+                or self.wild)
+
+
+def misfit_of(problem: Problem, agreed: Consensus) -> Misfit:
+    """Return by how much the samples of a problem contradict what they agree on."""
+    return Misfit(residual_rms(agreed.solution), expected_rms(agreed.solution),
+                  dropped_share(problem, agreed), agreed.solution.variance_factor,
+                  problem.config.limits)
+
+
+def require_consistent(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> None:
+    """
+    Refuse an answer that samples or poses contradict.
+
+    Raises MovedError, ScaleError, InconsistentError, ContradictingStationsError or
+    ScatterError.
+    """
+    misfit = misfit_of(problem, agreed)
+    if misfit.hopeless:
+        require_unmoved(problem, agreed, rng)
+    if misfit.hopeless or misfit.variance_factor > SUSPICIOUS:
+        require_not_only_scale(agreed.solution)
+    if misfit.rms > misfit.limits.residual:
+        raise InconsistentError(misfit.rms, misfit.limits.residual)
+    if misfit.share > LARGEST_DROPPED_SHARE:
+        raise ContradictingStationsError(len(agreed.dropped), len(problem.poses))
+    if misfit.wild:
+        raise ScatterError(misfit.rms, misfit.expected, misfit.limits.scatter)
+
+
+def dropped_share(problem: Problem, agreed: Consensus) -> float:
+    """Return the share of stations that do not fit."""
+    return len(agreed.dropped) / len(problem.poses)
+
+
+def residual_rms(solution: Solution) -> float:
+    """Return the RMS of the plain residuals of a solution (m)."""
+    return float(np.sqrt((solution.linear.residuals ** 2).mean()))
+
+
+def expected_rms(solution: Solution) -> float:
+    """Return the RMS of the plain residuals that the configured noise makes (m)."""
+    variances = [np.einsum('nii->ni', part).ravel()
+                 for rows in groups(solution.problem.observations.station)
+                 for part in covariances(solution.problem, solution.linear, rows)]
+    return float(np.sqrt(np.concatenate(variances).sum() / len(solution.white)))

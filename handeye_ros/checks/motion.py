@@ -1,0 +1,133 @@
+"""What a recording can and cannot say: motions that are missing, in the user's terms."""
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from handeye_ros.checks.errors import (
+    missing_spread,
+    missing_turn,
+    OneAxisError,
+    OneOrientationError,
+    TooFewSamplesError,
+    TooUncertainError,
+)
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Reject, Sample
+from handeye_ros.estimation.method import Method
+from handeye_ros.estimation.solve import Solution
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+ENOUGH_TURN = 0.12  # rad: RMS about the second axis, of tilts to both sides by 12 degrees
+SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
+
+
+def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], method: Method) -> None:
+    """Raise TooFewSamplesError when there are fewer samples than the method needs."""
+    if len(samples) < method.minimum:
+        reasons = [reason for reason, _ in Counter(r.reason for r in rejects).most_common()]
+        raise TooFewSamplesError(method.name, len(samples), method.minimum, len(rejects),
+                                 reasons[0] if reasons else '')
+
+
+def mount_frame(config: Config) -> str:
+    """Return the frame that the sensor is fixed in, in which its transform is told."""
+    in_hand = config.calibration_type == 'eye_in_hand'
+    return config.robot_effector_frame if in_hand else config.robot_base_frame
+
+
+def target_frame(config: Config) -> str:
+    """Return the frame that the target is fixed in."""
+    in_hand = config.calibration_type == 'eye_in_hand'
+    return config.robot_base_frame if in_hand else config.robot_effector_frame
+
+
+def require_rotations(poses: Array, config: Config, lost: str) -> None:
+    """
+    Refuse poses (n, 4, 4) that turn about no axis, or about only one.
+
+    lost: what turns about one axis leave open.
+    Raises OneOrientationError and OneAxisError.
+    """
+    turns, axes = turning(poses)
+    frame = mount_frame(config)
+    if turns[0] < SMALLEST_TURN:
+        raise OneOrientationError(float(turns[0]))
+    if turns[1] < SMALLEST_TURN:
+        raise OneAxisError(name_direction(axes[0], frame), float(turns[0]),
+                           other_axes(axes[0], frame), lost)
+
+
+def turning(poses: Array) -> tuple[Array, Array]:
+    """
+    Return how far poses (n, 4, 4) turn (3,), RMS in rad, and about which axes (3, 3).
+
+    Largest first; the axes are the rows, in the frame that the sensor is fixed in.
+    """
+    rotations = Rotation.from_matrix(poses[:, :3, :3])
+    vectors = (rotations.mean().inv() * rotations).as_rotvec()
+    _, s, axes = np.linalg.svd(vectors - vectors.mean(axis=0), full_matrices=True)
+    turns = np.zeros(3)
+    turns[:len(s)] = s / len(poses) ** 0.5
+    return turns, axes
+
+
+def name_direction(direction: Array, frame: str) -> str:
+    """Return a direction (3,) as a person would say it: the nearest axis and how near."""
+    axis = int(np.argmax(np.abs(direction)))
+    away = np.degrees(np.arccos(min(1.0, abs(direction[axis]) / np.linalg.norm(direction))))
+    if away < 15:
+        return f'{frame} {"xyz"[axis]} within {max(1, round(away + 0.5))} degrees'
+    text = ', '.join(f'{c:.2f}' for c in direction / np.linalg.norm(direction))
+    return f'the direction ({text}) of {frame}'
+
+
+def other_axes(direction: Array, frame: str) -> str:
+    """Return the two axes of a frame that are most across a direction."""
+    names = [name for _, name in sorted(zip(np.abs(direction), 'xyz', strict=True))]
+    return f'{frame} {" or ".join(sorted(names[:2]))}'
+
+
+def weakest(solution: Solution, frame: str) -> tuple[str, float]:
+    """Return the least certain direction of the transform, in words, and its 1 sigma."""
+    t_std, t_direction = worst_translation(solution.stated)
+    return f'position along {name_direction(t_direction, frame)} (m)', t_std
+
+
+def worst_translation(covariance: Array) -> tuple[float, Array]:
+    """Return the largest 1 sigma of the translation (m) and its direction."""
+    values, vectors = np.linalg.eigh(covariance[:3, :3])
+    return float(np.sqrt(values[2])), vectors[:, 2]
+
+
+def worst_rotation(covariance: Array) -> tuple[float, Array]:
+    """Return the largest 1 sigma of the rotation (rad) and its axis."""
+    values, vectors = np.linalg.eigh(covariance[3:6, 3:6])
+    return float(np.sqrt(values[2])), vectors[:, 2]
+
+
+def require_certain(solution: Solution, config: Config) -> None:
+    """
+    Refuse a solution that is less certain than the limits.
+
+    Raises TooUncertainError, which names the direction and the motion that is missing.
+    """
+    limits, frame = config.limits, mount_frame(config)
+    turn_std, axis = worst_rotation(solution.stated)
+    if turn_std > limits.rotation:
+        raise TooUncertainError.rotation(name_direction(axis, frame), turn_std, limits.rotation,
+                                         missing_motion(solution.problem.poses, frame))
+    shift_std, direction = worst_translation(solution.stated)
+    if shift_std > limits.translation:
+        raise TooUncertainError.translation(name_direction(direction, frame), shift_std,
+                                            limits.translation,
+                                            missing_motion(solution.problem.poses, frame))
+
+
+def missing_motion(poses: Array, frame: str) -> str:
+    """Return what poses (n, 4, 4) should do that they do too little, in words."""
+    turns, axes = turning(poses)
+    if turns[1] > ENOUGH_TURN:
+        return missing_spread()
+    return missing_turn(name_direction(axes[1], frame), float(turns[1]))

@@ -1,0 +1,1 @@
+"""One least squares for all targets: problem, weights, robust start, noise."""

@@ -1,0 +1,88 @@
+"""
+What is to be solved, and its residuals and derivatives at an estimate.
+
+A condition g(p) = 0 holds for a point of the sensor plane s = (x, 0, z) carried to the base,
+p = R_i (X s) + a_i.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array
+from handeye_ros.estimation.method import Estimate, Method, Observations
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is to be solved: T_base_flange (n, 4, 4), observations of them, and settings."""
+
+    method: Method
+    poses: Array
+    observations: Observations
+    config: Config
+
+    @property
+    def columns(self) -> NDArray[np.intp]:
+        """Return the columns of the Jacobian that are unknown."""
+        free = self.method.free(self.config)
+        return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
+
+    def subset(self, stations: NDArray[np.intp]) -> Problem:
+        """Return the problem with only the given stations (ascending indices)."""
+        obs = self.observations
+        keep = np.isin(obs.station, stations)
+        fewer = obs.select(keep)
+        renumbered = np.searchsorted(stations, fewer.station)
+        return replace(self, poses=self.poses[stations],
+                       observations=replace(fewer, station=renumbered))
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Residuals (m,), their Jacobian (m, 6 + k) and what the errors do to them."""
+
+    residuals: Array
+    jacobian: Array
+    by_pose: Array  # (m, 6) derivative by the pose's error, base frame, about the flange
+    by_feature: Array  # (m, 2) derivative by the feature's unit errors
+    by_point: Array  # (m, 2) derivative by the point of the sensor plane
+
+
+def points_at(observations: Observations, poses: Array, X: Array) -> Array:
+    """Return the observed points (m, 3) in the base frame, of poses (n, 4, 4) and X (4, 4)."""
+    in_mount = observations.points @ X[:3, [0, 2]].T + X[:3, 3]
+    T = poses[observations.station]
+    return np.asarray(np.einsum('mij,mj->mi', T[:, :3, :3], in_mount) + T[:, :3, 3])
+
+
+def points_in_base(problem: Problem, X: Array) -> Array:
+    """Return the observed points (m, 3) of a problem in the base frame."""
+    return points_at(problem.observations, problem.poses, X)
+
+
+def linearise(problem: Problem, estimate: Estimate) -> Linear:
+    """Return residuals and derivatives at an estimate."""
+    obs, X = problem.observations, estimate.X
+    T = problem.poses[obs.station]
+    R = T[:, :3, :3]
+    lever = obs.points @ X[:3, [0, 2]].T
+    from_flange = np.einsum('mij,mj->mi', R, lever + X[:3, 3])
+    conditions = problem.method.conditions(from_flange + T[:, :3, 3], obs.kind, estimate.target,
+                                           problem.config)
+    g_base = conditions.dg_dp
+    g_mount = np.einsum('mji,mj->mi', R, g_base)
+    jacobian = np.hstack([g_mount, se3.cross(lever, g_mount), conditions.dg_dtarget])
+    by_pose = np.hstack([g_base, se3.cross(from_flange, g_base)])
+    by_point = g_mount @ X[:3, [0, 2]]
+    by_feature = np.einsum('mi,mij->mj', by_point, obs.noise)
+    return Linear(conditions.g, jacobian, by_pose, by_feature, by_point)
+
+
+def cost(problem: Problem, estimate: Estimate) -> float:
+    """Return the sum of squared plain residuals."""
+    g = linearise(problem, estimate).residuals
+    return float(g @ g)

@@ -1,0 +1,160 @@
+"""Least squares over the transform and the target, the same for every method."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.estimation.method import Estimate
+from handeye_ros.estimation.problem import cost, Linear, linearise, Problem
+from handeye_ros.estimation.weights import groups, Noise, Whitening, whitening
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_ITERATIONS = 50
+LARGEST_STD = 1e3  # stands for infinity (m or rad)
+FIRST_DAMPING, DAMPING_FACTOR, MAX_DAMPINGS = 1e-4, 30.0, 8
+COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on after them
+CONVERGED = 1e-8  # step length in sigmas
+ROUNDING_OF_COST = 1e-9  # relative; whitened residuals are differences of large numbers
+NEAR = 1e-6  # that of a start (m)
+
+
+def move(problem: Problem, estimate: Estimate, step: Array) -> Estimate:
+    """Return the estimate moved by a step in the unknown columns."""
+    delta = np.zeros(6 + len(problem.method.labels))
+    delta[problem.columns] = step
+    return Estimate(se3.perturb(estimate.X, delta[:6]),
+                    problem.method.retract(estimate.target, delta[6:]))
+
+
+def least_squares(problem: Problem, start: Estimate, noise: Noise | None = None,
+                  weights: Array | None = None, iterations: int = MAX_ITERATIONS,
+                  converged: float = CONVERGED) -> Estimate:
+    """
+    Return the estimate with the least squared whitened residuals (Levenberg-Marquardt).
+
+    noise: None for plain residuals, which is best far from the solution; weights: (n,) of the
+    stations' squared residuals; converged: a step that changes the residuals by less ends it.
+    """
+    columns, station = problem.columns, problem.observations.station
+    root = np.ones(len(station)) if weights is None else np.sqrt(weights)[station]
+    damping, estimate, linear = FIRST_DAMPING, start, linearise(problem, start)
+    for _ in range(iterations):
+        white = whitening(problem, linear, noise) if noise else Whitening((), ())
+        r = white(linear.residuals) * root
+        J = white(linear.jacobian[:, columns]) * root[:, None]
+        cost_now = float(r @ r)
+        for _attempt in range(MAX_DAMPINGS):
+            step = _damped_step(J, r, damping)
+            moved = move(problem, estimate, step)
+            moved_linear = linearise(problem, moved)
+            cost_moved = ((white(moved_linear.residuals) * root) ** 2).sum()
+            if cost_moved <= cost_now * (1 + ROUNDING_OF_COST):
+                break
+            damping *= DAMPING_FACTOR
+        else:
+            return estimate
+        estimate, linear, damping = moved, moved_linear, max(damping / DAMPING_FACTOR**2, 1e-15)
+        if np.linalg.norm(J @ step) < converged * (1.0 + np.linalg.norm(r)):
+            break
+    return estimate
+
+
+def best_of(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
+    """
+    Return the estimates that the starts lead to, best first, poor ones given up early.
+
+    Plain residuals decide: far from the solution they say more than whitened ones.
+    """
+    survivors = list(starts)
+    for iterations, kept in COMPETITION:
+        survivors = [least_squares(problem, start, iterations=iterations, converged=NEAR)
+                     for start in survivors]
+        survivors = sorted(survivors, key=lambda estimate: cost(problem, estimate))[:kept]
+    return survivors
+
+
+def _damped_step(J: Array, r: Array, damping: float) -> Array:
+    """Return the step of Levenberg and Marquardt, its damping relative to each column."""
+    scale = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+    A = (J / scale).T @ (J / scale)
+    step = np.linalg.solve(A + damping * np.eye(len(A)), (J / scale).T @ r)
+    return np.asarray(-step / scale)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """
+    An estimate with what the data says of it.
+
+    white: whitened residuals (m,); jacobian: whitened (m, u), u unknowns, X's six first;
+    covariance: (u, u) of independent errors, infinite variances cut at LARGEST_STD; stated:
+    (u, u) what is told of the uncertainty.
+    """
+
+    problem: Problem
+    estimate: Estimate
+    noise: Noise
+    linear: Linear
+    white: Array
+    jacobian: Array
+    covariance: Array
+    stated: Array
+
+    @property
+    def variance_factor(self) -> float:
+        """Return the squared whitened residual per degree of freedom."""
+        return float(self.white @ self.white / max(self.degrees_of_freedom, 1))
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Return the number of conditions less the number of unknowns."""
+        return len(self.white) - int(self.jacobian.shape[1])
+
+    @property
+    def target_std(self) -> Array:
+        """Return 1 sigma (k,) of the target's parameters, 0 of those that were given."""
+        std = np.zeros(len(self.problem.method.labels))
+        std[self.problem.columns[6:] - 6] = np.sqrt(np.diag(self.stated)[6:])
+        return std
+
+
+def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
+    """Return the solution that an estimate is, with its covariance."""
+    linear = linearise(problem, estimate)
+    white = whitening(problem, linear, noise)
+    r, J = white(linear.residuals), white(linear.jacobian[:, problem.columns])
+    _, s, Vt = np.linalg.svd(J, full_matrices=False)
+    root = Vt / np.maximum(s, 1 / LARGEST_STD)[:, None]
+    covariance = root.T @ root
+    return Solution(problem, estimate, noise, linear, r, J, covariance, covariance)
+
+
+def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
+    """
+    Return for each station its squared deleted residual and the number of its conditions.
+
+    The deleted residual is that against the solution without the station, to first order;
+    squared and whitened it is chi-squared distributed when the station is good.
+    """
+    obs = solution.problem.observations
+    n = len(solution.problem.poses)
+    chi2, count = np.zeros(n), np.bincount(obs.station, minlength=n)
+    for rows in groups(obs.station):
+        r, J = solution.white[rows], solution.jacobian[rows]
+        H = J @ solution.covariance @ np.swapaxes(J, 1, 2)
+        deleted = np.linalg.solve(np.eye(H.shape[1]) - H + 1e-9 * np.eye(H.shape[1]),
+                                  r[..., None])
+        chi2[obs.station[rows[:, 0]]] = np.einsum('ni,nij->n', r, deleted)
+    return chi2, count
+
+
+def without(solution: Solution, stations: NDArray[np.intp]) -> Estimate:
+    """Return the estimate from all stations but the given ones, to first order."""
+    left_out = np.isin(solution.problem.observations.station, stations)
+    J, r = solution.jacobian, solution.white
+    information = J[~left_out].T @ J[~left_out]
+    step = np.linalg.lstsq(information, J[left_out].T @ r[left_out], rcond=1e-14)[0]
+    return move(solution.problem, solution.estimate, np.asarray(step))

@@ -1,0 +1,101 @@
+"""
+What the noise makes of the residuals: their covariances, and the map that makes them white.
+
+The error of a condition has two parts: the feature's own, and that of the station's pose, which
+all observations of the station share. Both are whitened together.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from handeye_ros.data import Array
+from handeye_ros.estimation.problem import Linear, Problem
+import numpy as np
+from numpy.typing import NDArray
+
+SMALLEST_STD = 1e-9  # of a feature without any noise, which would weigh infinitely (m)
+DISTORTION_LENGTH = 0.01  # over which the error of a sensor's field is alike (m)
+ROUNDING = 1e-12  # keeps a covariance invertible that one pose error rules
+
+
+@dataclass(frozen=True)
+class Noise:
+    """
+    Scale factors on the configured variances.
+
+    sensor: on the features' own; distortion: on the smooth error of the sensor's field;
+    robot: on the pose noise.
+    """
+
+    sensor: float = 1.0
+    distortion: float = 1.0
+    robot: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """
+    Per group of stations with equally many observations: their rows and inverse factors.
+
+    Without groups it leaves values as they are.
+    """
+
+    rows: tuple[NDArray[np.intp], ...]
+    factors: tuple[Array, ...]
+
+    def __call__(self, values: Array) -> Array:
+        """Return (m, ...) values with unit covariance."""
+        white = values.copy()
+        for rows, factor in zip(self.rows, self.factors, strict=True):
+            flat = values[rows].reshape(*rows.shape, -1)
+            white[rows] = (factor @ flat).reshape(values[rows].shape)
+        return white
+
+
+def groups(station: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
+    """Return arrays (stations, count) of rows, one for each count of rows per station."""
+    _, first, count = np.unique(station, return_index=True, return_counts=True)
+    return tuple(first[count == c, None] + np.arange(c) for c in np.unique(count))
+
+
+def covariances(problem: Problem, linear: Linear, rows: NDArray[np.intp]) -> tuple[Array, ...]:
+    """
+    Return covariances, (stations, c, c), of the residuals: from features, distortion, poses.
+
+    The distortion of a sensor is smooth: points near each other in its plane share it.
+    """
+    obs, noise = problem.observations, problem.config.noise
+    source = obs.source[rows]
+    H = linear.by_feature[rows]
+    shared = source[:, :, None] == source[:, None, :]
+    feature = (H @ np.swapaxes(H, 1, 2)) * shared + SMALLEST_STD ** 2 * np.eye(rows.shape[1])
+    distortion = _distortion(obs.points[rows], linear.by_point[rows], noise.distortion)
+    G = linear.by_pose[rows] * np.repeat([noise.robot_translation, noise.robot_rotation], 3)
+    return feature, distortion, G @ np.swapaxes(G, 1, 2)
+
+
+def _distortion(points: Array, by_point: Array, sigma: float) -> Array:
+    """Return the covariances (n, c, c) of a smooth field at points (n, c, 2)."""
+    if not sigma:
+        return np.zeros((*points.shape[:2], points.shape[1]))
+    apart = points[:, :, None] - points[:, None, :]
+    near = np.exp(-0.5 * (apart ** 2).sum(axis=3) / DISTORTION_LENGTH ** 2)
+    return np.asarray(sigma ** 2 * near * (by_point @ np.swapaxes(by_point, 1, 2)))
+
+
+def whitening(problem: Problem, linear: Linear, noise: Noise) -> Whitening:
+    """Return the map to residuals of unit covariance."""
+    rows = groups(problem.observations.station)
+    factors = []
+    for group in rows:
+        parts = covariances(problem, linear, group)
+        scales = (noise.sensor, noise.distortion, noise.robot)
+        factors.append(inverse_roots(np.tensordot(scales, np.array(parts), 1)))
+    return Whitening(rows, tuple(factors))
+
+
+def inverse_roots(covariance: Array) -> Array:
+    """Return the whitening factors (n, c, c) of covariances (n, c, c)."""
+    size = np.einsum('nii->n', covariance)[:, None, None]
+    regular = covariance + ROUNDING * size * np.eye(covariance.shape[1])
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(regular)))

@@ -1,0 +1,103 @@
+"""
+A X = X B: how measured poses differ from those that X and the fixed target Z predict, and why.
+
+T (n, 4, 4) is the mount of the camera in the frame where the target is fixed: T_base_flange, or
+with eye_on_base its inverse. A state is X and Z.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.estimation.adjust import Model
+import numpy as np
+
+MINIMUM = 3
+SMALLEST_NOISE = 1e-12
+
+State: TypeAlias = tuple[Array, Array]
+
+
+@dataclass(frozen=True)
+class PoseNoise:
+    """
+    1 sigma of each axis: of the target's pose as seen (camera frame), and of the robot's.
+
+    Where it is estimated, target_translation holds that of both, which look alike.
+    """
+
+    target_translation: float
+    target_rotation: float
+    robot_translation: float = 0.0
+    robot_rotation: float = 0.0
+
+
+def residuals(T: Array, T_camera_target: Array, state: State) -> Array:
+    """Return the (n, 6) differences of measured and predicted views, in the camera frame."""
+    X, Z = state
+    predicted = se3.inverse(T @ X) @ Z
+    turned = T_camera_target[:, :3, :3] @ np.swapaxes(predicted[:, :3, :3], 1, 2)
+    return np.concatenate([T_camera_target[:, :3, 3] - predicted[:, :3, 3],
+                           se3.log_rotation(turned)], axis=1)
+
+
+def derivatives(T: Array, state: State, eye_on_base: bool = False) -> tuple[Array, Array]:
+    """
+    Return the derivatives of the residuals by X and Z (n, 6, 12), and by the poses (n, 6, 6).
+
+    A pose errs by a shift and a turn about the flange, along the axes of T's parent.
+    """
+    X, Z = state
+    to_camera = np.swapaxes(T[:, :3, :3] @ X[:3, :3], 1, 2)
+    in_mount = se3.apply(se3.inverse(T), Z[None, :3, 3])[:, 0]
+    J, G = np.zeros((len(T), 6, 12)), np.zeros((len(T), 6, 6))
+    R_t = X[:3, :3].T
+    J[:, :3, :3], J[:, :3, 3:6] = R_t, -R_t @ se3.skew(in_mount - X[:3, 3])
+    J[:, 3:, 3:6] = R_t
+    J[:, :3, 6:9], J[:, 3:, 9:] = -to_camera, -to_camera
+    G[:, :3, :3], G[:, 3:, 3:] = to_camera, to_camera
+    flange = 0.0 if eye_on_base else T[:, :3, 3]
+    G[:, :3, 3:] = -to_camera @ se3.skew(Z[:3, 3] - flange)
+    return J, G
+
+
+def factors(T: Array, state: State, noise: PoseNoise, eye_on_base: bool) -> Array:
+    """Return the roots (n, 6, 6), by Cholesky, of the covariances of the residuals."""
+    _, G = derivatives(T, state, eye_on_base)
+    G = G * np.repeat([noise.robot_translation, noise.robot_rotation], 3)
+    own = np.repeat([noise.target_translation, noise.target_rotation], 3)
+    return np.linalg.cholesky(G @ np.swapaxes(G, 1, 2) + np.diag(own ** 2))
+
+
+def model(T: Array, T_camera_target: Array, noise: PoseNoise, eye_on_base: bool
+          ) -> Model[State]:
+    """Return what is to be adjusted: X and Z, to the residuals of all poses."""
+    def blocks(state: State) -> tuple[Array, Array]:
+        inverse = np.linalg.inv(factors(T, state, noise, eye_on_base))
+        r = residuals(T, T_camera_target, state)
+        return (inverse @ r[..., None])[..., 0], inverse @ derivatives(T, state)[0]
+
+    def retract(state: State, step: Array) -> State:
+        return se3.perturb(state[0], step[:6]), se3.perturb(state[1], step[6:])
+    return Model(blocks, retract, MINIMUM)
+
+
+def causes(T: Array, state: State, eye_on_base: bool) -> Array:
+    """
+    Return what unit variances do to the residuals, (3, n, 6, 6).
+
+    Of translation, of the target's rotation, of the robot's, which shifts the target too. The
+    translations of target and robot have the same effect: they are one.
+    """
+    own = np.broadcast_to(np.eye(6), (len(T), 6, 6))
+    by_turn = derivatives(T, state, eye_on_base)[1][:, :, 3:]
+    return np.array([own * ([1] * 3 + [0] * 3), own * ([0] * 3 + [1] * 3),
+                     by_turn @ np.swapaxes(by_turn, 1, 2)])
+
+
+def noise_of(variances: Array) -> PoseNoise:
+    """Return the noise that the variances (3,) of the causes are."""
+    shift, turn, robot_turn = np.maximum(np.sqrt(variances), SMALLEST_NOISE).tolist()
+    return PoseNoise(shift, turn, robot_rotation=robot_turn)

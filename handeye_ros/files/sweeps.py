@@ -1,0 +1,151 @@
+"""
+The sweep of a profiler over ball and block, from profiles and poses to points (Jing 2020).
+
+The flange moves along a line without turning. Profiles that show two faces which meet in a ridge
+are of the block, those that show an arc of the ball; all others are passed over.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Arc, Array, Profile, TimedPose
+from handeye_ros.files.errors import DegenerateError
+from handeye_ros.files.tracker_model import Sweep, SWEPT
+from handeye_ros.profiles.arcs import arc_features
+from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.profiles.segment import noise_level, Segment, straight_segments
+from handeye_ros.sampling.stations import interpolate
+import numpy as np
+
+NAME = 'the sweep over ball and block'
+RIDGE_ANGLE = 0.35  # at which two pieces are faces that meet (rad)
+SHARE = 0.6  # of the points of a profile that the two faces hold together, or the arc
+STRAIGHT = 1.5  # scatter of a straight face over the noise; pieces of an arc have more
+STEEP = 0.5  # cosine of the angle of incidence from which a point of the ball is used
+END = 0.1  # of a face left out at either end, where mixed points are
+SHARES = 12  # mean points that stand for a face in one profile
+LARGEST_TURN = 2e-3  # of a flange that only moves along a line (rad)
+LARGEST_ASIDE = 2e-4  # of its way (m, RMS)
+SMALLEST_WAY = 0.02
+FEWEST_PROFILES = 5
+
+
+def sweep_from(profiles: Sequence[Profile], poses: Sequence[TimedPose], config: Config,
+               q3_first: float, q30: float | None = None) -> Sweep:
+    """
+    Return the points of a sweep.
+
+    profiles, poses: in the order of their stamps; q3_first: the reading of P3 at the first pose,
+    q30: that at which the flange is taken (m), the middle of all when not given. config:
+    noise.sensor, target.radius of the ball (0: unknown), sampling.min_points. Raises
+    DegenerateError.
+    """
+    first, last = poses[0].stamp, poses[-1].stamp
+    inside = [p for p in profiles if first <= p.stamp <= last]
+    if not inside:
+        raise DegenerateError(NAME, 'no profile lies within the time of the poses',
+                              'record both together')
+    ways = q3_first + _ways(interpolate(poses, [first, *(p.stamp for p in inside)]))
+    found = _found(inside, ways, config)
+    parts = {name: np.concatenate([rows for _, rows in found[name]]) for name in SWEPT}
+    stamps = {name: np.concatenate([np.full(len(rows), stamp) for stamp, rows in found[name]])
+              for name in SWEPT}
+    middle = float(ways.min() + ways.max()) / 2
+    return Sweep(**parts, q30=middle if q30 is None else q30, stamps=stamps)
+
+
+def _found(profiles: Sequence[Profile], ways: Array, config: Config
+           ) -> dict[str, list[tuple[int, Array]]]:
+    """Return for each part of the sweep the stamps and the rows of the profiles that show it."""
+    found: dict[str, list[tuple[int, Array]]] = {name: [] for name in SWEPT}
+    arcs: list[tuple[int, float, Arc]] = []
+    for profile, q3 in zip(profiles, ways, strict=True):
+        faces, points = ridge(profile.points, config), profile.points
+        if faces:
+            for name, segment in zip(SWEPT[1:], faces, strict=True):
+                rows = _at(q3, *_face_points(segment, points))
+                found[name].append((profile.stamp, rows))
+        elif arc := _arc(points, config):
+            arcs.append((profile.stamp, float(q3), arc))
+    found['ball'] = _ball(arcs, config.target.radius)
+    for what, name in (('ball', 'ball'), ('block', 'face_c')):
+        if len(found[name]) < FEWEST_PROFILES:
+            raise DegenerateError(NAME, f'{len(found[name])} profiles show the {what}',
+                                  f'sweep over it slowly, at least {FEWEST_PROFILES} profiles')
+    return found
+
+
+def _ways(T: Array) -> Array:
+    """Return how far (n - 1,) poses (n, 4, 4) are from the first, along the flange's z."""
+    turn = float(np.max(se3.angle(T[:, :3, :3] @ T[0, :3, :3].T)))
+    if turn > LARGEST_TURN:
+        raise DegenerateError(NAME, f'the flange turns by {np.degrees(turn):.2f} degrees',
+                              'move P3 alone')
+    moved = (T[:, :3, 3] - T[0, :3, 3]) @ T[0, :3, :3]
+    aside = float(np.sqrt((moved[:, :2] ** 2).sum(axis=1).mean()))
+    if np.ptp(moved[:, 2]) < SMALLEST_WAY or aside > LARGEST_ASIDE:
+        raise DegenerateError(
+            NAME, f'the flange moves {np.ptp(moved[:, 2]) * 1e3:.1f} mm along its z, and '
+            f'{aside * 1e3:.2f} mm aside', 'move P3 alone, over ball and block; the flange '
+            'frame has z along P3')
+    return np.asarray(moved[1:, 2])
+
+
+def ridge(points: Array, config: Config) -> tuple[Segment, Segment] | None:
+    """Return the two faces of a block in a profile (n, 2), that at smaller x first, or None."""
+    segments = straight_segments(points, config.noise.sensor, config.sampling.min_points)
+    if len(segments) < 2:
+        return None
+    two = sorted(segments, key=lambda s: -len(s.rows))[:2]
+    left, right = sorted(two, key=lambda s: float(points[s.rows, 0].mean()))
+    seen = np.isfinite(points).all(axis=1)
+    noise = max(noise_level(points[seen, 1], config.noise.sensor), config.noise.sensor)
+    bend = (np.arctan(left.slope) - np.arctan(right.slope)) * config.profile.range_sign
+    x = (right.offset - left.offset) / (left.slope - right.slope) if bend else np.inf
+    between = points[left.rows, 0].mean() < x < points[right.rows, 0].mean()
+    enough = len(left.rows) + len(right.rows) >= SHARE * seen.sum()
+    straight = max(left.noise, right.noise) < STRAIGHT * noise
+    # nearer to the sensor in the middle, so the range falls towards it from both sides
+    return (left, right) if (
+        -bend > RIDGE_ANGLE and between and enough and straight) else None
+
+
+def _face_points(segment: Segment, points: Array) -> tuple[Array, Array]:
+    """Return mean points (k, 2) of a face, and their sigma (k,)."""
+    margin = int(END * len(segment.rows))
+    inner = points[segment.rows[margin:len(segment.rows) - margin]]
+    order = np.argsort(inner[:, 0])
+    shares = np.array_split(inner[order], min(SHARES, len(inner)))
+    count = np.array([len(share) for share in shares])
+    std = segment.noise / np.hypot(1.0, segment.slope)
+    return np.array([share.mean(axis=0) for share in shares]), std / np.sqrt(count)
+
+
+def _arc(points: Array, config: Config) -> Arc | None:
+    """Return the arc of the ball in a profile (n, 2), or None."""
+    target = replace(config.target, type='sphere')
+    try:
+        (arc,) = arc_features(points, replace(config, target=target))
+    except FeatureError:
+        return None
+    enough = len(arc.raw) >= SHARE * np.isfinite(points).all(axis=1).sum()
+    return arc if enough else None
+
+
+def _ball(arcs: Sequence[tuple[int, float, Arc]], radius: float) -> list[tuple[int, Array]]:
+    """Return stamps and rows of the arcs, without points that the light only grazes."""
+    radius = radius or max((arc.radius for *_, arc in arcs), default=0.0)
+    found = []
+    for stamp, q3, arc in arcs:
+        steep = np.abs(arc.points[:, 1] - arc.centre[1]) > STEEP * radius
+        if steep.any():
+            found.append((stamp, _at(q3, arc.points[steep], arc.std[steep])))
+    return found
+
+
+def _at(q3: float, points: Array, std: Array) -> Array:
+    """Return rows x, z, q3, sigma."""
+    return np.column_stack([points, np.full(len(points), q3), std])

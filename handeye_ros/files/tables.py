@@ -1,0 +1,151 @@
+"""
+Tables of measured values in files: CSV, or YAML with the same columns and rows.
+
+The header names each column and, where it has one, its unit: `base_x [mm]`. What is returned is
+in SI units. YAML: `columns: [...]` and `rows: [[...], ...]`.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+import csv
+import math
+from pathlib import Path
+import re
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.errors import nearest
+from handeye_ros.files.errors import TableError
+import numpy as np
+from scipy.spatial.transform import Rotation
+import yaml
+
+LENGTH, ANGLE, NUMBER, TEXT = 'length', 'angle', 'number', 'text'
+UNITS = {LENGTH: {'m': 1.0, 'mm': 1e-3, 'um': 1e-6},
+         ANGLE: {'rad': 1.0, 'deg': math.radians(1.0)}}
+QUATERNION, RPY = ('qx', 'qy', 'qz', 'qw'), ('roll', 'pitch', 'yaw')
+QUATERNION_TOLERANCE = 1e-3
+LARGEST = 1e6  # m or rad: more is a mistake
+_HEADER = re.compile(r'\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*')
+
+
+class Table:
+    """The columns of a file, by name, as they stand there."""
+
+    def __init__(self, path: Path) -> None:
+        """Read a .csv file, or else YAML; raises TableError."""
+        self.path = path
+        if path.is_dir():
+            raise TableError(path, 'is a folder; give the file in it')
+        header, rows = _csv(path) if path.suffix.lower() == '.csv' else _yaml(path)
+        names = [_HEADER.fullmatch(str(cell)) for cell in header]
+        for cell, match in zip(header, names, strict=True):
+            if match is None:
+                raise TableError(path, f'cannot read the column header "{cell}"; expected a name '
+                                 'with its unit, such as base_x [mm]')
+        self._units = {m[1]: m[2] for m in names if m}
+        if len(self._units) != len(header):
+            raise TableError(path, 'two columns have the same name')
+        if not rows:
+            raise TableError(path, 'holds no rows')
+        for number, row in enumerate(rows, 1):
+            if len(row) != len(header):
+                raise TableError(path, f'row {number} has {len(row)} values, the header '
+                                 f'{len(header)}')
+        self._columns = dict(zip(self._units, zip(*rows, strict=True), strict=True))
+
+    def has(self, names: Sequence[str]) -> bool:
+        """Tell whether all of these columns are there."""
+        return all(name in self._columns for name in names)
+
+    def text(self, name: str) -> list[str]:
+        """Return the words of a column; raises TableError."""
+        return [str(value).strip() for value in self._column(name)]
+
+    def values(self, names: Sequence[str], kind: str) -> Array:
+        """Return columns (n, k) of a kind in SI units; raises TableError."""
+        return np.column_stack([self._values(name, kind) for name in names])
+
+    def points(self, prefix: str) -> Array:
+        """Return points, (n, 3) in metres, of the columns PREFIX_x, PREFIX_y, PREFIX_z."""
+        return self.values([f'{prefix}_{axis}' for axis in 'xyz'], LENGTH)
+
+    def poses(self, prefix: str) -> Array:
+        """
+        Return transforms (n, 4, 4): the translation as points, the rotation as a quaternion.
+
+        Columns PREFIX_qx, _qy, _qz, _qw, or PREFIX_roll, _pitch, _yaw (URDF). Raises TableError.
+        """
+        quaternion, rpy = ([f'{prefix}_{name}' for name in names] for names in (QUATERNION, RPY))
+        if self.has(rpy):
+            R = Rotation.from_euler('xyz', self.values(rpy, ANGLE))
+        else:
+            q = self.values(quaternion, NUMBER)
+            off = np.abs(np.linalg.norm(q, axis=1) - 1.0)
+            if off.max() > QUATERNION_TOLERANCE:
+                raise TableError(self.path, f'row {int(np.argmax(off)) + 1}: {prefix}_q... is no '
+                                 'unit quaternion')
+            R = Rotation.from_quat(q)
+        return se3.transform(R.as_matrix(), self.points(prefix))
+
+    def _column(self, name: str) -> Sequence[Any]:
+        if name not in self._columns:
+            raise TableError(self.path, f'has no column {name}'
+                             f'{nearest(name, list(self._columns))}')
+        column: Sequence[Any] = self._columns[name]
+        return column
+
+    def _values(self, name: str, kind: str) -> Array:
+        column, unit = self._column(name), self._units[name]
+        factors: Mapping[Any, float] = UNITS.get(kind, {None: 1.0})
+        if unit not in factors:
+            raise TableError(self.path, f'the column {name} ' + (
+                f'has the unit {unit}' if unit else 'names no unit')
+                + '; write ' + ' or '.join(f'{name} [{u}]' if u else name for u in factors))
+        values = factors[unit] * np.array([self._number(name, row, value)
+                                           for row, value in enumerate(column, 1)])
+        far = np.flatnonzero(np.abs(values) > LARGEST)
+        if len(far):
+            raise TableError(self.path, f'row {far[0] + 1}: {name} is {column[far[0]]}, which is '
+                             'beyond all measure')
+        return np.asarray(values)
+
+    def _number(self, name: str, row: int, value: Any) -> float:
+        try:
+            number = float(value)
+        except (TypeError, ValueError, OverflowError):
+            number = math.nan
+        if not math.isfinite(number):
+            raise TableError(self.path, f'row {row}: {name} is "{value}", expected a number')
+        return number
+
+
+def _csv(path: Path) -> tuple[list[str], list[list[str]]]:
+    try:
+        text = path.read_text(encoding='utf-8-sig')
+    except (OSError, UnicodeDecodeError) as error:
+        raise TableError(path, f'cannot be read: {error}') from error
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith('#')]
+    if not lines:
+        raise TableError(path, 'is empty')
+    delimiter = ';' if ';' in lines[0] else ','
+    try:
+        header, *rows = csv.reader(lines, delimiter=delimiter)
+    except csv.Error as error:
+        raise TableError(path, f'is no CSV: {error}') from error
+    return header, rows
+
+
+def _yaml(path: Path) -> tuple[list[str], list[list[Any]]]:
+    try:
+        content = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (OSError, ValueError, yaml.YAMLError) as error:  # ValueError: a date that is none
+        raise TableError(path, f'cannot be read: {error}') from error
+    header, rows = (content.get(key) if isinstance(content, dict) else None
+                    for key in ('columns', 'rows'))
+    if not isinstance(header, list) or not isinstance(rows, list) or not all(
+            isinstance(row, list) for row in rows):
+        raise TableError(path, 'expected "columns:", a list of names with units, and "rows:", a '
+                         'list of lists')
+    return [str(cell) for cell in header], rows

@@ -1,0 +1,1 @@
+"""What one profile shows: straight pieces, faces and edges, arcs."""

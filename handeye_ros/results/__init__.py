@@ -1,0 +1,1 @@
+"""What is told and written of an answer."""

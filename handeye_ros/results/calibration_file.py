@@ -1,0 +1,245 @@
+"""
+calibration.yaml: what is saved of an answer, and read back.
+
+A file is written beside its final place and then renamed: it is whole or not there.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict
+from datetime import datetime, UTC
+import hashlib
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+from handeye_ros import __version__, se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Calibration, Quality, SampleReport
+from handeye_ros.errors import BadValueError, UnwritableError
+from handeye_ros.results.errors import CalibrationFileError
+import numpy as np
+import yaml
+
+FORMAT = 'handeye_ros/calibration/'
+NEWEST = 1
+
+HEADER = """\
+# Hand-eye calibration. T is the pose of {child} in {parent}: it maps points of {child}
+# into {parent}, p_{parent} = T @ p_{child}. Metres and radians; quaternion x y z w; rpy is
+# that of URDF; the covariance (6x6) is of x y z rx ry rz, in {parent}.
+"""
+
+ROUNDING = 1e-12  # of a rotation that goes through a quaternion and back
+
+
+def write_calibration(calibration: Calibration, path: Path) -> None:
+    """
+    Write a calibration as YAML, with the time in its provenance if there is none.
+
+    Raises UnwritableError; then nothing is left behind.
+
+    """
+    header = HEADER.format(parent=calibration.parent_frame, child=calibration.child_frame)
+    text = header + yaml.safe_dump(_content(calibration), sort_keys=False, width=100,
+                                   default_flow_style=None, allow_unicode=True)
+    write_whole(path, text)
+
+
+def folder_name(config: Config) -> str:
+    """Return the name of the folder that a calibration is saved in; raises BadValueError."""
+    name = config.name or config.target.type
+    if name in ('', '.', '..') or '/' in name:
+        raise BadValueError('name', name, 'the name of a folder, without "/"')
+    return name
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file under another name and rename it; raises UnwritableError."""
+    temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            temporary.write_text(text, encoding='utf-8')
+            os.replace(temporary, path)
+        finally:
+            with suppress(OSError):
+                temporary.unlink()
+    except OSError as error:
+        raise UnwritableError(path, error.strerror or str(error)) from error
+
+
+def _content(calibration: Calibration) -> dict[str, Any]:
+    T = calibration.T_flange_sensor
+    return {
+        'format': f'{FORMAT}{NEWEST}',
+        'name': calibration.name,
+        'method': calibration.method,
+        'parent_frame': calibration.parent_frame,
+        'child_frame': calibration.child_frame,
+        'transform': transform_values(T),
+        'rpy': _plain(se3.rpy(T)),
+        'covariance': _plain(calibration.covariance.ravel()),
+        'target': _plain(calibration.target),
+        'quality': _plain(asdict(calibration.quality)),
+        'samples': [_sample_values(report) for report in calibration.samples],
+        'provenance': _provenance(calibration.provenance),
+    }
+
+
+def transform_values(T: Array) -> dict[str, dict[str, float]]:
+    """Return a transform (4, 4) as plain values: translation x y z, rotation x y z w."""
+    return {'translation': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
+            'rotation': dict(zip('xyzw', map(float, se3.quaternion(T)), strict=True))}
+
+
+def _sample_values(report: SampleReport) -> dict[str, Any]:
+    return {key: _plain(value) for key, value in asdict(report).items()
+            if value is not None and value != ''}
+
+
+def input_values(file: Path) -> dict[str, str]:
+    """Return what the provenance tells of a file that was read: path and sha256."""
+    with file.open('rb') as stream:
+        return {'path': str(file), 'sha256': hashlib.file_digest(stream, 'sha256').hexdigest()}
+
+
+def _provenance(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    first = {'version': __version__,
+             'created': datetime.now(UTC).isoformat(timespec='seconds')}
+    merged: dict[str, Any] = {**first, **_plain(provenance)}
+    merged['config'] = merged.pop('config', {})  # long: behind all others
+    return merged
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with the types that YAML knows."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Return the calibration in a file; raises CalibrationFileError."""
+    try:
+        content = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise CalibrationFileError(path, error.strerror or str(error)) from error
+    except (UnicodeDecodeError, yaml.YAMLError, ValueError) as error:
+        raise CalibrationFileError(path, 'it is not valid YAML') from error
+    file = _Section(path, '', content)
+    _check_format(path, file.get('format', str))
+    return Calibration(
+        name=file.get('name', str),
+        method=file.get('method', str),
+        parent_frame=file.get('parent_frame', str),
+        child_frame=file.get('child_frame', str),
+        T_flange_sensor=_transform(file.section('transform')),
+        covariance=_covariance(file),
+        target=file.get('target', dict),
+        quality=_quality(file.section('quality')),
+        samples=tuple(_sample(_Section(path, f'samples[{i}].', item))
+                      for i, item in enumerate(file.get('samples', list))),
+        provenance=file.get('provenance', dict))
+
+
+def transform_from(path: Path, key: str, values: Any) -> Array:
+    """Return the transform (4, 4) of plain values, which path holds under key."""
+    return _transform(_Section(path, f'{key}.', values))
+
+
+class _Section:
+    """A mapping in a file, of which every value is checked before it is used."""
+
+    def __init__(self, path: Path, prefix: str, values: Any) -> None:
+        if not isinstance(values, dict):
+            what = prefix.rstrip('.') or 'the file'
+            raise CalibrationFileError(path, f'{what} is no mapping')
+        self.path, self._prefix, self._values = path, prefix, values
+
+    def get(self, key: str, kind: type, default: Any = None) -> Any:
+        """Return a value of a kind, or the default where there is none."""
+        value = self._values.get(key, default)
+        if value is None:
+            raise self.error(key, 'is missing')
+        if kind is float and type(value) is int:
+            value = float(value)
+        if type(value) is not kind:
+            raise self.error(key, f'is {value!r}, expected {kind.__name__}')
+        return value
+
+    def number(self, key: str) -> float:
+        """Return a finite number."""
+        value = float(self.get(key, float))
+        if not math.isfinite(value):
+            raise self.error(key, f'is {value}')
+        return value
+
+    def has(self, key: str) -> bool:
+        """Tell whether there is a value."""
+        return self._values.get(key) is not None
+
+    def section(self, key: str) -> _Section:
+        """Return a mapping inside."""
+        return _Section(self.path, f'{self._prefix}{key}.', self.get(key, dict))
+
+    def error(self, key: str, what: str) -> CalibrationFileError:
+        """Return the error for a key."""
+        return CalibrationFileError(self.path, f'{self._prefix}{key} {what}')
+
+
+def _check_format(path: Path, text: str) -> None:
+    number = text.removeprefix(FORMAT)
+    if number == text or not number.isdecimal():
+        raise CalibrationFileError(path, f'its format is "{text}", expected {FORMAT}{NEWEST}')
+    if int(number) > NEWEST:
+        raise CalibrationFileError(path, f'its format {text} is newer than this version of '
+                                   f'handeye_ros ({__version__}) knows; update the package')
+
+
+def _transform(section: _Section) -> Array:
+    translation, rotation = section.section('translation'), section.section('rotation')
+    quaternion = np.array([rotation.number(key) for key in 'xyzw'])
+    length = float(np.linalg.norm(quaternion))
+    if abs(length - 1) > 1e-6:
+        raise section.error('rotation', f'is a quaternion of length {length:.6g}, expected 1')
+    return se3.from_quaternion(np.array([translation.number(key) for key in 'xyz']), quaternion)
+
+
+def _covariance(file: _Section) -> Array:
+    values = file.get('covariance', list)
+    numbers = [v for v in values if type(v) in (int, float) and math.isfinite(v)]
+    if len(values) != 36 or len(numbers) != 36:
+        raise file.error('covariance', 'does not hold 36 numbers')
+    return np.array(numbers, dtype=float).reshape(6, 6)
+
+
+def _quality(section: _Section) -> Quality:
+    return Quality(section.get('samples_used', int), section.get('samples_rejected', int),
+                   section.number('residual_rms'), section.number('holdout_rms'),
+                   section.get('weakest_direction', str), section.number('weakest_std'))
+
+
+def _sample(section: _Section) -> SampleReport:
+    residual = section.number('residual') if section.has('residual') else None
+    return SampleReport(section.get('stamp', int), section.get('used', bool),
+                        section.get('edge', str, ''), residual, section.get('reason', str, ''))
+
+
+def equal(a: Calibration, b: Calibration) -> bool:
+    """Tell whether two calibrations say the same, but for the rounding of a quaternion."""
+    return all((
+        np.allclose(a.T_flange_sensor, b.T_flange_sensor, rtol=0, atol=ROUNDING),
+        np.array_equal(a.T_flange_sensor[:3, 3], b.T_flange_sensor[:3, 3]),
+        np.array_equal(a.covariance, b.covariance),
+        (a.name, a.method, a.parent_frame, a.child_frame)
+        == (b.name, b.method, b.parent_frame, b.child_frame),
+        (a.quality, a.samples) == (b.quality, b.samples),
+        (_plain(a.target), _plain(a.provenance)) == (_plain(b.target), _plain(b.provenance)),
+    ))

@@ -1,0 +1,19 @@
+"""What cannot be read back or written of an answer."""
+from __future__ import annotations
+
+from handeye_ros.errors import DataError, InputError
+
+
+class CalibrationFileError(InputError):
+    """A calibration file that cannot be read."""
+
+    def __init__(self, path: object, reason: str) -> None:
+        super().__init__(f'{path} cannot be used: {reason}')
+
+
+class NothingToSaveError(DataError):
+    """The node is asked to save before there is an answer."""
+
+    def __init__(self) -> None:
+        super().__init__('there is no calibration to save: call ~/compute_calibration first, and '
+                         'see that it succeeds')

@@ -1,0 +1,159 @@
+"""From a solution to what is told of it: transform, target, quality, every sample's fate."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from handeye_ros import __version__, se3
+from handeye_ros.checks.motion import mount_frame, weakest
+from handeye_ros.checks.shape import scale_error, shape_of
+from handeye_ros.config import Config, flatten
+from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport
+from handeye_ros.estimation.method import Estimate
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.robust import Consensus
+from handeye_ros.estimation.solve import Solution, without
+import numpy as np
+from numpy.typing import NDArray
+
+MOST_POINTS = 200_000
+LARGEST_SCALE_STD = 0.1  # of a scale worth telling
+MOST_FOLDS = 20  # of the left-out check: with fewer stations each is left out by itself
+ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
+             'crosses the edge at too small an angle')
+
+
+def mounted(samples: Sequence[Sample], config: Config) -> Array:
+    """
+    Return the poses (n, 4, 4) of what carries the sensor, in what carries the target.
+
+    The flange in the base (eye_in_hand), or the base in the flange (eye_on_base).
+    """
+    T_base_flange = np.array([sample.T_base_flange for sample in samples])
+    return T_base_flange if config.calibration_type == 'eye_in_hand' else se3.inverse(
+        T_base_flange)
+
+
+def sensor_axes(config: Config) -> Array:
+    """
+    Return T_sensor_plane, (4, 4): the sensor's plane, along the line x and range z.
+
+    Identity for the usual axes [x, z].
+    """
+    columns = []
+    for name in config.profile.axes:
+        unit = np.zeros(3)
+        unit['xyz'.index(name[-1])] = -1.0 if name[0] == '-' else 1.0
+        columns.append(unit)
+    along, across = columns
+    return se3.transform(np.column_stack([along, np.cross(across, along), across]), np.zeros(3))
+
+
+def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], agreed: Consensus,
+                         solution: Solution, config: Config, frame_id: str) -> Calibration:
+    """Return the calibration of a solution; samples in the order of the problem's stations."""
+    problem = solution.problem
+    parent = mount_frame(config)
+    used = [samples[i] for i in agreed.used]
+    measured = measured_points(used, problem)
+    reports = [*_used_reports(used, solution, measured), *_dropped_reports(samples, agreed),
+               *(SampleReport(r.stamp, False, reason=r.reason) for r in rejects)]
+    direction, std = weakest(solution, parent)
+    residuals = measured.residuals(problem, solution.estimate)
+    quality = Quality(len(used), len(reports) - len(used), float(np.sqrt((residuals ** 2).mean())),
+                      _holdout_rms(solution, measured), direction, std)
+    return Calibration(
+        config.name or config.target.type, problem.method.name, parent, frame_id or 'laser',
+        solution.estimate.X @ se3.inverse(sensor_axes(config)),
+        solution.stated[:6, :6],
+        describe_target(solution, config), quality,
+        tuple(sorted(reports, key=lambda report: report.stamp)),
+        {'version': __version__, 'config': flatten(config)})
+
+
+def describe_target(solution: Solution, config: Config) -> dict[str, Any]:
+    """Return what was estimated of the target, its shape compared with the configured one."""
+    method = solution.problem.method
+    told = method.describe(solution.estimate.target, solution.target_std)
+    shape = shape_of(solution, replace(solution.problem, config=config))
+    if shape:
+        told |= {shape.label: shape.estimated, f'{shape.label}_std': shape.std}
+        told |= {'note': shape.note} if shape.contradicts else {}
+    error, std = scale_error(solution)
+    return told | ({'scale': 1 + error, 'scale_std': std} if std < LARGEST_SCALE_STD else {})
+
+
+def _used_reports(used: Sequence[Sample], solution: Solution, measured: Measured
+                  ) -> list[SampleReport]:
+    obs, method = solution.problem.observations, solution.problem.method
+    squares = measured.residuals(solution.problem, solution.estimate) ** 2
+    count = np.bincount(measured.station, minlength=len(used))
+    rms = np.sqrt(np.bincount(measured.station, squares, minlength=len(used)) / np.maximum(
+        count, 1))
+    reports = []
+    for i, sample in enumerate(used):
+        kinds = dict.fromkeys(method.kinds[k] for k in obs.kind[obs.station == i])
+        edges = ', '.join(kind for kind in kinds if kind in method.edges)
+        note = ONLY_FACE if method.edges and not edges else ''
+        reports.append(SampleReport(sample.stamp, True, edges, float(rms[i]), note))
+    return reports
+
+
+def _dropped_reports(samples: Sequence[Sample], agreed: Consensus) -> list[SampleReport]:
+    return [SampleReport(samples[i].stamp, False, reason='contradicts the other stations: its '
+                         f'residual is {square ** 0.5:.1f} times what its noise explains')
+            for i, square in agreed.dropped.items()]
+
+
+def _holdout_rms(solution: Solution, measured: Measured) -> float:
+    """Return the RMS residual of stations that are predicted without them, fold by fold."""
+    n = len(solution.problem.poses)
+    folds = min(n, MOST_FOLDS)
+    total = 0.0
+    for fold in range(folds):
+        stations = np.arange(fold, n, folds)
+        part = measured.select(np.isin(measured.station, stations))
+        total += float((part.residuals(solution.problem, without(solution, stations)) ** 2).sum())
+    return float(np.sqrt(total / len(measured.station)))
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """
+    All measured points of the used samples, as the method's observations stand for them.
+
+    points: (k, 2) of the sensor plane; kind: (k,); station: (k,) the problem's.
+    """
+
+    points: Array
+    kind: NDArray[np.intp]
+    station: NDArray[np.intp]
+
+    def select(self, keep: NDArray[np.bool_]) -> Measured:
+        """Return the points where keep (k,) is true."""
+        return Measured(self.points[keep], self.kind[keep], self.station[keep])
+
+    def residuals(self, problem: Problem, estimate: Estimate) -> Array:
+        """Return the plain residuals, (k,) in metres, at an estimate."""
+        in_mount = self.points @ estimate.X[:3, [0, 2]].T + estimate.X[:3, 3]
+        T = problem.poses[self.station]
+        p = np.einsum('kij,kj->ki', T[:, :3, :3], in_mount) + T[:, :3, 3]
+        return problem.method.conditions(p, self.kind, estimate.target, problem.config).g
+
+
+def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:
+    """
+    Return all measured points of samples, in the order of the problem's stations.
+
+    Of very many every second, third, ... is taken: their RMS is the same.
+    """
+    obs = problem.observations
+    bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
+    parts = [problem.method.measured(sample, obs.points[first:last], obs.kind[first:last])
+             for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
+    station = np.repeat(np.arange(len(used)), [len(kind) for _, kind in parts])
+    measured = Measured(np.concatenate([points for points, _ in parts]),
+                        np.concatenate([kind for _, kind in parts]), station)
+    every = -(-len(station) // MOST_POINTS)
+    return measured.select(np.arange(len(station)) % every == 0)

@@ -1,0 +1,137 @@
+"""The answer for a person: millimetres and degrees, each with its unit and 1 sigma."""
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+import math
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.data import Array, Calibration, SampleReport
+from handeye_ros.results.truth_errors import Errors
+import numpy as np
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+LENGTHS = ('centre', 'point', 'radius', 'distance', 'size')
+DIRECTIONS = ('normal', 'direction')
+ANGLES = ('angle',)
+
+
+def table(calibration: Calibration) -> RenderableType:
+    """Return all that a person wants to see of a calibration, for a rich console."""
+    parent, child = calibration.parent_frame, calibration.child_frame
+    title = Text(f'{calibration.name}: {child} in {parent}. T maps points of {child} into '
+                 f'{parent}: p_{parent} = T @ p_{child}')
+    return Group(title, _transform_table(calibration), _facts_table(calibration))
+
+
+def _transform_table(calibration: Calibration) -> Table:
+    columns = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    columns.add_column('')
+    for name in ('value', '1 sigma'):
+        columns.add_column(name, justify='right')
+    columns.add_column('')
+    T, covariance = calibration.T_flange_sensor, calibration.covariance
+    for axis, value, std in zip('xyz', T[:3, 3], np.sqrt(np.diag(covariance))[:3], strict=True):
+        columns.add_row(axis, f'{value * 1e3:.3f}', f'{std * 1e3:.3f}', 'mm')
+    stds = rpy_std(T, covariance[3:, 3:])
+    for name, angle, std in zip(('roll', 'pitch', 'yaw'), se3.rpy(T), stds, strict=True):
+        columns.add_row(name, f'{math.degrees(angle):.4f}',
+                        f'{math.degrees(std):.4f}' if math.isfinite(std) else 'undefined',
+                        'degrees')
+    return columns
+
+
+def rpy_std(T: Array, covariance: Array) -> Array:
+    """
+    Return the 1 sigma (3,) of roll, pitch and yaw (radians).
+
+    covariance: (3, 3) of the rotation vector in the parent frame. Infinite where the pitch
+    is so close to 90 degrees that roll and yaw turn about one axis.
+
+    """
+    _, pitch, yaw = se3.rpy(T)
+    if abs(math.cos(pitch)) < 1e-3:
+        return np.full(3, math.inf)
+    about_z = se3.exp_rotation(np.array([0.0, 0.0, yaw]))
+    about_y = se3.exp_rotation(np.array([0.0, pitch, 0.0]))
+    axes = np.column_stack([about_z @ about_y[:, 0], about_z[:, 1], [0.0, 0.0, 1.0]])
+    to_rpy = np.linalg.inv(axes)
+    return np.asarray(np.sqrt(np.diag(to_rpy @ covariance @ to_rpy.T)))
+
+
+def _facts_table(calibration: Calibration) -> Table:
+    facts = Table(box=None, show_header=False, pad_edge=False)
+    for name, fact in _facts(calibration):
+        facts.add_row(name, Text(fact))
+    return facts
+
+
+def _facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
+    quality = calibration.quality
+    quaternion = se3.quaternion(calibration.T_flange_sensor)
+    yield 'quaternion', ' '.join(f'{q:.9f}' for q in quaternion) + '  (x y z w)'
+    yield 'method', calibration.method
+    yield 'residual', f'{quality.residual_rms * 1e3:.3f} mm RMS'
+    yield 'left out', f'{quality.holdout_rms * 1e3:.3f} mm RMS (each sample predicted from ' \
+                      'the others)'
+    yield 'weakest', _weakest(quality.weakest_direction, quality.weakest_std)
+    yield 'samples', f'{quality.samples_used} used, {quality.samples_rejected} rejected'
+    for reason, count in _reasons(calibration.samples).items():
+        yield '', f'{count} rejected: {reason}'
+    yield from _target_values(calibration.target)
+
+
+def _reasons(samples: tuple[SampleReport, ...]) -> Counter[str]:
+    return Counter(s.reason or 'no reason given' for s in samples if not s.used)
+
+
+def _weakest(direction: str, std: float) -> str:
+    """Return the weakest direction, whose sentence says whether std is in metres or radians."""
+    if direction.endswith(' (m)'):
+        return f'{direction[:-4]}: {std * 1e3:.3f} mm (1 sigma)'
+    return f'{direction.removesuffix(" (rad)")}: {math.degrees(std):.4f} degrees (1 sigma)'
+
+
+def _target_values(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield what else was estimated, in the units of a person."""
+    for key, value in target.items():
+        name = f'target {key.replace("_", " ")}'
+        std = target.get(f'{key}_std')
+        if key == 'pose':
+            yield f'{name}, x y z', _millimetres(value['translation'].values())
+            q = np.array([value['rotation'][axis] for axis in 'xyzw'])
+            angles = se3.rpy(se3.from_quaternion(np.zeros(3), q))
+            yield f'{name}, rpy', ' '.join(f'{math.degrees(a):.4f}' for a in angles) + ' degrees'
+        elif key.startswith(LENGTHS) and not key.endswith('_std'):
+            values = value.values() if isinstance(value, Mapping) else np.atleast_1d(value)
+            yield name, _millimetres(values) + _sigma(std, 1e3)
+        elif key.endswith(ANGLES):
+            yield name, f'{math.degrees(value):.4f} degrees' + _sigma(std, math.degrees(1))
+        elif key == 'scale':
+            yield 'lengths', f'of the robot {value:.5f} times those of the sensor' + _sigma(
+                std, 1, 5)
+        elif key in DIRECTIONS:
+            yield name, ' '.join(f'{v:.6f}' for v in value)
+        elif not key.endswith('_std'):
+            yield name, str(value)
+
+
+def _sigma(std: float | None, factor: float, digits: int = 4) -> str:
+    if std is None:
+        return ''
+    return f', 1 sigma {std * factor:.{digits}f}' if std else ', given'
+
+
+def _millimetres(values: Any) -> str:
+    return ' '.join(f'{v * 1e3:.3f}' for v in values) + ' mm'
+
+
+def error_sentence(errors: Errors, over: str = 'the field of view') -> str:
+    """Return the errors against what is true; over: of which points."""
+    return (f'error against truth.yaml: translation {errors.translation * 1e3:.3f} mm, rotation '
+            f'{math.degrees(errors.rotation):.4f} degrees, mapped points '
+            f'{errors.mapped_points * 1e3:.3f} mm RMS over {over}')

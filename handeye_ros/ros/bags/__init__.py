@@ -1,0 +1,1 @@
+"""Recordings: storage and conversion of messages."""

@@ -1,0 +1,101 @@
+"""Writes profiles and poses as a rosbag2 folder (mcap), as a driver and a robot would."""
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Profile, TimedPose
+from handeye_ros.results import folder
+from handeye_ros.results import truth_file as truth_file
+from handeye_ros.ros.bags.contents import full_name
+from handeye_ros.ros.bags.messages import DATATYPES, UNITS
+import numpy as np
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
+
+# The points of real drivers: dtypes with the fields x, y and z.
+LAYOUTS: dict[str, np.dtype[Any]] = {
+    'xyz': np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4')]),
+    'double': np.dtype([('x', '<f8'), ('y', '<f8'), ('z', '<f8')]),
+    'big_endian': np.dtype([('x', '>f4'), ('y', '>f4'), ('z', '>f4')]),
+    'padded': np.dtype({'names': ['x', 'y', 'z', 'intensity'], 'formats': ['<f4'] * 4,
+                        'offsets': [0, 4, 8, 16], 'itemsize': 32}),
+    'scancontrol': np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('intensity', '<u2'),
+                             ('reflection_width', '<u2'), ('threshold', '<u2'),
+                             ('moment0', '<u4'), ('moment1', '<u4')]),
+}
+
+
+def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
+          config: Config | None = None, *, truth: Mapping[str, Any] | None = None,
+          tables: Mapping[str, str] | None = None, layout: str = 'xyz', force: bool = False
+          ) -> None:
+    """
+    Write a rosbag2 folder, with truth.yaml in it when the truth is given.
+
+    config: gives the topics and the unit of the coordinates; tables: texts of other files in the
+    folder, by name; layout: a key of LAYOUTS. force: an existing bag is replaced. Raises BagError
+    when there is something at path already, UnwritableError when it cannot be made.
+
+    """
+    texts = dict(tables or {})
+    if truth is not None:
+        texts[truth_file.NAME] = truth_file.text(truth)
+    folder.write(path, texts, lambda made: _write_messages(
+        made, profiles, poses, config or Config(), LAYOUTS[layout]), force)
+
+
+def _write_messages(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
+                    config: Config, dtype: np.dtype[Any]) -> None:
+    types = get_typestore(Stores.ROS2_JAZZY)
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    cloud_type, pose_type = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseStamped'
+    with writer:
+        clouds = writer.add_connection(full_name(config.profile_topic), cloud_type,
+                                       typestore=types)
+        stamped = writer.add_connection(full_name(config.pose_topic), pose_type, typestore=types)
+        items: list[Profile | TimedPose] = [*profiles, *poses]
+        for item in sorted(items, key=lambda item: item.stamp):
+            if isinstance(item, Profile):
+                cloud = _cloud(types, item, dtype, config.profile.unit)
+                writer.write(clouds, item.stamp, types.serialize_cdr(cloud, cloud_type))
+            else:
+                pose = _pose_stamped(types, item)
+                writer.write(stamped, item.stamp, types.serialize_cdr(pose, pose_type))
+
+
+def _header(types: Any, stamp: int, frame_id: str) -> Any:
+    time = types.types['builtin_interfaces/msg/Time'](*divmod(stamp, 1_000_000_000))
+    return types.types['std_msgs/msg/Header'](time, frame_id)
+
+
+def _cloud(types: Any, profile: Profile, dtype: np.dtype[Any], unit: str) -> Any:
+    points = np.zeros(len(profile.points), dtype)
+    for axis, column in zip(profile.axes, _columns(profile, unit), strict=True):
+        points[axis[-1]] = column
+    point_field = types.types['sensor_msgs/msg/PointField']
+    codes = {name: code for code, name in DATATYPES.items()}
+    fields = [point_field(name, offset, codes[kind.str[1:]], 1)
+              for name, (kind, offset, *_) in (dtype.fields or {}).items()]
+    size = dtype.itemsize * len(points)
+    return types.types['sensor_msgs/msg/PointCloud2'](
+        _header(types, profile.stamp, profile.frame_id), 1, len(points), fields,
+        dtype['x'].byteorder == '>', dtype.itemsize, size, points.view(np.uint8).ravel(),
+        bool(np.isfinite(profile.points).all()))
+
+
+def _columns(profile: Profile, unit: str) -> Array:
+    """Return the coordinates (2, n) along the unsigned axes of the message, in its unit."""
+    signs = np.array([-1.0 if axis[0] == '-' else 1.0 for axis in profile.axes])
+    return np.asarray((profile.points * signs).T / UNITS[unit])
+
+
+def _pose_stamped(types: Any, pose: TimedPose) -> Any:
+    point = types.types['geometry_msgs/msg/Point'](*map(float, pose.translation))
+    quaternion = types.types['geometry_msgs/msg/Quaternion'](*map(float, pose.quaternion))
+    return types.types['geometry_msgs/msg/PoseStamped'](
+        _header(types, pose.stamp, pose.parent_frame),
+        types.types['geometry_msgs/msg/Pose'](point, quaternion))

@@ -1,0 +1,151 @@
+"""
+ROS messages to profiles and poses: the one home of message conversion.
+
+Nothing here imports ROS: the functions take the messages of rclpy and those that rosbags
+deserialises alike. What comes in may be malformed in any way a message can be; every such
+message raises MessageError and nothing else.
+"""
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+from typing import Any
+
+from handeye_ros.config import ProfileConfig
+from handeye_ros.data import Array, Profile, TimedPose
+from handeye_ros.ros.bags.points import along_the_line, require_one_plane, require_unit, returns
+from handeye_ros.ros.errors import MessageError
+import numpy as np
+
+# sensor_msgs/PointField: datatype -> numpy
+DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
+
+UNITS = {'m': 1.0, 'mm': 1e-3}
+
+LARGEST_POSITION = 1e6  # m; a robot in mm stays below, so that the solver can name that slip
+
+
+def stamp_of(header: Any) -> int:
+    """Return the stamp of a std_msgs/Header in nanoseconds."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def profile_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
+    """
+    Return the profile in a sensor_msgs/PointCloud2, in metres and in the order of the line.
+
+    A point with any value that is not finite, or that cannot be measured, is no return: NaN in
+    both columns; rows of the message follow each other. A cloud without points is a profile
+    without returns. Raises MessageError.
+
+    """
+    along, across = config.axes
+    profile = Profile(stamp_of(msg.header), frame_name(msg.header.frame_id), np.empty((0, 2)),
+                      (along, across))
+    if int(msg.width) * int(msg.height) == 0:
+        return profile
+    columns = (_column(msg, along), _column(msg, across), _beside(msg, config))
+    points = np.column_stack(columns) * UNITS[config.unit]
+    require_unit(points, config.unit)
+    plain = (along[-1], across[-1], _third(config))
+    seen = points[returns(points)]
+    require_one_plane(seen, plain)
+    beside = float(np.nan_to_num(np.median(seen[:, 2]))) if len(seen) else 0.0
+    return replace(profile, points=along_the_line(points[:, :2], plain), beside=beside)
+
+
+def frame_name(frame_id: str) -> str:
+    """Return the name of a frame as tf2 has it, without the slash of ROS 1."""
+    return str(frame_id).removeprefix('/')
+
+
+def _third(config: ProfileConfig) -> str:
+    """Return the axis that is not in the sensor plane."""
+    return ({'x', 'y', 'z'} - {axis[-1] for axis in config.axes}).pop()
+
+
+def _beside(msg: Any, config: ProfileConfig) -> Array:
+    """Return the coordinates across the sensor plane (n,), NaN where the message has none."""
+    try:
+        return _column(msg, _third(config))
+    except MessageError:
+        return np.full(int(msg.width) * int(msg.height), np.nan)
+
+
+def _column(msg: Any, axis: str) -> Array:
+    """Return one signed axis of a cloud (n,), as float64 in the unit of the message."""
+    field = _field(msg, axis[-1])
+    kind = DATATYPES.get(int(field.datatype))
+    if kind is None:
+        raise MessageError('PointCloud2', f'field "{field.name}" has datatype {field.datatype}, '
+                           'which does not exist (they go from 1 to 8)')
+    if int(field.count) > 1:
+        raise MessageError('PointCloud2', f'field "{field.name}" holds {field.count} values for '
+                           'each point, expected 1')
+    dtype = np.dtype(('>' if msg.is_bigendian else '<') + kind)
+    # Python integers: a product of the message's own would overflow before it can be checked
+    height, width = int(msg.height), int(msg.width)
+    point_step, row_step, data = _layout(msg, height, width)
+    offset = int(field.offset)
+    if offset + dtype.itemsize > point_step:
+        raise MessageError('PointCloud2', f'field "{field.name}" ends at byte '
+                           f'{offset + dtype.itemsize} of points that are {point_step} bytes long')
+    view = np.ndarray((height, width), dtype, data, offset, (row_step, point_step))
+    with np.errstate(invalid='ignore'):  # a signalling NaN is a NaN
+        values = view.astype(np.float64).ravel()
+    return -values if axis[0] == '-' else values
+
+
+def _field(msg: Any, name: str) -> Any:
+    named = [field for field in msg.fields if field.name == name]
+    if len(named) != 1:
+        names = ', '.join(str(field.name) for field in msg.fields) or 'none'
+        raise MessageError('PointCloud2', f'{len(named) or "no"} fields are named "{name}" '
+                           f'(fields: {names}); profile.axes says which axes are read')
+    return named[0]
+
+
+def _layout(msg: Any, height: int, width: int) -> tuple[int, int, Any]:
+    """Return the steps in bytes and the buffer, which is long enough for all points."""
+    point_step, row_step = int(msg.point_step), int(msg.row_step)
+    if height == 1 or row_step == 0:  # drivers often leave it unset
+        row_step = width * point_step
+    if point_step == 0:
+        raise MessageError('PointCloud2', 'point_step is 0')
+    if row_step < width * point_step:
+        raise MessageError('PointCloud2', f'row_step is {row_step}, but a row of {width} points '
+                           f'of {point_step} bytes takes {width * point_step}')
+    needed = (height - 1) * row_step + width * point_step
+    if len(msg.data) < needed:
+        raise MessageError('PointCloud2', f'{height} x {width} points of {point_step} bytes take '
+                           f'{needed} bytes, but data holds {len(msg.data)}')
+    data = np.asarray(msg.data, np.uint8) if isinstance(msg.data, list) else msg.data
+    return point_step, row_step, data
+
+
+def pose_from_stamped(msg: Any) -> TimedPose:
+    """Return the pose in a geometry_msgs/PoseStamped; raises MessageError."""
+    pose = msg.pose
+    return _pose('PoseStamped', msg.header, pose.position, pose.orientation)
+
+
+def pose_from_transform(msg: Any) -> TimedPose:
+    """Return the pose of the child in a geometry_msgs/TransformStamped; raises MessageError."""
+    transform = msg.transform
+    return _pose('TransformStamped', msg.header, transform.translation, transform.rotation)
+
+
+def _pose(kind: str, header: Any, position: Any, rotation: Any) -> TimedPose:
+    translation = (float(position.x), float(position.y), float(position.z))
+    quaternion = tuple(float(getattr(rotation, name)) for name in 'xyzw')
+    if not all(map(math.isfinite, (*translation, *quaternion))):
+        raise MessageError(kind, 'the pose holds values that are not finite')
+    farthest = max(map(abs, translation))
+    if farthest > LARGEST_POSITION:
+        raise MessageError(kind, f'the position reaches {farthest:.3g} m')
+    norm = math.hypot(*quaternion)
+    if abs(norm - 1.0) > 1e-2:
+        raise MessageError(kind, f'quaternion of length {norm:.4g}, expected 1')
+    sign = -1.0 if quaternion[3] < 0 else 1.0
+    return TimedPose(stamp_of(header), np.array(translation),
+                     np.array(quaternion) * (sign / norm), frame_name(header.frame_id))

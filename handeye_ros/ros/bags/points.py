@@ -1,0 +1,112 @@
+"""
+The points of a cloud as a profile: in metres, in one plane, in the order of the laser line.
+
+Drivers send what they like; what can be put right is, and what cannot is refused with the
+setting that would.
+"""
+from __future__ import annotations
+
+from handeye_ros.data import Array
+from handeye_ros.ros.errors import MessageError
+import numpy as np
+
+# No line profiler measures so far (m): a coordinate beyond is no return, and when most
+# are, or with mm all lie nearer than NEAR, the unit is wrong.
+FAR = 10.0
+NEAR = 1e-3
+
+THICK = 2e-3  # m; points of one profile do not leave its plane by so much
+THIN = 0.01  # of the spread across the plane: an axis with less is the one across it
+SURE = 10  # so many returns do not follow each other by chance
+# of the steps between returns: fewer go back along the line, more along the range
+LINE_BACK, RANGE_BACK = 0.05, 0.1
+MOST_BACK = 0.2  # of the way forth: behind a step the columns may run back by less
+
+
+def require_unit(points: Array, unit: str) -> None:
+    """Refuse coordinates (n, k), in metres after unit, that no sensor gives (MessageError)."""
+    reach = np.maximum(np.abs(points[:, 0]), np.abs(points[:, 1]))
+    finite = np.isfinite(reach)
+    far = finite & (reach > FAR)
+    if far.sum() > finite.sum() / 2:
+        raise MessageError('PointCloud2', f'coordinates reach {reach[far].max():.3g} m'
+                           + (': set profile.unit to mm' if unit == 'm' else
+                              ', but metres and millimetres are all that profile.unit knows'))
+    largest = reach[finite & ~far].max(initial=0.0)
+    if unit == 'mm' and 0.0 < largest < NEAR:
+        raise MessageError('PointCloud2', f'no coordinate is larger than {largest * 1e3:.3g} mm: '
+                           'set profile.unit to m')
+
+
+def returns(points: Array) -> Array:
+    """
+    Tell which of the points (n, k) are returns, (n,).
+
+    None is one that is not finite, is too far, or lies in the origin itself, which drivers
+    give for want of a better number.
+    """
+    x, z = points[:, 0], points[:, 1]  # numpy is slow along an axis of two
+    with np.errstate(invalid='ignore'):
+        near = (np.abs(x) <= FAR) & (np.abs(z) <= FAR)
+    return np.asarray(near & ((x != 0) | (z != 0)))
+
+
+def require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
+    """
+    Refuse returns (n, 3) that do not lie in the plane of the first two axes (MessageError).
+
+    axes: the axes of the columns, without signs, as x z y.
+    """
+    if len(points) < 2:
+        return
+    spread = [np.ptp(column) for column in points.T]
+    if not spread[2] > THICK:  # nor where it is not finite
+        return
+    along, across, beside = axes
+    text = (f'the points do not lie in the plane of {along} and {across}: their {beside} spans '
+            f'{spread[2] * 1e3:.1f} mm')
+    if spread[0] < THIN * spread[2]:
+        text += f', their {along} nothing: set profile.axes to [{beside}, {across}]'
+    elif spread[1] < THIN * spread[2]:
+        text += f', their {across} nothing: set profile.axes to [{along}, {beside}]'
+    else:
+        text += ('; a line profiler measures in one plane: let its driver publish single '
+                 'profiles in its own frame')
+    raise MessageError('PointCloud2', text)
+
+
+def along_the_line(points: Array, axes: tuple[str, ...]) -> Array:
+    """
+    Return points (n, 2) in the order of the first column, as a profile is a function of it.
+
+    Those that are in order, forwards or backwards, stay as they are: the rows without a return
+    are then where they belong. Raises MessageError where the order shows that the axes are
+    wrong. axes: those of the columns, without signs.
+    """
+    good = returns(points)
+    steps = np.diff(points[good], axis=0)
+    if (len(steps) >= SURE and _back(steps[:, 0]) > RANGE_BACK
+            and _back(steps[:, 1]) < LINE_BACK):
+        raise MessageError('PointCloud2', f'the points follow each other along {axes[1]}, not '
+                           f'along {axes[0]}: set profile.axes to [{axes[1]}, {axes[0]}]')
+    if _in_order(steps[:, 0]):
+        return np.where(good[:, None], points, np.nan)
+    with np.errstate(invalid='ignore'):
+        placed = points[np.abs(points[:, 0]) <= FAR]
+    x, group = np.unique(placed[:, 0], return_inverse=True)
+    good = returns(placed)
+    count = np.bincount(group[good], minlength=len(x))
+    total = np.bincount(group[good], placed[good, 1], minlength=len(x))
+    with np.errstate(invalid='ignore'):  # 0 / 0 where there is no return
+        return np.column_stack([np.where(count > 0, x, np.nan), total / count])
+
+
+def _back(steps: Array) -> float:
+    """Return the share of steps that do not go the way of the most."""
+    return 1.0 - max((steps > 0).mean(), (steps < 0).mean())
+
+
+def _in_order(steps: Array) -> bool:
+    """Return whether steps lead one way, but for a part of it."""
+    forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()
+    return bool(min(forth, back) <= MOST_BACK * max(forth, back))

@@ -1,0 +1,161 @@
+"""
+Flange poses out of the transform tree.
+
+tf2_ros looks one transform up at one time; here every change of the flange is wanted, as a
+pose at its own stamp. Links that were sent for different times are interpolated to it, never
+extrapolated. Knows the messages by their fields alone and imports no ROS.
+"""
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import deque
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.data import Array, TimedPose
+from handeye_ros.ros.bags.messages import pose_from_transform
+from handeye_ros.ros.errors import MessageError
+from handeye_ros.sampling.stations import interpolate
+from handeye_ros.sampling.stream import Stream
+import numpy as np
+
+KEPT = 1000  # transforms of a link: 10 s of a robot driver at 100 Hz
+
+
+class Link:
+    """The transforms of a frame in its parent, in order of their stamps."""
+
+    def __init__(self, parent: str, static: bool) -> None:
+        """Start with none."""
+        self.parent = parent
+        self.static = static
+        self._poses: deque[TimedPose] = deque(maxlen=1 if static else KEPT)
+        self._stream: Stream[TimedPose] = Stream('transform')
+
+    def add(self, pose: TimedPose) -> None:
+        """Take the next transform; one that is not newer is dropped, but a static one replaces."""
+        self._poses.extend([pose] if self.static else self._stream.add(pose, self.parent))
+
+    def stamps(self, after: int) -> list[int]:
+        """Return the stamps later than after."""
+        return [p.stamp for p in self._poses if p.stamp > after]
+
+    def at(self, stamp: int) -> Array | None:
+        """Return T_parent_child (4, 4) at a stamp; None while that lies ahead, or too far back."""
+        poses = self._poses
+        if self.static:
+            return se3.from_quaternion(poses[0].translation, poses[0].quaternion)
+        if not poses or not poses[0].stamp <= stamp <= poses[-1].stamp:
+            return None
+        index = bisect_left(poses, stamp, key=lambda pose: pose.stamp)
+        if poses[index].stamp == stamp:
+            return se3.from_quaternion(poses[index].translation, poses[index].quaternion)
+        return interpolate([poses[index - 1], poses[index]], [stamp])[0]
+
+
+def well_formed(transforms: Any) -> list[tuple[Any, TimedPose]]:
+    """
+    Return the transforms of one message that can be understood, each with its pose.
+
+    Raises MessageError when none can: a frame that does not matter must not spoil the others.
+    """
+    good, malformed = [], None
+    for transform in transforms:
+        try:
+            good.append((transform, pose_from_transform(transform)))
+        except MessageError as error:
+            malformed = error
+    if malformed and not good:
+        raise malformed
+    return good
+
+
+class FlangeTracker:
+    """Turns transforms into poses of the flange in the base; times are those of its last joint."""
+
+    def __init__(self, base: str, flange: str) -> None:
+        """Start with an empty tree."""
+        self._base = _name(base)
+        self._flange = _name(flange)
+        self._links: dict[str, Link] = {}
+        self._sent_until = -1
+
+    def add(self, transforms: Any, static: bool) -> list[TimedPose]:
+        """
+        Take the transforms of one message; return the poses that can now be told.
+
+        Raises MessageError when all are malformed.
+        """
+        for transform, pose in well_formed(transforms):
+            child, parent = _name(transform.child_frame_id), _name(pose.parent_frame)
+            link = self._links.get(child)
+            if link is None or (link.parent, link.static) != (parent, static):
+                link = self._links[child] = Link(parent, static)
+            link.add(pose)
+        return self._new_poses()
+
+    def restart(self) -> None:
+        """Forget what moves, so that times may start again; static transforms stay."""
+        self._links = {child: link for child, link in self._links.items() if link.static}
+        self._sent_until = -1
+
+    def missing(self) -> str:
+        """Return why there are no poses, or an empty string."""
+        chains = self._chains()
+        if chains is None:
+            frames = sorted({*self._links, *(link.parent for link in self._links.values())})
+            return (f'no chain of transforms leads from "{self._base}" to "{self._flange}"; '
+                    f'frames received: {", ".join(frames) or "none"}')
+        if not self._moving(chains):
+            return f'all transforms between "{self._base}" and "{self._flange}" are static'
+        return ''
+
+    def _new_poses(self) -> list[TimedPose]:
+        chains = self._chains()
+        if not chains or not (moving := self._moving(chains)):
+            return []
+        poses = []
+        for stamp in moving[0].stamps(self._sent_until):
+            T_meet_flange, T_meet_base = (_product(chain, stamp) for chain in chains)
+            if T_meet_flange is not None and T_meet_base is not None:
+                T_base_flange = se3.inverse(T_meet_base) @ T_meet_flange
+                poses.append(TimedPose(stamp, T_base_flange[:3, 3],
+                                       se3.quaternion(T_base_flange), self._base))
+                self._sent_until = stamp
+        return poses
+
+    def _moving(self, chains: tuple[list[Link], list[Link]]) -> list[Link]:
+        return [link for chain in chains for link in chain if not link.static]
+
+    def _chains(self) -> tuple[list[Link], list[Link]] | None:
+        """Return the links from the flange, and from the base, up to the frame where they meet."""
+        from_flange, from_base = self._ancestors(self._flange), self._ancestors(self._base)
+        meeting = next((frame for frame in from_flange if frame in from_base), None)
+        if meeting is None:
+            return None
+        flange_chain, base_chain = (
+            [self._links[frame] for frame in frames[:frames.index(meeting)]]
+            for frames in (from_flange, from_base))
+        return flange_chain, base_chain
+
+    def _ancestors(self, frame: str) -> list[str]:
+        """Return a frame and those above it; a loop, which no tree has, ends the walk."""
+        found = [frame]
+        while found[-1] in self._links and self._links[found[-1]].parent not in found:
+            found.append(self._links[found[-1]].parent)
+        return found
+
+
+def _product(chain: list[Link], stamp: int) -> Array | None:
+    """Return the pose of the chain's first frame in its last one's parent; None if unknown."""
+    product = np.eye(4)
+    for link in chain:
+        T = link.at(stamp)
+        if T is None:
+            return None
+        product = T @ product
+    return product
+
+
+def _name(frame: str) -> str:
+    return frame.removeprefix('/')

@@ -1,0 +1,78 @@
+"""What of bags, topics and messages cannot be used, and nodes that do not answer."""
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from handeye_ros.errors import DataError, InputError
+
+
+class MessageError(InputError):
+    """A message that cannot be understood; kind: its type, without the package."""
+
+    def __init__(self, kind: str, reason: str) -> None:
+        super().__init__(f'{kind} message not used: {reason}')
+
+
+class NoTopicError(InputError):
+    """A topic that the bag lacks; topics: what is there, with the types; wanted: of this type."""
+
+    def __init__(self, path: object, key: str, topic: str, wanted: str,
+                 topics: Mapping[str, str]) -> None:
+        super().__init__(f'{path} has no topic {topic}. {_what_is_there(key, wanted, topics)}')
+
+
+class TopicTypeError(InputError):
+    """A topic of another type than the expected one; topics: all of the bag, with the types."""
+
+    def __init__(self, key: str, topic: str, wanted: str, topics: Mapping[str, str]) -> None:
+        super().__init__(f'{topic} carries {topics[topic]}, but only {wanted} can be read there. '
+                         + _what_is_there(key, wanted, topics))
+
+
+def _what_is_there(key: str, wanted: str, topics: Mapping[str, str]) -> str:
+    """Return the topics of a bag, those of the wanted type first, and what to set."""
+    there = sorted(topics.items(), key=lambda item: (item[1] != wanted, item[0]))
+    names = [f'{name} ({kind})' for name, kind in there[:12]]
+    more = [f'{len(there) - 12} more'] if len(there) > 12 else []
+    fitting = [name for name, kind in there if kind == wanted]
+    transforms = key == 'pose_topic' and topics.get('/tf') == 'tf2_msgs/msg/TFMessage'
+    if key == 'pose_source':  # there is only one place for transforms
+        advice = '; record /tf, or set pose_source to topic'
+    elif fitting:
+        advice = f': set {key}, as in --set {key}={fitting[0]}'
+    elif transforms:
+        advice = ': take the poses from /tf, as in --set pose_source=tf'
+    else:
+        advice = f'; none of them is a {wanted}: publish and record one'
+    return f'It holds {", ".join(names + more)}{advice}'
+
+
+class AllMalformedError(InputError):
+    """Most messages of a topic cannot be used."""
+
+    def __init__(self, topic: str, count: int, total: int, first: str) -> None:
+        some = 'none' if count == total else f'only {total - count}'
+        super().__init__(f'{some} of the {total} messages on {topic} can be used; the first '
+                         f'reason: {first}')
+
+
+class NodeError(InputError):
+    """The node ended, or says nothing any more."""
+
+    def __init__(self, last_words: str) -> None:
+        super().__init__(f'the node does not answer; the end of its log: {last_words}')
+
+
+class RefusedError(DataError):
+    """A service of the node that did not succeed."""
+
+    def __init__(self, service: str, reason: str) -> None:
+        super().__init__(f'~/{service} was refused: {reason}')
+
+
+class TopicsError(InputError):
+    """Topics that a node cannot subscribe to or publish on."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f'the node cannot use its topics ({" ".join(reason.split())[:120]}): '
+                         'check pose_topic and profile_topic; each needs its own')

@@ -1,0 +1,120 @@
+"""What the node takes in: profiles, and poses from their topic or the transform tree."""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, TypeVar
+
+from geometry_msgs.msg import PoseStamped
+from handeye_ros.data import Profile, Reject, Sample, TimedPose
+from handeye_ros.errors import InputError
+from handeye_ros.ros.bags.contents import CLOUD, POSE
+from handeye_ros.ros.bags.messages import pose_from_stamped, profile_from_cloud
+from handeye_ros.ros.bags.transforms import FlangeTracker
+from handeye_ros.ros.errors import MessageError
+from handeye_ros.ros.node.graph import elsewhere
+from handeye_ros.ros.node.live import LiveSession
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.exceptions import NameValidationException
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import PointCloud2
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # the wheels of rclpy come without it
+    TFMessage = None
+
+__all__ = ['Intake', 'TFMessage', 'THROTTLE']
+
+# Best effort matches reliable publishers too. So many messages wait while a station is
+# evaluated or a solve takes the processor: 20 s of a robot that tells its pose at 100 Hz.
+STREAM = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+THROTTLE = 5.0  # s between two warnings of a kind
+
+Stamped = TypeVar('Stamped', Profile, TimedPose)
+
+
+class Intake:
+    """The subscriptions; a message that cannot be understood is counted and left out."""
+
+    def __init__(self, node: Node, live: LiveSession,
+                 tell: Callable[[Sequence[Sample | Reject]], None]) -> None:
+        """Subscribe; tell: called with what became of the stations. Raises InputError."""
+        self._node = node
+        self._live = live
+        self._tell = tell
+        self._group = MutuallyExclusiveCallbackGroup()
+        config = live.config
+        self._tracker = FlangeTracker(config.robot_base_frame, config.robot_effector_frame)
+        self._listen(PointCloud2, config.profile_topic, self._on_profile, STREAM)
+        if config.pose_source == 'topic':
+            self._listen(PoseStamped, config.pose_topic, self._on_pose, STREAM)
+        elif TFMessage:
+            self._listen(TFMessage, '/tf_static', partial(self._on_transforms, True), LATCHED_TREE)
+            self._listen(TFMessage, '/tf', partial(self._on_transforms, False), STREAM)
+        else:
+            raise InputError('pose_source is tf, but tf2_msgs is not installed: install it '
+                             '(ros-jazzy-tf2-msgs), or publish the poses on pose_topic')
+
+    def obstacle(self, kind: str) -> str:
+        """Return why no messages of a kind (profile, pose) come in, or an empty string."""
+        config = self._live.config
+        if kind == 'profile':
+            return elsewhere(self._node, config.profile_topic, CLOUD)
+        if config.pose_source == 'topic':
+            return elsewhere(self._node, config.pose_topic, POSE)
+        return self._tracker.missing()
+
+    def restart(self) -> None:
+        """Let the times of transforms start again."""
+        self._tracker.restart()
+
+    def _listen(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile
+                ) -> None:
+        """Call take with every message of a topic; malformed ones are counted."""
+        def callback(msg: Any) -> None:
+            self._understood(take, msg)
+            # A round of the executor costs ten times as much as a message: take what waits.
+            with subscription.handle:
+                while taken := subscription.handle.take_message(kind, False):
+                    self._understood(take, taken[0])
+
+        try:
+            subscription = self._node.create_subscription(
+                kind, topic, callback, qos, callback_group=self._group,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        except NameValidationException as error:
+            raise InputError(f'"{topic}" cannot name a topic: '
+                             + str(error).splitlines()[0]) from error
+
+    def _understood(self, take: Callable[[Any], None], msg: Any) -> None:
+        try:
+            take(msg)
+        except MessageError as error:
+            kind = 'profile' if isinstance(msg, PointCloud2) else 'pose'
+            self._live.arrivals.malformed(kind, str(error))
+            self._node.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+
+    def _on_profile(self, msg: PointCloud2) -> None:
+        profile = profile_from_cloud(msg, self._live.config.profile)
+        self._tell(self._live.add_profile(self._stamped(profile)))
+
+    def _on_pose(self, msg: PoseStamped) -> None:
+        self._tell(self._live.add_poses([self._stamped(pose_from_stamped(msg))]))
+
+    def _on_transforms(self, static: bool, msg: Any) -> None:
+        self._tell(self._live.add_poses(self._tracker.add(msg.transforms, static)))
+
+    def _stamped(self, item: Stamped) -> Stamped:
+        """Return a message of a driver that leaves the stamp empty with the time of receipt."""
+        if item.stamp:
+            return item
+        self._node.get_logger().warning(
+            'messages come without a stamp: the time of receipt is used',
+            throttle_duration_sec=THROTTLE)
+        return replace(item, stamp=self._node.get_clock().now().nanoseconds)

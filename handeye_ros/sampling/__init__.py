@@ -1,0 +1,1 @@
+"""When the robot stood still, and what it saw there."""

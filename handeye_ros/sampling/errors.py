@@ -1,0 +1,100 @@
+"""Why a station gave no sample, or a recording no stations."""
+from __future__ import annotations
+
+from handeye_ros.errors import DataError, InputError
+
+
+class TwoFramesError(InputError):
+    """Messages of two frames on one topic."""
+
+    def __init__(self, kind: str, first: str, second: str) -> None:
+        cannot, advice = {
+            'profile': ('of one sensor', 'give each sensor its own topic'),
+            'pose': ('in one robot base', 'let only one node publish them, in one frame'),
+        }[kind]
+        super().__init__(f'the {kind} topic carries two frames, "{first}" and "{second}": the '
+                         f'{kind}s cannot be {cannot}; {advice}')
+
+
+class NoPosesError(DataError):
+    """No pose of the flange was received; topic: None if they come from transforms."""
+
+    def __init__(self, topic: str | None) -> None:
+        super().__init__(
+            'no flange pose was received from /tf: start the robot driver, or set '
+            'robot_base_frame and robot_effector_frame' if topic is None else
+            f'no flange pose was received on {topic}: start the robot driver, or set pose_topic')
+
+
+class MovingError(DataError):
+    """A sample was asked for while the robot moved."""
+
+    def __init__(self, still_time: float) -> None:
+        super().__init__(f'the robot has not stood still for {still_time:g} s: stop it, wait, '
+                         'and take the sample again')
+
+
+class NoProfilesError(DataError):
+    """No profile came while the robot stood still."""
+
+    def __init__(self, duration: float) -> None:
+        super().__init__(f'no profile came while the robot stood still here for {duration:.1f} '
+                         's: check the sensor, and that both clocks agree')
+
+
+class NothingToRemoveError(DataError):
+    """There is no sample to remove."""
+
+    def __init__(self) -> None:
+        super().__init__('there is no sample to remove')
+
+
+class NoStationsError(DataError):
+    """The robot never stood still."""
+
+    def __init__(self, poses: int, still_time: float) -> None:
+        super().__init__(f'the robot never stood still for {still_time:g} s in {poses} poses: '
+                         'stop at each sample, or lower sampling.still_time; if its poses are '
+                         'noisy, raise sampling.still_translation and sampling.still_rotation')
+
+
+class SparsePosesError(DataError):
+    """Poses too far apart to tell when the robot stood still."""
+
+    def __init__(self, period: float, limit: float) -> None:
+        super().__init__(f'the flange poses come only every {period:.2g} s, further apart than '
+                         f'sampling.max_pose_gap ({limit:g} s): publish them more often, also '
+                         'while the robot stands still, or raise sampling.max_pose_gap')
+
+
+class PositionUnitError(DataError):
+    """Positions too large for metres."""
+
+    def __init__(self, largest: float) -> None:
+        super().__init__(f'the flange positions reach {largest:.0f} m: they seem to be in mm; '
+                         'publish them in metres')
+
+
+class TimeBackwardsError(DataError):
+    """Stamps that start again: two runs in one recording."""
+
+    def __init__(self, topic: str, index: int, jump: float) -> None:
+        super().__init__(f'the stamps on {topic} jump back by {jump:.1f} s at message '
+                         f'{index + 1}: two runs seem to be mixed (a bag recorded in a loop?); '
+                         'record one run')
+
+
+class ClocksApartError(DataError):
+    """Profiles and poses that share no time."""
+
+    def __init__(self, gap: float) -> None:
+        super().__init__(f'profiles and poses share no time: {gap:.1f} s lie between them; the '
+                         'clocks of sensor and robot differ, or they were not recorded together')
+
+
+class ClearedError(DataError):
+    """The samples were cleared while they were solved."""
+
+    def __init__(self) -> None:
+        super().__init__('the samples were cleared while the calibration was computed, so there '
+                         'is none: take new samples')
