@@ -56,12 +56,17 @@ class FaceLine:
     spread: standard deviation of its points along it; std: 1 sigma of its offset at
     the centre, which is also that of its offset's change over one spread: the offsets at
     centre +- spread * direction are uncorrelated, each with sqrt(2) * std.
+    points: (k, 2) normal points, the means of equal shares of its points, in their order, as
+    measured; points_std: (k,) 1 sigma of each across the line. Both are empty where only the
+    line is known.
     """
 
     centre: Array
     direction: Array
     spread: float
     std: float
+    points: Array = field(default_factory=lambda: np.empty((0, 2)))
+    points_std: Array = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -99,6 +99,23 @@ def test_the_face_line_is_as_certain_as_it_says(tilt: float) -> None:
     assert abs(np.corrcoef(offsets, turns)[0, 1]) < 0.4
 
 
+@pytest.mark.parametrize('tilt', [-0.5, 0.0, 0.3])
+def test_the_normal_points_of_a_face_are_as_certain_as_they_say(tilt: float) -> None:
+    normal = np.array([-np.sin(tilt), np.cos(tilt)])
+    single, together = [], []
+    for seed in range(60):
+        line, _ = found(drawn(gap_up_to(-0.005, tilt), seed))
+        single.append((line.points - [0, face(0.0, tilt)]) @ normal / line.points_std)
+        ends = (line.points[[0, -1]] - line.centre) @ line.direction / line.spread
+        assert np.allclose(np.abs(ends), 5 / 6 * 3 ** 0.5, rtol=0.05), 'shares of one length'
+    for seed in range(20):
+        line, _ = combine(many(gap_up_to(-0.005, tilt), 8, seed))
+        together.append((line.points - [0, face(0.0, tilt)]) @ normal / line.points_std)
+    assert np.shape(single) == (60, 6) and np.shape(together) == (20, 6)
+    assert np.std(single) == pytest.approx(1, abs=0.2)
+    assert np.std(together) == pytest.approx(1, abs=0.3)
+
+
 def test_both_edges_of_a_profile_are_found() -> None:
     def height(x: Array) -> Array:
         return np.where(np.abs(x) < 0.008, face(x), np.nan)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
 from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.profiles.lines import face_line
 from handeye_ros.profiles.segment import Segment, straight_segments
 import numpy as np
 
@@ -56,7 +57,7 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
         raise FeatureError('no edge of a face in the profile: the face ends only at the border '
                            'of the field of view or at something nearer')
     face, edges = max(with_edges, key=_preference)
-    return (_face_line(face, points), *edges)
+    return (face_line(face, points), *edges)
 
 
 def plane_features(points: Array, config: Config) -> tuple[FaceLine]:
@@ -70,7 +71,7 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine]:
     if not segments:
         raise FeatureError('no straight piece of '
                            f'{config.sampling.min_points} points or more in the profile')
-    return (_face_line(max(segments, key=lambda s: len(s.rows)), points),)
+    return (face_line(max(segments, key=lambda s: len(s.rows)), points),)
 
 
 def _preference(candidate: tuple[Segment, list[EdgePoint]]) -> float:
@@ -195,11 +196,3 @@ def _std_at(segment: Segment, x: float, points: Array) -> float:
     xs = points[segment.rows, 0]
     spread = xs.std()
     return float(segment.noise * np.sqrt((1 + ((x - xs.mean()) / spread) ** 2) / len(xs)))
-
-
-def _face_line(segment: Segment, points: Array) -> FaceLine:
-    x = points[segment.rows, 0]
-    length = np.hypot(1.0, segment.slope)
-    centre = np.array([x.mean(), segment.height(x.mean())])
-    return FaceLine(centre, np.array([1.0, segment.slope]) / length, float(x.std() * length),
-                    float(segment.noise / length / np.sqrt(len(x))))

@@ -73,7 +73,22 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
     slope = float(slopes[good].mean())
     length = np.hypot(1.0, slope)
     return FaceLine(np.array([x, heights[good].mean()]), np.array([1.0, slope]) / length,
-                    spread, float(std))
+                    spread, float(std),
+                    *_combined_points([line for line, g in zip(lines, good, strict=True) if g]))
+
+
+def _combined_points(lines: Sequence[FaceLine]) -> tuple[Array, Array]:
+    """Return the means of the normal points of lines, share by share, and their 1 sigma."""
+    k = min(len(line.points) for line in lines)
+    same = [line for line in lines if len(line.points) == k]
+    points = np.array([line.points for line in same])
+    expected = np.sqrt(np.mean([line.points_std ** 2 for line in same], axis=0))
+    if len(same) == 1 or not k:
+        return points[0], expected
+    normals = np.array([[-line.direction[1], line.direction[0]] for line in same])
+    across = np.einsum('nki,ni->nk', points - points.mean(axis=0), normals)
+    scatter = np.sqrt((across ** 2).sum() / (len(same) - 1) / k)
+    return points.mean(axis=0), np.maximum(expected, scatter) / len(same) ** 0.5
 
 
 def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
