@@ -1,0 +1,120 @@
+"""The verbs that find the transform, and put its estimators beside each other."""
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, TYPE_CHECKING
+
+from handeye_ros.cli.app import app
+from handeye_ros.cli.common import (
+    Assignments,
+    ConfigFile,
+    configuration,
+    doing,
+    Input,
+    NoPath,
+    read_bag,
+    show,
+    warn,
+)
+import typer
+
+if TYPE_CHECKING:
+    from handeye_ros.config import Config
+    from handeye_ros.data import Array, Calibration
+    from handeye_ros.files.method import FileMethod
+    from handeye_ros.files.method import Input as Given
+    from handeye_ros.ros.bags.bag import Recording
+
+
+@app.command()
+def solve(
+    path: Input,
+    config: ConfigFile = None,
+    assignments: Assignments = [],  # noqa: B006 - never changed
+    out: Annotated[NoPath, typer.Option(
+        metavar='DIR', help='Where calibration.yaml is written; out/NAME if not given.')] = None,
+) -> None:
+    """Find the transform from a recording or a file, and write calibration.yaml."""
+    settings = configuration(config, assignments)
+    target = _target(out, settings) / 'calibration.yaml'
+
+    from handeye_ros import files
+    from handeye_ros.results import calibration_file, table
+    from handeye_ros.results.truth_errors import errors_against
+    from handeye_ros.results.truth_file import true_transform
+    method, T_true = files.of(settings), true_transform(path)
+    calibration, field = (_solve_files(method, path, settings) if method else
+                          (_solve_bag(path, settings), None))
+    calibration_file.write_calibration(calibration, target)
+    show(table.table(calibration))
+    if T_true is not None:
+        errors = errors_against(calibration.T_flange_sensor, T_true, field)
+        typer.echo(table.error_sentence(errors, *([method.over] if method else [])))
+    typer.echo(f'wrote {target}')
+
+
+def _target(out: Path | None, settings: 'Config') -> Path:
+    """Return the folder of the result, absolute."""
+    from handeye_ros.results.calibration_file import folder_name
+    return (out or Path('out') / folder_name(settings)).absolute()
+
+
+def _solve_bag(bag: Path, settings: 'Config') -> 'Calibration':
+    recording = read_bag(bag, settings)
+    with doing('solving'):
+        from handeye_ros import pipeline
+        calibration = pipeline.calibrate(recording.profiles, recording.poses, settings)
+    for warning in calibration.provenance.get('warnings', ()):
+        warn(warning)
+    provenance = {**calibration.provenance, 'inputs': list(recording.inputs)}
+    return replace(calibration, provenance=provenance)
+
+
+def _read_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
+                ) -> 'Given[Any]':
+    def read(bag: Path, settings: 'Config') -> 'Recording':
+        from handeye_ros.ros.bags import bag as bags
+        return bags.read(bag, settings)
+
+    with doing('reading the files'):
+        given = method.read(path, settings, read)
+    for warning in given.warnings:
+        warn(warning)
+    return given
+
+
+def _solve_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
+                 ) -> tuple['Calibration', 'Array']:
+    """Return the calibration, and the points over which its errors are told."""
+    given = _read_files(method, path, settings)
+    with doing('solving'):
+        from handeye_ros.files.outcome import calibrate
+        return calibrate(method, given, settings), method.field(given.data)
+
+
+@app.command()
+def compare(
+    path: Input,
+    config: ConfigFile = None,
+    assignments: Assignments = [],  # noqa: B006 - never changed
+) -> None:
+    """Put the same samples through every estimator that applies, ours and published ones."""
+    settings = configuration(config, assignments)
+
+    from handeye_ros import files
+    from handeye_ros.comparison import compare as comparing
+    from handeye_ros.comparison import table
+    from handeye_ros.results.truth_file import true_transform
+    method, T_true = files.of(settings), true_transform(path)
+    if method:
+        given = _read_files(method, path, settings)
+        with doing('solving') as now:
+            found = comparing.compare_files(method, given, settings, T_true, progress=now)
+    else:
+        recording = read_bag(path, settings)
+        with doing('finding the samples') as now:
+            found = comparing.compare_recording(recording.profiles, recording.poses, settings,
+                                                T_true, progress=now)
+    if found.answered:
+        show(table.ComparisonTable(found))
+    if found.refusal:
+        raise found.refusal

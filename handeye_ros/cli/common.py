@@ -1,0 +1,69 @@
+"""
+What the verbs share: their arguments, reading what they name, and telling what came of it.
+
+The heavy imports are inside functions, here as in the verbs, so that help and wrong usage answer
+at once. No `from __future__ import annotations`, here as in the verbs: the typer of Jazzy (0.9)
+would not see what is annotated.
+"""
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+import sys
+from typing import Annotated, Any, Optional, TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from handeye_ros.config import Config
+    from handeye_ros.ros.bags.bag import Recording
+
+NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
+Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
+Input = Annotated[Path, typer.Argument(metavar='INPUT', help=(
+    'A bag: a rosbag2 folder, or an .mcap or .db3 file; for points and hand_eye a CSV or YAML '
+    'file.'))]
+ConfigFile = Annotated[NoPath, typer.Option(
+    help='A ROS parameter file, such as config/plate.yaml; without it, the defaults.')]
+Assignments = Annotated[list[str], typer.Option(
+    '--set', metavar='KEY=VALUE', help='Set a key of the configuration; may be repeated.')]
+
+
+def configuration(file: Path | None, assignments: list[str]) -> 'Config':
+    """Return the configuration of a file, or the default one, with keys set by hand."""
+    from handeye_ros.config import Config, load, with_assignments
+    return with_assignments(load(file) if file else Config(), assignments)
+
+
+def read_bag(bag: Path, settings: 'Config') -> 'Recording':
+    """Return what a bag holds, and tell what was lost of it."""
+    with doing('reading the recording'):
+        from handeye_ros.ros.bags.bag import read
+        recording = read(bag, settings)
+    for warning in recording.warnings:
+        warn(warning)
+    return recording
+
+
+def warn(text: str) -> None:
+    """Tell what the answer is not spoilt by."""
+    typer.echo(f'warning: {text}', err=True)
+
+
+@contextmanager
+def doing(what: str) -> Iterator[Callable[[str], None]]:
+    """Show on a terminal what takes its time, and what it yields is told; quiet in a pipe."""
+    if not sys.stderr.isatty():
+        yield lambda now: None
+        return
+    from rich.console import Console
+    with Console(stderr=True).status(what) as status:
+        yield status.update
+
+
+def show(renderable: Any) -> None:
+    """Print a table."""
+    from rich.console import Console
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=160, color_system=None)  # a pipe has no width to wrap at
+    console.print(renderable)

@@ -1,0 +1,40 @@
+"""The verbs that play and make recordings."""
+from pathlib import Path
+from typing import Annotated
+
+from handeye_ros.cli.app import app
+from handeye_ros.cli.common import Bag, doing
+from handeye_ros.errors import NoRosError, UnknownNameError
+import typer
+
+
+@app.command()
+def replay(
+    bag: Bag,
+    rate: Annotated[float, typer.Option(help='Speed; 1 is as recorded.')] = 1.0,
+) -> None:
+    """Publish a recording on its topics, with /clock (needs ROS)."""
+    try:
+        from handeye_ros.ros.replay import replay as publish
+    except ModuleNotFoundError as error:
+        raise NoRosError('replay', str(error.name)) from error
+    publish(bag, rate)
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[str, typer.Argument(help='The name of a scenario; see the README.')],
+    directory: Annotated[Path, typer.Argument(
+        metavar='DIR', help='The folder to make: a bag, or files of measured values.')],
+    seed: Annotated[int, typer.Option(min=0, help='Of all random numbers.')] = 0,
+    force: Annotated[bool, typer.Option('--force', help='Replace a bag that is there.')] = False,
+) -> None:
+    """Make a recording with a known answer, which is written to truth.yaml in it."""
+    from handeye_ros.simulate import FILE_SCENES, SCENARIOS
+    if scenario not in {*SCENARIOS, *FILE_SCENES}:
+        raise UnknownNameError('scenario', scenario, [*SCENARIOS, *FILE_SCENES])
+
+    from handeye_ros.ros.bags import simulated
+    with doing('simulating'):
+        made = simulated.write(scenario, seed, directory, force)
+    typer.echo(f'wrote {directory.absolute()}: {made}')
