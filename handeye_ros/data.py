@@ -124,10 +124,11 @@ class Sample:
 
 @dataclass(frozen=True)
 class Reject:
-    """A sample that was not used, and why."""
+    """A sample that was not used, and why; flipped: as in Sample."""
 
     stamp: int
     reason: str
+    flipped: tuple[Feature, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -6,3 +6,15 @@ from handeye_ros.errors import DataError
 
 class FeatureError(DataError):
     """A profile does not show what the method needs; the message says what is missing."""
+
+
+def range_sign_hint(sign: int, as_set: int, flipped: int, total: int) -> str:
+    """
+    Return what to tell when the profiles show their edges only with the range flipped.
+
+    sign: profile.range_sign as it is set; as_set, flipped: how many of the total stations show
+    an edge that way, and with the range counted the other way.
+    """
+    return (f'with profile.range_sign {sign}, {as_set} of {total} stations show an edge; counted '
+            f'the other way {flipped} of {total} do: set profile.range_sign to {-sign} (or, if it '
+            'is right, take away what stands higher beside the target)')

@@ -217,12 +217,17 @@ class Session:
         try:
             return self._sample(station)
         except (FeatureError, NoProfilesError) as error:
-            return Reject(station.start, str(error))
+            seen = self._seen(station)
+            return Reject(station.start, str(error), self._flipped(seen[0]) if seen else ())
+
+    def _seen(self, station: Station) -> list[Profile]:
+        """Return the profiles taken while the robot stood still in a station."""
+        settle = round(self._config.sampling.settle_time * NS)
+        return [p for p in self._profiles
+                if station.start + settle <= p.stamp <= station.end - settle]
 
     def _sample(self, station: Station) -> Sample:
-        settle = round(self._config.sampling.settle_time * NS)
-        seen = [p for p in self._profiles
-                if station.start + settle <= p.stamp <= station.end - settle]
+        seen = self._seen(station)
         if not seen:
             raise NoProfilesError((station.end - station.start) / NS)
         if len(seen) > MOST_PROFILES:

@@ -1,0 +1,84 @@
+"""
+Which way the range is counted, as the profiles themselves show it.
+
+A face ends where the surface turns away from the sensor or drops. Read with the wrong sign, a
+corner that turns away stands in front of the face instead, and there is no edge.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from handeye_ros.config import Config, flipped_range
+from handeye_ros.data import Array, EdgePoint, Feature, Reject, Sample
+from handeye_ros.profiles.errors import FeatureError, range_sign_hint
+
+EDGES = ('roof', 'step', 'gap')
+TURNED_EDGES = ('roof', 'step')  # that the way of counting makes, or takes away
+CHANCE = 0.01  # of so many more edges the other way, were both as likely
+MOST_SHARE = 0.5  # of the stations may show an edge as set, if the sign is to be wrong
+LEAST_SHARE = 0.8  # of the stations show an edge the other way, if it is
+
+
+@dataclass(frozen=True)
+class RangeSignEvidence:
+    """
+    In how many stations the target has an edge, by the way the range is counted.
+
+    as_set: as profile.range_sign says; flipped: the other way; both: either way; total: of all
+    stations.
+    """
+
+    as_set: int
+    flipped: int
+    both: int
+    total: int
+
+    @property
+    def against(self) -> bool:
+        """Return whether the stations speak against profile.range_sign (a sign test)."""
+        if not self.total or self.as_set > MOST_SHARE * self.total:
+            return False
+        only_as_set, only_flipped = self.as_set - self.both, self.flipped - self.both
+        return (self.flipped >= LEAST_SHARE * self.total
+                and 2.0 ** -(only_flipped - 4 * only_as_set) < CHANCE)
+
+    def hint(self, config: Config) -> str:
+        """Return the sentence that says so, empty when the stations do not."""
+        if not self.against:
+            return ''
+        return range_sign_hint(config.profile.range_sign, self.as_set, self.flipped, self.total)
+
+
+def range_sign_evidence(stations: Iterable[Sample | Reject]) -> RangeSignEvidence:
+    """
+    Return what stations, with and without a sample, say of profile.range_sign.
+
+    It needs no solution: a live node can ask after every stop. Ends of faces at the border of
+    the field of view must be left out (view_border). Of targets without edges nothing is known,
+    and the evidence is never against.
+    """
+    seen = [(isinstance(s, Sample) and _has_edge(s.features, EDGES),
+             _has_edge(s.flipped, TURNED_EDGES)) for s in stations]
+    return RangeSignEvidence(sum(a for a, _ in seen), sum(b for _, b in seen),
+                             sum(a and b for a, b in seen), len(seen))
+
+
+def edge_either_way(points: Array, config: Config,
+                    extract: Callable[[Array, Config], tuple[Feature, ...]]
+                    ) -> tuple[bool, bool]:
+    """
+    Return whether one profile shows an edge, as set and with the range counted the other way.
+
+    points: (n, 2) in the sensor plane; extract: gives a method's features of it.
+    """
+    def found(config: Config, kinds: Sequence[str]) -> bool:
+        try:
+            return _has_edge(extract(points, config), kinds)
+        except FeatureError:
+            return False
+    return found(config, EDGES), found(flipped_range(config), TURNED_EDGES)
+
+
+def _has_edge(features: Iterable[Feature], kinds: Sequence[str]) -> bool:
+    return any(isinstance(f, EdgePoint) and f.kind in kinds for f in features)
