@@ -25,7 +25,8 @@ setup(
     extras_require={
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': ['hypothesis', 'opencv-python-headless<5', 'pytest>=7.4',
-                 'pytest-instafail', 'pytest-rerunfailures', 'pytest-timeout', 'pytest-xdist'],
+                 'pytest-instafail', 'pytest-rerunfailures', 'pytest-timeout', 'pytest-xdist',
+                 'urdf-parser-py'],
         'dev': ['colcon-common-extensions', 'flake8', 'flake8-blind-except', 'flake8-builtins',
                 'flake8-class-newline', 'flake8-comprehensions', 'flake8-deprecated',
                 'flake8-docstrings', 'flake8-import-order', 'flake8-quotes', 'matplotlib', 'mypy',

@@ -16,6 +16,7 @@ from handeye_ros.errors import BadValueError, InputError, UnknownKeyError
 import yaml
 
 SIGNED_AXES = ('x', 'y', 'z', '-x', '-y', '-z')
+SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'shell', 'easy_handeye2', 'matrix', 'json')
 UNNAMED_FRAME = 'sensor'  # what the frame of profiles without a frame_id is called
 
 
@@ -123,6 +124,15 @@ class LimitsConfig:
 
 
 @dataclass(frozen=True)
+class SaveConfig:
+    """What is written of an answer."""
+
+    formats: tuple[str, ...] = _key(
+        ('yaml',), 'The forms in which an answer is saved; calibration.yaml is always '
+        'among them.', choices=SAVE_FORMATS, length=tuple(range(1, len(SAVE_FORMATS) + 1)))
+
+
+@dataclass(frozen=True)
 class Config:
     """Everything a user can set."""
 
@@ -146,6 +156,7 @@ class Config:
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     limits: LimitsConfig = field(default_factory=LimitsConfig)
+    save: SaveConfig = field(default_factory=SaveConfig)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ R = Exp(dr) R_hat, t = t_hat + dt, as in geometry_msgs.
 from __future__ import annotations
 
 from typing import cast
-import warnings
 
 from handeye_ros.data import Array
 import numpy as np
@@ -72,10 +71,18 @@ def quaternion(T: Array) -> Array:
 
 
 def rpy(T: Array) -> Array:
-    """Return roll, pitch, yaw (radians; URDF: extrinsic x-y-z) of a (4, 4) transform."""
-    with warnings.catch_warnings():  # at a pitch of 90 degrees scipy warns that yaw is chosen
-        warnings.simplefilter('ignore')
-        return cast(Array, _rotations(T[:3, :3]).as_euler('xyz')[0])
+    """
+    Return roll, pitch, yaw (radians; URDF: extrinsic x-y-z) of a (4, 4) transform.
+
+    The roll is that of what the yaw leaves, so that the three give the rotation at a pitch of
+    90 degrees too, where the yaw alone is arbitrary.
+    """
+    R = T[:3, :3]
+    yaw = np.arctan2(R[1, 0], R[0, 0])
+    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
+    sin, cos = np.sin(yaw), np.cos(yaw)
+    roll = np.arctan2(sin * R[0, 2] - cos * R[1, 2], cos * R[1, 1] - sin * R[0, 1])
+    return np.array([roll, pitch, yaw])
 
 
 def perturb(T: Array, delta: Array) -> Array:

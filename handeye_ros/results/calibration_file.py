@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import datetime, UTC
 import hashlib
 import math
@@ -42,10 +42,20 @@ def write_calibration(calibration: Calibration, path: Path) -> None:
     Raises UnwritableError; then nothing is left behind.
 
     """
+    write_whole(path, text(dated(calibration)))
+
+
+def dated(calibration: Calibration) -> Calibration:
+    """Return a calibration with the version and the time in its provenance."""
+    first = {'version': __version__, 'created': datetime.now(UTC).isoformat(timespec='seconds')}
+    return replace(calibration, provenance={**first, **calibration.provenance})
+
+
+def text(calibration: Calibration) -> str:
+    """Return what is in the file."""
     header = HEADER.format(parent=calibration.parent_frame, child=calibration.child_frame)
-    text = header + yaml.safe_dump(_content(calibration), sort_keys=False, width=100,
-                                   default_flow_style=None, allow_unicode=True)
-    write_whole(path, text)
+    return header + str(yaml.safe_dump(_content(calibration), sort_keys=False, width=100,
+                                       default_flow_style=None, allow_unicode=True))
 
 
 def folder_name(config: Config) -> str:
@@ -107,9 +117,7 @@ def input_values(file: Path) -> dict[str, str]:
 
 
 def _provenance(provenance: Mapping[str, Any]) -> dict[str, Any]:
-    first = {'version': __version__,
-             'created': datetime.now(UTC).isoformat(timespec='seconds')}
-    merged: dict[str, Any] = {**first, **_plain(provenance)}
+    merged: dict[str, Any] = _plain(provenance)
     merged['config'] = merged.pop('config', {})  # long: behind all others
     return merged
 

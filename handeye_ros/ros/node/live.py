@@ -21,7 +21,7 @@ from handeye_ros import pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, UnwritableError
-from handeye_ros.results import calibration_file
+from handeye_ros.results import calibration_file, exports
 from handeye_ros.results.errors import NothingToSaveError
 from handeye_ros.ros.node.wording import (
     calibration_summary,
@@ -204,11 +204,11 @@ class LiveSession:
         if calibration is None:
             raise NothingToSaveError
         name = calibration_file.folder_name(self.config)
-        path = self._parent_folder() / name / 'calibration.yaml'
-        calibration_file.write_calibration(replace(calibration, name=name), path)
+        saved = exports.save_all(replace(calibration, name=name), self._parent_folder() / name,
+                                 self.config.save.formats)
         with suppress(DataError):
             session.finish()
-        return f'wrote {path}{changes_since(solved, _stamps(session))}'
+        return f'{saved}{changes_since(solved, _stamps(session))}'
 
     def _parent_folder(self) -> Path:
         """Return what is above the folder of this calibration, as an absolute path."""
@@ -227,6 +227,6 @@ def _stamps(session: Session) -> frozenset[int]:
 
 def _differs(config: Config, other: Config) -> bool:
     """Tell whether two configurations take other samples."""
-    same = replace(config, name=other.name, limits=other.limits,
+    same = replace(config, name=other.name, limits=other.limits, save=other.save,
                    sampling=replace(config.sampling, auto=other.sampling.auto))
     return same != other

@@ -27,7 +27,7 @@ FIXED = ('robot_base_frame', 'robot_effector_frame', 'pose_source', 'pose_topic'
          'profile_topic')
 # What the samples do not depend on; all other keys need that there are none.
 FREE = ('name', 'limits.translation', 'limits.rotation', 'limits.residual', 'sampling.auto',
-        OUTPUT_DIR)
+        'save.formats', OUTPUT_DIR)
 
 # Parameters that rclpy declares by itself, or on demand.
 NOT_OURS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')

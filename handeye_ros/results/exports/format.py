@@ -1,0 +1,67 @@
+"""What a format of a saved calibration is, and the words that all of them begin with."""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import math
+
+from handeye_ros import __version__, se3
+from handeye_ros.data import Array, Calibration
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Format:
+    """
+    A form in which a calibration is written.
+
+    title: what it is, for the help; file_name: of the file in the folder of the result; text:
+    what is in the file. Both take the calibration; text raises nothing.
+    """
+
+    title: str
+    file_name: Callable[[Calibration], str]
+    text: Callable[[Calibration], str]
+
+
+def preamble(calibration: Calibration) -> tuple[str, ...]:
+    """Return lines that say what the numbers mean: direction, frames, units, uncertainty."""
+    parent, child = one_line(calibration.parent_frame), one_line(calibration.child_frame)
+    std = np.sqrt(np.diag(calibration.covariance))
+    position = ', '.join(f'{axis} {s * 1e3:.3f}' for axis, s in zip('xyz', std[:3], strict=True))
+    turns = ', '.join(f'{axis} {math.degrees(s):.4f}'
+                      for axis, s in zip('xyz', std[3:], strict=True))
+    return (
+        f'Hand-eye calibration {one_line(calibration.name)} ({one_line(calibration.method)}), '
+        f'written by handeye_ros {__version__}.',
+        f'The pose of {child} in {parent}: p_{parent} = T @ p_{child}, so it maps points of '
+        f'{child} into {parent}.',
+        f'Parent frame {parent}, child frame {child}. Metres and radians; quaternions are x y z '
+        'w; roll pitch yaw turn about the fixed axes x, y, z, as in URDF.',
+        f'1 sigma of the position: {position} mm; of the rotation about the axes of {parent}: '
+        f'{turns} degrees.')
+
+
+def one_line(text: str) -> str:
+    """Return a text without line ends, so that it cannot leave a comment."""
+    return ' '.join(text.split())
+
+
+def commented(calibration: Calibration, mark: str = '# ') -> str:
+    """Return the preamble as comment lines."""
+    return ''.join(f'{mark}{line}\n' for line in preamble(calibration))
+
+
+def numbers(values: Array) -> str:
+    """Return numbers with blanks between, each with all its digits."""
+    return ' '.join(repr(float(value)) for value in values)
+
+
+def position(calibration: Calibration) -> Array:
+    """Return the translation (3,) of the sensor in its parent (metres)."""
+    return calibration.T_flange_sensor[:3, 3]
+
+
+def quaternion(calibration: Calibration) -> Array:
+    """Return the rotation (4,) of the sensor in its parent, x y z w."""
+    return se3.quaternion(calibration.T_flange_sensor)
