@@ -24,6 +24,8 @@ NUMBERS = [p for p in KEYS.values() if type(p.default) in (int, float)]
 
 def values_of(parameter: Parameter) -> st.SearchStrategy[object]:
     """Return values that a key takes."""
+    if parameter.key == 'save.formats':
+        return st.lists(st.sampled_from(parameter.choices), min_size=1, max_size=7)
     if parameter.key == 'profile.axes':
         axes = st.sampled_from(parameter.choices)
         return st.lists(axes, min_size=2, max_size=2).filter(lambda two: two[0][-1] != two[1][-1])

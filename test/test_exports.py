@@ -7,9 +7,11 @@ import json
 from pathlib import Path
 import re
 import shlex
+import subprocess
 from types import SimpleNamespace
 from typing import Any
 
+from command import assert_refused, handeye
 from handeye_ros import config, se3
 from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.errors import UnknownNameError, UnwritableError
@@ -157,7 +159,6 @@ def test_every_file_says_what_its_numbers_mean(name: str) -> None:
 
 
 def test_a_shell_takes_the_script(tmp_path: Path) -> None:
-    import subprocess
     ros2 = tmp_path / 'ros2'
     ros2.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')
     ros2.chmod(0o755)
@@ -221,3 +222,22 @@ def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     (tmp_path / 'file').write_text('')
     with pytest.raises(UnwritableError, match='choose another place'):
         exports.save_all(ANY, tmp_path / 'file')
+
+
+def test_the_verb_exports_beside_the_calibration(tmp_path: Path) -> None:
+    exports.save_all(ANY, tmp_path / 'a')
+    run = handeye('export', 'a', '--format', 'urdf', cwd=tmp_path)
+    file = tmp_path / 'a' / 'sensor.urdf.xacro'
+    assert (run.returncode, run.stdout) == (0, f'wrote {file}\n'), run.stderr
+    T, *_ = read_urdf(file.read_text())
+    np.testing.assert_allclose(T, ANY.T_flange_sensor, rtol=0, atol=1e-9)
+    run = handeye('export', 'a/calibration.yaml', '--format', 'matrix', '--out', '-', cwd=tmp_path)
+    np.testing.assert_allclose(read_matrix(run.stdout)[0], T, rtol=0, atol=1e-9)
+
+
+def test_the_verb_refuses_by_sentence(tmp_path: Path) -> None:
+    run = handeye('export', '.', '--format', 'urdf', cwd=tmp_path)
+    assert_refused(run, 2, 'calibration.yaml cannot be used')
+    exports.save_all(ANY, tmp_path)
+    run = handeye('export', '.', '--format', 'udf', cwd=tmp_path)
+    assert_refused(run, 2, 'did you mean "urdf"?')

@@ -35,21 +35,21 @@ def solve(
 ) -> None:
     """Find the transform from a recording or a file, and write calibration.yaml."""
     settings = configuration(config, assignments)
-    target = _target(out, settings) / 'calibration.yaml'
+    folder = _target(out, settings)
 
     from handeye_ros import files
-    from handeye_ros.results import calibration_file, table
+    from handeye_ros.results import exports, table
     from handeye_ros.results.truth_errors import errors_against
     from handeye_ros.results.truth_file import true_transform
     method, T_true = files.of(settings), true_transform(path)
     calibration, field = (_solve_files(method, path, settings) if method else
                           (_solve_bag(path, settings), None))
-    calibration_file.write_calibration(calibration, target)
+    saved = exports.save_all(calibration, folder, settings.save.formats)
     show(table.table(calibration))
     if T_true is not None:
         errors = errors_against(calibration.T_flange_sensor, T_true, field)
         typer.echo(table.error_sentence(errors, *([method.over] if method else [])))
-    typer.echo(f'wrote {target}')
+    typer.echo(saved)
 
 
 def _target(out: Path | None, settings: 'Config') -> Path:

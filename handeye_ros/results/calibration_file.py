@@ -25,6 +25,7 @@ import yaml
 
 FORMAT = 'handeye_ros/calibration/'
 NEWEST = 1
+NAME = 'calibration.yaml'
 
 HEADER = """\
 # Hand-eye calibration. T is the pose of {child} in {parent}: it maps points of {child}
@@ -131,6 +132,11 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return value
+
+
+def file_of(path: Path) -> Path:
+    """Return the file of a calibration, given the file or the folder that holds it."""
+    return path / NAME if path.is_dir() else path
 
 
 def read_calibration(path: Path) -> Calibration:

@@ -14,12 +14,11 @@ from handeye_ros.results.exports import easy_handeye2, plain, ros
 from handeye_ros.results.exports.format import Format
 
 YAML = 'yaml'
-CALIBRATION = 'calibration.yaml'
 HISTORY = 'history'  # the folder of former results, each in a folder named after its time
 
 FORMATS = {
     YAML: Format('calibration.yaml: all that is known of the answer; handeye reads it back',
-                 lambda _: CALIBRATION, calibration_file.text),
+                 lambda _: calibration_file.NAME, calibration_file.text),
     'urdf': Format('a <joint> with <origin xyz rpy>, for a URDF or a xacro file',
                    lambda _: 'sensor.urdf.xacro', ros.urdf),
     'launch': Format('a launch file that starts static_transform_publisher',

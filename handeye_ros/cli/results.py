@@ -1,0 +1,31 @@
+"""The verbs that make of a saved calibration what others read."""
+from pathlib import Path
+from typing import Annotated
+
+from handeye_ros.cli.app import app
+from handeye_ros.cli.common import NoPath
+from handeye_ros.config import SAVE_FORMATS
+import typer
+
+Saved = Annotated[Path, typer.Argument(
+    metavar='CALIBRATION', help='A calibration.yaml, or the folder that holds it.')]
+
+
+@app.command()
+def export(
+    path: Saved,
+    name: Annotated[str, typer.Option(
+        '--format', help=f'One of {", ".join(SAVE_FORMATS)}.')],
+    out: Annotated[NoPath, typer.Option(metavar='FILE', help=(
+        'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
+) -> None:
+    """Write a saved calibration for other programs: URDF, launch file, shell line, ..."""
+    from handeye_ros.results import exports
+    from handeye_ros.results.calibration_file import file_of, read_calibration
+    form, file = exports.of(name), file_of(path)
+    calibration = read_calibration(file)
+    if str(out) == '-':
+        typer.echo(form.text(calibration), nl=False)
+        return
+    target = out or file.parent / form.file_name(calibration)
+    typer.echo(exports.export(calibration, name, target))
