@@ -60,7 +60,9 @@ class TargetConfig:
 class SamplingConfig:
     """When the robot stands still, and what of a station is used."""
 
-    auto: bool = _key(True, 'Take a sample at every stop of the robot.')
+    mode: str = _key('still', 'When a sample is taken: by itself at every stop of the robot '
+                     '(still), or when asked by ~/take_sample or ~/take (manual).',
+                     choices=('still', 'manual'))
     still_time: float = _key(0.5, 'The robot stands still when its pose has not changed for '
                              'this long (s).', minimum=0.05, maximum=60.0)
     still_translation: float = _key(5e-4, 'Largest change of position of a robot that stands '
@@ -75,6 +77,28 @@ class SamplingConfig:
                            minimum=5, maximum=100000)
     min_crossing_angle: float = _key(0.44, 'A laser line that crosses an edge at a smaller '
                                      'angle is not used (rad).', minimum=0.0, maximum=1.5)
+    new_translation: float = _key(
+        0.0, 'A stop nearer than this to an earlier one (m), and turned by less than '
+        'new_rotation, brings nothing new and is not used; 0: every stop is used.',
+        minimum=0.0, maximum=1.0)
+    new_rotation: float = _key(
+        0.0, 'A stop turned by less than this against an earlier one (rad), and nearer than '
+        'new_translation, brings nothing new and is not used; 0: every stop is used.',
+        minimum=0.0, maximum=3.15)
+
+    @property
+    def by_itself(self) -> bool:
+        """Return whether a sample is taken at every stop without being asked for."""
+        return self.mode == 'still'
+
+
+@dataclass(frozen=True)
+class SamplesConfig:
+    """Which samples the answer comes from."""
+
+    exclude: tuple[int, ...] = _key(
+        (), 'Numbers of the samples that are left out; taking a number away brings it back.',
+        minimum=1, maximum=10**6, whole=True)
 
 
 @dataclass(frozen=True)
@@ -152,7 +176,9 @@ class Config:
     profile: ProfileConfig = field(default_factory=ProfileConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     method: str = _key('auto', 'The estimator; auto: the one of the target.')
+    session: str = _key('', 'The session to go on with: its folder, or last; empty: a new one.')
     sampling: SamplingConfig = field(default_factory=SamplingConfig)
+    samples: SamplesConfig = field(default_factory=SamplesConfig)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     limits: LimitsConfig = field(default_factory=LimitsConfig)
@@ -169,7 +195,8 @@ class Parameter:
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[Any, ...] = ()
-    length: tuple[int, ...] = ()
+    length: tuple[int, ...] = ()  # of a list; empty: any
+    whole: bool = False  # a list of whole numbers
 
 
 def parameters() -> tuple[Parameter, ...]:
@@ -244,10 +271,14 @@ def _check_text(parameter: Parameter, value: str) -> None:
 
 
 def _checked_list(parameter: Parameter, value: Any) -> tuple[Any, ...]:
-    if not isinstance(value, list | tuple) or len(value) not in parameter.length:
-        lengths = ' or '.join(map(str, parameter.length))
+    if (not isinstance(value, list | tuple)
+            or parameter.length and len(value) not in parameter.length):
+        lengths = ' or '.join(map(str, parameter.length)) or 'any number of'
         raise BadValueError(parameter.key, value, f'a list of {lengths} values')
-    if not parameter.choices:
+    if parameter.whole:
+        if any(type(item) is not int for item in value):
+            raise BadValueError(parameter.key, value, 'a list of whole numbers')
+    elif not parameter.choices:
         for item in value:
             if type(item) not in (int, float) or not math.isfinite(item):
                 raise BadValueError(parameter.key, value, 'a list of numbers')

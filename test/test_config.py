@@ -31,7 +31,9 @@ def values_of(parameter: Parameter) -> st.SearchStrategy[object]:
         return st.lists(axes, min_size=2, max_size=2).filter(lambda two: two[0][-1] != two[1][-1])
     if isinstance(parameter.default, tuple):
         item = st.floats(parameter.minimum, parameter.maximum)
-        return st.sampled_from(parameter.length).flatmap(
+        if parameter.whole:
+            item = st.integers(int(parameter.minimum), int(parameter.maximum))
+        return st.sampled_from(parameter.length or (0, 1, 5)).flatmap(
             lambda n: st.lists(item, min_size=n, max_size=n))
     if parameter.choices:
         return st.sampled_from(parameter.choices)
@@ -103,7 +105,7 @@ def test_a_key_like_none_suggests_none() -> None:
     ('noise.sensor', float('nan'), 'float'),
     ('limits.residual', float('inf'), 'float'),
     ('sampling.min_points', 20.0, 'int'),
-    ('sampling.auto', 1, 'bool'),
+    ('sampling.mode', 1, 'str'),
     ('name', 5, 'str'),
     ('profile.unit', 'cm', 'one of m, mm'),
     ('profile.range_sign', 0, 'one of 1, -1'),
@@ -229,7 +231,9 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     ('noise.sensor=0.00003', 'noise.sensor', 3e-5),
     (' noise.sensor = 1.0e-4', 'noise.sensor', 1e-4),
     ('limits.residual=1', 'limits.residual', 1.0),
-    ('sampling.auto=false', 'sampling.auto', False),
+    ('sampling.mode=manual', 'sampling.mode', 'manual'),
+    ('samples.exclude=[3, 7]', 'samples.exclude', [3, 7]),
+    ('samples.exclude=[]', 'samples.exclude', []),
     ('name=a=b', 'name', 'a=b'),
     ('name=', 'name', ''),
     ('pose_topic=', 'pose_topic', None),

@@ -146,7 +146,7 @@ def transforms_of(pose):
 
 def test_without_tf2_msgs_poses_from_tf_are_refused(tmp_path: Path) -> None:
     block = ('import sys; sys.modules["tf2_msgs"] = None; '
-             'from handeye_ros.ros.node import main; sys.exit(main())')
+             'from handeye_ros.ros.node.node import main; sys.exit(main())')
     run = subprocess.run(
         [sys.executable, '-c', block, '--ros-args', '-p', 'pose_source:=tf'], cwd=ROOT,
         capture_output=True, text=True, check=False, timeout=60)
@@ -246,7 +246,7 @@ def solve(*args):
     threading.Event().wait()
 
 pipeline.solve = solve
-from handeye_ros.ros.node import main
+from handeye_ros.ros.node.node import main
 sys.exit(main())
 """
 
@@ -300,7 +300,7 @@ def test_a_best_effort_robot_is_heard_and_a_wrong_type_told(
             'it says what is there')
 
 
-@pytest.mark.parametrize('module', ['node', 'replay'])
+@pytest.mark.parametrize('module', ['node.node', 'replay'])
 def test_without_a_place_for_logs(module: str) -> None:
     block = ('import os; [os.environ.pop(name, 0) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR")]'
              f'; import sys; from handeye_ros.ros.{module} import main; sys.exit(main())')

@@ -18,8 +18,9 @@ from handeye_ros.sampling.errors import (
     SparsePosesError,
     TwoFramesError,
 )
-from handeye_ros.sampling.session import MOST_PROFILES, Session
+from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stations import interpolate, MAX_STATION, NS
+from handeye_ros.sampling.stops import MOST_PROFILES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -31,7 +32,7 @@ MS = 1_000_000
 GOOD = with_lost(drawn(step_up_to(0.002)))[::4]
 BAD = with_lost(drawn(face))[::4]  # a face without an edge
 CONFIG = Config()
-MANUAL = with_values(CONFIG, {'sampling.auto': False}, 'test')
+MANUAL = with_values(CONFIG, {'sampling.mode': 'manual'}, 'test')
 
 
 def pose(time: float, x: float = 0.0, turn: float = 0.0, frame: str = 'base') -> TimedPose:
@@ -75,6 +76,11 @@ def add(session: Session, item: TimedPose | Profile) -> None:
         session.add_pose(item)
     else:
         session.add_profile(item)
+
+
+def results(session: Session) -> list[Sample | Reject]:
+    """Return what became of the stops, in the order of their numbers."""
+    return [outcome.result for outcome in session.outcomes]
 
 
 def key(outcomes: Sequence[Sample | Reject]) -> list[tuple[object, ...]]:
@@ -183,7 +189,7 @@ def test_most_profiles_of_a_stop_must_show_the_target() -> None:
 
 STREAM_POSES = stops((0, 1), (2, 2.8), (3.5, 4.5), rate=25.0)
 STREAM_PROFILES = [*profiles(0.02, 2.9, rate=8.0), *profiles(3.4, 4.5, rate=8.0, points=BAD)]
-IN_ORDER = key(played(STREAM_POSES, STREAM_PROFILES)._outcomes)
+IN_ORDER = key(results(played(STREAM_POSES, STREAM_PROFILES)))
 
 
 @settings(max_examples=30)
@@ -270,7 +276,7 @@ def test_one_wild_stamp_changes_nothing_but_that_message(
                 add(session, replace(item, stamp=item.stamp + round(jump * NS)))
             session.collect()
         session.finish()
-        outcomes.append(key(session._outcomes))
+        outcomes.append(key(results(session)))
         assert not session.late
     assert outcomes[0] == outcomes[1]
     # the first of all may be early: nothing tells that it is
@@ -444,8 +450,8 @@ def test_why_no_sample_can_be_taken_is_told() -> None:
 def test_the_last_sample_can_be_removed() -> None:
     session = played(stops((0, 1), (2, 3)), profiles(0, 3))
     first, second = session.samples
-    assert session.remove_last() is second and session.samples == (first,)
-    assert session.remove_last() is first
+    assert session.remove_last().result is second and session.samples == (first,)
+    assert session.remove_last().result is first
     with pytest.raises(NothingToRemoveError):
         session.remove_last()
 
@@ -472,7 +478,7 @@ def test_automatic_samples_can_be_switched_on_and_off() -> None:
     session = Session(MANUAL)
     for item in sorted([*stops((0, 1), (2, 3)), *profiles(0, 3)], key=lambda item: item.stamp):
         if item.stamp > START + round(1.5 * NS):
-            session.set_auto(True)
+            session.configure(CONFIG)
         add(session, item)
     session.finish()
     assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.1]

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from handeye_ros.errors import DataError, InputError
+from handeye_ros.sampling.stations import Motion
 
 
 class TwoFramesError(InputError):
@@ -27,19 +28,40 @@ class NoPosesError(DataError):
 
 
 class MovingError(DataError):
-    """A sample was asked for while the robot moved."""
+    """A sample was asked for while the robot moved, or had only just stopped."""
 
-    def __init__(self, still_time: float) -> None:
-        super().__init__(f'the robot has not stood still for {still_time:g} s: stop it, wait, '
-                         'and take the sample again')
+    def __init__(self, still_time: float, motion: Motion | None) -> None:
+        if motion is None:
+            how = 'too few poses have come to tell'
+        else:
+            how = motion.sentence
+        super().__init__(f'the robot has not stood still for {still_time:g} s, {how}: stop it, '
+                         'wait, and take the sample again')
+
+
+class SilentPosesError(DataError):
+    """A sample was asked for while profiles came, but no poses."""
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__(f'the pose stream has been silent for {seconds:.1f} s while profiles '
+                         'come, so nobody knows where the robot is: check the robot driver, and '
+                         'take the sample again')
+
+
+class NothingNewError(DataError):
+    """A sample was asked for where one was taken before; reason: which one."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f'{reason}: move on, and turn the tool')
 
 
 class NoProfilesError(DataError):
     """No profile came while the robot stood still."""
 
     def __init__(self, duration: float) -> None:
-        super().__init__(f'no profile came while the robot stood still here for {duration:.1f} '
-                         's: check the sensor, and that both clocks agree')
+        super().__init__(f'no profile has a stamp of the {duration:.1f} s during which the robot '
+                         'stood still here: either the sensor sent none, or its clock is not '
+                         'that of the robot')
 
 
 class NothingToRemoveError(DataError):

@@ -1,7 +1,9 @@
 """When the robot stood still, cut out of a stream of poses, and where it was in between."""
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 from handeye_ros import se3
@@ -11,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 NS = 1_000_000_000
+MOTION_TIME = 3 * NS // 10  # over which the speed of the robot is told
 MAX_STATION = 10 * NS  # more of one stop adds nothing but memory
 FOREVER = 2**63
 
@@ -37,6 +40,23 @@ class Station:
         return self.poses[-1].stamp
 
 
+@dataclass(frozen=True)
+class Motion:
+    """How the robot moves: m/s, rad/s, and for how long it has stood still (s)."""
+
+    speed: float
+    turning: float
+    still: float
+
+    @property
+    def sentence(self) -> str:
+        """Return it in words."""
+        if self.still > MOTION_TIME / NS:
+            return f'it stands still since {self.still:.1f} s'
+        return (f'it moves by {self.speed * 1e3:.1f} mm/s and '
+                f'{np.degrees(self.turning):.1f} degrees/s')
+
+
 class StationFinder:
     """Cuts a stream of poses into the times during which the robot stood still."""
 
@@ -45,9 +65,19 @@ class StationFinder:
         self.sampling = sampling
         self._run: list[TimedPose] = []
         self._began = self._latest = -1
+        self._recent: deque[TimedPose] = deque()
+
+    def copied(self) -> StationFinder:
+        """Return another that goes on from here by itself."""
+        other = copy(self)
+        other._run, other._recent = list(self._run), deque(self._recent)
+        return other
 
     def add(self, pose: TimedPose) -> Station | None:
         """Take the next pose; return the station that it ends, if it ends one."""
+        self._recent.append(pose)
+        while pose.stamp - self._recent[0].stamp > MOTION_TIME:
+            self._recent.popleft()
         continues = bool(self._run) and self._continues(pose)
         self._latest = pose.stamp
         if continues:
@@ -61,33 +91,46 @@ class StationFinder:
         """Return the station that the robot stands in now, if it has stood still for long."""
         return self._station(self._run)
 
+    def motion(self) -> Motion | None:
+        """Return how the robot moves now, None where poses do not tell."""
+        if len(self._recent) < 2:
+            return None
+        first, last = self._recent[0], self._recent[-1]
+        seconds = (last.stamp - first.stamp) / NS
+        return Motion(float(np.linalg.norm(last.translation - first.translation)) / seconds,
+                      _turned(first, last) / seconds, (last.stamp - self._run[0].stamp) / NS)
+
     def window(self) -> tuple[int, int]:
         """Return the first and last stamp that can still matter to this stop of the robot."""
         if not self._run:
             return 0, FOREVER
-        limited = self.sampling.auto
+        limited = self.sampling.by_itself
         return self._run[0].stamp, self._run[0].stamp + MAX_STATION if limited else FOREVER
 
     def _extend(self, pose: TimedPose) -> None:
         """Let a long stop use its first seconds, or its last when samples are asked for."""
         if pose.stamp - self._run[0].stamp <= MAX_STATION:
             self._run.append(pose)
-        elif not self.sampling.auto:
+        elif not self.sampling.by_itself:
             self._run = [p for p in self._run[1:] if pose.stamp - p.stamp <= MAX_STATION]
             self._run.append(pose)
 
     def _continues(self, pose: TimedPose) -> bool:
         first, limits = self._run[0], self.sampling
         moved = np.linalg.norm(pose.translation - first.translation)
-        # |q1 - q2| is half the angle between close orientations
-        turned = 2 * min(np.linalg.norm(pose.quaternion - first.quaternion),
-                         np.linalg.norm(pose.quaternion + first.quaternion))
-        return bool(moved <= limits.still_translation and turned <= limits.still_rotation
+        return bool(moved <= limits.still_translation
+                    and _turned(first, pose) <= limits.still_rotation
                     and pose.stamp - self._latest <= limits.max_pose_gap * NS)
 
     def _station(self, run: Sequence[TimedPose]) -> Station | None:
         still = bool(run) and run[-1].stamp - run[0].stamp >= self.sampling.still_time * NS
         return Station(tuple(run), self._began) if still else None
+
+
+def _turned(a: TimedPose, b: TimedPose) -> float:
+    """Return the angle between close orientations (rad): twice |q1 - q2|."""
+    return 2 * float(min(np.linalg.norm(a.quaternion - b.quaternion),
+                         np.linalg.norm(a.quaternion + b.quaternion)))
 
 
 def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Sequence
+from copy import copy
 from itertools import accumulate
 from typing import Generic, TypeVar
 
@@ -44,6 +45,12 @@ class Stream(Generic[Stamped]):
         self.late = False
         self.frame: str | None = None
         self.conflict: TwoFramesError | None = None
+
+    def copied(self) -> Stream[Stamped]:
+        """Return another that goes on from here by itself."""
+        other = copy(self)
+        other._dropped = Counter(self._dropped)
+        return other
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
-from copy import deepcopy
 from dataclasses import replace
 import os
 from pathlib import Path
@@ -119,10 +118,9 @@ class LiveSession:
     def configure(self, config: Config) -> None:
         """Go on with another configuration, already checked by params.changed."""
         with self._lock:
-            if self._session.samples or not _differs(config, self.config):
-                self._session.set_auto(config.sampling.auto)
-            else:
+            if _differs(config, self.config):
                 self._session = Session(config)
+            self._session.configure(config)
             self.config = config
 
     def add_profile(self, profile: Profile) -> list[Sample | Reject]:
@@ -158,7 +156,7 @@ class LiveSession:
     def remove_last_sample(self) -> str:
         """Forget the last sample; raises DataError when there is none."""
         with self._lock:
-            removed = self._session.remove_last()
+            removed = self._session.remove_last().result
             count = len(self._session.samples)
         return f'removed the last sample ({sample_summary(removed)}); {count} left'
 
@@ -179,7 +177,7 @@ class LiveSession:
 
         """
         with self._lock:
-            session, config, cleared = deepcopy(self._session), self.config, self._cleared
+            session, config, cleared = self._session.copied(), self.config, self._cleared
             self._calibration = None
         session.finish()
         session.require_stations()
@@ -200,7 +198,7 @@ class LiveSession:
     def save(self) -> str:
         """Write the last answer; raises NothingToSaveError, and InputError if it cannot."""
         with self._lock:
-            calibration, solved, session = self._calibration, self._solved, deepcopy(self._session)
+            calibration, solved, session = self._calibration, self._solved, self._session.copied()
         if calibration is None:
             raise NothingToSaveError
         name = calibration_file.folder_name(self.config)
@@ -228,5 +226,6 @@ def _stamps(session: Session) -> frozenset[int]:
 def _differs(config: Config, other: Config) -> bool:
     """Tell whether two configurations take other samples."""
     same = replace(config, name=other.name, limits=other.limits, save=other.save,
-                   sampling=replace(config.sampling, auto=other.sampling.auto))
+                   samples=other.samples,
+                   sampling=replace(config.sampling, mode=other.sampling.mode))
     return same != other

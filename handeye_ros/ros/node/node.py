@@ -178,7 +178,8 @@ class HandeyeNode(Node):
 
     def _auto_sample(self, request: SetBool.Request, response: SetBool.Response
                      ) -> SetBool.Response:
-        result = self.set_parameters([Parameter('sampling.auto', value=request.data)])[0]
+        result = self.set_parameters([Parameter(
+            'sampling.mode', value='still' if request.data else 'manual')])[0]
         response.success, response.message = result.successful, result.reason
         if result.successful:
             response.message = ('a sample is taken at every stop of the robot' if request.data

@@ -24,10 +24,10 @@ OUTPUT_DIR_DESCRIPTION = ('Folder in which save_calibration makes <name>/calibra
 
 # What the node subscribes to, or tells others, from its start on.
 FIXED = ('robot_base_frame', 'robot_effector_frame', 'pose_source', 'pose_topic',
-         'profile_topic')
+         'profile_topic', 'session')
 # What the samples do not depend on; all other keys need that there are none.
-FREE = ('name', 'limits.translation', 'limits.rotation', 'limits.residual', 'sampling.auto',
-        'save.formats', OUTPUT_DIR)
+FREE = ('name', 'limits.translation', 'limits.rotation', 'limits.residual', 'sampling.mode',
+        'samples.exclude', 'save.formats', OUTPUT_DIR)
 
 # Parameters that rclpy declares by itself, or on demand.
 NOT_OURS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')

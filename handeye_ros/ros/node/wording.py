@@ -6,7 +6,7 @@ from collections.abc import Sequence, Set
 import math
 
 from handeye_ros import se3
-from handeye_ros.data import Calibration, Sample
+from handeye_ros.data import Calibration, Reject, Sample
 import numpy as np
 
 NAMES = {'FaceLine': 'face line', 'EdgePoint': 'edge point', 'Arc': 'arc'}
@@ -17,8 +17,10 @@ def count_of(count: int, what: str) -> str:
     return f'{count} {what}' if count == 1 else f'{count} {what}s'
 
 
-def sample_summary(sample: Sample) -> str:
-    """Return what was seen in a sample."""
+def sample_summary(sample: Sample | Reject) -> str:
+    """Return what was seen in a sample, or why there is none."""
+    if isinstance(sample, Reject):
+        return sample.reason
     counts = Counter(NAMES[type(feature).__name__] for feature in sample.features)
     seen = ', '.join(count_of(count, name) for name, count in counts.items())
     return f'{seen} from {count_of(sample.profiles, "profile")}'

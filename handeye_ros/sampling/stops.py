@@ -1,0 +1,119 @@
+"""
+What is kept of a stop of the robot, and the sample that its profiles and poses give.
+
+The messages stay with the stop, so that another configuration needs no new stops.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from handeye_ros import methods, se3
+from handeye_ros.config import Config, flipped_range
+from handeye_ros.data import Feature, Profile, Reject, Sample, TimedPose
+from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.sampling import station_features
+from handeye_ros.sampling.errors import NoProfilesError
+from handeye_ros.sampling.stations import interpolate, NS, Station
+import numpy as np
+
+MOST_PROFILES = 300  # of one stop, evenly spread: more adds nothing but time
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """The poses (in order of their stamps) and the profiles of the time of a stop."""
+
+    poses: tuple[TimedPose, ...]
+    profiles: tuple[Profile, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Stop:
+    """
+    A time during which the robot stood still.
+
+    began: the stamp of its first pose, which tells stops apart; load: gives what was seen, the
+    profiles as a configuration reads them.
+    """
+
+    began: int
+    load: Callable[[Config], Seen]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of a stop; number: counted from 1, never given twice in a session."""
+
+    number: int
+    stop: Stop
+    result: Sample | Reject
+
+    @property
+    def sample(self) -> Sample | None:
+        """Return the sample, None where there is none."""
+        return self.result if isinstance(self.result, Sample) else None
+
+
+def stop_of(station: Station, profiles: Sequence[Profile], config: Config) -> Stop:
+    """Return the stop of a station; profiles: all that may belong to its time."""
+    inside = [p for p in profiles if station.start <= p.stamp <= station.end]
+    first, last = settled(station.start, station.end, config)
+    used = evenly([p for p in inside if first <= p.stamp <= last])
+    around = evenly([p for p in inside if not first <= p.stamp <= last])
+    seen = Seen(station.poses, tuple(sorted([*used, *around], key=lambda p: p.stamp)))
+    return Stop(station.began, lambda _: seen)
+
+
+def settled(start: int, end: int, config: Config) -> tuple[int, int]:
+    """Return the first and last stamp of a stop at which nothing swings any more."""
+    settle = round(config.sampling.settle_time * NS)
+    return start + settle, end - settle
+
+
+def evenly(profiles: Sequence[Profile]) -> list[Profile]:
+    """Return at most MOST_PROFILES of the profiles, evenly spread."""
+    if len(profiles) <= MOST_PROFILES:
+        return list(profiles)
+    return [profiles[i] for i in np.linspace(0, len(profiles) - 1, MOST_PROFILES).astype(int)]
+
+
+def sample_of(stop: Stop, config: Config) -> Sample:
+    """Return the sample of a stop; raises NoProfilesError or FeatureError with the reason."""
+    method, seen = methods.of(config), stop.load(config)
+    profiles = _still(seen, config)
+    if not profiles:
+        raise NoProfilesError((seen.poses[-1].stamp - seen.poses[0].stamp) / NS)
+    used, combined = station_features.of_station(
+        profiles, lambda points: method.extract(points, config))
+    poses = interpolate(seen.poses, [p.stamp for p in used])
+    return Sample(used[0].stamp, se3.mean_pose(poses), combined, len(used),
+                  _flipped(used[0], config))
+
+
+def _still(seen: Seen, config: Config) -> list[Profile]:
+    """Return the profiles of the time in which nothing swings any more."""
+    first, last = settled(seen.poses[0].stamp, seen.poses[-1].stamp, config)
+    return evenly([p for p in seen.profiles if first <= p.stamp <= last])
+
+
+def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
+    """Return what a profile shows with profile.range_sign the other way."""
+    method = methods.of(config)
+    if not method.edges:
+        return ()
+    try:
+        return method.extract(profile.points, flipped_range(config))
+    except FeatureError:
+        return ()
+
+
+def result_of(stop: Stop, config: Config) -> Sample | Reject:
+    """Return the sample of a stop, or why it gives none."""
+    try:
+        return sample_of(stop, config)
+    except (FeatureError, NoProfilesError) as error:
+        seen = stop.load(config)
+        profiles = _still(seen, config)
+        flipped = _flipped(profiles[0], config) if profiles else ()
+        return Reject(seen.poses[0].stamp, str(error), flipped)

@@ -1,0 +1,212 @@
+"""
+When the robot stood still, and what was seen meanwhile: stops out of two streams.
+
+Stops come from the pose stream alone, and one is over only when both streams have passed its
+end, so they do not depend on how poses and profiles were interleaved on arrival.
+"""
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from copy import copy
+from typing import Self
+
+from handeye_ros.config import Config, UNNAMED_FRAME
+from handeye_ros.data import Profile, TimedPose
+from handeye_ros.sampling.errors import (
+    MovingError,
+    NoPosesError,
+    NoStationsError,
+    PositionUnitError,
+    SilentPosesError,
+    SparsePosesError,
+    TwoFramesError,
+)
+from handeye_ros.sampling.frame_notes import frame_notes
+from handeye_ros.sampling.stations import FOREVER, Motion, NS, Station, StationFinder
+from handeye_ros.sampling.stops import Stop, stop_of
+from handeye_ros.sampling.stream import LARGEST_STEP, Stream
+import numpy as np
+
+LARGEST_POSITION = 50.0  # of a flange in metres: more is another unit
+SILENCE = 0.25  # s without a pose, while profiles come, after which the robot may be anywhere
+MISSED_POSES = 5  # periods of the poses that they may be late
+
+
+class Watch:
+    """Takes poses and profiles as they come; gives the stops that they show, each once."""
+
+    def __init__(self, config: Config) -> None:
+        """Start with nothing."""
+        self._config = config
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all that was received."""
+        self._finder = StationFinder(self._config.sampling)
+        self._waiting: list[Station] = []
+        self._profiles: list[Profile] = []
+        self._taken: set[int] = set()  # when the stops began that were given
+        self._largest_position = 0.0
+        self._beside = 0.0
+        self._pose_stream: Stream[TimedPose] = Stream('pose')
+        self._profile_stream: Stream[Profile] = Stream('profile')
+
+    def copied(self) -> Self:
+        """Return another that goes on from here by itself."""
+        other = copy(self)
+        other._waiting, other._profiles, other._taken = (
+            list(self._waiting), list(self._profiles), set(self._taken))
+        other._finder, other._pose_stream, other._profile_stream = (
+            self._finder.copied(), self._pose_stream.copied(), self._profile_stream.copied())
+        return other
+
+    def configure(self, config: Config) -> None:
+        """Go on with another configuration."""
+        self._config = config
+        self._finder.sampling = config.sampling
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return what was dropped on the way, one sentence each."""
+        notes = frame_notes(self._profile_stream.frame, self._beside, self._config)
+        return (*self._pose_stream.warnings, *self._profile_stream.warnings, *notes)
+
+    @property
+    def frame_id(self) -> str:
+        """Return the frame of the profiles, empty before the first."""
+        frame = self._profile_stream.frame
+        return '' if frame is None else frame or UNNAMED_FRAME
+
+    @property
+    def conflict(self) -> TwoFramesError | None:
+        """Return the error of a topic with messages of two frames, None if there is none."""
+        return self._pose_stream.conflict or self._profile_stream.conflict
+
+    @property
+    def late(self) -> tuple[str, ...]:
+        """Return what comes with stamps older than before, and is dropped: poses, profiles."""
+        late = {'poses': self._pose_stream.late, 'profiles': self._profile_stream.late}
+        return tuple(kind for kind, is_late in late.items() if is_late)
+
+    @property
+    def motion(self) -> Motion | None:
+        """Return how the robot moves now, None before poses tell."""
+        return self._finder.motion()
+
+    def add_pose(self, pose: TimedPose) -> None:
+        """Take a pose of the flange; one that cannot be used is dropped with a warning."""
+        self._take_poses(self._pose_stream.add(pose, pose.parent_frame))
+
+    def _take_poses(self, poses: Sequence[TimedPose]) -> None:
+        for pose in poses:
+            reach = float(np.linalg.norm(pose.translation))
+            self._largest_position = max(self._largest_position, reach)
+            station = self._finder.add(pose)
+            if station and self._config.sampling.by_itself:
+                self._waiting.append(station)
+
+    def add_profile(self, profile: Profile) -> None:
+        """Take a laser profile; one that cannot be used is dropped with a warning."""
+        self._beside = max(self._beside, abs(profile.beside))
+        self._profiles += self._profile_stream.add(profile, profile.frame_id)
+
+    def passed(self) -> list[Stop]:
+        """Return the stops that both streams have passed since the last call."""
+        # a sensor that is triggered once at each stop does not send the next profile soon
+        now = self._pose_stream.latest
+        self._profiles += self._profile_stream.believed(now - LARGEST_STEP, now + LARGEST_STEP)
+        over = [s for s in self._waiting if self._profile_stream.latest > s.end]
+        self._waiting = [s for s in self._waiting if s not in over]
+        stops = self._stops(over)
+        self._forget_old_profiles()
+        return stops
+
+    def rest(self) -> list[Stop]:
+        """
+        Return all stops left, the one the robot stands in included.
+
+        Raises TwoFramesError when messages of two frames came on one topic.
+        """
+        self._require_one_frame()
+        self._take_poses(self._pose_stream.believed(0, FOREVER))
+        self._profiles += self._profile_stream.believed(0, FOREVER)
+        current = self._finder.current()
+        if current and self._config.sampling.by_itself:
+            self._waiting.append(current)
+        stations, self._waiting = self._waiting, []
+        return self._stops(stations)
+
+    def here(self) -> Stop:
+        """
+        Return the stop that the robot stands in now.
+
+        Raises TwoFramesError, NoPosesError, SilentPosesError or MovingError.
+        """
+        self._require_one_frame()
+        if self._pose_stream.frame is None:
+            raise self._no_poses()
+        self._require_poses_now()
+        station = self._finder.current()
+        if station is None:
+            raise MovingError(self._config.sampling.still_time, self.motion)
+        self._profiles += self._profile_stream.believed(station.start, station.end)
+        return self._stop(station)
+
+    def standing(self) -> Stop | None:
+        """Return the stop that the robot stands in, if it will be given by itself."""
+        station = self._finder.current()
+        if (station is None or not self._config.sampling.by_itself
+                or station.began in self._taken):
+            return None
+        return self._stop(station)
+
+    def require_stations(self) -> None:
+        """
+        Refuse a recording in which the robot never stood still.
+
+        Raises NoPosesError, PositionUnitError, SparsePosesError or NoStationsError.
+        """
+        if self._taken:
+            return
+        poses, sampling = self._pose_stream, self._config.sampling
+        if not poses.count:
+            raise self._no_poses()
+        if self._largest_position > LARGEST_POSITION:
+            raise PositionUnitError(self._largest_position)
+        if poses.period > sampling.max_pose_gap:
+            raise SparsePosesError(poses.period, sampling.max_pose_gap)
+        raise NoStationsError(poses.count, sampling.still_time)
+
+    def _stops(self, stations: Sequence[Station]) -> list[Stop]:
+        """Return the stops of stations, but for those taken by hand."""
+        new = [station for station in stations if station.began not in self._taken]
+        self._taken |= {station.began for station in new}
+        return [self._stop(station) for station in new]
+
+    def _stop(self, station: Station) -> Stop:
+        return stop_of(station, self._profiles, self._config)
+
+    def _require_poses_now(self) -> None:
+        """Refuse where profiles go on without poses: nobody knows where the robot is."""
+        poses = self._pose_stream
+        silence = (self._profile_stream.latest - poses.latest) / NS
+        if max(SILENCE, MISSED_POSES * poses.period) < silence < LARGEST_STEP / NS:
+            raise SilentPosesError(silence)
+
+    def _no_poses(self) -> NoPosesError:
+        by_topic = self._config.pose_source == 'topic'
+        return NoPosesError(self._config.pose_topic if by_topic else None)
+
+    def _require_one_frame(self) -> None:
+        if self.conflict:
+            raise self.conflict
+
+    def _forget_old_profiles(self) -> None:
+        """Keep only what a station that is waiting, or not yet over, can still need."""
+        starts = [s.start for s in self._waiting]
+        first, last = self._finder.window()
+        oldest = min([*starts, first])
+        newest = max([*(s.end for s in self._waiting), last])
+        del self._profiles[bisect_right(self._profiles, newest, key=lambda p: p.stamp):]
+        del self._profiles[:bisect_left(self._profiles, oldest, key=lambda p: p.stamp)]
