@@ -30,9 +30,10 @@ def simulate(
     force: Annotated[bool, typer.Option('--force', help='Replace a bag that is there.')] = False,
 ) -> None:
     """Make a recording with a known answer, which is written to truth.yaml in it."""
-    from handeye_ros.simulate import FILE_SCENES, SCENARIOS
-    if scenario not in {*SCENARIOS, *FILE_SCENES}:
-        raise UnknownNameError('scenario', scenario, [*SCENARIOS, *FILE_SCENES])
+    from handeye_ros.simulate import FAULTS, FILE_SCENES, SCENARIOS
+    known = [*SCENARIOS, *FILE_SCENES, *FAULTS]
+    if scenario not in known:
+        raise UnknownNameError('scenario', scenario, known)
 
     from handeye_ros.ros.bags import simulated
     with doing('simulating'):

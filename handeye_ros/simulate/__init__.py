@@ -2,8 +2,10 @@
 Simulated recordings with known truth, without ROS.
 
 `simulate` renders profiles and poses; `simulate_samples` makes the features directly;
+`FAULTS` are cells with the faults of real ones;
 `FILE_SCENES` make files of measured values.
 """
+from handeye_ros.simulate.faults import FAULTS
 from handeye_ros.simulate.measured import FILE_SCENES, Measured
 from handeye_ros.simulate.recording import simulate, Simulated
 from handeye_ros.simulate.samples import simulate_samples
@@ -11,5 +13,5 @@ from handeye_ros.simulate.scenario import Scenario, Station, Truth
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.settings import settings
 
-__all__ = ['FILE_SCENES', 'Measured', 'SCENARIOS', 'Scenario', 'Simulated', 'Station', 'Truth',
-           'settings', 'simulate', 'simulate_samples']
+__all__ = ['FAULTS', 'FILE_SCENES', 'Measured', 'SCENARIOS', 'Scenario', 'Simulated', 'Station',
+           'Truth', 'settings', 'simulate', 'simulate_samples']

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.simulate import arm
+from handeye_ros.simulate.distortion import Distortion
 from handeye_ros.simulate.layout import FRAMES
 from handeye_ros.simulate.scenario import RobotModel, Scenario, Station, Truth
 from handeye_ros.simulate.stations import Stops
@@ -20,13 +22,14 @@ class Cell:
 
     T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base);
     T_world_target: the target in the base, or in the flange. T_base_flange, its reported
-    twin: (n, 4, 4).
+    twin: (n, 4, 4). T_mount_best: what serves best with the reported poses.
     """
 
     T_mount_sensor: Array
     T_world_target: Array
     T_base_flange: Array
     T_base_flange_reported: Array
+    T_mount_best: Array
 
     def T_target_sensor(self, T_base_flange: Array, calibration_type: str) -> Array:
         """Return the sensor's poses (n, 4, 4) in the target at flange poses (n, 4, 4)."""
@@ -34,9 +37,13 @@ class Cell:
         return np.asarray(se3.inverse(self.T_world_target) @ T @ self.T_mount_sensor)
 
 
-def draw(scenario: Scenario, stops: Stops, rng: np.random.Generator) -> Cell:
-    """Draw a cell in which the sensor gets to the stops, and the robot's errors."""
-    T_near = _sensor_on_flange(rng)
+def draw(scenario: Scenario, stops: Stops, anywhere: Stops, rng: np.random.Generator) -> Cell:
+    """
+    Draw a cell in which the sensor gets to the stops, and the robot's errors.
+
+    anywhere: many stops, over which a transform is to serve.
+    """
+    T_near = _sensor_on_flange(scenario, rng)
     T_far = _target_in_base(rng)
     T_sensor_target = se3.inverse(stops.T_target_sensor)
     if scenario.calibration_type == 'eye_on_base':
@@ -47,14 +54,45 @@ def draw(scenario: Scenario, stops: Stops, rng: np.random.Generator) -> Cell:
         T_true = T_far @ stops.T_target_sensor @ se3.inverse(T_near)
         T_mount_sensor, T_world_target = T_near, T_far
     reported = perturbed(T_true, robot_error(scenario.robot, T_true, rng))
+    best = T_mount_sensor
+    if scenario.robot.geometry:
+        errors = arm.draw(scenario.robot.geometry, rng)
+        reported = perturbed(reported, arm.reported_error(T_true, errors))
+        more = T_far @ anywhere.T_target_sensor @ se3.inverse(T_near)
+        best = _best_mount(more, arm.reported_error(more, errors), T_mount_sensor, scenario)
+    reported[:, :3, 3] *= 1 + scenario.robot.scale
     reported = _bumped(reported, scenario.bumped, rng)
-    return Cell(T_mount_sensor, T_world_target, T_true, reported)
+    return Cell(T_mount_sensor, T_world_target, T_true, reported, best)
 
 
-def _sensor_on_flange(rng: np.random.Generator) -> Array:
+def _sensor_on_flange(scenario: Scenario, rng: np.random.Generator) -> Array:
     direction = rng.normal(size=3)
-    translation = direction / np.linalg.norm(direction) * rng.uniform(0.1, 0.2)
+    translation = direction / np.linalg.norm(direction) * rng.uniform(*scenario.lever)
+    if scenario.robot.geometry:  # an arm whose flange must look down
+        turn = Rotation.from_euler('ZY', rng.uniform([-np.pi, -0.4], [np.pi, 0.4]))
+        return se3.transform(turn.as_matrix(), translation)
     return se3.transform(_any_rotation(rng), translation)
+
+
+def _best_mount(T: Array, error: Array, X: Array, scenario: Scenario) -> Array:
+    """
+    Return the mount (4, 4) that serves best with poses T (n, 4, 4) reported with an error (n, 6).
+
+    Points of the field of view are mapped most nearly to where they are, but for a motion of
+    all of them, which is the target's.
+    """
+    (near, far), w = scenario.sensor.range, scenario.sensor.half_width
+    field = np.array([[x * z, 0.0, z] for z in (near, far) for x in (-w, 0.0, w)])
+    lever = field @ X[:3, :3].T
+    a, R = T[:, None, :3, 3], T[:, :3, :3]
+    off = se3.apply(T, lever + X[:3, 3])
+    shift = error[:, None, :3] + np.cross(error[:, None, 3:], off - a)
+    by_turn = -np.einsum('nij,kjl->nkil', R, se3.skew(lever))
+    by_shift = np.broadcast_to(R[:, None], by_turn.shape)
+    by_target = np.concatenate([np.broadcast_to(-np.eye(3), by_turn.shape), se3.skew(off)], axis=3)
+    A = np.concatenate([by_shift, by_turn, by_target], axis=3).reshape(-1, 12)
+    step = np.linalg.lstsq(A, -shift.reshape(-1), rcond=1e-9)[0]
+    return se3.perturb(X, step[:6])
 
 
 def _any_rotation(rng: np.random.Generator) -> Array:
@@ -100,16 +138,23 @@ def _bumped(T: Array, count: int, rng: np.random.Generator) -> Array:
 
 
 def visit_order(scenario: Scenario, n: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Return the order (n,) in which the stops are visited."""
-    return rng.permutation(n) if scenario.shuffled else np.arange(n)
+    """Return the order in which n stops are visited, all as often as the programme is run."""
+    once = rng.permutation(n) if scenario.shuffled else np.arange(n)
+    return np.tile(once, scenario.repeats)
 
 
-def truth(scenario: Scenario, cell: Cell, stops: Stops, spans: NDArray[np.int64]) -> Truth:
-    """Return what is true, stop after stop; spans (n, 2): stamps of standing still."""
+def truth(scenario: Scenario, cell: Cell, stops: Stops, spans: NDArray[np.int64],
+          bent: Distortion | None = None) -> Truth:
+    """
+    Return what is true, stop after stop.
+
+    spans (n, 2): stamps of standing still; bent: the sensor's own error.
+    """
     T_standard_sensor = FRAMES[scenario.layout.frame].T_standard_sensor
     stations = tuple(
         Station(int(span[0]), int(span[1]), label, point, T, T_reported)
         for span, label, point, T, T_reported in zip(
             spans, stops.labels, stops.points, cell.T_base_flange, cell.T_base_flange_reported,
             strict=True))
-    return Truth(cell.T_mount_sensor @ T_standard_sensor, cell.T_world_target, stations)
+    T_mount_sensor = cell.T_mount_best @ (bent.T_true_reported if bent else np.eye(4))
+    return Truth(T_mount_sensor @ T_standard_sensor, cell.T_world_target, stations)

@@ -23,15 +23,18 @@ class Frame:
     range_sign: int = 1
 
 
-def _rotation(*columns: tuple[float, float, float], z: float = 0.0) -> Array:
+def _rotation(*columns: tuple[float, float, float], x: float = 0.0, z: float = 0.0) -> Array:
     T = np.eye(4)
-    T[:3, :3], T[2, 3] = np.array(columns).T, z
+    T[:3, :3], T[:3, 3] = np.array(columns).T, [x, 0.0, z]
     return T
 
 
 FRAMES = {
     'standard': Frame(np.eye(4)),
     'z_up': Frame(_rotation((1, 0, 0), (0, -1, 0), (0, 0, -1), z=0.2), range_sign=-1),
+    # zero in the middle of the range, which is counted upwards, and at the left of a wide field
+    'off_centre': Frame(_rotation((1, 0, 0), (0, -1, 0), (0, 0, -1), x=-0.07, z=0.275),
+                        range_sign=-1),
     'x_reversed': Frame(_rotation((-1, 0, 0), (0, -1, 0), (0, 0, 1))),
     'y_along_line': Frame(_rotation((0, -1, 0), (1, 0, 0), (0, 0, 1)), axes=('y', 'z')),
 }

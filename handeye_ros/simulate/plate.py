@@ -6,6 +6,7 @@ import math
 from handeye_ros import se3
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
 from handeye_ros.simulate.scenario import PlateTarget, Scenario, SensorModel
+from handeye_ros.simulate.slab import slab
 from handeye_ros.simulate.solids import Box, Solid, table
 from handeye_ros.simulate.stations import fan, lift, MOTIONS, Stops, strata, tilts
 import numpy as np
@@ -121,15 +122,16 @@ def visible_lengths(
 
 
 def solids(scenario: Scenario) -> tuple[Solid, ...]:
-    """Return table, plate and, with clutter, a block 8 mm beside each of the edges p and q."""
+    """Return table, plate and, with clutter, a block beside each of the edges p and q."""
     target = scenario.target
     assert isinstance(target, PlateTarget)
     if scenario.empty:
         return table(target.table)
     bottom, (length, width) = -target.thickness, target.size
-    plate = Box((0, 0, bottom), (length, width, 0))
     if target.clutter is None:
-        return (*table(target.table), plate)
-    return (*table(target.table), plate,
-            Box((-0.02, -0.018, bottom), (length, -0.008, target.clutter)),
-            Box((-0.018, -0.005, bottom), (-0.008, width, target.clutter)))
+        return (*table(target.table), *slab(target))
+    near = target.clutter_gap
+    far = near + target.clutter_width
+    return (*table(target.table), *slab(target),
+            Box((-0.02, -far, bottom), (length, -near, target.clutter)),
+            Box((-far, -0.005, bottom), (-near, width, target.clutter)))

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.simulate import cell as cells
-from handeye_ros.simulate import motion
+from handeye_ros.simulate import distortion, motion, optics
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.layout import FRAMES, published
 from handeye_ros.simulate.scenario import Scenario, Truth
-from handeye_ros.simulate.scenes import SCENES
+from handeye_ros.simulate.scenes import anywhere, SCENES
+from handeye_ros.simulate.slab import relief
 from handeye_ros.simulate.slips import SLIPS
 import numpy as np
 
@@ -32,10 +33,11 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulated:
     scene = SCENES[scenario.scene]
     stops = scene.stops(scenario, rng)
     stops = stops.ordered(cells.visit_order(scenario, len(stops.labels), rng))
-    cell = cells.draw(scenario, stops, rng)
+    cell = cells.draw(scenario, stops, anywhere(scenario), rng)
+    bent = distortion.draw(scenario.sensor, rng)
     line = motion.timeline(scenario.robot, len(stops.labels))
-    truth = cells.truth(scenario, cell, stops, line.spans())
-    profiles = _profiles(scenario, cell, line, rng)
+    truth = cells.truth(scenario, cell, stops, line.spans(), bent)
+    profiles = _profiles(scenario, cell, line, bent, rng)
     return Simulated(scenario, profiles, _poses(scenario, cell, line, rng), truth)
 
 
@@ -53,13 +55,14 @@ def _poses(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
 
 
 def _profiles(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
-              rng: np.random.Generator) -> tuple[Profile, ...]:
+              bent: distortion.Distortion | None, rng: np.random.Generator
+              ) -> tuple[Profile, ...]:
     sensor, frame = scenario.sensor, FRAMES[scenario.layout.frame]
     times = np.arange(0.5 / sensor.rate, line.duration, 1 / sensor.rate)
     times = times[_kept(scenario, line, times)]
-    z, angle = _exact(scenario, cell, line, times)
-    ranges = sensors.measure(sensor, z, angle, rng)
-    points = published(frame, sensors.plane_points(sensor, ranges))
+    z, angle = _exact(scenario, cell, line, times, rng)
+    ranges = sensors.measure(sensor, z, angle, rng, bent)
+    points = published(frame, sensors.plane_points(sensor, ranges, bent))
     stamps, mark = motion.stamps(times + sensor.delay), scenario.layout.no_return
     return tuple(Profile(int(stamp), CHILD_FRAME, _marked(p, mark), frame.axes)
                  for stamp, p in zip(stamps, points, strict=True))
@@ -72,15 +75,22 @@ def _kept(scenario: Scenario, line: motion.Timeline, times: Array) -> Array:
 
 
 def _exact(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
-           times: Array) -> tuple[Array, Array]:
-    """Return exact ranges and incidences (m, n) at the times; each stop is cast only once."""
+           times: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """
+    Return ranges and incidences (m, n) at the times; each stop is cast only once.
+
+    What stays while the robot stands is in the ranges already.
+    """
     station, share = line.place(times)
     pose = np.stack([station, share], axis=1)
     different, which = np.unique(pose, axis=0, return_inverse=True)
     T = motion.between(cell.T_base_flange, different[:, 0].astype(np.int64), different[:, 1])
     T_target_sensor = cell.T_target_sensor(T, scenario.calibration_type)
-    z, angle = sensors.render(
-        scenario.sensor, SCENES[scenario.scene].solids(scenario), T_target_sensor)
+    sensor, solids = scenario.sensor, SCENES[scenario.scene].solids(scenario)
+    z, angle = sensors.render(sensor, solids, T_target_sensor, relief(scenario.target, rng))
+    z = optics.blurred(sensor, z, T_target_sensor)
+    if sensor.speckle:
+        z = z + optics.speckle(sensor, z.shape, rng)
     which = which.reshape(-1)  # numpy 2.0 alone returns it as a column
     return z[which], angle[which]
 

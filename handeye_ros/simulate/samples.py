@@ -6,7 +6,7 @@ from dataclasses import replace
 from handeye_ros.data import Sample
 from handeye_ros.simulate import cell as cells
 from handeye_ros.simulate.scenario import Scenario, Truth
-from handeye_ros.simulate.scenes import SCENES
+from handeye_ros.simulate.scenes import anywhere, SCENES
 import numpy as np
 
 
@@ -22,7 +22,7 @@ def simulate_samples(
     scene = SCENES[scenario.scene]
     stops = scene.stops(scenario, rng)
     stops = stops.ordered(cells.visit_order(scenario, len(stops.labels), rng))
-    cell = cells.draw(scenario, stops, rng)
+    cell = cells.draw(scenario, stops, anywhere(scenario), rng)
     spacing = int((scenario.robot.dwell + scenario.robot.move) * 1e9)
     starts = np.arange(len(stops.labels)) * spacing
     spans = np.stack([starts, starts + int(scenario.robot.dwell * 1e9)], axis=1)

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 import math
+from typing import Any
 
 from handeye_ros.data import Array
 
@@ -13,12 +14,17 @@ class SensorModel:
     A laser profiler: a fan of light from the origin of the sensor frame, seen by a camera.
 
     The field of view is a trapezoid: range (min, max) of z, and |x| <= half_width * z.
-    sampling: 'fan': columns regular in the angle's tangent; 'x': resampled by the driver,
-    regular in x. camera: (y, z) of the camera's pinhole; it looks from beside the light plane,
-    so a step can hide a point from it. max_incidence: beyond it no light comes back; rim_bias:
-    how much too far points just before it are.
+    sampling: 'fan': columns regular in the angle's tangent; 'x': parallel light, regular in x;
+    'fan_x': a fan that the driver resamples, regular in x. camera: (y, z) of the camera's
+    pinhole; it looks from beside the light plane, so a step can hide a point from it.
+    max_incidence: beyond it no light comes back; rim_bias: how much too far points just before
+    it are.
     noise: 1 sigma of one range; resolution: step of the numbers, 0: none; distortion: RMS of a
-    smooth error over the field of view, drawn once.
+    smooth error over the field of view, drawn once; scale, shear: what the driver's numbers are
+    stretched by about the middle of the field, and x by the range.
+    speckle: 1 sigma of an error that stays while the robot stands, correlated over
+    speckle_columns. spot: 1 sigma of the width of the light along the line; what is lower than
+    the target's face is ground times as bright. smoothing: columns of the driver's mean filter.
     mixed, lost, lost_at_edge, outliers: shares of the points at steps that lie between the
     levels, of lost points, of those within a few columns of a step, of gross outliers;
     reflections: share of the profiles with a false piece of line. delay: of the stamps, which
@@ -34,6 +40,13 @@ class SensorModel:
     noise: float = 3e-5
     resolution: float = 0.0
     distortion: float = 0.0
+    scale: float = 0.0
+    shear: float = 0.0
+    speckle: float = 0.0
+    speckle_columns: float = 5.0
+    spot: float = 0.0
+    ground: float = 1.0
+    smoothing: int = 0
     max_incidence: float = 1.2
     rim_bias: float = 3e-4
     mixed: float = 0.5
@@ -52,12 +65,16 @@ class RobotModel:
 
     repeatability: (translation, rotation), 1 sigma of each axis, drawn once per station.
     systematic: (translation, rotation), RMS of the vectors of an error that varies smoothly over
-    the workspace. jitter: 1 sigma of each streamed pose (m and rad). dwell and move: duration of
-    a stop and of a motion.
+    the workspace. geometry: 1 sigma of the errors of joints and links (m, and rad of 1 m) of a
+    six-axis arm, 0: no arm. scale: by how much positions are reported too long.
+    jitter: 1 sigma of each streamed pose (m and rad). dwell and move: duration of a stop and
+    of a motion.
     """
 
     repeatability: tuple[float, float] = (2e-5, math.radians(0.004))
     systematic: tuple[float, float] = (0.0, 0.0)
+    geometry: float = 0.0
+    scale: float = 0.0
     jitter: float = 1e-6
     rate: float = 100.0
     dwell: float = 1.0
@@ -71,15 +88,25 @@ class PlateTarget:
 
     Edge p is y = 0, edge q is x = 0; the face looks along +z. table: depth of the table below
     the face, None: nothing there. clutter: height above the face (negative: below) of the top of a
-    block beside each of these edges, None: no blocks. edge_angle: between p and q where they
+    block beside each of these edges, None: no blocks; clutter_gap, clutter_width: how far from
+    the edge it begins, and how wide it is. edge_angle: between p and q where they
     meet; rendered profiles, unlike samples made directly, are always of a square plate.
+    rounding: radius of the edges of the face; bevel: legs of their chamfer. bow: how much
+    higher the middle of the face is than its corners; waves: RMS of its waves. Only profiles
+    show these four.
     """
 
     size: tuple[float, float] = (0.20, 0.15)
     thickness: float = 0.010
     table: float | None = 0.025
     clutter: float | None = None
+    clutter_gap: float = 0.008
+    clutter_width: float = 0.010
     edge_angle: float = math.pi / 2
+    rounding: float = 0.0
+    bevel: float = 0.0
+    bow: float = 0.0
+    waves: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -119,6 +146,8 @@ class Scenario:
     shuffled: the order of the stations is random. bumped: number of stations whose reported
     pose is grossly wrong. wrong_edges: number of stations at an edge of the plate that is
     neither p nor q. empty: there is no target. slips: keys of slips.SLIPS, applied in order.
+    repeats: how often the programme of stops is run. lever: smallest and largest distance of
+    the sensor from what it is mounted on. told: settings, by dotted key, that are wrong.
     """
 
     name: str = 'plate'
@@ -136,6 +165,9 @@ class Scenario:
     wrong_edges: int = 0
     empty: bool = False
     slips: tuple[str, ...] = ()
+    repeats: int = 1
+    lever: tuple[float, float] = (0.1, 0.2)
+    told: tuple[tuple[str, Any], ...] = ()
 
     @property
     def profiles_per_stop(self) -> int:
@@ -167,6 +199,8 @@ class Truth:
     """
     What a calibration should find; (4, 4) transforms.
 
+    T_flange_sensor: where the robot's or the sensor's own error is, the transform that serves best
+    over the volume of the stops and the field of view.
     With eye_on_base, T_flange_sensor is the sensor's pose in the base and T_base_target the
     target's pose in the flange. The sensor frame is the published one (Scenario.layout).
     """

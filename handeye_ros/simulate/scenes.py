@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from handeye_ros.data import Feature
 from handeye_ros.simulate import plane, plate, sphere
@@ -10,6 +10,8 @@ from handeye_ros.simulate.scenario import Scenario
 from handeye_ros.simulate.solids import Solid
 from handeye_ros.simulate.stations import Stops
 import numpy as np
+
+MANY = 100  # stops at each edge
 
 
 @dataclass(frozen=True)
@@ -32,3 +34,10 @@ SCENES = {
     'plane': Scene(plane.stops, plate.solids, plane.features),
     'sphere': Scene(sphere.stops, sphere.solids, sphere.features),
 }
+
+
+def anywhere(scenario: Scenario) -> Stops:
+    """Return many stops such as the scenario's own."""
+    first, second = scenario.stations
+    many = replace(scenario, stations=(MANY * (first > 0), MANY * (second > 0)), wrong_edges=0)
+    return SCENES[scenario.scene].stops(many, np.random.default_rng(0))

@@ -2,7 +2,10 @@
 from __future__ import annotations
 
 from handeye_ros.data import Array
+from handeye_ros.simulate.distortion import Distortion
+from handeye_ros.simulate.optics import smoothed
 from handeye_ros.simulate.scenario import SensorModel
+from handeye_ros.simulate.slab import Relief
 from handeye_ros.simulate.solids import cast, hidden, Solid
 import numpy as np
 
@@ -19,22 +22,27 @@ def columns(sensor: SensorModel) -> tuple[Array, Array]:
     return np.stack([across * sensor.range[1], zero, zero]), np.stack([zero, zero, one])
 
 
-def render(sensor: SensorModel, solids: tuple[Solid, ...], T: Array) -> tuple[Array, Array]:
+def render(sensor: SensorModel, solids: tuple[Solid, ...], T: Array,
+           relief: Relief | None = None) -> tuple[Array, Array]:
     """
     Return exact ranges and angles of incidence (m, n) of the columns, NaN without a return.
 
-    T: (m, 4, 4) T_target_sensor; the solids are in the target frame.
+    T: (m, 4, 4) T_target_sensor; the solids are in the target frame. relief: by how much they
+    are raised where a ray meets z = 0, None: not at all.
     """
-    parts = [_render(sensor, solids, T[k:k + CHUNK]) for k in range(0, len(T), CHUNK)]
+    parts = [_render(sensor, solids, T[k:k + CHUNK], relief) for k in range(0, len(T), CHUNK)]
     ranges, angles = zip(*parts, strict=True)
     return np.concatenate(ranges), np.concatenate(angles)
 
 
-def _render(sensor: SensorModel, solids: tuple[Solid, ...], T: Array) -> tuple[Array, Array]:
+def _render(sensor: SensorModel, solids: tuple[Solid, ...], T: Array, relief: Relief | None
+            ) -> tuple[Array, Array]:
     origin, direction = columns(sensor)
     place = T[:, :3, 3].T[:, :, None]
     o = np.einsum('mij,jn->imn', T[:, :3, :3], origin) + place
     d = np.einsum('mij,jn->imn', T[:, :3, :3], direction)
+    raised = _raised(relief, o, d) if relief else 0.0
+    o[2] -= raised  # as if it were the solids that are raised, for each ray apart
     z, cosine = cast(solids, o, d)
     angle = np.arccos(np.clip(cosine, 0, 1))
     near, far = sensor.range
@@ -43,36 +51,28 @@ def _render(sensor: SensorModel, solids: tuple[Solid, ...], T: Array) -> tuple[A
     seen &= angle < sensor.max_incidence
     eye = T[:, :3, :3] @ [0.0, *sensor.camera] + T[:, :3, 3]
     points = o + d * np.where(seen, z, near)
-    seen &= ~hidden(solids, points, eye.T[:, :, None])
+    for light in (eye, T[:, :3, 3]) if sensor.sampling == 'fan_x' else (eye,):
+        place = light.T[:, :, None] - np.array([0.0, 0.0, 1.0])[:, None, None] * raised
+        seen &= ~hidden(solids, points, place)
     return np.where(seen, z, np.nan), np.where(seen, angle, np.nan)
 
 
-def measure(sensor: SensorModel, z: Array, angle: Array, rng: np.random.Generator) -> Array:
+def _raised(relief: Relief, o: Array, d: Array) -> Array:
+    """Return the height (m, n) of the relief where rays (3, m, n) meet z = 0."""
+    at = -o[2] / np.where(np.abs(d[2]) > 1e-6, d[2], 1e-6)
+    return relief.heights(o[0] + at * d[0], o[1] + at * d[1])
+
+
+def measure(sensor: SensorModel, z: Array, angle: Array, rng: np.random.Generator,
+            distortion: Distortion | None = None) -> Array:
     """Return ranges (m, n) as the sensor reports them, from exact ones and their incidence."""
     rim = (angle / sensor.max_incidence)**8
     noise = sensor.noise * (1 + 4 * rim) * rng.normal(size=z.shape)
-    exact = z + _distortion(sensor, z, rng) if sensor.distortion else z
+    exact = z + distortion.ranges(z) if distortion else z
     measured = _mixed(sensor, z, exact + noise + sensor.rim_bias * rim**4, rng)
     measured = _lost(sensor, z, measured, rng)
     measured = _outliers(sensor, measured, rng)
-    return _reflections(sensor, measured, rng)
-
-
-def _distortion(sensor: SensorModel, z: Array, rng: np.random.Generator) -> Array:
-    """Return the error (m, n) of the sensor's own calibration: of third order over the field."""
-    near, far = sensor.range
-    x = np.linspace(-1, 1, z.shape[1])
-    depth = (z - (near + far) / 2) / ((far - near) / 2)
-    terms = [a * b for a in legendre(x) for b in legendre(depth)]
-    weights = rng.normal(size=len(terms))
-    weights *= sensor.distortion / np.linalg.norm(weights)
-    return np.asarray(sum(w * term for w, term in zip(weights, terms, strict=True)))
-
-
-def legendre(x: Array) -> tuple[Array, ...]:
-    """Return the polynomials up to the third order, each of RMS 1 over -1 to 1."""
-    return tuple(np.sqrt(2 * k + 1) * np.polynomial.legendre.Legendre.basis(k)(x)
-                 for k in range(4))
+    return smoothed(sensor, _reflections(sensor, measured, rng))
 
 
 def steps(sensor: SensorModel, z: Array) -> Array:
@@ -122,10 +122,13 @@ def _reflections(sensor: SensorModel, measured: Array, rng: np.random.Generator)
     return measured
 
 
-def plane_points(sensor: SensorModel, ranges: Array) -> Array:
+def plane_points(sensor: SensorModel, ranges: Array, distortion: Distortion | None = None
+                 ) -> Array:
     """Return points (m, n, 2) of the standard sensor plane for ranges (m, n)."""
     origin, direction = columns(sensor)
     points = np.stack([origin[0] + direction[0] * ranges, ranges], axis=-1)
+    if distortion:
+        points = distortion.points(points)
     if sensor.resolution:
         points = np.round(points / sensor.resolution) * sensor.resolution
     return points

@@ -18,4 +18,4 @@ def settings(scenario: Scenario) -> dict[str, Any]:
         'noise.robot_rotation': scenario.robot.repeatability[1]}
     if isinstance(target, SphereTarget):
         values['target.radius'] = target.radius
-    return values
+    return values | dict(scenario.told)

@@ -24,7 +24,26 @@ class Ball:
     radius: float
 
 
-Solid: TypeAlias = Box | Ball
+@dataclass(frozen=True, eq=False)
+class Convex:
+    """All points p with normals (k, 3) @ p <= offsets (k,); the normals of unit length."""
+
+    normals: Array
+    offsets: Array
+
+
+@dataclass(frozen=True)
+class Rod:
+    """A cylinder along axis 0 (x) or 1 (y) from start to end; centre: its other coordinates."""
+
+    axis: int
+    centre: tuple[float, float]
+    radius: float
+    start: float
+    end: float
+
+
+Solid: TypeAlias = Box | Ball | Convex | Rod
 
 
 def table(depth: float | None) -> tuple[Solid, ...]:
@@ -41,6 +60,10 @@ def crossings(solid: Solid, origin: Array, direction: Array) -> tuple[Array, Arr
     """
     if isinstance(solid, Box):
         return _box_crossings(solid, origin, direction)
+    if isinstance(solid, Convex):
+        return _convex_crossings(solid, origin, direction)
+    if isinstance(solid, Rod):
+        return _rod_crossings(solid, origin, direction)
     return _ball_crossings(solid, origin, direction)
 
 
@@ -67,6 +90,43 @@ def _ball_crossings(ball: Ball, origin: Array, direction: Array) -> tuple[Array,
     cosine = half * np.sqrt(square) / ball.radius
     hit = room > 0
     return (np.where(hit, middle - half, np.inf), np.where(hit, middle + half, -np.inf), cosine)
+
+
+def _convex_crossings(solid: Convex, origin: Array, direction: Array
+                      ) -> tuple[Array, Array, Array]:
+    shape = np.broadcast_shapes(origin.shape, direction.shape)[1:]
+    enter, leave = np.full(shape, -np.inf), np.full(shape, np.inf)
+    cosine = np.zeros(shape)
+    length = np.sqrt((direction**2).sum(axis=0))
+    for normal, offset in zip(solid.normals, solid.offsets, strict=True):
+        rate = np.einsum('i,imn->mn', normal, direction)
+        room = offset - np.einsum('i,imn->mn', normal, origin)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            at = room / rate
+        inwards = (rate < 0) & (at > enter)
+        enter = np.where(inwards, at, enter)
+        cosine = np.where(inwards, -rate / length, cosine)
+        leave = np.where((rate > 0) & (at < leave), at, leave)
+        leave = np.where((rate == 0) & (room < 0), -np.inf, leave)
+    missed = enter > leave
+    return np.where(missed, np.inf, enter), np.where(missed, -np.inf, leave), cosine
+
+
+def _rod_crossings(rod: Rod, origin: Array, direction: Array) -> tuple[Array, Array, Array]:
+    others = [axis for axis in range(3) if axis != rod.axis]
+    d = direction[others]
+    o = origin[others] - np.reshape(rod.centre, (2, 1, 1))
+    square = np.maximum((d**2).sum(axis=0), 1e-300)
+    middle = -(o * d).sum(axis=0) / square
+    room = middle**2 - ((o**2).sum(axis=0) - rod.radius**2) / square
+    half = np.sqrt(np.maximum(room, 0.0))
+    with np.errstate(divide='ignore', invalid='ignore'):
+        a, b = ((end - origin[rod.axis]) / direction[rod.axis] for end in (rod.start, rod.end))
+    enter = np.fmax(middle - half, np.minimum(a, b))
+    leave = np.fmin(middle + half, np.maximum(a, b))
+    cosine = half * square / rod.radius / np.sqrt((direction**2).sum(axis=0))
+    hit = (room > 0) & (enter < leave)
+    return np.where(hit, enter, np.inf), np.where(hit, leave, -np.inf), cosine
 
 
 def cast(solids: tuple[Solid, ...], origin: Array, direction: Array) -> tuple[Array, Array]:

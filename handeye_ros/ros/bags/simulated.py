@@ -5,7 +5,7 @@ from pathlib import Path
 
 from handeye_ros.results import folder, truth_file
 from handeye_ros.ros.bags import bag_write
-from handeye_ros.simulate import FILE_SCENES, SCENARIOS, simulate
+from handeye_ros.simulate import FAULTS, FILE_SCENES, SCENARIOS, simulate
 import numpy as np
 
 
@@ -16,8 +16,9 @@ def write(name: str, seed: int, path: Path, force: bool = False) -> str:
     force: what is there is replaced. Raises BagError, UnwritableError.
     """
     rng = np.random.default_rng(seed)
-    if name in SCENARIOS:
-        made = simulate(SCENARIOS[name], rng)
+    scenario = SCENARIOS.get(name) or FAULTS.get(name)
+    if scenario:
+        made = simulate(scenario, rng)
         bag_write.write(path, made.profiles, made.poses, truth=truth_file.truth_values(made, seed),
                         force=force)
         return f'{len(made.profiles)} profiles, {len(made.poses)} poses'

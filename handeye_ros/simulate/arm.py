@@ -1,0 +1,80 @@
+"""
+A six-axis arm with a spherical wrist, whose joints and links are not what its controller thinks.
+
+T_base_flange = Rz(q1) Tz(D1) Ry(q2) Tz(A2) Ry(q3) Tz(D4) Rz(q4) Ry(q5) Rz(q6) Tz(D6).
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+D1, A2, D4, D6 = 0.45, 0.75, 0.75, 0.10  # m: shoulder, upper arm, forearm, flange
+AXES = 'zyyzyz'
+LENGTHS = (D1, A2, D4, 0.0, 0.0, D6)  # m, along z, after each joint
+
+
+@dataclass(frozen=True, eq=False)
+class ArmErrors:
+    """
+    What the controller does not know.
+
+    links: (6, 6) perturbation after each link; offsets: (6,) of the joints (rad); eccentricity,
+    phases: (6,) amplitude (rad) and phase of an error that goes round with the joint.
+    """
+
+    links: Array
+    offsets: Array
+    eccentricity: Array
+    phases: Array
+
+
+def draw(sigma: float, rng: np.random.Generator) -> ArmErrors:
+    """Return errors with 1 sigma of each length (m) and of each angle (sigma over 1 m)."""
+    links = rng.normal(size=(6, 6)) * sigma
+    offsets, eccentricity = rng.normal(size=(2, 6)) * sigma
+    return ArmErrors(links, offsets, eccentricity, rng.uniform(0, 2 * np.pi, 6))
+
+
+def forward(joints: Array, errors: ArmErrors | None = None) -> Array:
+    """Return T_base_flange (n, 4, 4) of joint angles (n, 6)."""
+    T = np.tile(np.eye(4), (len(joints), 1, 1))
+    for k, (axis, length) in enumerate(zip(AXES, LENGTHS, strict=True)):
+        angle = joints[:, k]
+        if errors:
+            angle = angle + errors.offsets[k] + errors.eccentricity[k] * np.sin(
+                angle + errors.phases[k])
+        R = Rotation.from_euler(axis, angle[:, None]).as_matrix()
+        T = T @ se3.transform(R, R @ [0.0, 0.0, length])
+        if errors:
+            T = T @ se3.perturb(np.eye(4), errors.links[k])
+    return T
+
+
+def inverse(T: Array) -> Array:
+    """Return the joint angles (n, 6), elbow up, of flange poses (n, 4, 4) within reach."""
+    wrist = T[:, :3, 3] - D6 * T[:, :3, 2]
+    q1 = np.arctan2(wrist[:, 1], wrist[:, 0])
+    reach, rise = np.hypot(wrist[:, 0], wrist[:, 1]), wrist[:, 2] - D1
+    distance = np.hypot(reach, rise)
+    if (distance > A2 + D4).any():
+        raise ValueError('a stop is out of reach of the arm')
+    elevation = np.arctan2(rise, reach)
+    at_shoulder = np.arccos((A2**2 + distance**2 - D4**2) / (2 * A2 * distance))
+    at_wrist = np.arccos((D4**2 + distance**2 - A2**2) / (2 * D4 * distance))
+    q2 = np.pi / 2 - elevation - at_shoulder
+    q3 = at_shoulder + at_wrist
+    R = Rotation.from_euler('ZY', np.column_stack([q1, q2 + q3])).inv() * Rotation.from_matrix(
+        T[:, :3, :3])
+    return np.column_stack([q1, q2, q3, R.as_euler('ZYZ')])
+
+
+def reported_error(T: Array, errors: ArmErrors) -> Array:
+    """Return what the controller adds (n, 6) to the true flange poses (n, 4, 4)."""
+    joints = inverse(T)
+    nominal, real = forward(joints), forward(joints, errors)
+    turn = se3.log_rotation(nominal[:, :3, :3] @ np.swapaxes(real[:, :3, :3], 1, 2))
+    return np.hstack([nominal[:, :3, 3] - real[:, :3, 3], turn])
