@@ -20,7 +20,7 @@ export OPENBLAS_NUM_THREADS := 1
 # What the ROS wheels set for a process of theirs must not reach another environment's.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo test test-oldest test-newest tf2_msgs lint clean
+.PHONY: demo test test-oldest test-newest tf2_msgs lint figures clean
 
 demo:
 	@tools/environment.sh .venv ros
@@ -51,6 +51,13 @@ lint:
 	.venv/bin/ruff check
 	.venv/bin/flake8
 	.venv/bin/mypy
+
+# What the documentation draws and lists from the code.
+figures:
+	@tools/environment.sh .venv ros,test,dev
+	.venv/bin/python tools/draw_architecture.py
+	.venv/bin/python tools/draw_targets.py
+	.venv/bin/python tools/make_reference.py
 
 clean:
 	rm -rf .venv .venv-oldest build install log out *.egg-info .hypothesis

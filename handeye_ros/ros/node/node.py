@@ -229,7 +229,3 @@ def run() -> None:
 def main() -> int:
     """Run the executable `calibrate`."""
     return exit_code(run)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -1,0 +1,90 @@
+"""What users rely on is there: every name of docs/contract.md, and the public Python API."""
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+import re
+import runpy
+import subprocess
+import sys
+
+import handeye_ros
+from handeye_ros import config as configs
+from handeye_ros.cli import app
+from handeye_ros.files import FILE_METHODS
+from handeye_ros.methods import METHODS
+import pytest
+import typer.main
+import yaml
+
+ROOT = Path(__file__).parents[1]
+CONTRACT = (ROOT / 'docs' / 'contract.md').read_text(encoding='utf-8')
+LIBRARY = (ROOT / 'docs' / 'library.md').read_text(encoding='utf-8')
+
+
+def section(title: str) -> str:
+    """Return the text of a section of the contract."""
+    return CONTRACT.split(f'\n## {title}\n', 1)[1].split('\n## ', 1)[0]
+
+
+def names(text: str) -> list[str]:
+    found = re.findall(r'`([^`]+)`', text)
+    assert found
+    return found
+
+
+def test_the_verbs() -> None:
+    there = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    verbs = {name.removeprefix('handeye ') for name in names(section(
+        'Verbs of the command line'))}
+    assert verbs == set(there)
+
+
+def test_the_executables() -> None:
+    setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
+    listed = {name.rsplit(' ', 1)[1] for name in names(section('Executables'))}
+    assert listed == set(re.findall(r"'(\w+) = handeye_ros\.", setup))
+
+
+def test_the_keys_and_targets() -> None:
+    keys, targets = section('Keys').split('Targets:')
+    known = {parameter.key for parameter in configs.parameters()}
+    assert set(names(keys)) <= known
+    assert set(names(targets)) == METHODS.keys() | FILE_METHODS.keys()
+
+
+def test_the_reference_tells_every_key() -> None:
+    make = runpy.run_path(str(ROOT / 'tools' / 'make_reference.py'))
+    page = (ROOT / 'docs' / 'reference.md').read_text(encoding='utf-8')
+    assert page == make['reference'](), 'make figures writes docs/reference.md anew'
+
+
+def test_the_public_api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    listed = set(names('\n'.join(row.split('|')[1] for row in LIBRARY.splitlines()
+                                 if row.startswith('| `'))))
+    assert listed == set(handeye_ros.__all__)
+    assert all(getattr(handeye_ros, name) for name in listed)
+    with pytest.raises(AttributeError, match='has no attribute'):
+        _ = handeye_ros.nonsense
+
+
+def test_the_example_of_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code, printed = re.findall(r'```(?:python|text)\n(.*?)```', LIBRARY, re.DOTALL)
+    for folder in ('config', 'bags'):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    monkeypatch.chdir(tmp_path)
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
+        exec(compile(code, 'library.md', 'exec'), {})
+    assert output.getvalue() == printed
+    fields = names(section('Files').split('fields', 1)[1])
+    written = yaml.safe_load((tmp_path / 'calibration.yaml').read_text(encoding='utf-8'))
+    assert written['format'] in names(section('Files'))
+    assert set(fields) <= written.keys()
+
+
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    code = 'import sys, handeye_ros; print("numpy" in sys.modules, handeye_ros.__version__)'
+    run = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ['False', handeye_ros.__version__]

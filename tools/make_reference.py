@@ -1,0 +1,60 @@
+#!/usr/bin/env python3
+"""Writes docs/reference.md from the configuration: `.venv/bin/python tools/make_reference.py`."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from handeye_ros.config import Parameter, parameters
+
+PAGE = Path(__file__).parents[1] / 'docs' / 'reference.md'
+HEAD = """\
+# Every key of the configuration
+
+Made from `handeye_ros/config.py` by `make figures`. A key is a parameter of the node (`ros2 param
+describe /handeye KEY`), a key of the YAML files in `config/`, and one of `--set KEY=VALUE` on the
+command line. Metres, radians and seconds throughout.
+"""
+TABLE = '| key | default | values | what it is |\n|---|---|---|---|\n'
+
+
+def reference() -> str:
+    """Return the page: a table of the keys of each section."""
+    sections: dict[str, list[Parameter]] = {}
+    for parameter in parameters():
+        section = parameter.key.rpartition('.')[0]
+        sections.setdefault(section, []).append(parameter)
+    return HEAD + ''.join(_section(name, found) for name, found in sections.items())
+
+
+def _section(name: str, found: list[Parameter]) -> str:
+    heading = f'`{name}.*`' if name else 'General'
+    return f'\n## {heading}\n\n{TABLE}' + ''.join(_rows(found))
+
+
+def _rows(found: list[Parameter]) -> Iterator[str]:
+    for parameter in found:
+        default = parameter.default
+        if isinstance(default, tuple):
+            default = list(default)
+        shown = f'`{default}`' if default not in ('', []) else 'empty'
+        yield f'| `{parameter.key}` | {shown} | {_values(parameter)} | {parameter.description} |\n'
+
+
+def _values(parameter: Parameter) -> str:
+    if parameter.choices:
+        values = ', '.join(f'`{choice}`' for choice in parameter.choices)
+    elif isinstance(parameter.default, bool):
+        values = '`true`, `false`'
+    elif parameter.minimum is not None and parameter.maximum is not None:
+        values = f'{parameter.minimum:g} to {parameter.maximum:g}'
+    else:
+        values = 'a text'
+    if not isinstance(parameter.default, tuple):
+        return values
+    count = ' or '.join(map(str, parameter.length)) if parameter.length else 'any number'
+    return f'{count} of {values}'
+
+
+if __name__ == '__main__':
+    PAGE.write_text(reference(), encoding='utf-8')
