@@ -10,7 +10,8 @@ from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from handeye_ros.config import Config, load as load_config
+    from handeye_ros.config import Config
+    from handeye_ros.config import load as load_config
     from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
     from handeye_ros.errors import DataError, HandeyeError, InputError
     from handeye_ros.pipeline import calibrate, gather, solve

@@ -43,8 +43,8 @@ class TargetConfig:
     """What the laser is pointed at."""
 
     type: str = _key(  # noqa: A003
-        'plate', 'The target: plate, line, plane or sphere; from files: points, hand_eye or '
-        'tracker.')
+        'plate', 'The target: plate, line, plane, sphere or wedge; from files: points, hand_eye '
+        'or tracker.')
     radius: float = _key(0.0, 'Radius of the sphere in m; 0: unknown, estimated.',
                          minimum=0.0, maximum=10.0)
     size: tuple[float, ...] = _key(

@@ -22,6 +22,7 @@ ROWS = {'general': 'general', 'one orientation': 'one_orientation',
         'yaw about the face normal only': 'yaw_only'}
 VALUES = {'line with its face': {'target__use_face': True}}
 ZERO = 1e-8
+WEDGE_TURNS = [np.pi / 2, 0.0]  # of a block's faces, z = 0 and y = 0, about its edge
 
 
 def table() -> Iterator[tuple[str, str, int, int]]:
@@ -39,7 +40,8 @@ def at_truth(made: Cell) -> Estimate:
     T = made.truth.T_base_target
     radius = getattr(made.scenario.target, 'radius', 0.0)
     targets = {'plate': np.append(T.ravel(), np.pi / 2), 'line': T.ravel(), 'plane': T.ravel(),
-               'sphere': np.append(T[:3, 3], radius)}
+               'sphere': np.append(T[:3, 3], radius),
+               'wedge': np.append(T.ravel(), WEDGE_TURNS)}
     return Estimate(made.truth.T_flange_sensor, targets[made.problem.method.name])
 
 

@@ -81,6 +81,22 @@ def plane(ax: plt.Axes) -> None:
     fan(ax, (0.7, 1.5, 0), (1.5, 1.0, 0))
 
 
+def ridge(ax: plt.Axes, ends: tuple[float, float], height: float, half: float) -> None:
+    """Draw two faces that meet in an edge along y, at a height, each so wide."""
+    edge = [(0.0, y, height) for y in ends]
+    for side, shade in ((-1, '0.93'), (1, '0.82')):
+        face(ax, [*edge, (side * half, ends[1], 0.0), (side * half, ends[0], 0.0)], shade)
+
+
+def wedge(ax: plt.Axes) -> None:
+    """Draw the edge of a block with laser lines across both faces."""
+    ridge(ax, (0.0, 2.4), 0.9, 0.9)
+    for y, lean in ((0.5, -0.2), (1.2, 0.1), (1.9, 0.25)):
+        stroke(ax, [(-0.7, y - lean, 0.2), (0, y, 0.9), (0.7, y + lean, 0.2)], **LASER)
+    fan(ax, (-0.7, 1.1, 0.2), (0.7, 1.3, 0.2), 1.9)
+    stroke(ax, [(0, 0, 0.9), (0, 2.4, 0.9)], color=POINT, lw=2)
+
+
 def ball(ax: plt.Axes, centre: Sequence[float] = (0, 0, 0), cut: float = 0.35) -> None:
     """Draw a ball of radius 0.8, and the arc that the laser draws on it off its middle."""
     turn = np.linspace(0, 2 * np.pi, 100)
@@ -128,10 +144,7 @@ def hand_eye(ax: plt.Axes) -> None:
 def tracker(ax: plt.Axes) -> None:
     """Draw ball and block with the swept laser lines, and the reflector's arc and line."""
     ball(ax, (0, -0.3, 0.2), 0.0)
-    ridge = [(0.0, 1.2, 0.9), (0.0, 3.2, 0.9)]
-    for side, shade in ((-1, '0.93'), (1, '0.82')):
-        foot = [(side * 0.9, 3.2, 0.0), (side * 0.9, 1.2, 0.0)]
-        face(ax, [*ridge, *foot], shade)
+    ridge(ax, (1.2, 3.2), 0.9, 0.9)
     for y in (1.5, 2.0, 2.5, 3.0):
         stroke(ax, [(-0.7, y, 0.2), (0, y, 0.9), (0.7, y, 0.2)], **LASER)
     turn = np.linspace(0.2, 1.5, 12)
@@ -141,8 +154,8 @@ def tracker(ax: plt.Axes) -> None:
 
 
 TARGETS: dict[str, Callable[[plt.Axes], None]] = {
-    'plate': plate, 'line': line, 'plane': plane, 'sphere': sphere, 'points': points,
-    'hand_eye': hand_eye, 'tracker': tracker}
+    'plate': plate, 'line': line, 'plane': plane, 'sphere': sphere, 'wedge': wedge,
+    'points': points, 'hand_eye': hand_eye, 'tracker': tracker}
 
 
 def main(folder: Path) -> None:

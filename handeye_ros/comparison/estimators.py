@@ -158,6 +158,9 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
     'plane': (
         Estimator('plane', _by_method('plane')),
     ),
+    'wedge': (
+        Estimator('wedge', _by_method('wedge')),
+    ),
     'points': (
         Estimator('points', _from_files),
         Estimator('Wu 2017, best of all quadruples', _wu),

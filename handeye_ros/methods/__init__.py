@@ -8,9 +8,10 @@ from handeye_ros.methods.line import LINE
 from handeye_ros.methods.plane import PLANE
 from handeye_ros.methods.plate import PLATE
 from handeye_ros.methods.sphere import SPHERE
+from handeye_ros.methods.wedge import WEDGE
 
 METHODS: dict[str, Method] = {
-    'plate': PLATE, 'line': LINE, 'plane': PLANE, 'sphere': SPHERE}
+    'plate': PLATE, 'line': LINE, 'plane': PLANE, 'sphere': SPHERE, 'wedge': WEDGE}
 FROM_FILES = ('points', 'hand_eye', 'tracker')  # see files
 
 

@@ -40,13 +40,14 @@ class ObservationRows:
             np.array(self.source, dtype=np.intp))
 
 
-def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int) -> None:
+def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int,
+             kind: int = FACE) -> None:
     """Append the two decorrelated points of a face line."""
     across = np.array([-line.direction[1], line.direction[0]])
     noise = np.column_stack([across * line.std * 2 ** 0.5, np.zeros(2)])
     for i, side in enumerate((-1.0, 1.0)):
         point = line.centre + side * line.spread * line.direction
-        rows.add(station, point, FACE, noise, source + i)
+        rows.add(station, point, kind, noise, source + i)
 
 
 def collect(samples: Sequence[Sample],

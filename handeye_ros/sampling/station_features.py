@@ -43,19 +43,26 @@ def combine(found: Sequence[tuple[Feature, ...]]) -> tuple[Feature, ...]:
     """
     if len(found) == 1:
         return found[0]
-    lines = [f for features in found for f in features if isinstance(f, FaceLine)]
     arcs = [f for features in found for f in features if isinstance(f, Arc)]
     if arcs:
         return (_combined_arc(arcs),)
     edges = [f for features in found for f in features if isinstance(f, EdgePoint)]
-    combined: list[Feature] = [_combined_line(lines)]
+    combined: list[Feature] = [_combined_line(same) for same in _by_place(found)]
     for sign in (-1.0, 1.0):
         same = [e for e in edges if np.sign(e.direction[0]) == sign]
         if 2 * len(same) > len(found):
             combined.append(_combined_edge(same))
-    if edges and len(combined) == 1:
+    if edges and not any(isinstance(f, EdgePoint) for f in combined):
         raise FeatureError('the profiles of this station do not agree on where the edge is')
     return tuple(combined)
+
+
+def _by_place(found: Sequence[tuple[Feature, ...]]) -> list[list[FaceLine]]:
+    """Return the first lines of all profiles, the second ones, as many as most profiles have."""
+    lines = [[f for f in features if isinstance(f, FaceLine)] for features in found]
+    count = Counter(map(len, lines)).most_common(1)[0][0]
+    alike = [seen for seen in lines if len(seen) == count]
+    return [list(same) for same in zip(*alike, strict=True)]
 
 
 def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:

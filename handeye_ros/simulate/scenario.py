@@ -124,6 +124,19 @@ class SphereTarget:
 
 
 @dataclass(frozen=True)
+class WedgeTarget:
+    """
+    A block whose edge is the x axis, its faces z = 0 (y > 0) and y = 0 (z < 0).
+
+    concave: an angle seen from within instead, its faces z = 0 (y > 0) and y = 0 (z > 0).
+    """
+
+    length: float = 0.15
+    width: float = 0.08
+    concave: bool = False
+
+
+@dataclass(frozen=True)
 class Layout:
     """
     The frame and the form that the driver publishes in.
@@ -152,7 +165,7 @@ class Scenario:
 
     name: str = 'plate'
     scene: str = 'plate'
-    target: PlateTarget | SphereTarget = PlateTarget()
+    target: PlateTarget | SphereTarget | WedgeTarget = PlateTarget()
     sensor: SensorModel = field(default_factory=SensorModel)
     robot: RobotModel = field(default_factory=RobotModel)
     layout: Layout = field(default_factory=Layout)

@@ -12,6 +12,7 @@ from handeye_ros.simulate.scenario import (
     Scenario,
     SensorModel,
     SphereTarget,
+    WedgeTarget,
 )
 from handeye_ros.simulate.slips import SLIPS
 
@@ -22,6 +23,8 @@ SPHERE = Scenario('sphere', 'sphere', SphereTarget(), WIDE, stations=(14, 0),
 LINE = replace(PLATE, name='line', scene='line', stations=(14, 0))
 PLANE = replace(PLATE, name='plane', scene='plane', target=PlateTarget((0.4, 0.3), table=None),
                 stations=(14, 0))
+WEDGE = replace(PLATE, name='wedge', scene='wedge', target=WedgeTarget(), stations=(14, 0),
+                tilt=math.radians(20))
 REAL_ROBOT = RobotModel(systematic=(1.5e-4, math.radians(0.02)))
 
 
@@ -45,6 +48,8 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     SPHERE,
     LINE,
     PLANE,
+    WEDGE,
+    replace(WEDGE, name='groove', target=WedgeTarget(concave=True)),
     replace(PLATE, name='plate_5_5', stations=(5, 5)),
     replace(PLATE, name='plate_in_order', shuffled=False),
     # surroundings

@@ -1,0 +1,120 @@
+"""A wedge: two faces that meet, block or groove, in every profile; no labels, no edge points."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+from cells import cell, exact_cell, recorded
+from handeye_ros import pipeline, se3
+from handeye_ros.checks.errors import OneAxisError, OneOrientationError
+from handeye_ros.config import Config
+from handeye_ros.data import FaceLine, Sample
+from handeye_ros.methods import wedge
+from handeye_ros.profiles.corners import corner_features
+from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.sampling.station_features import combine
+from handeye_ros.simulate import SCENARIOS
+import numpy as np
+import pytest
+
+SCENES = ('wedge', 'groove')
+RIGHT_ANGLE = np.pi / 2
+
+
+@pytest.mark.parametrize('scene', SCENES)
+@pytest.mark.parametrize('where', ['eye_in_hand', 'eye_on_base'])
+@pytest.mark.parametrize('seed', range(2))
+def test_the_truth_without_noise(scene: str, where: str, seed: int) -> None:
+    made = exact_cell(replace(SCENARIOS[scene], calibration_type=where), seed)
+    found = pipeline.solve(made.samples, [], made.config, 'laser')
+    off = se3.difference(found.T_flange_sensor, made.truth.T_flange_sensor)
+    assert np.abs(off).max() < 1e-6
+    assert found.target['face_angle'] == pytest.approx(RIGHT_ANGLE, abs=1e-6)
+    edge = made.truth.T_base_target[:3, 0]
+    assert abs(edge @ found.target['direction']) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize('scene', SCENES)
+def test_from_profiles(scene: str) -> None:
+    made = recorded(SCENARIOS[scene], 1)
+    found = pipeline.calibrate(made.profiles, made.poses, made.config)
+    assert found.quality.samples_used >= 12
+    assert made.error(found.T_flange_sensor) < 3e-4
+    assert abs(found.target['face_angle'] - RIGHT_ANGLE) < 4 * found.target['face_angle_std']
+
+
+def turned_about_z(sample: Sample) -> Sample:
+    """Return what a sensor sees that was turned by 180 degrees about its z, x the other way."""
+    back = np.diag([-1.0, 1.0])
+    lines = [replace(line, centre=line.centre @ back, direction=-(line.direction @ back),
+                     points=line.points[::-1] @ back, points_std=line.points_std[::-1])
+             for line in sample.features if isinstance(line, FaceLine)]
+    half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    return replace(sample, features=tuple(lines[::-1]),
+                   T_base_flange=sample.T_base_flange @ half_turn)
+
+
+def test_turned_by_half_the_faces_change_sides() -> None:
+    """With the sensor in the flange itself, a turned robot sees the same faces the other way."""
+    made = exact_cell(SCENARIOS['wedge'])
+    X = made.truth.T_flange_sensor
+    in_flange = [replace(s, T_base_flange=s.T_base_flange @ X) for s in made.samples]
+    mixed = [turned_about_z(s) if i % 2 else s for i, s in enumerate(in_flange)]
+    found = pipeline.solve(mixed, [], made.config, 'laser')
+    assert np.abs(se3.difference(found.T_flange_sensor, np.eye(4))).max() < 1e-6
+
+
+def test_derivatives_are_differences() -> None:
+    rng = np.random.default_rng(0)
+    T = se3.transform(se3.exp_rotation(rng.normal(size=3)), rng.normal(size=3))
+    target = np.append(T.ravel(), rng.normal(size=2))
+    p, kind = rng.normal(size=(8, 3)), np.arange(8) % 2
+    at = wedge.conditions(p, kind, target, Config())
+    for k, h in enumerate(1e-6 * np.eye(6)):
+        ahead, behind = (wedge.conditions(p, kind, wedge.retract(target, s * h), Config()).g
+                         for s in (1, -1))
+        np.testing.assert_allclose((ahead - behind) / 2e-6, at.dg_dtarget[:, k], atol=1e-8)
+    for k, h in enumerate(1e-6 * np.eye(3)):
+        ahead, behind = (wedge.conditions(p + s * h, kind, target, Config()).g for s in (1, -1))
+        np.testing.assert_allclose((ahead - behind) / 2e-6, at.dg_dp[:, k], atol=1e-8)
+
+
+def test_turns_about_the_edge_alone_and_one_orientation_are_refused() -> None:
+    made = cell(replace(SCENARIOS['wedge'], motion='tilt_only'))
+    with pytest.raises(OneAxisError):
+        pipeline.solve(made.samples, [], made.config, 'laser')
+    made = cell(replace(SCENARIOS['wedge'], motion='one_orientation'))
+    with pytest.raises(OneOrientationError):
+        pipeline.solve(made.samples, [], made.config, 'laser')
+
+
+def roof(bevel: float = 0.0, noise: float = 1e-5) -> np.ndarray:
+    """Return a profile (600, 2) across a block's edge at x = 0, with a flat bevel so wide."""
+    x = np.linspace(-0.02, 0.02, 600)
+    z = 0.17 + np.maximum(np.abs(x), bevel / 2)
+    return np.column_stack([x, z + noise * np.random.default_rng(0).normal(size=600)])
+
+
+@pytest.mark.parametrize('bevel', [0.0, 1e-3, 3e-3])
+def test_what_lies_between_the_faces_belongs_to_neither(bevel: float) -> None:
+    left, right = corner_features(roof(bevel), Config())
+    for line, slope in ((left, -1.0), (right, 1.0)):
+        assert line.direction[1] / line.direction[0] == pytest.approx(slope, abs=1e-3)
+        at_edge = line.centre[1] - line.centre[0] * slope
+        assert at_edge == pytest.approx(0.17, abs=5e-6)
+
+
+def test_profiles_without_two_faces_say_so() -> None:
+    with pytest.raises(FeatureError, match='both faces of the edge must be in view'):
+        corner_features(roof()[:300], Config())
+    x = np.linspace(-0.02, 0.02, 600)
+    step = np.column_stack([x, np.where(x < 0, 0.17, 0.18)])
+    with pytest.raises(FeatureError, match='no two of the 2 straight pieces'):
+        corner_features(step, Config())
+
+
+def test_the_two_lines_of_a_stop_stay_apart() -> None:
+    seen = [corner_features(roof(noise=1e-5), Config()) for _ in range(3)]
+    left, right = combine(seen)
+    assert isinstance(left, FaceLine)
+    assert isinstance(right, FaceLine)
+    assert left.direction[1] < 0 < right.direction[1]
