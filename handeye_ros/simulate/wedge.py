@@ -44,7 +44,7 @@ def features(scenario: Scenario, at: Stops,
     assert isinstance(target, WedgeTarget)
     lines = [[_line(scenario, point, along, rng) for along in _directions(target, T)]
              for T, point in zip(at.T_target_sensor, at.points, strict=True)]
-    return [tuple(sorted(pair, key=lambda line: float(line.centre[0]))) for pair in lines]
+    return [(a, b) if a.centre[0] < b.centre[0] else (b, a) for a, b in lines]
 
 
 def _directions(target: WedgeTarget, T_target_sensor: Array) -> list[Array]:
