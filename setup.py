@@ -24,7 +24,7 @@ setup(
     install_requires=['numpy>=1.26', 'scipy>=1.11', 'PyYAML', 'mcap', 'rosbags', 'rich', 'typer'],
     extras_require={
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
-        'test': ['hypothesis', 'opencv-python-headless<5', 'pytest>=7.4',
+        'test': ['hypothesis', 'opencv-python-headless<5', 'plyfile', 'pypcd4', 'pytest>=7.4',
                  'pytest-instafail', 'pytest-rerunfailures', 'pytest-timeout', 'pytest-xdist',
                  'urdf-parser-py'],
         'dev': ['colcon-common-extensions', 'flake8', 'flake8-blind-except', 'flake8-builtins',

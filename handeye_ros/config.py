@@ -173,6 +173,8 @@ class Config:
                             '(topic) or the transform tree (tf).', choices=('topic', 'tf'))
     pose_topic: str = _key('flange_pose', 'Topic of the flange poses.')
     profile_topic: str = _key('profile', 'Topic of the laser profiles.')
+    time_offset: float = _key(0.0, "Added to the profiles' stamps (s), for a sensor whose clock "
+                              'or whose driver is late or early.', minimum=-10.0, maximum=10.0)
     profile: ProfileConfig = field(default_factory=ProfileConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     method: str = _key('auto', 'The estimator; auto: the one of the target.')

@@ -24,6 +24,7 @@ class Profile:
     a row with NaN is a column without a return.
     axes: the signed axes of frame_id that the two columns of points run along.
     beside: the third coordinate in frame_id, across the plane (metres); it is not used.
+    intensity: (n,) of the points, where it was asked for and the driver gives it.
     """
 
     stamp: int
@@ -31,6 +32,7 @@ class Profile:
     points: Array
     axes: tuple[str, str] = ('x', 'z')
     beside: float = 0.0
+    intensity: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

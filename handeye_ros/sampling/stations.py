@@ -10,7 +10,6 @@ from handeye_ros import se3
 from handeye_ros.config import SamplingConfig
 from handeye_ros.data import Array, TimedPose
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 NS = 1_000_000_000
 MOTION_TIME = 3 * NS // 10  # over which the speed of the robot is told
@@ -143,7 +142,6 @@ def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
     at = np.array([s - poses[0].stamp for s in stamps], dtype=float)
     if at.min() < times[0] or at.max() > times[-1]:
         raise ValueError('a stamp lies outside the time of the poses')
-    translations = np.array([p.translation for p in poses])
-    rotations = Slerp(times, Rotation.from_quat([p.quaternion for p in poses]))(at)
-    translation = np.column_stack([np.interp(at, times, column) for column in translations.T])
-    return se3.transform(rotations.as_matrix(), translation)
+    translations, quaternions = (np.array([getattr(p, name) for p in poses])
+                                 for name in ('translation', 'quaternion'))
+    return se3.interpolated(times, translations, quaternions, at)

@@ -49,18 +49,35 @@ def read(path: Path, config: Config) -> Recording:
     two runs, or profiles and poses share no time.
 
     """
-    pose_topics = ('/tf', '/tf_static') if config.pose_source == 'tf' else (config.pose_topic,)
-    contents = scan(path, (config.profile_topic, *pose_topics))
+    contents = scan(path, (config.profile_topic, *pose_topics(config)))
     reader = _Reader(path, contents)
     profiles = reader.topic('profile_topic', config.profile_topic, CLOUD,
                             lambda msg: profile_from_cloud(msg, config.profile))
-    poses = (reader.transforms(config) if config.pose_source == 'tf' else
-             reader.topic('pose_topic', config.pose_topic, POSE, pose_from_stamped))
+    poses = _poses(reader, config)
+    if config.time_offset:
+        offset = round(config.time_offset * 1e9)
+        profiles = [replace(p, stamp=p.stamp + offset) for p in profiles]
     _check_frames('profile', (p.frame_id for p in profiles))
-    _check_frames('pose', (p.parent_frame for p in poses))
     _check_clocks(profiles, poses)
     return Recording(tuple(profiles), tuple(poses), tuple(contents.warnings),
                      tuple(input_values(file) for file in contents.files))
+
+
+def pose_topics(config: Config) -> tuple[str, ...]:
+    """Return the topics that the flange poses come from."""
+    return ('/tf', '/tf_static') if config.pose_source == 'tf' else (config.pose_topic,)
+
+
+def poses_of(path: Path, contents: Contents, config: Config) -> list[TimedPose]:
+    """Return the flange poses in the contents of a bag, in the order of their stamps; see read."""
+    return _poses(_Reader(path, contents), config)
+
+
+def _poses(reader: _Reader, config: Config) -> list[TimedPose]:
+    poses = (reader.transforms(config) if config.pose_source == 'tf' else
+             reader.topic('pose_topic', config.pose_topic, POSE, pose_from_stamped))
+    _check_frames('pose', (p.parent_frame for p in poses))
+    return poses
 
 
 class _Reader:

@@ -13,12 +13,20 @@ from typing import Any
 
 from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Array, Profile, TimedPose
-from handeye_ros.ros.bags.points import along_the_line, require_one_plane, require_unit, returns
+from handeye_ros.ros.bags.points import (
+    along_the_line,
+    NEAR,
+    require_one_plane,
+    require_unit,
+    returns,
+)
 from handeye_ros.ros.errors import MessageError
 import numpy as np
 
 # sensor_msgs/PointField: datatype -> numpy
 DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
+
+INTENSITY = 'intensity'  # the field of it, where a driver gives it
 
 UNITS = {'m': 1.0, 'mm': 1e-3}
 
@@ -54,6 +62,33 @@ def profile_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
     return replace(profile, points=along_the_line(points[:, :2], plain), beside=beside)
 
 
+def returns_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
+    """
+    Return the returns alone of a sensor_msgs/PointCloud2, in the order of the message.
+
+    With the intensity where there is a field of that name. For what asks for points and not for
+    their order along the line, which is most of the work. Raises MessageError.
+
+    """
+    along, across = config.axes
+    profile = Profile(stamp_of(msg.header), frame_name(msg.header.frame_id), np.empty((0, 2)),
+                      (along, across))
+    if int(msg.width) * int(msg.height) == 0:
+        return profile
+    names = {str(field.name) for field in msg.fields}
+    columns = [_column(msg, along), _column(msg, across),
+               *([_column(msg, _third(config))] if _third(config) in names else [])]
+    points = np.stack(columns) * UNITS[config.unit]
+    kept = returns(points.T)
+    seen = points[:, kept]
+    if not 2 * len(seen.T) > len(points.T) or not np.abs(seen[:2]).max() > NEAR:
+        require_unit(points.T, config.unit)
+    if len(seen) > 2:
+        require_one_plane(seen.T, (along[-1], across[-1], _third(config)))
+    intensity = _column(msg, INTENSITY)[kept] if INTENSITY in names else None
+    return replace(profile, points=seen[:2].T, intensity=intensity)
+
+
 def frame_name(frame_id: str) -> str:
     """Return the name of a frame as tf2 has it, without the slash of ROS 1."""
     return str(frame_id).removeprefix('/')
@@ -72,9 +107,9 @@ def _beside(msg: Any, config: ProfileConfig) -> Array:
         return np.full(int(msg.width) * int(msg.height), np.nan)
 
 
-def _column(msg: Any, axis: str) -> Array:
-    """Return one signed axis of a cloud (n,), as float64 in the unit of the message."""
-    field = _field(msg, axis[-1])
+def _column(msg: Any, name: str) -> Array:
+    """Return a field of a cloud, such as a signed axis (n,), as float64 as it is sent."""
+    field = _field(msg, name.removeprefix('-'))
     kind = DATATYPES.get(int(field.datatype))
     if kind is None:
         raise MessageError('PointCloud2', f'field "{field.name}" has datatype {field.datatype}, '
@@ -93,7 +128,7 @@ def _column(msg: Any, axis: str) -> Array:
     view = np.ndarray((height, width), dtype, data, offset, (row_step, point_step))
     with np.errstate(invalid='ignore'):  # a signalling NaN is a NaN
         values = view.astype(np.float64).ravel()
-    return -values if axis[0] == '-' else values
+    return -values if name[0] == '-' else values
 
 
 def _field(msg: Any, name: str) -> Any:

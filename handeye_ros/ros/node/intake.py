@@ -101,8 +101,10 @@ class Intake:
             self._node.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 
     def _on_profile(self, msg: PointCloud2) -> None:
-        profile = profile_from_cloud(msg, self._live.config.profile)
-        self._tell(self._live.add_profile(self._stamped(profile)))
+        config = self._live.config
+        profile = self._stamped(profile_from_cloud(msg, config.profile))
+        offset = round(config.time_offset * 1e9)
+        self._tell(self._live.add_profile(replace(profile, stamp=profile.stamp + offset)))
 
     def _on_pose(self, msg: PoseStamped) -> None:
         self._tell(self._live.add_poses([self._stamped(pose_from_stamped(msg))]))

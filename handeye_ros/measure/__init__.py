@@ -1,0 +1,1 @@
+"""The calibration at work: verification routines, scans, seams."""

@@ -1,0 +1,204 @@
+"""
+Point clouds as PLY and PCD files, written piece by piece at constant memory.
+
+The number of points stands in the header, before them: it is put in at the end, into room that
+was left for it. The kept libraries for these forms hold a whole cloud in memory; the tests read
+what is written here with them.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+import os
+from pathlib import Path
+from typing import Any, BinaryIO, TypeAlias
+
+from handeye_ros.data import Array
+from handeye_ros.errors import UnwritableError
+from handeye_ros.measure.errors import CloudFileError, CloudFormatError
+import numpy as np
+from numpy.typing import NDArray
+
+Points: TypeAlias = NDArray[np.void]
+Header: TypeAlias = Callable[[int, 'np.dtype[Any]', str], str]
+
+DIGITS = 15  # room for the number of points
+PLY_TYPES = {'f4': 'float', 'f8': 'double', 'i1': 'char', 'u1': 'uchar', 'i2': 'short',
+             'u2': 'ushort', 'i4': 'int', 'u4': 'uint'}
+PLY_ALIASES = {'float32': 'f4', 'float64': 'f8', 'int8': 'i1', 'uint8': 'u1', 'int16': 'i2',
+               'uint16': 'u2', 'int32': 'i4', 'uint32': 'u4'}
+LONGEST_HEADER = 1 << 16
+
+
+def _kinds(dtype: np.dtype[Any]) -> list[tuple[str, str]]:
+    """Return name and type code (f4, u2, ...) of each field."""
+    return [(name, dtype[name].str[1:]) for name in dtype.names or ()]
+
+
+def ply_header(count: int, dtype: np.dtype[Any], comment: str) -> str:
+    """Return the header of a PLY file of so many points, always of the same length."""
+    number = str(count)
+    return '\n'.join([
+        'ply', 'format binary_little_endian 1.0', f'comment {comment}',
+        f'comment {"." * (DIGITS - len(number))}', f'element vertex {number}',
+        *(f'property {PLY_TYPES[kind]} {name}' for name, kind in _kinds(dtype)),
+        'end_header', ''])
+
+
+def pcd_header(count: int, dtype: np.dtype[Any], comment: str) -> str:
+    """Return the header of a PCD file of so many points, always of the same length."""
+    names, kinds = zip(*_kinds(dtype), strict=True)
+    room = '.' * 2 * (DIGITS - len(str(count)))
+    return '\n'.join([
+        '# .PCD v0.7 - Point Cloud Data file format', f'# {comment} {room}', 'VERSION 0.7',
+        f'FIELDS {" ".join(names)}', f'SIZE {" ".join(kind[1] for kind in kinds)}',
+        f'TYPE {" ".join(kind[0].upper() for kind in kinds)}',
+        f'COUNT {" ".join("1" for _ in kinds)}', f'WIDTH {count}', 'HEIGHT 1',
+        'VIEWPOINT 0 0 0 1 0 0 0', f'POINTS {count}', 'DATA binary', ''])
+
+
+FORMATS: dict[str, Header] = {'.ply': ply_header, '.pcd': pcd_header}
+"""The forms of a cloud that can be written, by the ending of the file."""
+
+
+class CloudWriter:
+    """Takes pieces of a cloud, all of the type of the first."""
+
+    def __init__(self, stream: BinaryIO, header: Header, comment: str) -> None:
+        """Start with no points."""
+        self.count = 0
+        self._stream, self._header, self._comment = stream, header, comment
+        self._dtype: np.dtype[Any] | None = None
+
+    def write(self, points: Points) -> None:
+        """Append points, a structured array of little-endian fields."""
+        if self._dtype is None:
+            self._dtype = points.dtype
+            self._put_header()
+        self._stream.write(points.tobytes())
+        self.count += len(points)
+
+    def finish(self) -> None:
+        """Put the number of points in."""
+        if self._dtype is not None:
+            self._stream.seek(0)
+            self._put_header()
+
+    def _put_header(self) -> None:
+        assert self._dtype is not None
+        self._stream.write(self._header(self.count, self._dtype, self._comment).encode('ascii'))
+
+
+def header_of(path: Path) -> Header:
+    """Return how the header of a file is written; raises CloudFormatError."""
+    header = FORMATS.get(path.suffix.lower())
+    if header is None:
+        raise CloudFormatError(path, list(FORMATS))
+    return header
+
+
+@contextmanager
+def cloud_writer(path: Path, comment: str = '') -> Iterator[CloudWriter]:
+    """
+    Give a writer of a cloud, which is there when the block has ended well, and not before.
+
+    Raises CloudFormatError, UnwritableError.
+    """
+    header = header_of(path)
+    temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with temporary.open('wb') as stream:
+                writer = CloudWriter(stream, header, comment)
+                yield writer
+                writer.finish()
+            os.replace(temporary, path)
+        finally:
+            with suppress(OSError):
+                temporary.unlink()
+    except OSError as error:
+        raise UnwritableError(path, error.strerror or str(error)) from error
+
+
+def read_cloud(path: Path) -> Array:
+    """
+    Return the points (n, 3) of a PLY or PCD file, ASCII or binary little-endian.
+
+    Raises CloudFormatError, CloudFileError.
+    """
+    header_of(path)
+    try:
+        with path.open('rb') as stream:
+            head, lines = _header_lines(path, stream.read(LONGEST_HEADER))
+    except OSError as error:
+        raise CloudFileError(path, f'cannot be read: {error.strerror or error}') from error
+    parse = _ply_layout if path.suffix.lower() == '.ply' else _pcd_layout
+    try:
+        binary, dtype, count = parse(lines)
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise CloudFileError(path, 'its header is not that of a cloud in ASCII or binary '
+                             '(little-endian, not compressed) form') from error
+    if not {'x', 'y', 'z'} <= set(dtype.names or ()):
+        raise CloudFileError(path, 'its points have no fields x, y and z')
+    points = _body(path, head, dtype, count, binary)
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _header_lines(path: Path, start: bytes) -> tuple[int, list[list[str]]]:
+    """Return the length of the header and the words of its lines."""
+    lines, place = [], 0
+    while (end := start.find(b'\n', place)) >= 0:
+        words = start[place:end].decode('latin-1').split()
+        place = end + 1
+        if words and not words[0].startswith('#') and words[0] != 'comment':
+            lines.append(words)
+        if words[:1] in (['end_header'], ['DATA']):
+            return place, lines
+    raise CloudFileError(path, 'has no header of a cloud')
+
+
+def _ply_layout(lines: list[list[str]]) -> tuple[bool, np.dtype[Any], int]:
+    form = [words[1] for words in lines if words[0] == 'format'][0]
+    first = [words[0] for words in lines].index('element')
+    if lines[0] != ['ply'] or lines[first][1] != 'vertex' or form == 'binary_big_endian':
+        raise ValueError
+    codes = {name: code for code, name in PLY_TYPES.items()} | PLY_ALIASES
+    fields = []
+    for words in lines[first + 1:]:
+        if words[0] != 'property':
+            break
+        fields.append((words[2], f'<{codes[words[1]]}'))
+    return form != 'ascii', np.dtype(fields), int(lines[first][2])
+
+
+def _pcd_layout(lines: list[list[str]]) -> tuple[bool, np.dtype[Any], int]:
+    values = {words[0]: words[1:] for words in lines}
+    fields: list[Any] = []
+    for name, kind, size, count in zip(values['FIELDS'], values['TYPE'], values['SIZE'],
+                                       values.get('COUNT', ['1'] * len(values['FIELDS'])),
+                                       strict=True):
+        # PCL pads with fields that are all called "_"
+        unique = name if name not in [field[0] for field in fields] else f'{name}{len(fields)}'
+        fields.append((unique, f'<{kind.lower()}{size}', *([(int(count),)] * (count != '1'))))
+    if values['DATA'][0] not in ('ascii', 'binary'):
+        raise ValueError
+    return values['DATA'][0] == 'binary', np.dtype(fields), int(values['POINTS'][0])
+
+
+def _body(path: Path, head: int, dtype: np.dtype[Any], count: int, binary: bool) -> Array:
+    """Return x, y and z (n, 3) of what stands behind the header."""
+    if binary:
+        there = (path.stat().st_size - head) // dtype.itemsize
+        if there < count:
+            raise CloudFileError(path, f'is cut off: {there} of {count} points')
+        rows = np.memmap(path, dtype, 'r', head, (count,)) if count else np.empty(0, dtype)
+        return np.column_stack([rows[axis] for axis in 'xyz']).astype(np.float64)
+    names = list(dtype.names or ())
+    with path.open('rb') as stream:
+        stream.seek(head)
+        try:
+            return np.loadtxt(stream, usecols=[names.index(a) for a in 'xyz'], max_rows=count,
+                              ndmin=2).reshape(-1, 3)
+        except ValueError as error:
+            raise CloudFileError(path, f'is damaged: {error}') from error

@@ -1,0 +1,165 @@
+"""
+Profiles and poses to points in the robot's base: a scan.
+
+With eye_on_base the points are in the flange, which carries the workpiece past the sensor. The
+pose is taken at each profile's own stamp plus time_offset, between two poses; a profile without
+them gives no points. Memory does not grow with the length of a recording, but for its poses.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Calibration, Profile
+from handeye_ros.measure.cloud_files import Points
+from handeye_ros.measure.errors import EmptyScanError, NoPosesAroundError
+from handeye_ros.measure.point_std import point_std, sensor_in_base, variance_polynomial
+from handeye_ros.measure.thinning import Thinning
+from handeye_ros.measure.track import Track
+import numpy as np
+from numpy.typing import NDArray
+
+BATCH = 64  # profiles at once: the arrays stay in the cache
+SLOPE_REACH = 4  # returns to either side that tell the slope of the surface
+
+
+@dataclass(frozen=True)
+class ScanOptions:
+    """
+    What is kept of a scan, and told of each point.
+
+    nearest, farthest: range along the sensor's range axis (m). incidence: largest angle between
+    range axis and surface normal, as far as a profile shows it (rad). voxel: edge of the cubes
+    of which each keeps one point (m), 0: all are kept. std: whether each point tells its 1 sigma.
+    """
+
+    nearest: float = -np.inf
+    farthest: float = np.inf
+    incidence: float = np.pi / 2
+    voxel: float = 0.0
+    std: bool = False
+
+
+@dataclass
+class ScanCount:
+    """What became of the profiles and of their returns."""
+
+    profiles: int = 0
+    without_pose: int = 0
+    returns: int = 0
+    out_of_limits: int = 0
+    thinned: int = 0
+
+    @property
+    def points(self) -> int:
+        """Return the number of points that are left."""
+        return self.returns - self.out_of_limits - self.thinned
+
+
+class Scanner:
+    """Makes points of profiles and poses, live and offline alike; count: what came of them."""
+
+    def __init__(self, calibration: Calibration, config: Config,
+                 options: ScanOptions | None = None) -> None:
+        """Start with nothing seen."""
+        self.calibration, self.config = calibration, config
+        self.options = options or ScanOptions()
+        self.count = ScanCount()
+        self._intensity: bool | None = None  # whether the driver gives it
+        self._variance = variance_polynomial(calibration, config.noise)
+        self._thinning = Thinning(self.options.voxel) if self.options.voxel > 0 else None
+
+    @property
+    def frame(self) -> str:
+        """Return the frame of the points."""
+        moving = self.config.calibration_type == 'eye_on_base'
+        return self.config.robot_effector_frame if moving else self.config.robot_base_frame
+
+    def scan(self, profiles: Iterable[Profile], track: Track) -> Iterator[Points]:
+        """Yield the points of profiles, piece by piece."""
+        source = iter(profiles)
+        while batch := list(islice(source, BATCH)):
+            yield self.points(batch, track)
+
+    def points(self, profiles: Sequence[Profile], track: Track) -> Points:
+        """Return the points of some profiles: x, y, z in the frame (m), intensity, std."""
+        offset = round(self.config.time_offset * 1e9)
+        stamps = np.array([p.stamp + offset for p in profiles], dtype=np.int64)
+        T_base_flange, known = track.at(stamps)
+        if self._intensity is None and profiles:
+            self._intensity = profiles[0].intensity is not None
+        used = [p for p, is_known in zip(profiles, known, strict=True) if is_known]
+        self.count.profiles += len(profiles)
+        self.count.without_pose += len(profiles) - len(used)
+        T = sensor_in_base(T_base_flange, self.calibration.T_flange_sensor,
+                           self.config.calibration_type == 'eye_on_base')
+        parts = [self._of_profile(p, T_one) for p, T_one in zip(used, T, strict=True)]
+        cloud = np.concatenate([np.empty(0, self.dtype), *parts])
+        if self._thinning is None:
+            return cloud
+        kept = self._thinning.new(np.stack([cloud['x'], cloud['y'], cloud['z']]))
+        self.count.thinned += len(cloud) - int(kept.sum())
+        return cloud[kept]
+
+    def require_points(self) -> None:
+        """Refuse a scan without points; raises NoPosesAroundError or EmptyScanError."""
+        count = self.count
+        if count.points:
+            return
+        if count.without_pose and count.without_pose == count.profiles:
+            raise NoPosesAroundError(count.profiles, self.config.sampling.max_pose_gap)
+        raise EmptyScanError(count.profiles, count.returns)
+
+    @property
+    def dtype(self) -> np.dtype[np.void]:
+        """Return the fields of a point."""
+        names = ['x', 'y', 'z', *(['intensity'] if self._intensity else []),
+                 *(['std'] if self.options.std else [])]
+        return np.dtype([(name, '<f4') for name in names])
+
+    def _of_profile(self, profile: Profile, T_base_sensor: Array) -> Points:
+        kept = self._kept(profile.points)
+        points = profile.points[kept]
+        R = T_base_sensor[:3, :3] @ _axes(profile.axes)
+        in_base = points @ R.T + T_base_sensor[:3, 3]
+        cloud = np.empty(len(points), self.dtype)
+        cloud['x'], cloud['y'], cloud['z'] = in_base.T
+        if self._intensity:
+            cloud['intensity'] = (np.nan if profile.intensity is None
+                                  else profile.intensity[kept])
+        if self.options.std:
+            cloud['std'] = point_std(self._variance, points @ _axes(profile.axes)[[0, 2]].T)
+        return cloud
+
+    def _kept(self, points: Array) -> NDArray[np.bool_]:
+        """Tell which points are returns within the limits."""
+        x, z = points.T
+        seen = np.isfinite(x) & np.isfinite(z)
+        options = self.options
+        kept = seen & (z >= options.nearest) & (z <= options.farthest)
+        if options.incidence < np.pi / 2:
+            rows = np.flatnonzero(kept)
+            kept[rows] = _incidence(x[rows], z[rows]) <= options.incidence
+        self.count.returns += int(seen.sum())
+        self.count.out_of_limits += int(seen.sum()) - int(kept.sum())
+        return np.asarray(kept)
+
+
+def _axes(names: tuple[str, str]) -> Array:
+    """Return the axes (3, 2) of the sensor's frame that the columns of points run along."""
+    axes = np.zeros((3, 2))
+    for column, name in enumerate(names):
+        axes['xyz'.index(name[-1]), column] = -1.0 if name[0] == '-' else 1.0
+    return axes
+
+
+def _incidence(x: Array, z: Array) -> Array:
+    """Return the angle (n,) of the surface to the laser line, from neighbours (rad)."""
+    if len(x) < 2:
+        return np.zeros(len(x))
+    index = np.arange(len(x))
+    before, after = np.maximum(index - SLOPE_REACH, 0), np.minimum(index + SLOPE_REACH,
+                                                                   len(x) - 1)
+    return np.asarray(np.arctan2(np.abs(z[after] - z[before]), np.abs(x[after] - x[before])))

@@ -1,0 +1,290 @@
+"""Profiles and poses to a cloud in the base: exact, at constant memory, in files others read."""
+from __future__ import annotations
+
+from dataclasses import replace
+import tracemalloc
+
+from command import assert_refused, handeye
+from handeye_ros import se3
+from handeye_ros.config import Config, NoiseConfig
+from handeye_ros.data import Calibration, Profile, Quality, TimedPose
+from handeye_ros.measure.cloud_files import cloud_writer, read_cloud
+from handeye_ros.measure.errors import CloudFileError, EmptyScanError, NoPosesAroundError
+from handeye_ros.measure.point_std import point_std, variance_polynomial
+from handeye_ros.measure.scan import Scanner, ScanOptions
+from handeye_ros.measure.settings import settings_of
+from handeye_ros.measure.track import Track
+from handeye_ros.results.calibration_file import write_calibration
+from handeye_ros.ros.bags import bag_write
+import numpy as np
+from plyfile import PlyData, PlyElement
+import pypcd4
+import pytest
+from scipy.spatial.transform import Rotation
+
+T0, STEP = 1_700_000_000_000_000_000, 1_000_000
+GAP = 0.5
+
+
+def calibration(covariance=None, **config):
+    X = se3.transform(Rotation.from_euler('xyz', [0.3, -0.2, 1.1]).as_matrix(),
+                      np.array([0.05, -0.02, 0.11]))
+    quality = Quality(18, 0, 2e-5, 2e-5, 'z', 1e-5)
+    return Calibration('plate', 'plate', 'flange', 'laser', X,
+                       np.zeros((6, 6)) if covariance is None else covariance, {}, quality, (),
+                       {'config': config})
+
+
+def moving(count, rate=5):
+    """Return poses of a flange that moves evenly, every rate ms, around count ms."""
+    return [TimedPose(T0 + k * rate * STEP, np.array([0.6, 1e-4 * k * rate, 0.4]),
+                      Rotation.from_euler('x', 1e-4 * k * rate).as_quat())
+            for k in range(count // rate + 2)]
+
+
+def true_flange(ms):
+    return se3.transform(Rotation.from_euler('x', 1e-4 * ms).as_matrix(),
+                         np.array([0.6, 1e-4 * ms, 0.4]))
+
+
+def plane_profiles(count, columns=50, rng=None, intensity=False):
+    """Return profiles, each a ms, of the plane z = 0.1 of the base by the moving flange."""
+    profiles = []
+    X = calibration().T_flange_sensor
+    for ms in range(count):
+        T = true_flange(ms + 0.5) @ X
+        x = np.linspace(-0.02, 0.02, columns)
+        z = (0.1 - T[2, 3] - T[2, 0] * x) / T[2, 2]
+        profiles.append(Profile(T0 + ms * STEP + STEP // 2, 'laser', np.column_stack([x, z]),
+                                intensity=np.arange(columns) * 1.0 if intensity else None))
+    return profiles
+
+
+def scanned(scanner, profiles, poses):
+    return np.concatenate(list(scanner.scan(profiles, Track(poses, GAP))))
+
+
+def xyz(cloud):
+    return np.stack([cloud[axis] for axis in 'xyz'], axis=1).astype(float)
+
+
+def test_points_of_a_moving_sensor_lie_where_they_were_seen():
+    scanner = Scanner(calibration(), Config())
+    cloud = xyz(scanned(scanner, plane_profiles(200), moving(200)))
+    assert len(cloud) == scanner.count.points == 200 * 50
+    np.testing.assert_allclose(cloud[:, 2], 0.1, atol=2e-7)  # single precision
+
+
+def test_the_time_offset_is_added_to_the_stamps():
+    early = [replace(p, stamp=p.stamp - 20 * STEP) for p in plane_profiles(200)]
+    scanner = Scanner(calibration(), Config(time_offset=0.020))
+    np.testing.assert_allclose(xyz(scanned(scanner, early, moving(200)))[:, 2], 0.1, atol=2e-7)
+
+
+def test_profiles_without_a_pose_on_both_sides_are_dropped_and_counted():
+    poses = moving(200)
+    poses = [p for p in poses if not 50 * STEP < p.stamp - T0 < 100 * STEP]
+    scanner = Scanner(calibration(), Config())
+    profiles = plane_profiles(240)
+    cloud = np.concatenate(list(scanner.scan(profiles, Track(poses, 0.02))))
+    lost = [p for p in profiles if 50 < (p.stamp - T0) / STEP < 100
+            or p.stamp > poses[-1].stamp]
+    assert scanner.count.without_pose == len(lost)
+    assert len(cloud) == (240 - len(lost)) * 50
+
+
+def test_a_scan_without_any_pose_is_refused():
+    scanner = Scanner(calibration(), Config())
+    late = [replace(p, stamp=p.stamp + 10**12) for p in plane_profiles(3)]
+    scanned(scanner, late, moving(200))
+    with pytest.raises(NoPosesAroundError, match='none of the 3 profiles'):
+        scanner.require_points()
+
+
+def test_a_pose_with_a_wrong_stamp_spoils_nothing():
+    stray = TimedPose(T0 + 10**15, np.zeros(3), np.array([0.0, 0, 0, 1]))
+    poses = moving(200)
+    scanner = Scanner(calibration(), Config())
+    cloud = xyz(scanned(scanner, plane_profiles(200), [*poses[:10], stray, *poses[10:]]))
+    np.testing.assert_allclose(cloud[:, 2], 0.1, atol=2e-7)
+    assert len(cloud) == 200 * 50
+
+
+def test_with_eye_on_base_the_points_are_in_the_flange():
+    config = replace(Config(), calibration_type='eye_on_base')
+    scanner = Scanner(calibration(), config)
+    x = np.array([[0.01, 0.17]])
+    cloud = scanned(scanner, [Profile(T0 + 7 * STEP, 'laser', x)], moving(200))
+    expected = se3.inverse(true_flange(7.0)) @ calibration().T_flange_sensor @ [0.01, 0, 0.17, 1]
+    np.testing.assert_allclose(xyz(cloud)[0], expected[:3], atol=1e-7)
+    assert scanner.frame == 'flange'
+
+
+def test_axes_of_the_driver_are_followed():
+    profile = Profile(T0 + 7 * STEP, 'laser', np.array([[0.01, 0.17]]), axes=('-y', 'z'))
+    cloud = scanned(Scanner(calibration(), Config()), [profile], moving(200))
+    expected = true_flange(7.0) @ calibration().T_flange_sensor @ [0, -0.01, 0.17, 1]
+    np.testing.assert_allclose(xyz(cloud)[0], expected[:3], atol=1e-7)
+
+
+def test_limits_of_range_and_incidence():
+    x = np.linspace(-0.02, 0.02, 401)
+    z = np.where(x < 0, 0.15, 0.15 + 2 * x)  # flat, then 63 degrees
+    profile = Profile(T0 + STEP, 'laser', np.column_stack([x, z]))
+    flat = Scanner(calibration(), Config(), ScanOptions(incidence=np.deg2rad(45)))
+    assert abs(len(scanned(flat, [profile], moving(200))) - 200) < 6
+    near = Scanner(calibration(), Config(), ScanOptions(farthest=0.16))
+    assert len(scanned(near, [profile], moving(200))) == (z <= 0.16).sum()
+    nothing = Scanner(calibration(), Config(), ScanOptions(nearest=1.0))
+    scanned(nothing, [profile], moving(200))
+    with pytest.raises(EmptyScanError, match='widen the limits'):
+        nothing.require_points()
+
+
+def test_thinning_keeps_one_point_of_each_cube():
+    scanner = Scanner(calibration(), Config(), ScanOptions(voxel=2e-3))
+    thin = xyz(scanned(scanner, plane_profiles(200), moving(200)))
+    full = xyz(scanned(Scanner(calibration(), Config()), plane_profiles(200), moving(200)))
+    cubes = {tuple(c) for c in np.floor(full / np.float32(2e-3)).astype(int)}
+    assert len({tuple(c) for c in np.floor(thin / np.float32(2e-3)).astype(int)}) == len(thin)
+    assert abs(len(thin) - len(cubes)) < 0.02 * len(cubes)  # of the two roundings
+    assert scanner.count.thinned == len(full) - len(thin)
+
+
+def test_the_std_of_a_point_is_that_of_many_trials():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(6, 6)) * np.repeat([2e-5, 3e-4], 3)[:, None]
+    noise = NoiseConfig(sensor=3e-5, robot_translation=4e-5, robot_rotation=1e-4)
+    cal = calibration(root @ root.T)
+    point, T = np.array([0.01, 0.19]), true_flange(3.0)
+    s = np.array([point[0], 0.0, point[1]])
+    trials = []
+    for _ in range(4000):
+        X = se3.perturb(cal.T_flange_sensor, root @ rng.normal(size=6))
+        turn = se3.exp_rotation(rng.normal(size=3) * 1e-4)
+        p = X[:3, :3] @ (s + [0, 0, rng.normal() * 3e-5]) + X[:3, 3]
+        trials.append(turn @ T[:3, :3] @ p + T[:3, 3] + rng.normal(size=3) * 4e-5)
+    scatter = np.sqrt(np.var(trials, axis=0).sum())
+    told = point_std(variance_polynomial(cal, noise), point[None])[0]
+    assert told == pytest.approx(scatter, rel=0.04)
+
+
+def test_memory_does_not_grow_with_the_length(tmp_path):
+    def peak(repeats):
+        profiles, track = plane_profiles(200, 400), Track(moving(200), GAP)
+        scanner = Scanner(calibration(), Config(), ScanOptions(std=True))
+        tracemalloc.start()
+        with cloud_writer(tmp_path / 'cloud.ply') as writer:
+            for piece in scanner.scan((p for _ in range(repeats) for p in profiles), track):
+                writer.write(piece)
+        size = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return size
+
+    assert peak(8) < 1.1 * peak(2)
+
+
+FIELDS = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('intensity', '<f4')])
+
+
+@pytest.mark.parametrize('count', [0, 1, 9, 12345])
+def test_other_libraries_read_the_clouds(tmp_path, count):
+    rng = np.random.default_rng(count)
+    cloud = np.empty(count, FIELDS)
+    for name in FIELDS.names:
+        cloud[name] = rng.normal(size=count)
+    for name in ('c.ply', 'c.pcd'):
+        with cloud_writer(tmp_path / name, 'frame base') as writer:
+            for piece in np.array_split(cloud, 3):
+                writer.write(piece)
+    ply = PlyData.read(tmp_path / 'c.ply')['vertex']
+    pcd = pypcd4.PointCloud.from_path(tmp_path / 'c.pcd')
+    assert ply.count == pcd.points == count
+    for k, name in enumerate(FIELDS.names):
+        np.testing.assert_array_equal(ply[name], cloud[name])
+        np.testing.assert_array_equal(pcd.numpy()[:, k], cloud[name])
+    for name in ('c.ply', 'c.pcd'):
+        np.testing.assert_array_equal(read_cloud(tmp_path / name), xyz(cloud))
+
+
+def test_clouds_of_others_are_read(tmp_path):
+    points = np.random.default_rng(0).normal(size=(7, 3)).astype(np.float32)
+    dtype = [('x', 'f4'), ('y', 'f4'), ('z', 'f4')]
+    rows = np.array([tuple(p) for p in points], dtype)
+    for text in (True, False):
+        PlyData([PlyElement.describe(rows, 'vertex')], text=text, byte_order='<').write(
+            tmp_path / 'o.ply')
+        np.testing.assert_allclose(read_cloud(tmp_path / 'o.ply'), points, rtol=1e-6)
+    cloud = pypcd4.PointCloud.from_xyz_points(points)
+    for encoding in (pypcd4.Encoding.ASCII, pypcd4.Encoding.BINARY):
+        cloud.save(tmp_path / 'o.pcd', encoding)
+        np.testing.assert_allclose(read_cloud(tmp_path / 'o.pcd'), points, rtol=1e-6)
+    even = pypcd4.PointCloud.from_xyz_points(np.ones((7, 3), np.float32))
+    even.save(tmp_path / 'o.pcd', pypcd4.Encoding.BINARY_COMPRESSED)
+    with pytest.raises(CloudFileError, match='not compressed'):
+        read_cloud(tmp_path / 'o.pcd')
+
+
+def test_damaged_clouds_are_refused(tmp_path):
+    path = tmp_path / 'c.ply'
+    with cloud_writer(path) as writer:
+        writer.write(np.ones(10, FIELDS))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-5])
+    with pytest.raises(CloudFileError, match='9 of 10'):
+        read_cloud(path)
+    for text in (b'', b'ply\n', b'ply\nformat ascii 1.0\nelement vertex x\nend_header\n',
+                 b'ply\nformat ascii 1.0\nelement vertex 1\nproperty float a\nend_header\n1\n'):
+        path.write_bytes(text)
+        with pytest.raises(CloudFileError):
+            read_cloud(path)
+
+
+def test_a_cloud_that_breaks_off_is_not_there(tmp_path):
+    with pytest.raises(ZeroDivisionError), cloud_writer(tmp_path / 'c.ply') as writer:
+        writer.write(np.ones(3, FIELDS))
+        raise ZeroDivisionError
+    assert not list(tmp_path.iterdir())
+
+
+def test_settings_come_with_the_calibration():
+    config = settings_of(calibration(**{'profile_topic': 'laser/points', 'noise.sensor': 1e-5,
+                                        'of_tomorrow': 3, 'profile.unit': 'furlong'}))
+    assert (config.profile_topic, config.noise.sensor, config.profile.unit) == (
+        'laser/points', 1e-5, 'm')
+
+
+def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
+    write_calibration(calibration(), tmp_path / 'calibration.yaml')
+    bag_write.write(tmp_path / 'bag', plane_profiles(100), moving(100), layout='scancontrol')
+    run = handeye('scan', 'bag', '--calibration', 'calibration.yaml', '--out', 'c.ply',
+                  '--std', cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.startswith('100 profiles, 5000 returns\n')
+    vertex = PlyData.read(tmp_path / 'c.ply')['vertex']
+    assert [p.name for p in vertex.properties] == ['x', 'y', 'z', 'intensity', 'std']
+    np.testing.assert_allclose(vertex['z'], 0.1, atol=1e-6)
+
+
+def test_the_verb_refuses_in_words(tmp_path):
+    write_calibration(calibration(), tmp_path / 'calibration.yaml')
+    bag_write.write(tmp_path / 'bag', plane_profiles(10), moving(10))
+    common = ('--calibration', 'calibration.yaml', '--out')
+    assert_refused(handeye('scan', 'bag', *common, 'c.xyz', cwd=tmp_path), 2, '.ply or .pcd')
+    assert_refused(handeye('scan', 'bag', *common, 'c.ply', '--set', 'profile_topic=a',
+                           cwd=tmp_path), 2, 'no topic /a')
+    assert_refused(handeye('scan', 'bag', *common, 'c.ply', '--set', 'time_offset=5',
+                           cwd=tmp_path), 3, 'none of the 10 profiles')
+    assert not (tmp_path / 'c.ply').exists()
+
+
+def test_a_bag_that_was_cut_off_gives_what_can_be_read(tmp_path):
+    write_calibration(calibration(), tmp_path / 'calibration.yaml')
+    bag_write.write(tmp_path / 'bag', plane_profiles(300, 400), moving(300))
+    file = next((tmp_path / 'bag').glob('*.mcap'))
+    file.write_bytes(file.read_bytes()[:file.stat().st_size // 2])
+    run = handeye('scan', file, '--calibration', 'calibration.yaml', '--out', 'c.pcd',
+                  cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert 'cut off or damaged' in run.stderr
+    assert len(read_cloud(tmp_path / 'c.pcd'))
