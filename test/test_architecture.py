@@ -26,7 +26,7 @@ FLOORS = (
     ('cli', 'ros'),
     ('__main__',),
 )
-SIDEWAYS = {('files', 'sampling'), ('cli', 'ros')}
+SIDEWAYS = {('measure', 'sampling'), ('files', 'sampling'), ('cli', 'ros')}
 HEIGHTS = {room: height for height, rooms in enumerate(FLOORS) for room in rooms}
 ROOT_MODULES = {'__init__', '__main__', 'config', 'data', 'errors', 'pipeline', 'se3'}
 LONGEST_FUNCTION = 40  # lines
