@@ -36,6 +36,7 @@ setup(
         'console_scripts': [
             'handeye = handeye_ros.cli:main',
             'calibrate = handeye_ros.ros.node.node:main',
+            'publish = handeye_ros.ros.publish:main',
             'replay = handeye_ros.ros.replay:main',
         ],
     },

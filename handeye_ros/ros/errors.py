@@ -76,3 +76,19 @@ class TopicsError(InputError):
     def __init__(self, reason: str) -> None:
         super().__init__(f'the node cannot use its topics ({" ".join(reason.split())[:120]}): '
                          'check pose_topic and profile_topic; each needs its own')
+
+
+class SameFrameError(InputError):
+    """Two calibrations of one sensor are to be published at once."""
+
+    def __init__(self, path: object, frame: str) -> None:
+        super().__init__(f'{path} is not published: another of the files gives {frame} a place '
+                         'already, and a frame has one parent; name each sensor once')
+
+
+class UnpublishedError(InputError):
+    """Some of the calibrations to be published could not be used."""
+
+    def __init__(self, failed: int, total: int) -> None:
+        super().__init__(f'{failed} of {total} calibrations not published: see above, and name '
+                         'files that handeye solve or ~/save_calibration wrote')

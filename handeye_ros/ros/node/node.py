@@ -17,7 +17,7 @@ from handeye_ros.ros.node import params
 from handeye_ros.ros.node.diagnostics import diagnostics
 from handeye_ros.ros.node.intake import Intake, TFMessage, THROTTLE
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.node.outgoing import feature_cloud, markers, transform_stamped
+from handeye_ros.ros.node.outgoing import feature_cloud, LATCHED, markers, transform_stamped
 from handeye_ros.ros.node.wording import sample_summary, with_trouble
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
@@ -26,12 +26,11 @@ from rclpy.clock import Clock, ClockType
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 REQUESTS = QoSProfile(depth=1000)  # that wait for a solve; ROS would drop all but ten
 UNSENDABLE = (RCLError, InvalidHandle)
 THREADS = 4  # the streams, the quick services, a solve, and the rest

@@ -11,9 +11,12 @@ from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.results.outcome import mounted, sensor_axes
 import numpy as np
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 FLANGES = ColorRGBA(r=0.5, g=0.5, b=0.5, a=1.0)
 POINTS = ColorRGBA(r=1.0, g=0.6, b=0.0, a=1.0)

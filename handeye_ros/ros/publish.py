@@ -1,0 +1,92 @@
+"""Puts saved calibrations on /tf_static: what `ros2 run handeye_ros publish FILE...` runs."""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+import sys
+
+from handeye_ros.data import Calibration
+from handeye_ros.errors import HandeyeError, NoRosError
+from handeye_ros.results.calibration_file import file_of, read_calibration
+from handeye_ros.ros.errors import SameFrameError, TopicsError, UnpublishedError
+from handeye_ros.ros.executable import exit_code, InvalidHandle, RCLError, ros
+from handeye_ros.ros.node.intake import TFMessage
+from handeye_ros.ros.node.outgoing import LATCHED, transform_stamped
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+
+
+def publish(paths: Sequence[Path]) -> None:
+    """
+    Publish the calibrations of files, or of the folders that hold one, until Ctrl-C.
+
+    A file that cannot be used is told of on stderr at once, and the others are published; then,
+    in the end, raises UnpublishedError.
+    """
+    if not TFMessage:
+        raise NoRosError('publish', 'tf2_msgs')
+    found: list[Calibration] = []
+    failed: list[HandeyeError] = []
+    for path in paths:
+        try:
+            found.append(_read(path, found))
+        except HandeyeError as error:
+            failed.append(error)
+            print(error, file=sys.stderr, flush=True)
+    if found:
+        _spin(found)
+    if failed:
+        raise UnpublishedError(len(failed), len(paths))
+
+
+def _read(path: Path, others: Sequence[Calibration]) -> Calibration:
+    """Return a calibration; raises SameFrameError if its sensor has a place already."""
+    file = file_of(path).absolute()
+    calibration = read_calibration(file)
+    if any(other.child_frame == calibration.child_frame for other in others):
+        raise SameFrameError(file, calibration.child_frame)
+    return calibration
+
+
+def _spin(calibrations: Sequence[Calibration]) -> None:
+    with ros():
+        try:
+            node = Node('handeye_publish')
+        except RCLError as error:
+            raise TopicsError(str(error)) from error
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
+        stamp = node.get_clock().now().to_msg()
+        # in one message: of a latched topic the last alone is kept
+        publisher.publish(TFMessage(transforms=[transform_stamped(calibration, stamp)
+                                                for calibration in calibrations]))
+        for calibration in calibrations:
+            node.get_logger().info(f'{calibration.child_frame} in {calibration.parent_frame} is '
+                                   f'on /tf_static (calibration {calibration.name})')
+        try:
+            executor.spin()
+        except (KeyboardInterrupt, ExternalShutdownException):
+            pass
+        except (RCLError, InvalidHandle):
+            if rclpy.ok():  # else a signal came before it began to wait
+                raise
+        finally:
+            executor.shutdown()
+            node.destroy_node()
+
+
+def main() -> int:
+    """Run the executable `publish`."""
+    parser = argparse.ArgumentParser(prog='publish', description=__doc__)
+    parser.add_argument('files', nargs='+', type=Path, metavar='FILE',
+                        help='a calibration.yaml, or the folder that holds it')
+    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    return exit_code(lambda: publish(options.files))
+
+
+if __name__ == '__main__':
+    sys.exit(main())
