@@ -8,14 +8,25 @@ missing inside the face, there is no edge.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
+from handeye_ros.profiles.ends import (
+    edge_point,
+    End,
+    end_edge,
+    frame_of,
+    MOST_LOST,
+    std_at,
+    tail,
+    wall_edge,
+    WALL_LEAN,
+)
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.profiles.lines import face_line
 from handeye_ros.profiles.segment import Segment, straight_segments
 import numpy as np
+from numpy.typing import NDArray
 
 GAP_COLUMNS = 3  # missing returns behind a face that make its end an edge
 ROOF_ANGLE = 0.15  # two pieces that meet at a smaller angle (rad) are one bent face
@@ -23,19 +34,9 @@ ROOF_REACH = 8.0  # they meet when their ends are this many columns from the cro
 MIN_STEP_SIGMAS = 8.0
 SURE_EDGE = 1.5  # a face with a sure edge is worth this many times its points
 SHADOW_SLOPE = 2.0  # a step hides less than this many times its height behind it
+LARGEST_BEVEL = 2.5e-3  # of the piece between a face and its wall; a larger one is a face (m)
+STEEP_ERROR = 1.0  # of a surface seen steeply, as a share of the noise that it adds
 EDGE_KINDS = ('roof', 'step', 'gap', 'open')
-
-
-@dataclass(frozen=True, eq=False)
-class _End:
-    """One end of a segment: its row, the direction of the rows behind it (+1 or -1)."""
-
-    segment: Segment
-    outward: int
-
-    @property
-    def row(self) -> int:
-        return self.segment.last if self.outward > 0 else self.segment.first
 
 
 def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
@@ -85,59 +86,87 @@ def _edges(segment: Segment, segments: Sequence[Segment], points: Array, near: i
            ) -> list[EdgePoint] | None:
     """Return the edges of a segment, or None when something beside it is nearer: no face."""
     edges = []
-    for end in (_End(segment, -1), _End(segment, 1)):
-        kind, other = _what_follows(end, segments, points, near)
+    for end in (End(segment, -1), End(segment, 1)):
+        kind, edge = _edge(end, segments, points, near)
         if kind == 'nearer':
             return None
-        if kind == 'roof' and other is not None:
-            edges.append(_roof_edge(end, other, points))
-        elif kind in EDGE_KINDS:
-            edges.append(_end_edge(end, kind, points))
+        if edge:
+            edges.append(edge)
     return edges
 
 
-def _what_follows(end: _End, segments: Sequence[Segment], points: Array, near: int
-                  ) -> tuple[str, Segment | None]:
-    """Return 'roof', 'step', 'gap', 'open', 'nearer' or 'border', and what follows."""
-    following = [s for s in segments if s is not end.segment
-                 and (s.first - end.row) * end.outward > 0]
-    if not following:
+def _edge(end: End, segments: Sequence[Segment], points: Array, near: int
+          ) -> tuple[str, EdgePoint | None]:
+    """Return the kind of a segment's end, see EDGE_KINDS, 'nearer' or 'border'; its edge."""
+    following = sorted((s for s in segments if s is not end.segment
+                        and (s.first - end.row) * end.outward > 0),
+                       key=lambda s: abs(s.first - end.row))
+    column = _column(end.segment, points)
+    rows = tail(end, points, near, end.segment.noise)
+    if following and _is_bevel(end, following[0], rows, points, near):
+        following = following[1:]
+    other = following[0] if following else None
+    if other is not None:
+        rows = rows[np.abs(rows - end.row) < abs(end.start_of(other) - end.row)]
+    kind = _kind(end, other, rows, points, near, column)
+    if kind == 'roof' and other is not None:
+        return kind, _roof_edge(end, other, points, near)
+    if kind not in EDGE_KINDS:
+        return kind, None
+    wall = wall_edge(end, rows, points, near, column)
+    if wall:
+        return 'roof', edge_point(end, frame_of(end, points, near), *wall, points, 'roof')
+    ground = other if kind == 'step' else None
+    return kind, end_edge(end, rows, ground, points, near, column, kind)
+
+
+def _is_bevel(end: End, other: Segment, rows: NDArray[np.intp], points: Array, near: int
+              ) -> bool:
+    """Return whether the next piece is the bevelled end of the same plate, not a wall or face."""
+    ends = points[[end.start_of(other), end.end_of(other)]]
+    if end.start_of(other) not in rows or np.linalg.norm(np.diff(ends, axis=0)) > LARGEST_BEVEL:
+        return False
+    u, v = frame_of(end, points, near).of(ends)
+    return bool(v[1] - v[0] > 0 and abs(u[1] - u[0]) > WALL_LEAN * (v[1] - v[0]))
+
+
+def _kind(end: End, other: Segment | None, rows: NDArray[np.intp], points: Array, near: int,
+          column: float) -> str:
+    """Return 'roof', 'step', 'gap', 'open', 'nearer' or 'border'; other: what follows."""
+    if other is None:
         behind = points[end.row + 1:] if end.outward > 0 else points[:end.row]
         missing = int((~np.isfinite(behind).all(axis=1)).sum())
         if missing >= GAP_COLUMNS:
-            return 'gap', None
+            return 'gap'
         # a driver that leaves lost points out does not say where the field of view ends
-        return ('open' if np.isfinite(points).all() else 'border'), None
-    other = min(following, key=lambda s: abs(s.first - end.row))
-    crossing = _roof_crossing(end, other, points)
-    start_row = other.first if end.outward > 0 else other.last
+        return 'open' if np.isfinite(points).all() else 'border'
+    crossing = _roof_crossing(end, other, rows, points, column)
     # a surface that turns away from the sensor leaves the line over its whole length
-    row = (other.last if end.outward > 0 else other.first) if crossing else start_row
-    x, z = points[row]
+    x, z = points[end.end_of(other) if crossing else end.start_of(other)]
     rise = near * (z - end.segment.height(x))
     if rise > 0 and (crossing or rise > _smallest_step(end, other)):
         gap = abs(x - points[end.row, 0])
-        return ('gap' if not crossing and gap > SHADOW_SLOPE * rise else 'nearer'), other
+        return 'gap' if not crossing and gap > SHADOW_SLOPE * rise else 'nearer'
     if crossing:
-        return 'roof', other
-    if -rise > _smallest_step(end, other):
-        return 'step', other
-    return 'border', other
+        return 'roof'
+    return 'step' if -rise > _smallest_step(end, other) else 'border'
 
 
-def _smallest_step(end: _End, other: Segment) -> float:
+def _smallest_step(end: End, other: Segment) -> float:
     return MIN_STEP_SIGMAS * max(end.segment.noise, other.noise)
 
 
-def _roof_crossing(end: _End, other: Segment, points: Array) -> bool:
+def _roof_crossing(end: End, other: Segment, rows: NDArray[np.intp], points: Array,
+                   column: float) -> bool:
     """Return whether the two pieces meet in a corner where both end."""
     a, b = end.segment, other
     if abs(np.arctan(a.slope) - np.arctan(b.slope)) < ROOF_ANGLE:
         return False
     x = (b.offset - a.offset) / (a.slope - b.slope)
-    x_end = points[end.row, 0]
-    x_start = points[other.first if end.outward > 0 else other.last, 0]
-    reach = ROOF_REACH * _column(a, points)
+    x_end, x_start = points[end.row, 0], points[end.start_of(other), 0]
+    # a rounded or bevelled corner leaves room between the pieces, with points of its own
+    bent = len(rows) > 0 and abs(end.start_of(other) - rows[-1]) <= MOST_LOST
+    reach = max(ROOF_REACH * column, LARGEST_BEVEL if bent else 0.0)
     return bool(min(x_end, x_start) - reach <= x <= max(x_end, x_start) + reach
                 and abs(x_start - x_end) <= 2 * reach)
 
@@ -148,51 +177,15 @@ def _column(segment: Segment, points: Array) -> float:
     return float(np.median(np.abs(np.diff(x) / np.diff(segment.rows))))
 
 
-def _roof_edge(end: _End, other: Segment, points: Array) -> EdgePoint:
+def _roof_edge(end: End, other: Segment, points: Array, near: int) -> EdgePoint:
     a, b = end.segment, other
     x = (b.offset - a.offset) / (a.slope - b.slope)
-    # offset errors of both lines, carried to where they cross
-    offset_std = np.hypot(_std_at(a, x, points), _std_at(b, x, points))
-    std = float(offset_std / abs(a.slope - b.slope) * np.hypot(1.0, a.slope))
-    return _edge_point(end, x, std, 'roof', points)
-
-
-def _end_edge(end: _End, kind: str, points: Array) -> EdgePoint:
-    """Return the edge half a column behind the last good point, later by mixed points."""
-    x_end = points[end.row, 0]
-    outward = float(np.sign(x_end - points[end.segment.rows, 0].mean()))
-    column = _column(end.segment, points)
-    width = column * (1 + _mixed_points(end, points, column))
-    return _edge_point(end, x_end + outward * width / 2, width / 12 ** 0.5, kind, points)
-
-
-def _mixed_points(end: _End, points: Array, column: float) -> int:
-    """
-    Return how many points right behind the end lie between its level and the next.
-
-    A column whose spot straddles the edge returns something between the levels: the edge is
-    as likely on its one side as on the other.
-    """
-    rows = end.row + end.outward * np.arange(1, 4)
-    rows = rows[(rows >= 0) & (rows < len(points))]
-    beyond = points[rows]
-    if len(beyond) < 3 or not np.isfinite(beyond).all():
-        return 0
-    height = np.abs(beyond[:, 1] - end.segment.height(beyond[:, 0]))
-    return int((height[:2] < 0.8 * height[2]).sum()) if height[2] > 0 else 0
-
-
-def _edge_point(end: _End, x: float, std: float, kind: str, points: Array) -> EdgePoint:
-    segment = end.segment
-    length = np.hypot(1.0, segment.slope)
-    outward = np.sign(points[end.row, 0] - points[segment.rows, 0].mean())
-    direction = outward * np.array([1.0, segment.slope]) / length
-    return EdgePoint(np.array([x, segment.height(x)]), direction, std,
-                     _std_at(segment, x, points) / length, kind)
-
-
-def _std_at(segment: Segment, x: float, points: Array) -> float:
-    """Return 1 sigma of the range of a segment's line at x."""
-    xs = points[segment.rows, 0]
-    spread = xs.std()
-    return float(segment.noise * np.sqrt((1 + ((x - xs.mean()) / spread) ** 2) / len(xs)))
+    # offset errors of both lines, carried to where they cross; a surface seen so steeply that
+    # it is noisier than the face is off by as much
+    steep = max(b.noise ** 2 - a.noise ** 2, 0.0) ** 0.5 * STEEP_ERROR
+    offset_std = np.sqrt(std_at(a, x, points) ** 2 + std_at(b, x, points) ** 2 + steep ** 2)
+    length = np.hypot(1.0, a.slope)
+    std = float(offset_std / abs(a.slope - b.slope) * length)
+    frame = frame_of(end, points, near)
+    place = (x - frame.origin[0]) * np.sign(frame.along[0]) * length
+    return edge_point(end, frame, float(place), std, points, 'roof')

@@ -116,7 +116,7 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     std = np.hypot(single, scatter / min(np.sqrt(n), 2.0))
     kinds = [e.kind for e in edges]
     return EdgePoint(points[good].mean(axis=0), direction, float(std), expected / np.sqrt(n),
-                     max(set(kinds), key=kinds.count))
+                     max(set(kinds), key=kinds.count), float(np.median([e.bevel for e in edges])))
 
 
 def _scatter(values: Array) -> float:
