@@ -5,10 +5,11 @@ SI units throughout; stamps are integer nanoseconds; see docs/conventions.md.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
+from handeye_ros.config import ProfileConfig
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,6 +34,37 @@ class Profile:
     axes: tuple[str, str] = ('x', 'z')
     beside: float = 0.0
     intensity: Array | None = None
+
+    def read(self, config: ProfileConfig | None = None) -> Profile:
+        """Return itself: it has been read."""
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class RawProfile:
+    """
+    A profile as it was received: most are never used, and converted only where they are.
+
+    fetch: gives the serialised message from where it lies; convert: makes a profile of it as a
+    configuration reads it, or raises UnusableMessageError; config: that of its topic.
+    """
+
+    stamp: int
+    frame_id: str
+    fetch: Callable[[], bytes]
+    convert: Callable[[bytes, ProfileConfig], Profile]
+    config: ProfileConfig
+
+    def read(self, config: ProfileConfig | None = None) -> Profile:
+        """Return the profile, with the stamp given here; raises UnusableMessageError."""
+        return replace(self.convert(self.fetch(), config or self.config), stamp=self.stamp)
+
+    def __deepcopy__(self, memo: Any) -> RawProfile:
+        """Return itself: nothing in it changes."""
+        return self
+
+
+AnyProfile: TypeAlias = Profile | RawProfile
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,6 +34,10 @@ class InputError(HandeyeError):
     exit_code = 2
 
 
+class UnusableMessageError(InputError):
+    """A single message that cannot be used; the others may be."""
+
+
 class DataError(HandeyeError):
     """Readable input that cannot carry an answer (exit code 3)."""
 

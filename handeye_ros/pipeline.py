@@ -15,7 +15,7 @@ from handeye_ros.checks.misfit import require_consistent
 from handeye_ros.checks.motion import require_certain, require_rotations, require_samples
 from handeye_ros.checks.shape import believable_shape, require_one_scale, with_shape_checked
 from handeye_ros.config import Config, flipped_range
-from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Calibration, Reject, Sample, TimedPose
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus, consensus, SUBSETS
 from handeye_ros.estimation.solve import Solution
@@ -27,7 +27,7 @@ import numpy as np
 SEED = 0  # of the searches inside: the same samples give the same answer
 
 
-def calibrate(profiles: Iterable[Profile], poses: Iterable[TimedPose], config: Config
+def calibrate(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: Config
               ) -> Calibration:
     """
     Return the calibration from a recording, its messages in the order of their stamps.
@@ -42,7 +42,7 @@ def calibrate(profiles: Iterable[Profile], poses: Iterable[TimedPose], config: C
     return replace(calibration, provenance=provenance)
 
 
-def gather(profiles: Iterable[Profile], poses: Iterable[TimedPose], config: Config) -> Session:
+def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: Config) -> Session:
     """
     Return the samples and rejects of a recording, its messages in the order of their stamps.
 

@@ -49,7 +49,9 @@ def written(tmp_path, profiles=PROFILES, poses=POSES, config=CONFIG):
 def assert_equal_recordings(recording, profiles=PROFILES, poses=POSES):
     assert [p.stamp for p in recording.profiles] == [p.stamp for p in profiles]
     assert [p.stamp for p in recording.poses] == [p.stamp for p in poses]
-    for got, expected in zip(recording.profiles, profiles, strict=True):
+    for raw, expected in zip(recording.profiles, profiles, strict=True):
+        got = raw.read()
+        assert (raw.stamp, raw.frame_id) == (got.stamp, got.frame_id)
         assert (got.frame_id, got.axes) == (expected.frame_id, expected.axes)
         np.testing.assert_allclose(got.points, expected.points, rtol=1e-6)
     for got, expected in zip(recording.poses, poses, strict=True):
@@ -396,7 +398,7 @@ def test_any_bytes_as_a_message_are_counted(junk, keep):
             contents.Raw('/flange_pose', 2, bytes(message))]
     bag_contents = contents.Contents({'/flange_pose': POSE}, raws)
     reader = bag._Reader('x', bag_contents)
-    decoded = reader._decoded('pose_topic', '/flange_pose', POSE, bag.pose_from_stamped)
+    decoded = reader._decoded('pose_topic', '/flange_pose', POSE, bag.pose_from_cdr)
     assert len(decoded) + len(bag_contents.warnings) == 2
 
 

@@ -54,7 +54,7 @@ def test_the_same_seed_makes_the_same_recording(simulated, tmp_path):
     first, again = (bag.read(p, Config()) for p in (simulated[0], tmp_path / 'again'))
     assert [p.stamp for p in first.profiles] == [p.stamp for p in again.profiles]
     for one, other in zip(first.profiles, again.profiles, strict=True):
-        np.testing.assert_array_equal(one.points, other.points)
+        np.testing.assert_array_equal(one.read().points, other.read().points)
     assert (tmp_path / 'again' / 'truth.yaml').read_text() == \
         (simulated[0] / 'truth.yaml').read_text()
 

@@ -126,7 +126,7 @@ def test_tf_static_for_a_late_subscriber_and_poses_from_tf(tmp_path: Path, clien
 
 
 def profile_message(profile) -> PointCloud2:
-    columns = dict(zip(('x', 'z'), profile.points.T, strict=True))
+    columns = dict(zip(('x', 'z'), profile.read().points.T, strict=True))
     return cloud_message(cloud(columns, {'x': (0, 8), 'z': (8, 8)}, 16), profile.stamp)
 
 
@@ -208,7 +208,7 @@ def test_a_parameter_file_with_empty_lists_and_integers(tmp_path: Path, client: 
     ('target.size:=[1.0, 2]', 'ROS does not start: '),
 ])
 def test_wrong_parameters_end_the_node(argument: str, reason: str) -> None:
-    run = run_module('node', '--ros-args', '-p', argument)
+    run = run_module('node.node', '--ros-args', '-p', argument)
     assert run.returncode == 2
     assert reason in run.stderr.splitlines()[-1]
     assert 'Traceback' not in run.stderr

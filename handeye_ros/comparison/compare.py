@@ -11,7 +11,7 @@ from handeye_ros.checks.motion import require_certain
 from handeye_ros.comparison.estimators import Estimator, ESTIMATORS
 from handeye_ros.comparison.given import Given, Known, Measurements, Stations
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Profile, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.files.method import FileMethod, Input
 from handeye_ros.files.outcome import require_trusted
@@ -66,7 +66,7 @@ class Comparison:
         return any(row.T_flange_sensor is not None for row in self.rows)
 
 
-def compare_recording(profiles: Iterable[Profile], poses: Iterable[TimedPose], config: Config,
+def compare_recording(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: Config,
                       T_true: Array | None = None, progress: Progress = lambda doing: None
                       ) -> Comparison:
     """

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeAlias, TypeVar
 
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Profile, TimedPose
+from handeye_ros.data import AnyProfile, Array, TimedPose
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +20,7 @@ class Recorded(Protocol):
     """What a bag holds; see ros.bag.Recording."""
 
     @property
-    def profiles(self) -> Sequence[Profile]:
+    def profiles(self) -> Sequence[AnyProfile]:
         """Return the profiles in the order of their stamps."""
 
     @property

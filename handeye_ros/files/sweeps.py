@@ -11,7 +11,8 @@ from dataclasses import replace
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, Profile, TimedPose
+from handeye_ros.data import AnyProfile, Arc, Array, TimedPose
+from handeye_ros.errors import UnusableMessageError
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.tracker_model import Sweep, SWEPT
 from handeye_ros.profiles.arcs import arc_features
@@ -33,7 +34,7 @@ SMALLEST_WAY = 0.02
 FEWEST_PROFILES = 5
 
 
-def sweep_from(profiles: Sequence[Profile], poses: Sequence[TimedPose], config: Config,
+def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], config: Config,
                q3_first: float, q30: float | None = None) -> Sweep:
     """
     Return the points of a sweep.
@@ -57,13 +58,17 @@ def sweep_from(profiles: Sequence[Profile], poses: Sequence[TimedPose], config: 
     return Sweep(**parts, q30=middle if q30 is None else q30, stamps=stamps)
 
 
-def _found(profiles: Sequence[Profile], ways: Array, config: Config
+def _found(profiles: Sequence[AnyProfile], ways: Array, config: Config
            ) -> dict[str, list[tuple[int, Array]]]:
     """Return for each part of the sweep the stamps and the rows of the profiles that show it."""
     found: dict[str, list[tuple[int, Array]]] = {name: [] for name in SWEPT}
     arcs: list[tuple[int, float, Arc]] = []
     for profile, q3 in zip(profiles, ways, strict=True):
-        faces, points = ridge(profile.points, config), profile.points
+        try:
+            points = profile.read().points
+        except UnusableMessageError:
+            continue
+        faces = ridge(points, config)
         if faces:
             for name, segment in zip(SWEPT[1:], faces, strict=True):
                 rows = _at(q3, *_face_points(segment, points))

@@ -3,10 +3,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import DataError, InputError, UnusableMessageError
 
 
-class MessageError(InputError):
+class MessageError(UnusableMessageError):
     """A message that cannot be understood; kind: its type, without the package."""
 
     def __init__(self, kind: str, reason: str) -> None:

@@ -5,12 +5,15 @@ The messages stay with the stop, so that another configuration needs no new stop
 """
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from handeye_ros import methods, se3
 from handeye_ros.config import Config, flipped_range
-from handeye_ros.data import Feature, Profile, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Feature, Profile, Reject, Sample, TimedPose
+from handeye_ros.errors import UnusableMessageError
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.sampling import station_features
 from handeye_ros.sampling.errors import NoProfilesError
@@ -22,10 +25,10 @@ MOST_PROFILES = 300  # of one stop, evenly spread: more adds nothing but time
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """The poses (in order of their stamps) and the profiles of the time of a stop."""
+    """The poses and the profiles of the time of a stop, each in the order of their stamps."""
 
     poses: tuple[TimedPose, ...]
-    profiles: tuple[Profile, ...]
+    profiles: tuple[AnyProfile, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +36,8 @@ class Stop:
     """
     A time during which the robot stood still.
 
-    began: the stamp of its first pose, which tells stops apart; load: gives what was seen, the
-    profiles as a configuration reads them.
+    began: the stamp of its first pose, which tells stops apart; load: gives what was seen, for
+    a configuration to read.
     """
 
     began: int
@@ -55,13 +58,14 @@ class Outcome:
         return self.result if isinstance(self.result, Sample) else None
 
 
-def stop_of(station: Station, profiles: Sequence[Profile], config: Config) -> Stop:
-    """Return the stop of a station; profiles: all that may belong to its time."""
-    inside = [p for p in profiles if station.start <= p.stamp <= station.end]
+def stop_of(station: Station, profiles: Sequence[AnyProfile], config: Config) -> Stop:
+    """Return the stop of a station; profiles: all that may belong to its time, in order."""
+    inside = profiles[bisect_left(profiles, station.start, key=_stamp):
+                      bisect_right(profiles, station.end, key=_stamp)]
     first, last = settled(station.start, station.end, config)
     used = evenly([p for p in inside if first <= p.stamp <= last])
     around = evenly([p for p in inside if not first <= p.stamp <= last])
-    seen = Seen(station.poses, tuple(sorted([*used, *around], key=lambda p: p.stamp)))
+    seen = Seen(station.poses, tuple(sorted([*used, *around], key=_stamp)))
     return Stop(station.began, lambda _: seen)
 
 
@@ -71,7 +75,7 @@ def settled(start: int, end: int, config: Config) -> tuple[int, int]:
     return start + settle, end - settle
 
 
-def evenly(profiles: Sequence[Profile]) -> list[Profile]:
+def evenly(profiles: Sequence[AnyProfile]) -> list[AnyProfile]:
     """Return at most MOST_PROFILES of the profiles, evenly spread."""
     if len(profiles) <= MOST_PROFILES:
         return list(profiles)
@@ -92,9 +96,25 @@ def sample_of(stop: Stop, config: Config) -> Sample:
 
 
 def _still(seen: Seen, config: Config) -> list[Profile]:
-    """Return the profiles of the time in which nothing swings any more."""
+    """Return the profiles of the time in which nothing swings any more; some may be unusable."""
     first, last = settled(seen.poses[0].stamp, seen.poses[-1].stamp, config)
-    return evenly([p for p in seen.profiles if first <= p.stamp <= last])
+    read = []
+    for profile in evenly([p for p in seen.profiles if first <= p.stamp <= last]):
+        with suppress(UnusableMessageError):
+            read.append(profile.read(config.profile))
+    return read
+
+
+def beside(stop: Stop, config: Config) -> float:
+    """Return how far the profiles of a stop lie beside their plane (m), as its first tells."""
+    for profile in stop.load(config).profiles:
+        with suppress(UnusableMessageError):
+            return abs(profile.read(config.profile).beside)
+    return 0.0
+
+
+def _stamp(profile: AnyProfile) -> int:
+    return profile.stamp
 
 
 def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:

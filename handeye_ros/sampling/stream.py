@@ -14,7 +14,7 @@ from copy import copy
 from itertools import accumulate
 from typing import Generic, TypeVar
 
-from handeye_ros.data import Profile, TimedPose
+from handeye_ros.data import Profile, RawProfile, TimedPose
 from handeye_ros.sampling.errors import TwoFramesError
 
 LARGEST_STEP = 1_000_000_000  # ns; what steps back by less was only reordered on its way
@@ -22,7 +22,7 @@ LARGEST_STEP = 1_000_000_000  # ns; what steps back by less was only reordered o
 FEW = 3  # messages with wrong stamps that a recording may hold, and
 FEW_SHARE = 0.05  # this share of many; more, and it is no longer known which ones are right
 
-Stamped = TypeVar('Stamped', Profile, TimedPose)
+Stamped = TypeVar('Stamped', bound=Profile | RawProfile | TimedPose)
 
 
 class Stream(Generic[Stamped]):

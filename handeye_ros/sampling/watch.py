@@ -12,7 +12,7 @@ from copy import copy
 from typing import Self
 
 from handeye_ros.config import Config, UNNAMED_FRAME
-from handeye_ros.data import Profile, TimedPose
+from handeye_ros.data import AnyProfile, TimedPose
 from handeye_ros.sampling.errors import (
     MovingError,
     NoPosesError,
@@ -24,7 +24,7 @@ from handeye_ros.sampling.errors import (
 )
 from handeye_ros.sampling.frame_notes import frame_notes
 from handeye_ros.sampling.stations import FOREVER, Motion, NS, Station, StationFinder
-from handeye_ros.sampling.stops import Stop, stop_of
+from handeye_ros.sampling.stops import beside, Stop, stop_of
 from handeye_ros.sampling.stream import LARGEST_STEP, Stream
 import numpy as np
 
@@ -45,12 +45,12 @@ class Watch:
         """Forget all that was received."""
         self._finder = StationFinder(self._config.sampling)
         self._waiting: list[Station] = []
-        self._profiles: list[Profile] = []
+        self._profiles: list[AnyProfile] = []
         self._taken: set[int] = set()  # when the stops began that were given
         self._largest_position = 0.0
         self._beside = 0.0
         self._pose_stream: Stream[TimedPose] = Stream('pose')
-        self._profile_stream: Stream[Profile] = Stream('profile')
+        self._profile_stream: Stream[AnyProfile] = Stream('profile')
 
     def copied(self) -> Self:
         """Return another that goes on from here by itself."""
@@ -106,9 +106,8 @@ class Watch:
             if station and self._config.sampling.by_itself:
                 self._waiting.append(station)
 
-    def add_profile(self, profile: Profile) -> None:
+    def add_profile(self, profile: AnyProfile) -> None:
         """Take a laser profile; one that cannot be used is dropped with a warning."""
-        self._beside = max(self._beside, abs(profile.beside))
         self._profiles += self._profile_stream.add(profile, profile.frame_id)
 
     def passed(self) -> list[Stop]:
@@ -185,7 +184,9 @@ class Watch:
         return [self._stop(station) for station in new]
 
     def _stop(self, station: Station) -> Stop:
-        return stop_of(station, self._profiles, self._config)
+        stop = stop_of(station, self._profiles, self._config)
+        self._beside = max(self._beside, beside(stop, self._config))
+        return stop
 
     def _require_poses_now(self) -> None:
         """Refuse where profiles go on without poses: nobody knows where the robot is."""

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from handeye_ros.config import Config
-from handeye_ros.data import Profile, TimedPose
+from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import BagError
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.ros.bags.contents import CLOUD, Contents, full_name, POSE, Raw, TF
-from handeye_ros.ros.bags.messages import pose_from_stamped, profile_from_cloud, stamp_of
+from handeye_ros.ros.bags.messages import pose_from_cdr, stamp_of
+from handeye_ros.ros.bags.profile_reader import ProfileReader
 from handeye_ros.ros.bags.storage import scan
 from handeye_ros.ros.bags.transforms import FlangeTracker, well_formed
 from handeye_ros.ros.errors import AllMalformedError, MessageError, NoTopicError, TopicTypeError
@@ -21,8 +22,10 @@ from handeye_ros.sampling.stream import in_order, LARGEST_STEP
 from rosbags.serde import SerdeError
 from rosbags.typesys import get_typestore, Stores
 
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+
 T = TypeVar('T')
-Stamped = TypeVar('Stamped', Profile, TimedPose)
+Stamped = TypeVar('Stamped', RawProfile, TimedPose)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +37,7 @@ class Recording:
     lost or repaired. inputs: path and sha256 of every file read.
     """
 
-    profiles: tuple[Profile, ...]
+    profiles: tuple[RawProfile, ...]
     poses: tuple[TimedPose, ...]
     warnings: tuple[str, ...] = ()
     inputs: tuple[dict[str, str], ...] = ()
@@ -52,7 +55,7 @@ def read(path: Path, config: Config) -> Recording:
     contents = scan(path, (config.profile_topic, *pose_topics(config)))
     reader = _Reader(path, contents)
     profiles = reader.topic('profile_topic', config.profile_topic, CLOUD,
-                            lambda msg: profile_from_cloud(msg, config.profile))
+                            ProfileReader(config.profile).take)
     poses = _poses(reader, config)
     if config.time_offset:
         offset = round(config.time_offset * 1e9)
@@ -75,7 +78,7 @@ def poses_of(path: Path, contents: Contents, config: Config) -> list[TimedPose]:
 
 def _poses(reader: _Reader, config: Config) -> list[TimedPose]:
     poses = (reader.transforms(config) if config.pose_source == 'tf' else
-             reader.topic('pose_topic', config.pose_topic, POSE, pose_from_stamped))
+             reader.topic('pose_topic', config.pose_topic, POSE, pose_from_cdr))
     _check_frames('pose', (p.parent_frame for p in poses))
     return poses
 
@@ -86,10 +89,9 @@ class _Reader:
     def __init__(self, path: Path, contents: Contents) -> None:
         self._path = path
         self._contents = contents
-        self._types = get_typestore(Stores.ROS2_JAZZY)
 
     def topic(self, key: str, topic: str, kind: str,
-              convert: Callable[[Any], Stamped]) -> list[Stamped]:
+              convert: Callable[[bytes], Stamped]) -> list[Stamped]:
         """Return what the messages of a topic, which the configuration key names, stand for."""
         topic = full_name(topic)
         decoded = self._decoded(key, topic, kind, convert)
@@ -136,7 +138,7 @@ class _Reader:
                            + '; set robot_base_frame and robot_effector_frame')
         return poses
 
-    def _decoded(self, key: str, topic: str, kind: str, convert: Callable[[Any], T],
+    def _decoded(self, key: str, topic: str, kind: str, convert: Callable[[bytes], T],
                  may_be_empty: bool = False) -> list[tuple[T, Raw]]:
         """Return the usable messages of a topic, with where they come from."""
         self._check_topic(key, topic, kind)
@@ -147,12 +149,9 @@ class _Reader:
         decoded, reasons = [], []
         for raw in raws:
             try:
-                message = self._types.deserialize_cdr(raw.data, kind)
-                decoded.append((convert(message), raw))
+                decoded.append((convert(raw.data), raw))
             except MessageError as error:
                 reasons.append(str(error))
-            except (SerdeError, IndexError) as error:
-                reasons.append(f'damaged message: {error}')
         if len(reasons) > len(decoded):
             raise AllMalformedError(topic, len(reasons), len(raws), reasons[0])
         if reasons:
@@ -203,8 +202,13 @@ def _first_jump_back(stamps: Sequence[int]) -> tuple[int, float]:
     raise ValueError('the stamps never jump back')
 
 
-def _transforms(msg: Any) -> Any:
-    return [transform for transform, _ in well_formed(msg.transforms)]
+def _transforms(data: bytes) -> Any:
+    """Return the transforms of a serialised message that can be understood; MessageError."""
+    try:
+        message: Any = TYPES.deserialize_cdr(data, TF)
+    except (SerdeError, IndexError) as error:
+        raise MessageError('TFMessage', f'damaged message: {error}') from error
+    return [transform for transform, _ in well_formed(message.transforms)]
 
 
 def _check_frames(kind: str, frames: Iterable[str]) -> None:
@@ -213,7 +217,7 @@ def _check_frames(kind: str, frames: Iterable[str]) -> None:
         raise TwoFramesError(kind, names[0], names[1])
 
 
-def _check_clocks(profiles: Sequence[Profile], poses: Sequence[TimedPose]) -> None:
+def _check_clocks(profiles: Sequence[RawProfile], poses: Sequence[TimedPose]) -> None:
     gap = max(profiles[0].stamp - poses[-1].stamp, poses[0].stamp - profiles[-1].stamp)
     if gap > 0:
         raise ClocksApartError(gap * 1e-9)

@@ -13,6 +13,7 @@ from typing import Any
 
 from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Array, Profile, TimedPose
+from handeye_ros.ros.bags import cdr
 from handeye_ros.ros.bags.points import (
     along_the_line,
     NEAR,
@@ -89,6 +90,13 @@ def returns_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
     return replace(profile, points=seen[:2].T, intensity=intensity)
 
 
+def require_layout(msg: Any, config: ProfileConfig) -> None:
+    """Refuse a sensor_msgs/PointCloud2 whose points do not lie in its data (MessageError)."""
+    if int(msg.width) * int(msg.height):
+        for axis in config.axes:
+            _view(msg, axis[-1])
+
+
 def frame_name(frame_id: str) -> str:
     """Return the name of a frame as tf2 has it, without the slash of ROS 1."""
     return str(frame_id).removeprefix('/')
@@ -109,7 +117,14 @@ def _beside(msg: Any, config: ProfileConfig) -> Array:
 
 def _column(msg: Any, name: str) -> Array:
     """Return a field of a cloud, such as a signed axis (n,), as float64 as it is sent."""
-    field = _field(msg, name.removeprefix('-'))
+    with np.errstate(invalid='ignore'):  # a signalling NaN is a NaN
+        values = _view(msg, name.removeprefix('-')).astype(np.float64).ravel()
+    return -values if name[0] == '-' else values
+
+
+def _view(msg: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
+    """Return a field of a cloud (height, width), as it lies in its data."""
+    field = _field(msg, name)
     kind = DATATYPES.get(int(field.datatype))
     if kind is None:
         raise MessageError('PointCloud2', f'field "{field.name}" has datatype {field.datatype}, '
@@ -125,10 +140,7 @@ def _column(msg: Any, name: str) -> Array:
     if offset + dtype.itemsize > point_step:
         raise MessageError('PointCloud2', f'field "{field.name}" ends at byte '
                            f'{offset + dtype.itemsize} of points that are {point_step} bytes long')
-    view = np.ndarray((height, width), dtype, data, offset, (row_step, point_step))
-    with np.errstate(invalid='ignore'):  # a signalling NaN is a NaN
-        values = view.astype(np.float64).ravel()
-    return -values if name[0] == '-' else values
+    return np.ndarray((height, width), dtype, data, offset, (row_step, point_step))
 
 
 def _field(msg: Any, name: str) -> Any:
@@ -158,22 +170,33 @@ def _layout(msg: Any, height: int, width: int) -> tuple[int, int, Any]:
     return point_step, row_step, data
 
 
+def pose_from_cdr(data: bytes) -> TimedPose:
+    """Return the pose in a serialised geometry_msgs/PoseStamped; raises MessageError."""
+    return _pose('PoseStamped', *cdr.pose(data))
+
+
 def pose_from_stamped(msg: Any) -> TimedPose:
     """Return the pose in a geometry_msgs/PoseStamped; raises MessageError."""
-    pose = msg.pose
-    return _pose('PoseStamped', msg.header, pose.position, pose.orientation)
+    return _pose('PoseStamped', msg.header,
+                 _numbers(msg.pose.position, msg.pose.orientation))
 
 
 def pose_from_transform(msg: Any) -> TimedPose:
     """Return the pose of the child in a geometry_msgs/TransformStamped; raises MessageError."""
     transform = msg.transform
-    return _pose('TransformStamped', msg.header, transform.translation, transform.rotation)
+    return _pose('TransformStamped', msg.header,
+                 _numbers(transform.translation, transform.rotation))
 
 
-def _pose(kind: str, header: Any, position: Any, rotation: Any) -> TimedPose:
-    translation = (float(position.x), float(position.y), float(position.z))
-    quaternion = tuple(float(getattr(rotation, name)) for name in 'xyzw')
-    if not all(map(math.isfinite, (*translation, *quaternion))):
+def _numbers(position: Any, rotation: Any) -> tuple[float, ...]:
+    return (*(float(getattr(position, name)) for name in 'xyz'),
+            *(float(getattr(rotation, name)) for name in 'xyzw'))
+
+
+def _pose(kind: str, header: Any, numbers: tuple[float, ...]) -> TimedPose:
+    """Return a pose; numbers: x y z, qx qy qz qw."""
+    translation, quaternion = numbers[:3], numbers[3:]
+    if not all(map(math.isfinite, numbers)):
         raise MessageError(kind, 'the pose holds values that are not finite')
     farthest = max(map(abs, translation))
     if farthest > LARGEST_POSITION:

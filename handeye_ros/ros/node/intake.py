@@ -7,10 +7,11 @@ from functools import partial
 from typing import Any, TypeVar
 
 from geometry_msgs.msg import PoseStamped
-from handeye_ros.data import Profile, Reject, Sample, TimedPose
+from handeye_ros.data import RawProfile, Reject, Sample, TimedPose
 from handeye_ros.errors import InputError
 from handeye_ros.ros.bags.contents import CLOUD, POSE
-from handeye_ros.ros.bags.messages import pose_from_stamped, profile_from_cloud
+from handeye_ros.ros.bags.messages import pose_from_cdr
+from handeye_ros.ros.bags.profile_reader import ProfileReader
 from handeye_ros.ros.bags.transforms import FlangeTracker
 from handeye_ros.ros.errors import MessageError
 from handeye_ros.ros.node.graph import elsewhere
@@ -36,7 +37,7 @@ LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL
 
 THROTTLE = 5.0  # s between two warnings of a kind
 
-Stamped = TypeVar('Stamped', Profile, TimedPose)
+Stamped = TypeVar('Stamped', RawProfile, TimedPose)
 
 
 class Intake:
@@ -51,6 +52,7 @@ class Intake:
         self._group = MutuallyExclusiveCallbackGroup()
         config = live.config
         self._tracker = FlangeTracker(config.robot_base_frame, config.robot_effector_frame)
+        self._reader = ProfileReader(config.profile)
         self._listen(PointCloud2, config.profile_topic, self._on_profile, STREAM)
         if config.pose_source == 'topic':
             self._listen(PoseStamped, config.pose_topic, self._on_pose, STREAM)
@@ -76,38 +78,46 @@ class Intake:
 
     def _listen(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile
                 ) -> None:
-        """Call take with every message of a topic; malformed ones are counted."""
+        """
+        Call take with every message of a topic; malformed ones are counted.
+
+        Profiles and poses are taken as they are serialised: few are ever read.
+        """
+        raw = kind in (PointCloud2, PoseStamped)
+
         def callback(msg: Any) -> None:
-            self._understood(take, msg)
+            self._understood(kind, take, msg)
             # A round of the executor costs ten times as much as a message: take what waits.
             with subscription.handle:
-                while taken := subscription.handle.take_message(kind, False):
-                    self._understood(take, taken[0])
+                while taken := subscription.handle.take_message(kind, raw):
+                    self._understood(kind, take, taken[0])
 
         try:
             subscription = self._node.create_subscription(
-                kind, topic, callback, qos, callback_group=self._group,
+                kind, topic, callback, qos, callback_group=self._group, raw=raw,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
         except NameValidationException as error:
             raise InputError(f'"{topic}" cannot name a topic: '
                              + str(error).splitlines()[0]) from error
 
-    def _understood(self, take: Callable[[Any], None], msg: Any) -> None:
+    def _understood(self, kind: Any, take: Callable[[Any], None], msg: Any) -> None:
         try:
             take(msg)
         except MessageError as error:
-            kind = 'profile' if isinstance(msg, PointCloud2) else 'pose'
-            self._live.arrivals.malformed(kind, str(error))
+            what = 'profile' if kind is PointCloud2 else 'pose'
+            self._live.arrivals.malformed(what, str(error))
             self._node.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 
-    def _on_profile(self, msg: PointCloud2) -> None:
+    def _on_profile(self, data: bytes) -> None:
         config = self._live.config
-        profile = self._stamped(profile_from_cloud(msg, config.profile))
+        if self._reader.config != config.profile:
+            self._reader = ProfileReader(config.profile)
+        profile = self._stamped(self._reader.take(data))
         offset = round(config.time_offset * 1e9)
         self._tell(self._live.add_profile(replace(profile, stamp=profile.stamp + offset)))
 
-    def _on_pose(self, msg: PoseStamped) -> None:
-        self._tell(self._live.add_poses([self._stamped(pose_from_stamped(msg))]))
+    def _on_pose(self, data: bytes) -> None:
+        self._tell(self._live.add_poses([self._stamped(pose_from_cdr(data))]))
 
     def _on_transforms(self, static: bool, msg: Any) -> None:
         self._tell(self._live.add_poses(self._tracker.add(msg.transforms, static)))

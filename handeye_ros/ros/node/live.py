@@ -18,7 +18,7 @@ import time
 
 from handeye_ros import pipeline
 from handeye_ros.config import Config
-from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Calibration, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, UnwritableError
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.results.errors import NothingToSaveError
@@ -123,7 +123,7 @@ class LiveSession:
             self._session.configure(config)
             self.config = config
 
-    def add_profile(self, profile: Profile) -> list[Sample | Reject]:
+    def add_profile(self, profile: AnyProfile) -> list[Sample | Reject]:
         """Take a profile; return what became of the stations that are now over."""
         self.arrivals.came('profile')
         with self._lock:

@@ -1,0 +1,75 @@
+"""
+Profiles as they are received: enough is read of each to tell what it is, of a few all.
+
+A sensor sends thousands while the robot moves, and a station uses a few hundred: the points of
+the others are never needed. Whether its bytes make a cloud is seen of every message; what only
+the points themselves show (a wrong unit or axis) is seen of a few a second, and of all from one
+that cannot be used to the next one that can.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from handeye_ros.config import ProfileConfig
+from handeye_ros.data import Profile, RawProfile
+from handeye_ros.ros.bags import cdr
+from handeye_ros.ros.bags.messages import (
+    frame_name,
+    profile_from_cloud,
+    require_layout,
+    stamp_of,
+)
+import numpy as np
+
+PROBE = 200_000_000  # ns of the stamps between two profiles that are read at once
+MOST_LAYOUTS = 1000  # that are remembered: one for each number of points
+
+
+def profile_from_cdr(data: bytes, config: ProfileConfig) -> Profile:
+    """Return the profile in a serialised sensor_msgs/PointCloud2; raises MessageError."""
+    return profile_from_cloud(cdr.cloud(data), config)
+
+
+class ProfileReader:
+    """Takes the serialised clouds of one topic in the order in which they come."""
+
+    def __init__(self, config: ProfileConfig) -> None:
+        """Start with none; config: how the clouds are to be read."""
+        self.config = config
+        self._layouts: dict[bytes, int] = {}  # the size of what follows, by what tells it
+        self._described = 0  # bytes that the last message took to describe its data
+        self._probed = -PROBE
+        self._trusted = False
+
+    def take(self, data: bytes, fetch: Callable[[], bytes] | None = None) -> RawProfile:
+        """
+        Return the profile of a message, to be read where it is used.
+
+        fetch: gives the message again; without it, it is kept. Raises MessageError.
+        """
+        head, end = cdr.header(data, 'PointCloud2')
+        self._require_layout(data, end)
+        profile = RawProfile(stamp_of(head), frame_name(head.frame_id),
+                             fetch or partial(bytes, data), profile_from_cdr, self.config)
+        if not self._trusted or abs(profile.stamp - self._probed) >= PROBE:
+            self._probe(data, profile.stamp)
+        return profile
+
+    def _require_layout(self, data: bytes, end: int) -> None:
+        """Refuse what is no cloud; end: of the header. Drivers describe the same all the time."""
+        known = self._layouts.get(data[:2] + data[end:end + self._described])
+        if known is not None and known <= len(data) - end:
+            return
+        cloud = cdr.cloud(data)
+        require_layout(cloud, self.config)
+        self._described = cloud.data_start - end
+        if len(self._layouts) < MOST_LAYOUTS:
+            key = data[:2] + data[end:cloud.data_start]
+            self._layouts[key] = self._described + len(cloud.data)
+
+    def _probe(self, data: bytes, stamp: int) -> None:
+        """Refuse points that cannot be those of a profile."""
+        self._trusted = False
+        points = profile_from_cdr(data, self.config).points
+        self._trusted, self._probed = bool(np.isfinite(points[:, 1]).any()), stamp
