@@ -12,7 +12,13 @@ from handeye_ros import methods
 from handeye_ros.checks.conventions import require_no_slip
 from handeye_ros.checks.errors import LeftOutError
 from handeye_ros.checks.misfit import require_consistent
-from handeye_ros.checks.motion import require_certain, require_rotations, require_samples
+from handeye_ros.checks.motion import (
+    require_certain,
+    require_judged,
+    require_only_answer,
+    require_rotations,
+    require_samples,
+)
 from handeye_ros.checks.shape import believable_shape, require_one_scale, with_shape_checked
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Calibration, Reject, Sample, TimedPose
@@ -94,6 +100,8 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     if agreed.doubtful:
         agreed = believable_shape(problem, consensus(problem, rng, SUBSETS), rng)
     require_consistent(problem, agreed, rng)
+    require_judged(agreed)
+    require_only_answer(problem, agreed, rng)
     solution = with_shape_checked(agreed.solution)
     require_one_scale(solution)
     return agreed, solution

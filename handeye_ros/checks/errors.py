@@ -13,6 +13,23 @@ class TooFewSamplesError(DataError):
                          'take more, with the laser across the target')
 
 
+class TooFewConditionsError(DataError):
+    """Samples that fix an answer but cannot judge it."""
+
+    def __init__(self, used: int, dropped: int, redundant: int, needed: int) -> None:
+        lost = f' (of which {dropped} contradict the others)' if dropped else ''
+        super().__init__(f'{used + dropped} usable samples{lost} leave {redundant} conditions to '
+                         f'judge an answer by; {needed} are needed: take more samples')
+
+
+class TwoAnswersError(DataError):
+    """Two answers that explain the samples equally well."""
+
+    def __init__(self, distance: float, turn: float, missing: str) -> None:
+        super().__init__(f'two answers fit these samples, {mm(distance)} and {degrees(turn)} '
+                         f'apart; to part them, {missing}')
+
+
 class OneOrientationError(DataError):
     """The robot never turned."""
 

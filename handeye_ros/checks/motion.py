@@ -4,22 +4,30 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
+from handeye_ros import se3
 from handeye_ros.checks.errors import (
     missing_spread,
     missing_turn,
     OneAxisError,
     OneOrientationError,
+    TooFewConditionsError,
     TooFewSamplesError,
     TooUncertainError,
+    TwoAnswersError,
 )
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.estimation.method import Method
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.rivals import rival
+from handeye_ros.estimation.robust import Consensus
+from handeye_ros.estimation.solve import redundancy, Solution
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 ENOUGH_TURN = 0.12  # rad: RMS about the second axis, of tilts to both sides by 12 degrees
+FEWEST_REDUNDANT = 3  # conditions that judge an answer
+REDUNDANT_PER_DROP = 2  # more for each station that was left out: which one was a choice
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 
 
@@ -123,6 +131,25 @@ def require_certain(solution: Solution, config: Config) -> None:
         raise TooUncertainError.translation(name_direction(direction, frame), shift_std,
                                             limits.translation,
                                             missing_motion(solution.problem.poses, frame))
+
+
+def require_judged(agreed: Consensus) -> None:
+    """Raise TooFewConditionsError where too little is left to judge an answer by."""
+    needed = FEWEST_REDUNDANT + REDUNDANT_PER_DROP * len(agreed.dropped)
+    left = redundancy(agreed.solution)
+    if left < needed:
+        raise TooFewConditionsError(len(agreed.used), len(agreed.dropped), left, needed)
+
+
+def require_only_answer(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> None:
+    """Raise TwoAnswersError where another answer explains the samples as well."""
+    other = rival(problem, agreed, rng)
+    if other is None:
+        return
+    X, Y = agreed.solution.estimate.X, other.estimate.X
+    raise TwoAnswersError(float(np.linalg.norm(X[:3, 3] - Y[:3, 3])),
+                          float(se3.angle(X[:3, :3].T @ Y[:3, :3])),
+                          missing_motion(problem.poses, mount_frame(problem.config)))
 
 
 def missing_motion(poses: Array, frame: str) -> str:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from handeye_ros.data import Array
+from handeye_ros.estimation.solve import covariance_of
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
@@ -25,7 +26,6 @@ ROUNDING = 1e-12  # of the sum of squares
 BELIEVED_SHARE = 0.7  # of the blocks that a good answer must explain
 FALSE_ALARM = 1e-3  # of good data losing one block
 BATCH = 50  # one of so many blocks is left out at a time
-LARGEST_STD = 1e3  # stands for infinity
 
 
 @dataclass(frozen=True)
@@ -101,12 +101,10 @@ def _without_outliers(model: Model[S], state: S, good: NDArray[np.bool_]) -> Adj
 
 def _statistics(r: Array, J: Array) -> tuple[Array, Array]:
     """Return the covariance (u, u) and the residuals (n, k) of blocks left out one by one."""
-    _, s, Vt = np.linalg.svd(J.reshape(-1, J.shape[2]), full_matrices=False)
-    root = Vt / np.maximum(s, 1 / LARGEST_STD)[:, None]
-    covariance = root.T @ root
+    covariance = covariance_of(J.reshape(-1, J.shape[2]))
     H = J @ covariance @ np.swapaxes(J, 1, 2)
     left_out = np.linalg.solve((1 + 1e-9) * np.eye(r.shape[1]) - H, r[..., None])[..., 0]
-    return covariance, left_out
+    return covariance, np.asarray(left_out)
 
 
 def _least_squares(model: Model[S], state: S, weights: Array, iterations: int) -> S:

@@ -25,6 +25,7 @@ SUBSET_SIZE = 6
 CONVINCING = 4.0  # squared residual of the believed share that ends the search of subsets
 MAX_ANNEALINGS = 40
 SMALLEST_SCALE = 9.0  # squared residual, in variances, at which a station begins to be doubted
+LOST_EDGE = 8.0  # squared residual of a station that shows an edge which lies on none of ours
 SCALE = 3.0  # the same, in squared residuals that the believed share stays below
 DOUBTFUL = 16.0  # squared residual, in variances, that a clean recording stays below
 CHANCE_FACTOR = 0.5  # a variance factor between this and 1 says nothing
@@ -57,34 +58,40 @@ def consensus(problem: Problem, rng: np.random.Generator, subsets: int = 0) -> C
 
     Raises DataError when no estimate can be started at all.
     """
-    starts = _guesses(problem, rng)
-    best = _refined(problem, next(starts))
+    starts = guesses(problem, rng)
+    best = refined(problem, next(starts))
     if best.misfit > DOUBTFUL or best.doubtful_share > 1 - BELIEVED_SHARE / 2:
         for other in starts:
-            best = min(best, _refined(problem, other), key=lambda trial: trial.misfit)
+            best = min(best, refined(problem, other), key=lambda trial: trial.misfit)
         best = _best_of_subsets(problem, best, subsets, rng)
-    return replace(_without_outliers(best), doubtful=best.misfit > DOUBTFUL)
+    return replace(without_outliers(best), doubtful=best.misfit > DOUBTFUL)
 
 
-def _best_of_subsets(problem: Problem, best: _Trial, subsets: int, rng: np.random.Generator
-                     ) -> _Trial:
+def _best_of_subsets(problem: Problem, best: Trial, subsets: int, rng: np.random.Generator
+                     ) -> Trial:
     """Return the best trial that a few stations lead to, until one convinces."""
-    n, size = len(problem.poses), max(SUBSET_SIZE, problem.method.minimum)
-    for _ in range(subsets if n > size else 0):
+    for start in subset_starts(problem, subsets, rng):
         if best.misfit < CONVINCING:
             break
-        chosen = np.sort(rng.permutation(n)[:size])
-        start = next(_guesses(problem.subset(chosen), rng))
-        best = min(best, _refined(problem, start), key=lambda trial: trial.misfit)
+        best = min(best, refined(problem, start), key=lambda trial: trial.misfit)
     return best
 
 
+def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Iterator[Estimate]:
+    """Yield the first guess of each of so many random subsets of the stations."""
+    n, size = len(problem.poses), max(SUBSET_SIZE, problem.method.minimum)
+    for _ in range(count if n > size else 0):
+        chosen = np.sort(rng.permutation(n)[:size])
+        yield next(guesses(problem.subset(chosen), rng))
+
+
 @dataclass(frozen=True, eq=False)
-class _Trial:
+class Trial:
     """
     A robustly refined estimate and the squared residuals (n,) of all stations.
 
-    hollow: whether it has no use for some observations, and the rest leave a direction free.
+    problem: with its observations labelled as they fit. hollow: whether it has no use for
+    some observations, and the rest leave a direction free.
     """
 
     problem: Problem
@@ -108,12 +115,12 @@ class _Trial:
         return float((self.squares > DOUBTFUL * max(1.0, self.spread)).mean())
 
 
-def _guesses(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+def guesses(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     """Return estimates to start from, best first, made when they are asked for."""
     return iter(problem.method.guess(problem.observations, problem.poses, problem.config, rng))
 
 
-def _refined(problem: Problem, estimate: Estimate) -> _Trial:
+def refined(problem: Problem, estimate: Estimate) -> Trial:
     """Return the trial that graduated non-convexity leads to from an estimate."""
     whole, problem = problem, _relabelled(problem, estimate)
     squares = _squares(problem, estimate)
@@ -129,7 +136,8 @@ def _refined(problem: Problem, estimate: Estimate) -> _Trial:
                                  converged=NEAR)
         problem = _relabelled(whole, estimate)
         squares, before, control = _squares(problem, estimate), spread, control / 2
-    return _Trial(problem, estimate, squares, _hollow(whole, problem, estimate))
+    squares = _with_lost_edges(whole, problem, squares)
+    return Trial(problem, estimate, squares, _hollow(whole, problem, estimate))
 
 
 def _hollow(whole: Problem, labelled: Problem, estimate: Estimate) -> bool:
@@ -156,10 +164,22 @@ def _squares(problem: Problem, estimate: Estimate) -> Array:
     return np.bincount(station, r ** 2, minlength=n) / np.maximum(count, 1)
 
 
-def _without_outliers(trial: _Trial) -> Consensus:
+def _with_lost_edges(whole: Problem, labelled: Problem, squares: Array) -> Array:
+    """Return squares (n,) in which an edge that a station shows and that is not used counts."""
+    names = [i for i, name in enumerate(whole.method.kinds) if name in whole.method.edges]
+    shows, uses = (np.zeros(len(squares), dtype=bool) for _ in range(2))
+    for problem, has in ((whole, shows), (labelled, uses)):
+        obs = problem.observations
+        has[obs.station[np.isin(obs.kind, names)]] = True
+    return np.where(shows & ~uses, np.maximum(squares, LOST_EDGE), squares)
+
+
+def without_outliers(trial: Trial) -> Consensus:
     """Return the consensus after dropping, one by one, the stations that do not fit."""
-    n = len(trial.problem.poses)
-    used = np.flatnonzero(trial.squares <= DOUBTFUL * 4 * max(1.0, trial.spread))
+    n, minimum = len(trial.problem.poses), trial.problem.method.minimum
+    good = trial.squares <= DOUBTFUL * 4 * max(1.0, trial.spread)
+    good[np.argsort(trial.squares, kind='stable')[:minimum]] = True
+    used = np.flatnonzero(good)
     dropped = {int(i): float(trial.squares[i]) for i in np.setdiff1d(np.arange(n), used)}
     estimate = trial.estimate
     while True:
@@ -170,7 +190,7 @@ def _without_outliers(trial: _Trial) -> Consensus:
         scaled = mean_square / _scale(mean_square, freedom)
         probability = chi2_distribution.sf(scaled * freedom, freedom)
         worst = int(np.argmin(probability))
-        enough = len(used) > part.method.minimum
+        enough = len(used) > minimum
         if probability[worst] > FALSE_ALARM / n or not enough:
             return Consensus(solution, used, dropped)
         dropped[int(used[worst])] = float(mean_square[worst])

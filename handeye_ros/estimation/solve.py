@@ -19,6 +19,8 @@ COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on
 CONVERGED = 1e-8  # step length in sigmas
 ROUNDING_OF_COST = 1e-9  # relative; whitened residuals are differences of large numbers
 NEAR = 1e-6  # that of a start (m)
+SAME = 1e-6  # relative singular value of what a station says twice
+FEW_STATIONS, MORE_STARTS = 12, 6  # with few stations there may be several answers
 
 
 def move(problem: Problem, estimate: Estimate, step: Array) -> Estimate:
@@ -69,7 +71,9 @@ def best_of(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
     Plain residuals decide: far from the solution they say more than whitened ones.
     """
     survivors = list(starts)
+    few = len(problem.poses) <= FEW_STATIONS
     for iterations, kept in COMPETITION:
+        kept = max(kept, MORE_STARTS) if few else kept
         survivors = [least_squares(problem, start, iterations=iterations, converged=NEAR)
                      for start in survivors]
         survivors = sorted(survivors, key=lambda estimate: cost(problem, estimate))[:kept]
@@ -126,10 +130,45 @@ def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
     linear = linearise(problem, estimate)
     white = whitening(problem, linear, noise)
     r, J = white(linear.residuals), white(linear.jacobian[:, problem.columns])
-    _, s, Vt = np.linalg.svd(J, full_matrices=False)
-    root = Vt / np.maximum(s, 1 / LARGEST_STD)[:, None]
-    covariance = root.T @ root
+    covariance = covariance_of(J)
     return Solution(problem, estimate, noise, linear, r, J, covariance, covariance)
+
+
+def covariance_of(J: Array) -> Array:
+    """Return that (u, u) of the unknowns of whitened J (m, u); what it leaves free is cut."""
+    few = len(J) < J.shape[1]  # then the free directions come with the whole basis only
+    _, s, Vt = np.linalg.svd(J, full_matrices=few)
+    values = np.zeros(len(Vt))
+    values[:len(s)] = s
+    root = Vt / np.maximum(values, 1 / LARGEST_STD)[:, None]
+    return np.asarray(root.T @ root)
+
+
+def station_ranks(solution: Solution) -> NDArray[np.intp]:
+    """
+    Return how many independent things (n,) each station says of the unknowns.
+
+    Many points of one line say two: where it is, and how it is turned.
+    """
+    station = solution.problem.observations.station
+    ranks = np.zeros(len(solution.problem.poses), dtype=np.intp)
+    scale = np.maximum(np.linalg.norm(solution.jacobian, axis=0), 1e-300)
+    for rows in groups(station):
+        s = np.linalg.svd(solution.jacobian[rows] / scale, compute_uv=False)
+        ranks[station[rows[:, 0]]] = (s > SAME * s[:, :1]).sum(axis=1)
+    return ranks
+
+
+def redundancy(solution: Solution) -> int:
+    """Return how many independent conditions there are beyond the number of unknowns."""
+    return int(station_ranks(solution).sum()) - int(solution.jacobian.shape[1])
+
+
+def station_squares(solution: Solution) -> Array:
+    """Return the sum (n,) of the squared whitened residuals of each station."""
+    squares = np.bincount(solution.problem.observations.station, solution.white ** 2,
+                          minlength=len(solution.problem.poses))
+    return np.asarray(squares, dtype=float)
 
 
 def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:

@@ -111,6 +111,6 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 
 
 PLANE = Method('plane', ('face',), ('z', 'rx', 'ry'), plane_features, observe, guess, conditions,
-               retract, free, kind_unchanged, describe, observed_points, edges=(), minimum=5,
+               retract, free, kind_unchanged, describe, observed_points, edges=(), minimum=6,
                one_axis='the position along it is free, and if it is the normal of the plane '
                '(yaw only) all of the position and part of the rotation')

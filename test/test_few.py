@@ -1,0 +1,79 @@
+"""Few samples: no answer where they cannot judge it, or where another one fits as well."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+from cells import cell
+from handeye_ros import pipeline, se3
+from handeye_ros.checks.errors import TooFewConditionsError, TooFewSamplesError
+from handeye_ros.data import Sample
+from handeye_ros.errors import DataError
+from handeye_ros.estimation.rivals import rival
+from handeye_ros.estimation.robust import consensus
+from handeye_ros.estimation.solve import evaluate, redundancy, station_ranks
+from handeye_ros.estimation.weights import Noise
+from handeye_ros.simulate import SCENARIOS
+import numpy as np
+import pytest
+
+RANKS = {'plate': 3, 'line': 2, 'plane': 2, 'sphere': 3, 'wedge': 4}  # of one station
+
+
+def test_fewer_conditions_than_unknowns_leave_a_direction_free() -> None:
+    made = cell('plane', 0)
+    whole = consensus(made.problem, np.random.default_rng(0)).solution
+    few = made.problem.subset(np.arange(4))
+    covariance = evaluate(few, whole.estimate, Noise()).covariance
+    assert np.linalg.eigvalsh(covariance)[-1] > 1.0, 'm^2: 8 conditions, 9 unknowns'
+
+
+@pytest.mark.parametrize(('name', 'rank'), RANKS.items())
+def test_a_station_says_as_much_as_its_target_shows(name: str, rank: int) -> None:
+    made = cell(name, 0)
+    solution = consensus(made.problem, np.random.default_rng(0)).solution
+    assert (station_ranks(solution) == rank).all()
+    assert redundancy(solution) == rank * len(made.samples) - solution.jacobian.shape[1]
+
+
+def test_five_profiles_of_a_plane_are_too_few() -> None:
+    made = cell(replace(SCENARIOS['plane'], stations=(5, 0)), 1)
+    with pytest.raises(TooFewSamplesError):
+        pipeline.solve(made.samples, [], made.config, 'laser')
+
+
+def wrong(sample: Sample, rng: np.random.Generator) -> Sample:
+    step = np.concatenate([rng.normal(size=3) * 3e-3, rng.normal(size=3) * 0.01])
+    return replace(sample, T_base_flange=se3.perturb(sample.T_base_flange, step))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(('name', 'stations', 'bad'), [
+    ('plane', (6, 0), 1), ('plane', (8, 0), 2), ('plate', (3, 3), 1), ('plate', (4, 3), 2),
+    ('line', (7, 0), 1), ('sphere', (6, 0), 2)])
+def test_few_samples_with_wrong_ones_give_no_wrong_answer(name: str, stations: tuple[int, int],
+                                                          bad: int) -> None:
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        made = cell(replace(SCENARIOS[name], stations=stations), seed)
+        chosen = rng.permutation(len(made.samples))[:bad]
+        samples = [wrong(s, rng) if i in chosen else s for i, s in enumerate(made.samples)]
+        try:
+            answer = pipeline.solve(samples, [], made.config, 'laser')
+        except DataError:
+            continue
+        error = se3.difference(answer.T_flange_sensor, made.truth.T_flange_sensor)
+        assert error @ np.linalg.solve(answer.covariance, error) / 6 < 6
+
+
+def test_what_is_left_after_dropping_must_judge() -> None:
+    made = cell(replace(SCENARIOS['plane'], stations=(7, 0)), 0)
+    samples = [wrong(s, np.random.default_rng(1)) if i == 3 else s
+               for i, s in enumerate(made.samples)]
+    with pytest.raises(TooFewConditionsError, match='take more'):
+        pipeline.solve(samples, [], made.config, 'laser')
+
+
+def test_many_good_samples_have_one_answer() -> None:
+    made = cell('plate', 0)
+    rng = np.random.default_rng(0)
+    assert rival(made.problem, consensus(made.problem, rng), rng) is None
