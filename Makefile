@@ -59,6 +59,7 @@ figures:
 	.venv/bin/python tools/draw_targets.py
 	.venv/bin/python tools/make_reference.py
 
+# Results (out/) are a user's, and stay.
 clean:
-	rm -rf .venv .venv-oldest build install log out *.egg-info .hypothesis
+	rm -rf .venv .venv-oldest build install log *.egg-info .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

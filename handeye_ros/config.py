@@ -10,14 +10,18 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 import math
 from pathlib import Path
+import re
 from typing import Any
 
-from handeye_ros.errors import BadValueError, InputError, UnknownKeyError
+from handeye_ros.errors import BadValueError, ConfigFileError, InputError, UnknownKeyError
 import yaml
 
 SIGNED_AXES = ('x', 'y', 'z', '-x', '-y', '-z')
 SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'shell', 'easy_handeye2', 'matrix', 'json')
 UNNAMED_FRAME = 'sensor'  # what the frame of profiles without a frame_id is called
+NODE = 'handeye'  # the name of the node, and of its section in parameter files
+EVERY_NODES = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
+"""Parameters that every ROS node has, and so a dump of ours: no keys of this package."""
 
 
 def _key(default: Any, description: str, **limits: Any) -> Any:
@@ -162,6 +166,9 @@ class Config:
 
     name: str = _key('', 'Name of the calibration, and of the folder it is saved in; empty: '
                      'the type of the target.')
+    output_dir: str = _key('', 'Folder in which a result gets its folder, called by its name; '
+                           'empty: $ROS_HOME/handeye of the node (~/.ros/handeye where ROS_HOME '
+                           'is not set), out of the command line.')
     calibration_type: str = _key('eye_in_hand', 'Where the sensor is: on the flange '
                                  '(eye_in_hand) or fixed beside the robot (eye_on_base).',
                                  choices=('eye_in_hand', 'eye_on_base'))
@@ -199,6 +206,12 @@ class Parameter:
     choices: tuple[Any, ...] = ()
     length: tuple[int, ...] = ()  # of a list; empty: any
     whole: bool = False  # a list of whole numbers
+
+    @property
+    def unit(self) -> str:
+        """Return the unit that the description names, empty if none."""
+        found = re.search(r'\((m|rad|s)\)|\bin (m|s)\b', self.description)
+        return '' if found is None else found[1] or found[2]
 
 
 def parameters() -> tuple[Parameter, ...]:
@@ -251,16 +264,26 @@ def _put(part: Any, names: list[str], value: Any) -> Any:
 def _checked(parameter: Parameter, value: Any) -> Any:
     """Return the value in the type of the parameter's default, or raise BadValueError."""
     if isinstance(parameter.default, tuple):
-        return _checked_list(parameter, value)
+        return _checked_list(parameter, [] if value is None else value)
     kind = type(parameter.default)
-    if kind is float and type(value) is int:
-        value = float(value)
+    if value is None and kind is str:
+        value = ''
+    elif kind is float:
+        value = _number(value)
     if type(value) is not kind or (kind is float and not math.isfinite(value)):
         raise BadValueError(parameter.key, value, f'a value of type {kind.__name__}')
     if kind is str:
         _check_text(parameter, value)
     _check_limits(parameter, value)
     return value
+
+
+def _number(value: Any) -> Any:
+    """Return a whole number, or a text such as 3e-5 (to YAML no number), as a float."""
+    try:
+        return float(value) if type(value) in (int, str) else value
+    except ValueError:
+        return value
 
 
 def _check_text(parameter: Parameter, value: str) -> None:
@@ -281,10 +304,10 @@ def _checked_list(parameter: Parameter, value: Any) -> tuple[Any, ...]:
         if any(type(item) is not int for item in value):
             raise BadValueError(parameter.key, value, 'a list of whole numbers')
     elif not parameter.choices:
+        value = [_number(item) for item in value]
         for item in value:
             if type(item) not in (int, float) or not math.isfinite(item):
                 raise BadValueError(parameter.key, value, 'a list of numbers')
-        value = [float(item) for item in value]
     for item in value:
         _check_limits(parameter, item)
     if parameter.key == 'profile.axes' and value[0][-1] == value[1][-1]:
@@ -298,7 +321,8 @@ def _check_limits(parameter: Parameter, value: Any) -> None:
         raise BadValueError(parameter.key, value, expected)
     low, high = parameter.minimum, parameter.maximum
     if low is not None and high is not None and not low <= value <= high:
-        raise BadValueError(parameter.key, value, f'a number from {low:g} to {high:g}')
+        raise BadValueError(parameter.key, value,
+                            f'a number from {low:g} to {high:g} {parameter.unit}'.rstrip())
 
 
 def flipped_range(config: Config) -> Config:
@@ -307,7 +331,12 @@ def flipped_range(config: Config) -> Config:
 
 
 def load(path: Path, config: Config | None = None) -> Config:
-    """Return config (default: the defaults) with the values of a ROS parameter file put in."""
+    """
+    Return config (default: the defaults) with the values of a ROS parameter file put in.
+
+    Files for the node do, and dumps of it (`ros2 param dump`), whatever its name and namespace.
+    Raises InputError.
+    """
     try:
         content = yaml.safe_load(path.read_text(encoding='utf-8'))
     except (OSError, UnicodeDecodeError) as error:
@@ -318,18 +347,31 @@ def load(path: Path, config: Config | None = None) -> Config:
 
 
 def _node_values(content: Any, path: Path) -> dict[str, Any]:
-    """Return the dotted values below `<node name>: ros__parameters:` (the node's or `/**`)."""
+    """
+    Return the dotted values of our node in a parameter file; raises ConfigFileError.
+
+    They stand below the patterns that fit every node, and below our node's name, in any
+    namespace; or below the only name there is, for a node can be given another.
+    """
+    sections = dict(_sections(content, ''))
+    general = [name for name in sections if name.split('/')[-1] in ('*', '**')]
+    named = [name for name in sections if name not in general]
+    ours = [name for name in named if name.split('/')[-1] == NODE] or named
+    if len(ours) > 1 or not sections:
+        raise ConfigFileError(path, ours)
     values: dict[str, Any] = {}
-    sections = content if isinstance(content, dict) else {}
-    for node, section in sections.items():
-        if node in ('/**', 'handeye', '/handeye') and isinstance(section, dict):
-            given = section.get('ros__parameters')
-            values |= _dotted(given, '') if isinstance(given, dict) else {}
-    if not values:
-        raise InputError(f'{path} holds no parameters of the node; expected the form of a ROS '
-                         'parameter file: "/**:", below it "ros__parameters:", below it the keys')
-    values.pop('use_sim_time', None)  # every ROS node has it; it is not a key of ours
-    return values
+    for name in (*general, *ours):
+        values |= sections[name]
+    return {key: value for key, value in values.items() if not key.startswith(EVERY_NODES)}
+
+
+def _sections(content: Any, name: str) -> Iterable[tuple[str, dict[str, Any]]]:
+    """Yield the full name of every node in a parameter file, and its dotted values."""
+    for key, value in content.items() if isinstance(content, dict) else ():
+        if key == 'ros__parameters' and isinstance(value, dict):
+            yield name, _dotted(value, '')
+        elif isinstance(value, dict):
+            yield from _sections(value, f'{name}/{str(key).strip("/")}')
 
 
 def _dotted(section: Mapping[str, Any], prefix: str) -> dict[str, Any]:
@@ -344,7 +386,6 @@ def _dotted(section: Mapping[str, Any], prefix: str) -> dict[str, Any]:
 
 def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
     """Return config with `key=value` texts (values in YAML) put in."""
-    kinds = {p.key: type(p.default) for p in parameters()}
     for text in assignments:
         key, equals, value = text.partition('=')
         if not equals:
@@ -353,18 +394,5 @@ def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
             parsed = yaml.safe_load(value)
         except yaml.YAMLError as error:
             raise InputError(f'the value in "{text}" is not valid YAML') from error
-        kind = kinds.get(key.strip())
-        if kind is float and isinstance(parsed, str):
-            # YAML reads 3e-5 as text: its numbers want a dot
-            parsed = _number(parsed)
-        elif kind is str and parsed is None:
-            parsed = ''
         config = with_values(config, {key.strip(): parsed}, '--set')
     return config
-
-
-def _number(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return text

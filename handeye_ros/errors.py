@@ -46,7 +46,7 @@ class DataError(HandeyeError):
 
 def nearest(word: str, known: Sequence[str]) -> str:
     """Return a hint at the known word nearest to word, or an empty string."""
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.65)
     return f'; did you mean "{close[0]}"?' if close else ''
 
 
@@ -72,12 +72,32 @@ def degrees(radians: float) -> str:
     return f'{radians * 57.29578:.3g} degrees' if radians < 1 else 'nothing at all'
 
 
+class ConfigFileError(InputError):
+    """A parameter file that holds nothing for the node, or for several; nodes: their names."""
+
+    def __init__(self, path: object, nodes: Sequence[str]) -> None:
+        super().__init__(
+            f'{path} holds the parameters of {len(nodes)} nodes ({", ".join(nodes)}), and none of '
+            'them is "handeye": give the calibration a section of that name, or "/**"' if nodes
+            else f'{path} holds no parameters of the node; expected the form of a ROS parameter '
+            'file: "/**:", below it "ros__parameters:", below it the keys')
+
+
 class OnlyFromFilesError(InputError):
     """A target that no profiles of stations are taken of."""
 
     def __init__(self, target: str) -> None:
         super().__init__(f'target.type {target} is solved from files, not from a stream of '
                          'profiles: run "handeye solve INPUT --config FILE"')
+
+
+class TableForProfilesError(InputError):
+    """A table of measured values where a recording of profiles is expected."""
+
+    def __init__(self, path: object, target: str, fitting: Sequence[str]) -> None:
+        super().__init__(f'{path} is a table of measured values, but target.type {target} is seen '
+                         'by the profiles of a recording: set target.type to '
+                         f'{" or ".join(fitting)}, as in --set target.type={fitting[0]}')
 
 
 class BagError(InputError):
@@ -95,11 +115,15 @@ class UnwritableError(InputError):
 
 
 class UnknownNameError(InputError):
-    """A name that is not among the known ones; kind: what it should name."""
+    """
+    A name that is not among the known ones.
 
-    def __init__(self, kind: str, name: str, known: Sequence[str]) -> None:
-        super().__init__(f'there is no {kind} "{name}"{nearest(name, known)}; the known ones: '
-                         f'{", ".join(known)}')
+    kind: what it should name; listing: the command that lists them, where they are many.
+    """
+
+    def __init__(self, kind: str, name: str, known: Sequence[str], listing: str = '') -> None:
+        there = f'"{listing}" lists them' if listing else f'the known ones: {", ".join(known)}'
+        super().__init__(f'there is no {kind} "{name}"{nearest(name, known)}; {there}')
 
 
 class NoRosError(InputError):

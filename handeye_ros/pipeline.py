@@ -11,6 +11,7 @@ from dataclasses import replace
 from handeye_ros import methods
 from handeye_ros.checks.conventions import require_no_slip
 from handeye_ros.checks.errors import LeftOutError
+from handeye_ros.checks.frames import require_own_frame
 from handeye_ros.checks.misfit import require_consistent
 from handeye_ros.checks.motion import (
     require_certain,
@@ -72,6 +73,7 @@ def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, 
     rejects: stations that gave no sample, for the report; frame_id: of the profiles.
     Raises DataError when the samples cannot carry an answer.
     """
+    require_own_frame(frame_id, config)
     ordered, at_border = without_border_ends(sorted(samples, key=lambda sample: sample.stamp))
     rejects = [*rejects, *at_border]
     agreed, solution = estimate(ordered, rejects, config)

@@ -76,6 +76,23 @@ def test_simulate_knows_its_scenarios(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_scenarios_are_listed(tmp_path):
+    run = handeye('simulate', '--list', cwd=tmp_path)
+    assert run.returncode == 0
+    assert {'plate', 'wedge', 'points'} <= set(run.stdout.splitlines())
+    run = handeye('simulate', 'nope', 'x', cwd=tmp_path)
+    assert_refused(run, 2, 'there is no scenario "nope"; "handeye simulate --list" lists them')
+
+
+def test_a_table_for_a_target_of_profiles_names_the_targets_it_fits(tmp_path):
+    table = tmp_path / 'points.csv'
+    table.write_text('camera_x [m]\n1\n')
+    run = handeye('solve', table, cwd=tmp_path)
+    assert_refused(run, 2, 'is a table of measured values', '--set target.type=points')
+    run = handeye('solve', tmp_path, '--set', 'target.type=points', cwd=tmp_path)
+    assert_refused(run, 2, 'is a folder; give the file in it, or, if it is a recording')
+
+
 def test_solve_writes_what_the_library_answers(simulated, tmp_path):
     path, _ = simulated
     run = handeye('solve', path, '--config', PLATE, '--set', 'name=mine', cwd=tmp_path)

@@ -99,7 +99,11 @@ def test_a_key_like_none_suggests_none() -> None:
 
 
 @pytest.mark.parametrize(('key', 'value', 'expected'), [
-    ('noise.sensor', '3e-5', 'float'),
+    ('noise.sensor', '3e-5x', 'float'),
+    ('noise.sensor', 'nan', 'float'),
+    ('noise.sensor', 1.0, 'a number from 1e-09 to 0.01 m'),
+    ('sampling.still_time', '1e9', 'a number from 0.05 to 60 s'),
+    ('noise.robot_rotation', 2, 'a number from 0 to 0.01 rad'),
     ('noise.sensor', True, 'float'),
     ('noise.sensor', None, 'float'),
     ('noise.sensor', float('nan'), 'float'),
@@ -179,13 +183,53 @@ def test_a_file_is_put_into_a_given_configuration(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('text', [
-    '', 'name: plate', '/**: {name: plate}', '- 1', 'other: {ros__parameters: {name: a}}',
+    '', 'name: plate', '/**: {name: plate}', '- 1', 'a: {b: {c: 1}}',
     '/**:\n  ros__parameters:\n', '/**: [1, 2]', '"just words"'])
 def test_a_file_of_another_form_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / 'c.yaml'
     path.write_text(text)
     with pytest.raises(InputError, match='ros__parameters'):
         load(path)
+
+
+@pytest.mark.parametrize('text', [
+    '/**: {ros__parameters: {name: new}}',
+    'handeye: {ros__parameters: {name: new}}',
+    '/cell_1/handeye: {ros__parameters: {name: new}}',
+    '/cell_1: {handeye: {ros__parameters: {name: new}}}',
+    '/my_node: {ros__parameters: {name: new}}',
+    '/**/handeye: {ros__parameters: {name: new}}',
+    '/cell_1/*: {ros__parameters: {name: new}}',
+    '/**: {ros__parameters: {name: old}}\n/my_node: {ros__parameters: {name: new}}',
+    '/driver: {ros__parameters: {port: 3}}\n/handeye: {ros__parameters: {name: new}}'])
+def test_the_section_of_the_node_is_found_by_any_name(tmp_path: Path, text: str) -> None:
+    path = tmp_path / 'c.yaml'
+    path.write_text(text)
+    assert load(path) == with_values(Config(), {'name': 'new'}, 'test')
+
+
+def test_a_file_of_several_other_nodes_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / 'c.yaml'
+    path.write_text('/a: {ros__parameters: {name: a}}\n/b: {ros__parameters: {name: b}}')
+    with pytest.raises(InputError, match=r'2 nodes \(/a, /b\), and none of them is "handeye"'):
+        load(path)
+
+
+def test_a_dump_of_the_node_is_read(tmp_path: Path) -> None:
+    """As `ros2 param dump` prints it: empty lists without a type are null there."""
+    path = tmp_path / 'c.yaml'
+    path.write_text('/handeye:\n  ros__parameters:\n    name: cell\n    noise: {sensor: 3e-5}\n'
+                    '    output_dir: /tmp/results\n    qos_overrides:\n      /clock:\n'
+                    '        subscription: {depth: 1}\n    start_type_description_service: true\n'
+                    '    target: {size: null}\n    use_sim_time: false\n')
+    assert load(path) == with_values(Config(), {
+        'name': 'cell', 'noise.sensor': 3e-5, 'output_dir': '/tmp/results'}, 'test')
+
+
+@given(st.floats(1e-9, 0.01))
+def test_a_number_in_a_text_is_the_number(value: float) -> None:
+    written = with_values(Config(), {'noise.sensor': repr(value)}, 'test')
+    assert written == with_values(Config(), {'noise.sensor': value}, 'test')
 
 
 @pytest.mark.parametrize('content', [b'a: [1', b'\xff\xfe\x00', b'a: b: c'])

@@ -224,8 +224,9 @@ def test_wrong_parameters_end_the_node(argument: str, reason: str) -> None:
     ('target.size:=[1.0]', 'target.size is \\[1.0], expected a list of 0 or 2 values'),
     ('name:="  "', "name is '  ', expected a text without control characters, or blanks"),
     ('pose_topic:=""', "pose_topic is '', expected a text such as flange_pose"),
-    ('output_dir:="a\\tb"', 'expected the path of a folder'),
-    ('output_dir:=3', 'output_dir is 3, expected the path of a folder'),
+    ('output_dir:="a\\tb"', 'expected a text without control characters'),
+    ('output_dir:=3', 'output_dir is 3, expected a value of type str'),
+    ('tracker.h0:=1.0', 'unknown key "tracker.h0"'),
 ])
 def test_wrong_parameters(argument: str, reason: str) -> None:
     context = Context()

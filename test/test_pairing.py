@@ -313,7 +313,6 @@ def test_a_bag_that_starts_again_is_late_until_the_samples_are_cleared() -> None
 
 @pytest.mark.parametrize(('frame', 'beside', 'name', 'words'), [
     ('laser', 0.0005, 'laser', None), ('', 0.0, 'sensor', 'have no frame_id'),
-    ('flange', 0.0, 'flange', 'is a frame of the robot'),
     ('laser', -0.012, 'laser', 'up to 12.0 mm beside the plane of x and z')])
 def test_what_is_odd_about_the_frame_of_the_profiles_is_told(
         frame: str, beside: float, name: str, words: str | None) -> None:

@@ -30,6 +30,15 @@ class TwoAnswersError(DataError):
                          f'apart; to part them, {missing}')
 
 
+class SensorFrameError(DataError):
+    """The sensor's frame is called like one of the robot; key: the one that names it."""
+
+    def __init__(self, frame: str, key: str) -> None:
+        super().__init__(f'the profiles have the frame_id "{frame}", which {key} names as a frame '
+                         'of the robot, so the result would be a transform of that frame to '
+                         f'itself: give the sensor a frame of its own in its driver, or set {key}')
+
+
 class OneOrientationError(DataError):
     """The robot never turned."""
 

@@ -15,6 +15,7 @@ from handeye_ros.cli.common import (
     show,
     warn,
 )
+from handeye_ros.errors import TableForProfilesError
 import typer
 
 if TYPE_CHECKING:
@@ -25,23 +26,26 @@ if TYPE_CHECKING:
     from handeye_ros.ros.bags.bag import Recording
 
 
+TABLES = ('.csv', '.yaml', '.yml')
+
+
 @app.command()
 def solve(
     path: Input,
     config: ConfigFile = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
     out: Annotated[NoPath, typer.Option(
-        metavar='DIR', help='Where calibration.yaml is written; out/NAME if not given.')] = None,
+        metavar='DIR', help='Where calibration.yaml is written; if not given, the folder NAME in '
+                            'output_dir, or in out.')] = None,
 ) -> None:
     """Find the transform from a recording or a file, and write calibration.yaml."""
     settings = configuration(config, assignments)
     folder = _target(out, settings)
 
-    from handeye_ros import files
     from handeye_ros.results import exports, table
     from handeye_ros.results.truth_errors import errors_against
     from handeye_ros.results.truth_file import true_transform
-    method, T_true = files.of(settings), true_transform(path)
+    method, T_true = _file_method(path, settings), true_transform(path)
     calibration, field = (_solve_files(method, path, settings) if method else
                           (_solve_bag(path, settings), None))
     saved = exports.save_all(calibration, folder, settings.save.formats)
@@ -55,7 +59,16 @@ def solve(
 def _target(out: Path | None, settings: 'Config') -> Path:
     """Return the folder of the result, absolute."""
     from handeye_ros.results.calibration_file import folder_name
-    return (out or Path('out') / folder_name(settings)).absolute()
+    return (out or Path(settings.output_dir or 'out') / folder_name(settings)).absolute()
+
+
+def _file_method(path: Path, settings: 'Config') -> 'FileMethod[Any] | None':
+    """Return the method of a target that is solved from files, None for one seen by profiles."""
+    from handeye_ros import files
+    method = files.of(settings)
+    if method is None and path.suffix in TABLES and path.is_file():
+        raise TableForProfilesError(path, settings.target.type, list(files.FILE_METHODS))
+    return method
 
 
 def _solve_bag(bag: Path, settings: 'Config') -> 'Calibration':
@@ -100,11 +113,10 @@ def compare(
     """Put the same samples through every estimator that applies, ours and published ones."""
     settings = configuration(config, assignments)
 
-    from handeye_ros import files
     from handeye_ros.comparison import compare as comparing
     from handeye_ros.comparison import table
     from handeye_ros.results.truth_file import true_transform
-    method, T_true = files.of(settings), true_transform(path)
+    method, T_true = _file_method(path, settings), true_transform(path)
     if method:
         given = _read_files(method, path, settings)
         with doing('solving') as now:

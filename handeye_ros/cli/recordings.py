@@ -21,19 +21,31 @@ def replay(
     publish(bag, rate)
 
 
+def _scenarios() -> list[str]:
+    from handeye_ros.simulate import FAULTS, FILE_SCENES, SCENARIOS
+    return [*SCENARIOS, *FILE_SCENES, *FAULTS]
+
+
+def _print_scenarios(wanted: bool) -> None:
+    if wanted:
+        typer.echo('\n'.join(_scenarios()))
+        raise typer.Exit
+
+
 @app.command()
 def simulate(
-    scenario: Annotated[str, typer.Argument(help='The name of a scenario; see the README.')],
+    scenario: Annotated[str, typer.Argument(help='The name of a scenario; see --list.')],
     directory: Annotated[Path, typer.Argument(
         metavar='DIR', help='The folder to make: a bag, or files of measured values.')],
     seed: Annotated[int, typer.Option(min=0, help='Of all random numbers.')] = 0,
     force: Annotated[bool, typer.Option('--force', help='Replace a bag that is there.')] = False,
+    listed: Annotated[bool, typer.Option(
+        '--list', callback=_print_scenarios, is_eager=True,
+        help='Print the names of all scenarios and exit.')] = False,
 ) -> None:
     """Make a recording with a known answer, which is written to truth.yaml in it."""
-    from handeye_ros.simulate import FAULTS, FILE_SCENES, SCENARIOS
-    known = [*SCENARIOS, *FILE_SCENES, *FAULTS]
-    if scenario not in known:
-        raise UnknownNameError('scenario', scenario, known)
+    if scenario not in _scenarios():
+        raise UnknownNameError('scenario', scenario, _scenarios(), 'handeye simulate --list')
 
     from handeye_ros.ros.bags import simulated
     with doing('simulating'):

@@ -37,7 +37,8 @@ class Table:
         """Read a .csv file, or else YAML; raises TableError."""
         self.path = path
         if path.is_dir():
-            raise TableError(path, 'is a folder; give the file in it')
+            raise TableError(path, 'is a folder; give the file in it, or, if it is a '
+                             'recording, set target.type to the target that it shows')
         header, rows = _csv(path) if path.suffix.lower() == '.csv' else _yaml(path)
         names = [_HEADER.fullmatch(str(cell)) for cell in header]
         for cell, match in zip(header, names, strict=True):

@@ -17,9 +17,6 @@ def frame_notes(frame: str | None, beside: float, config: Config) -> Iterator[st
     """
     if frame == '':
         yield f'the profiles have no frame_id: the result calls their frame "{UNNAMED_FRAME}"'
-    elif frame in (config.robot_base_frame, config.robot_effector_frame):
-        yield (f'the profiles have the frame_id "{frame}", which is a frame of the robot: give '
-               'the sensor one of its own in its driver')
     if beside > LARGEST_BESIDE:
         yield (f'the profiles lie up to {beside * 1e3:.1f} mm beside the plane of '
                f'{" and ".join(config.profile.axes)} in their frame: that coordinate is not '

@@ -70,7 +70,7 @@ class Arrivals:
 class LiveSession:
     """The samples of a running node, and the last answer."""
 
-    def __init__(self, config: Config, output_dir: str) -> None:
+    def __init__(self, config: Config) -> None:
         """Start without samples; raises BadValueError for a method that does not exist."""
         self._lock = threading.Lock()
         self._session = Session(config)
@@ -79,7 +79,6 @@ class LiveSession:
         self._cleared = 0  # how often
         self.is_solving = False
         self.config = config
-        self.output_dir = output_dir
         self.arrivals = Arrivals()
         self.last_refusal = ''
 
@@ -211,7 +210,7 @@ class LiveSession:
     def _parent_folder(self) -> Path:
         """Return what is above the folder of this calibration, as an absolute path."""
         home = os.environ.get('ROS_HOME') or '~/.ros'
-        parent = Path(self.output_dir or f'{home}/handeye')
+        parent = Path(self.config.output_dir or f'{home}/handeye')
         try:
             return parent.expanduser().absolute()
         except RuntimeError as error:

@@ -42,8 +42,8 @@ class HandeyeNode(Node):
     def __init__(self) -> None:
         """Subscribe and serve; raises InputError for what the user configured."""
         super().__init__('handeye')
-        config, output_dir = params.declare(self)
-        self._live = LiveSession(config, output_dir)
+        config = params.declare(self)
+        self._live = LiveSession(config)
         self._told: tuple[str, ...] = ()
         self._advertise()
         self._intake = Intake(self, self._live, self._tell)
@@ -196,7 +196,6 @@ class HandeyeNode(Node):
 
     def _apply_change(self, changes: list[Parameter]) -> None:
         self._live.configure(params.changed(self._live.config, changes, 0))
-        self._live.output_dir = self.get_parameter(params.OUTPUT_DIR).value
 
 
 def run() -> None:

@@ -11,58 +11,59 @@ from typing import Any
 
 from handeye_ros import config as configuration
 from handeye_ros import methods
-from handeye_ros.config import Config, Parameter
-from handeye_ros.errors import BadValueError, InputError, UnknownKeyError
+from handeye_ros.config import Config, EVERY_NODES, Parameter
+from handeye_ros.errors import InputError, UnknownKeyError
 from handeye_ros.results import calibration_file
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
-
-OUTPUT_DIR = 'output_dir'  # of the node alone: the command line has --out
-OUTPUT_DIR_DESCRIPTION = ('Folder in which save_calibration makes <name>/calibration.yaml; empty: '
-                          '$ROS_HOME/handeye, which is ~/.ros/handeye where ROS_HOME is not set.')
 
 # What the node subscribes to, or tells others, from its start on.
 FIXED = ('robot_base_frame', 'robot_effector_frame', 'pose_source', 'pose_topic',
          'profile_topic', 'session')
 # What the samples do not depend on; all other keys need that there are none.
 FREE = ('name', 'limits.translation', 'limits.rotation', 'limits.residual', 'sampling.mode',
-        'samples.exclude', 'save.formats', OUTPUT_DIR)
+        'samples.exclude', 'save.formats', 'output_dir')
 
-# Parameters that rclpy declares by itself, or on demand.
-NOT_OURS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
+# Keys that serve only targets that are solved from files.
+FILES_ONLY = ('tracker.', 'sensor_frame')
 
 
-def declare(node: Node) -> tuple[Config, str]:
+def declare(node: Node) -> Config:
     """
-    Declare all parameters of the node; return the configuration and the output folder.
+    Declare all parameters of the node, and return the configuration.
 
     Raises UnknownKeyError and BadValueError for what the user gave.
 
     """
-    given = _given(node)
-    output_dir = _checked_folder(given.pop(OUTPUT_DIR, ''))
-    config = configuration.with_values(Config(), given, "the node's parameters")
+    config = configuration.with_values(Config(), _given(node), "the node's parameters")
     _check_names(config)
-    for parameter in configuration.parameters():
-        value = configuration.flatten(config)[parameter.key]
-        node.declare_parameter(parameter.key, value, descriptor(parameter), ignore_override=True)
-    node.declare_parameter(
-        OUTPUT_DIR, output_dir, ParameterDescriptor(description=OUTPUT_DIR_DESCRIPTION),
-        ignore_override=True)
-    return config, output_dir
+    values = configuration.flatten(config)
+    for parameter in parameters():
+        node.declare_parameter(parameter.key, values[parameter.key], descriptor(parameter),
+                               ignore_override=True)
+    return config
+
+
+def parameters() -> tuple[Parameter, ...]:
+    """Return the keys that serve the node."""
+    return tuple(p for p in configuration.parameters() if not p.key.startswith(FILES_ONLY))
 
 
 def _given(node: Node) -> dict[str, Any]:
     """Return what parameter files and arguments set, by key; raises UnknownKeyError."""
-    known = {p.key: p for p in configuration.parameters()}
     # rclpy tells what was given only for names that it is asked for
-    given = node._parameter_overrides.values()
-    values = {p.name: p for p in given if not p.name.startswith(NOT_OURS)}
+    return _values(node._parameter_overrides.values())
+
+
+def _values(given: Iterable[RosParameter]) -> dict[str, Any]:
+    """Return the values of parameters that are ours, by key; raises UnknownKeyError."""
+    values = {p.name: _value(p) for p in given if not p.name.startswith(EVERY_NODES)}
+    known = [p.key for p in parameters()]
     for name in values:
-        if name not in known and name != OUTPUT_DIR:
-            raise UnknownKeyError(name, [*known, OUTPUT_DIR], "the node's parameters")
-    return {name: _value(p) for name, p in values.items()}
+        if name not in known:
+            raise UnknownKeyError(name, known, "the node's parameters")
+    return values
 
 
 def _value(parameter: RosParameter) -> Any:
@@ -71,12 +72,6 @@ def _value(parameter: RosParameter) -> Any:
         return []
     value = parameter.value
     return list(value) if not isinstance(value, str | int | float) else value
-
-
-def _checked_folder(value: Any) -> str:
-    if not isinstance(value, str) or not value.isprintable():
-        raise BadValueError(OUTPUT_DIR, value, 'the path of a folder')
-    return value
 
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:
@@ -113,8 +108,7 @@ def changed(config: Config, changes: Iterable[RosParameter], samples: int) -> Co
     to wait or to be made at the start.
 
     """
-    values = {p.name: _value(p) for p in changes if not p.name.startswith(NOT_OURS)}
-    _checked_folder(values.pop(OUTPUT_DIR, ''))
+    values = _values(changes)
     new = configuration.with_values(config, values, "the node's parameters")
     before, after = configuration.flatten(config), configuration.flatten(new)
     for key in values:
