@@ -89,7 +89,7 @@ def test_a_table_for_a_target_of_profiles_names_the_targets_it_fits(tmp_path):
     table.write_text('camera_x [m]\n1\n')
     run = handeye('solve', table, cwd=tmp_path)
     assert_refused(run, 2, 'is a table of measured values', '--set target.type=points')
-    run = handeye('solve', tmp_path, '--set', 'target.type=points', cwd=tmp_path)
+    run = handeye('solve', tmp_path, '--set', 'target.type=hand_eye', cwd=tmp_path)
     assert_refused(run, 2, 'is a folder; give the file in it, or, if it is a recording')
 
 

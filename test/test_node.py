@@ -83,8 +83,10 @@ def test_a_bag_through_the_node_gives_the_offline_result(
         client.until(lambda: markers and len(markers[-1].markers) > 3, 'the target is drawn')
         assert client.call('remove_last_sample').success
         n = offline.quality.samples_used + offline.quality.samples_rejected
-        assert client.call('save_calibration').message == (
-            f'wrote {path}; it was computed from {n} samples, which have changed since '
+        again = client.call('save_calibration').message
+        assert again.startswith(f'wrote {path}; the former result is kept in {path.parent}')
+        assert again.endswith(
+            f'it was computed from {n} samples, which have changed since '
             f'(1 removed): call ~/compute_calibration for an answer from the {n - 1} of now')
     online = read_calibration(path)
     np.testing.assert_allclose(online.T_flange_sensor, offline.T_flange_sensor, atol=1e-9, rtol=0)
