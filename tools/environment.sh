@@ -24,6 +24,18 @@ sys.version_info[:2] in ((3, 11), (3, 12)) or sys.exit(1)
 print(os.path.realpath(sys.executable if sys.prefix == sys.base_prefix else sys._base_executable))' 2>/dev/null
 }
 
+# Says what a command that was given as the Python is instead; the shim of a version that pyenv
+# does not have active is on PATH and starts, but runs nothing.
+why_not() {
+    if ! command -v "$1" >/dev/null; then
+        echo "PYTHON=$1 is not there."
+    elif version=$("$1" -c 'import platform; print(platform.python_version())' 2>&1); then
+        echo "PYTHON=$1 is Python $version, not 3.11 or 3.12."
+    else
+        echo "PYTHON=$1 does not run; it says: $(echo "$version" | head -n 1)"
+    fi
+}
+
 # Sets python, and mode to "ros" where the ROS that is sourced is to be used.
 find_python() {
     python= mode=wheels
@@ -36,7 +48,7 @@ find_python() {
         fi
     done
     if [ -z "$python" ]; then
-        [ -z "${PYTHON:-}" ] || say "$PYTHON is not Python 3.11 or 3.12."
+        [ -z "${PYTHON:-}" ] || say "$(why_not "$PYTHON")"
         [ -n "${PYTHON:-}" ] || say "There is no Python 3.11 or 3.12 on PATH."
         say "Install one, or say where it is: make PYTHON=/path/to/python3.12"
         exit 1
