@@ -95,3 +95,21 @@ def test_six_points_are_too_few() -> None:
     with pytest.raises(TooFewSamplesError, match='line needs at least 7'):
         pipeline.solve(made.samples[:6], [], made.config, 'laser')
     assert methods.of(made.config).name == 'line'
+
+
+def test_an_edge_between_two_faces_of_which_either_is_taken_with_its_other_end() -> None:
+    """Neither all ends nor those of one side lie on one line; the best known ones do."""
+    found = 0
+    for seed in range(2):
+        made = cell(LINE, seed)
+        samples = []
+        for k, sample in enumerate(made.samples):
+            face, edge = sample.features
+            inwards = -edge.direction * ([-1.0, 1.0] if k % 3 else [1.0, 1.0])
+            ends = (replace(edge, direction=-inwards, std=4e-6, std_across=4e-6),
+                    replace(edge, point=edge.point + 0.03 * inwards, direction=inwards))
+            face = replace(face, centre=edge.point + 0.015 * inwards, direction=inwards)
+            samples.append(replace(sample, features=(face, *ends)))
+        answer = pipeline.solve(samples, [], made.config, 'laser')
+        found += made.error(answer.T_flange_sensor) < 3e-4
+    assert found == 2

@@ -9,7 +9,7 @@ the edge point's z, which is measured on that same line.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -102,38 +102,88 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
 
 
 def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
-          ) -> list[Estimate]:
+          ) -> Iterator[Estimate]:
     """
-    Return estimates from nothing, best first: every direction of the line is tried.
+    Yield estimates from nothing, best first: every direction of the line is tried.
 
-    Where both ends of a face are in sight they are also tried apart: one of them is the edge.
+    Where several ends of a face are in sight it is not told which of them is the edge: the same
+    side in all stations first; only when none of these will do, other ways to choose.
     """
     alone = replace(config, target=replace(config.target, use_face=False))
     problem = Problem(LINE, poses, observations, alone)
     problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
-    best = sorted((e for part in _parts(problem) for e in best_of(part, linear_candidates(part))),
-                  key=lambda estimate: _nearness(problem, estimate))
-    return [_with_face(observations, poses, e) for e in best] if config.target.use_face else best
+    for parts in (_same_side(problem), _other_choices(problem)):
+        found = (e for part in parts for e in best_of(part, linear_candidates(part)))
+        for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
+            yield _with_face(observations, poses, e) if config.target.use_face else e
 
 
-def _parts(problem: Problem) -> list[Problem]:
+def _same_side(problem: Problem) -> list[Problem]:
     """Return the problem of the edge points, and where two are in sight that of either side."""
-    obs = problem.observations
-    face, edge = obs.kind == FACE, obs.kind != FACE
+    edge = problem.observations.kind != FACE
     choices = [edge]
-    if face.any() and np.bincount(obs.station[obs.kind == EDGE_Y]).max() > 1:
-        n = len(problem.poses)
-        total = np.bincount(obs.station[face], obs.points[face, 0], minlength=n)
-        middle = total / np.maximum(np.bincount(obs.station[face], minlength=n), 1)
-        left = obs.points[:, 0] < middle[obs.station]
+    if _several(problem):
+        left = _left(problem)
         choices += [edge & left, edge & ~left]
-    parts = []
-    for chosen in choices:
-        part = replace(problem, observations=obs.select(chosen))
-        stations = np.unique(part.observations.station)
-        if len(stations) >= LINE.minimum or chosen is edge:
-            parts.append(part.subset(stations))
-    return parts
+    return [part for chosen in choices if (part := _part(problem, chosen)) is not None]
+
+
+def _other_choices(problem: Problem) -> list[Problem]:
+    """
+    Return problems with one of the ends in sight of each station.
+
+    The best known one, as that where two faces meet; the most central, nearest, and farthest one;
+    or the side that changes where the sensor is turned around.
+    """
+    if not _several(problem):
+        return []
+    obs, edge = problem.observations, problem.observations.kind != FACE
+    x, z = obs.points.T
+    sizes = np.linalg.norm(obs.noise, axis=(1, 2))
+    ranks = [sizes, np.abs(x - np.median(x[edge])), z, -z]
+    choices = [edge & _least(obs, rank, edge) for rank in ranks]
+    around = _turned_around(problem.poses)[obs.station]
+    if around.any():
+        side = _left(problem) ^ around
+        choices += [edge & side, edge & ~side]
+    return [part for chosen in choices if (part := _part(problem, chosen)) is not None]
+
+
+def _several(problem: Problem) -> bool:
+    """Return whether some station shows several ends of a face."""
+    obs = problem.observations
+    return bool((obs.kind == FACE).any()
+                and np.bincount(obs.station[obs.kind == EDGE_Y]).max(initial=0) > 1)
+
+
+def _left(problem: Problem) -> NDArray[np.bool_]:
+    """Return which observations (m,) lie left of the middle of their station's face."""
+    obs, n = problem.observations, len(problem.poses)
+    face = obs.kind == FACE
+    total = np.bincount(obs.station[face], obs.points[face, 0], minlength=n)
+    middle = total / np.maximum(np.bincount(obs.station[face], minlength=n), 1)
+    return np.asarray(obs.points[:, 0] < middle[obs.station])
+
+
+def _least(obs: Observations, rank: Array, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which observations (m,) have the least rank among those of their station."""
+    least = np.full(obs.station.max() + 1, np.inf)
+    np.minimum.at(least, obs.station[among], rank[among])
+    return np.asarray(rank <= least[obs.station])
+
+
+def _turned_around(poses: Array) -> NDArray[np.bool_]:
+    """Return which of poses (n, 4, 4) are turned by more than a right angle from the first."""
+    trace = np.einsum('ij,nij->n', poses[0, :3, :3], poses[:, :3, :3])
+    return np.asarray(trace < 1.0)
+
+
+def _part(problem: Problem, chosen: NDArray[np.bool_]) -> Problem | None:
+    """Return the problem of the chosen observations (m,), None where too few stations have any."""
+    part = replace(problem, observations=problem.observations.select(chosen))
+    stations = np.unique(part.observations.station)
+    everything = chosen[problem.observations.kind != FACE].all()
+    return part.subset(stations) if len(stations) >= LINE.minimum or everything else None
 
 
 def _nearness(problem: Problem, estimate: Estimate) -> float:
