@@ -35,7 +35,7 @@ setup(
     entry_points={
         'console_scripts': [
             'handeye = handeye_ros.cli:main',
-            'calibrate = handeye_ros.ros.node.node:main',
+            'calibrate = handeye_ros.ros.node.main:main',
             'publish = handeye_ros.ros.publish:main',
             'replay = handeye_ros.ros.replay:main',
         ],

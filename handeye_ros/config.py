@@ -166,9 +166,10 @@ class Config:
 
     name: str = _key('', 'Name of the calibration, and of the folder it is saved in; empty: '
                      'the type of the target.')
-    output_dir: str = _key('', 'Folder in which a result gets its folder, called by its name; '
-                           'empty: $ROS_HOME/handeye of the node (~/.ros/handeye where ROS_HOME '
-                           'is not set), out of the command line.')
+    output_dir: str = _key('', 'Folder in which results and sessions get their folder, called by '
+                           'the name; empty: $ROS_HOME/handeye_ros (~/.ros/handeye_ros where '
+                           'ROS_HOME is not set) and the namespace of the node, out of the '
+                           'command line.')
     calibration_type: str = _key('eye_in_hand', 'Where the sensor is: on the flange '
                                  '(eye_in_hand) or fixed beside the robot (eye_on_base).',
                                  choices=('eye_in_hand', 'eye_on_base'))

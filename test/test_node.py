@@ -93,7 +93,7 @@ def test_a_bag_through_the_node_gives_the_offline_result(
     np.testing.assert_allclose(online.covariance, offline.covariance, rtol=1e-6, atol=1e-15)
     assert online.samples == offline.samples
     assert online.provenance['inputs'] == [{'topic': '/profile'}, {'topic': '/flange_pose'}]
-    assert len(features) == offline.quality.samples_used + offline.quality.samples_rejected - 1
+    assert len(features) == offline.quality.samples_used + offline.quality.samples_rejected
     assert {f.header.frame_id for f in features} == {'laser'}
     transform = late[0].transform.translation
     assert (late[0].header.frame_id, late[0].child_frame_id) == ('flange', 'laser')
@@ -148,7 +148,7 @@ def transforms_of(pose):
 
 def test_without_tf2_msgs_poses_from_tf_are_refused(tmp_path: Path) -> None:
     block = ('import sys; sys.modules["tf2_msgs"] = None; '
-             'from handeye_ros.ros.node.node import main; sys.exit(main())')
+             'from handeye_ros.ros.node.main import main; sys.exit(main())')
     run = subprocess.run(
         [sys.executable, '-c', block, '--ros-args', '-p', 'pose_source:=tf'], cwd=ROOT,
         capture_output=True, text=True, check=False, timeout=60)
@@ -249,7 +249,7 @@ def solve(*args):
     threading.Event().wait()
 
 pipeline.solve = solve
-from handeye_ros.ros.node.node import main
+from handeye_ros.ros.node.main import main
 sys.exit(main())
 """
 
@@ -303,7 +303,7 @@ def test_a_best_effort_robot_is_heard_and_a_wrong_type_told(
             'it says what is there')
 
 
-@pytest.mark.parametrize('module', ['node.node', 'replay'])
+@pytest.mark.parametrize('module', ['node.main', 'replay'])
 def test_without_a_place_for_logs(module: str) -> None:
     block = ('import os; [os.environ.pop(name, 0) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR")]'
              f'; import sys; from handeye_ros.ros.{module} import main; sys.exit(main())')

@@ -10,7 +10,7 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402, I100
 from geometry_msgs.msg import TransformStamped  # noqa: E402
 from rcl_interfaces.msg import SetParametersResult  # noqa: E402
-from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters  # noqa: E402
+from rcl_interfaces.srv import DescribeParameters, SetParameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from ros_helpers import Client, LATCHED, pose_message, running_node, sphere_profile  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
@@ -206,11 +206,7 @@ def test_parameters_at_run_time(client: Client, node: subprocess.Popen[str]) -> 
     stand_still(client, START)
     client.until_counted(profiles=20, poses=20)
     assert client.call('take_sample').success
-    result = set_parameter(client, 'target.radius', 0.05)
-    assert 'there are 1 samples' in result.reason
-    assert 'call ~/clear_samples' in result.reason
-    assert client.call('clear_samples').success
-    assert set_parameter(client, 'target.radius', 0.05).successful
-    values = client.request(GetParameters, 'get_parameters',
-                            GetParameters.Request(names=['target.radius'])).values
-    assert values[0].double_value == 0.05
+    assert set_parameter(client, 'sampling.min_points', 5000).successful
+    client.until(lambda: client.state()['samples'] == '0', 'the sample is extracted anew')
+    assert set_parameter(client, 'sampling.min_points', 20).successful
+    client.until(lambda: client.state()['samples'] == '1', 'the sample is back')

@@ -129,7 +129,8 @@ class Client:
                     and _counts(self._diagnostics[-1]) == _counts(self._diagnostics[-2]))
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
-        self._diagnostics.append({pair.key: pair.value for pair in msg.status[0].values})
+        self._diagnostics.append({pair.key: pair.value for status in msg.status
+                                  for pair in status.values})
 
     def _until(self, condition: Callable[[], bool]) -> None:
         end = time.monotonic() + PATIENCE

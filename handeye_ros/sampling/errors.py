@@ -71,6 +71,13 @@ class NothingToRemoveError(DataError):
         super().__init__('there is no sample to remove')
 
 
+class NotAskedError(DataError):
+    """Nobody asked for a sample; reason: how often it would have been possible."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+
+
 class NoStationsError(DataError):
     """The robot never stood still."""
 

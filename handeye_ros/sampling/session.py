@@ -61,7 +61,7 @@ class Session(Watch):
     @property
     def samples(self) -> tuple[Sample, ...]:
         """Return the samples taken so far, but for those that samples.exclude leaves out."""
-        return tuple(o.sample for o in self._outcomes if o.sample and not self._excluded(o))
+        return tuple(o.sample for o in self._outcomes if o.sample and not self.excludes(o))
 
     @property
     def rejects(self) -> tuple[Reject, ...]:
@@ -69,9 +69,10 @@ class Session(Watch):
         return tuple(o.result if isinstance(o.result, Reject) else
                      Reject(o.result.stamp, f'sample {o.number} is left out by samples.exclude')
                      for o in self._outcomes
-                     if isinstance(o.result, Reject) or self._excluded(o))
+                     if isinstance(o.result, Reject) or self.excludes(o))
 
-    def _excluded(self, outcome: Outcome) -> bool:
+    def excludes(self, outcome: Outcome) -> bool:
+        """Tell whether samples.exclude leaves a sample out."""
         return outcome.number in self._config.samples.exclude
 
     def collect(self) -> list[Sample | Reject]:
@@ -95,7 +96,7 @@ class Session(Watch):
         """Return what became of a stop: numbered, and a sample that brings nothing new none."""
         before = [o for o in self._outcomes if o.stop.began == stop.began]
         number = before[0].number if before else self._numbers + 1
-        others = [o for o in self._outcomes if o not in before and not self._excluded(o)]
+        others = [o for o in self._outcomes if o not in before and not self.excludes(o)]
         why = nothing_new(result, others, self._config) if isinstance(result, Sample) else ''
         return Outcome(number, stop, Reject(result.stamp, why) if why else result)
 

@@ -17,6 +17,7 @@ from handeye_ros.sampling.errors import (
     MovingError,
     NoPosesError,
     NoStationsError,
+    NotAskedError,
     PositionUnitError,
     SilentPosesError,
     SparsePosesError,
@@ -47,6 +48,7 @@ class Watch:
         self._waiting: list[Station] = []
         self._profiles: list[AnyProfile] = []
         self._taken: set[int] = set()  # when the stops began that were given
+        self._passed_by = 0  # stops at which no sample was to be taken by itself
         self._largest_position = 0.0
         self._beside = 0.0
         self._pose_stream: Stream[TimedPose] = Stream('pose')
@@ -94,6 +96,20 @@ class Watch:
         """Return how the robot moves now, None before poses tell."""
         return self._finder.motion()
 
+    @property
+    def is_standing(self) -> bool:
+        """Return whether the robot stands still, for long enough to take a sample."""
+        return self._finder.current() is not None
+
+    @property
+    def unasked(self) -> str:
+        """Return that the robot stood still and nobody asked for a sample, if that is so."""
+        if self._taken or not self._passed_by:
+            return ''
+        return (f'the robot stood still {self._passed_by} times and nobody asked for a sample: '
+                'sampling.mode is manual; call ~/take_sample at each stop, send ~/take, or set '
+                'sampling.mode to still')
+
     def add_pose(self, pose: TimedPose) -> None:
         """Take a pose of the flange; one that cannot be used is dropped with a warning."""
         self._take_poses(self._pose_stream.add(pose, pose.parent_frame))
@@ -105,6 +121,8 @@ class Watch:
             station = self._finder.add(pose)
             if station and self._config.sampling.by_itself:
                 self._waiting.append(station)
+            elif station:
+                self._passed_by += 1
 
     def add_profile(self, profile: AnyProfile) -> None:
         """Take a laser profile; one that cannot be used is dropped with a warning."""
@@ -164,13 +182,15 @@ class Watch:
         """
         Refuse a recording in which the robot never stood still.
 
-        Raises NoPosesError, PositionUnitError, SparsePosesError or NoStationsError.
+        Raises NoPosesError, NotAskedError, PositionUnitError, SparsePosesError or NoStationsError.
         """
         if self._taken:
             return
         poses, sampling = self._pose_stream, self._config.sampling
         if not poses.count:
             raise self._no_poses()
+        if self.unasked:
+            raise NotAskedError(self.unasked)
         if self._largest_position > LARGEST_POSITION:
             raise PositionUnitError(self._largest_position)
         if poses.period > sampling.max_pose_gap:

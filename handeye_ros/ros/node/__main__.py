@@ -1,6 +1,6 @@
 """Run the node: python -m handeye_ros.ros.node."""
 import sys
 
-from handeye_ros.ros.node.node import main
+from handeye_ros.ros.node.main import main
 
 sys.exit(main())

@@ -1,53 +1,70 @@
-"""What /diagnostics tells of the node, once a second."""
+"""What /diagnostics tells of the node, once a second: one status for each concern."""
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.node.wording import calibration_summary, count_of
+from handeye_ros.ros.node.arrivals import Arrivals
+from handeye_ros.ros.node.wording import count_of
+from handeye_ros.sampling.state import CURRENT, NONE, State, StreamState, WITHDRAWN
 from std_msgs.msg import Header
 
-SILENCE = 2.0  # s without a message after which a person should look
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
-def diagnostics(live: LiveSession, name: str, stamp: Time, obstacle: Callable[[str], str]
-                ) -> DiagnosticArray:
-    """Return the state of a session; obstacle: tells why no profile, or pose, comes in."""
-    troubles = _troubles(live, obstacle)
-    samples = len(live.samples)
-    status = DiagnosticStatus(
-        name=f'{name}: calibration', hardware_id=live.config.robot_effector_frame,
-        level=DiagnosticStatus.WARN if troubles else DiagnosticStatus.OK,
-        message='; '.join(troubles) or count_of(samples, 'sample'))
-    values = {
-        'profiles': live.arrivals.counts['profile'], 'poses': live.arrivals.counts['pose'],
-        'malformed messages': live.arrivals.counts['malformed'],
-        'last malformed': live.arrivals.last_malformed,
-        'seconds since the last profile': f'{live.arrivals.silence("profile"):.1f}',
-        'seconds since the last pose': f'{live.arrivals.silence("pose"):.1f}',
-        'samples': samples, 'last refusal': live.last_refusal,
-        'dropped': '; '.join(live.warnings),
-        'calibration': calibration_summary(live.calibration) if live.calibration else 'none yet',
-    }
-    status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-    return DiagnosticArray(header=Header(stamp=stamp), status=[status])
+def diagnostics(state: State, arrivals: Arrivals, name: str, stamp: Time) -> DiagnosticArray:
+    """
+    Return the state of a session; name: of the node, with its namespace.
+
+    Levels: ERROR where nothing usable of a kind ever came, or what was published is no answer
+    any more; WARN where a person should look.
+    """
+    statuses = [DiagnosticStatus(
+        name=f'{name}: {concern}', hardware_id=state.name, level=level, message=message,
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
+        for concern, level, message, values in _concerns(state, arrivals)]
+    return DiagnosticArray(header=Header(stamp=stamp), status=statuses)
 
 
-def _troubles(live: LiveSession, obstacle: Callable[[str], str]) -> list[str]:
-    config = live.config
-    by_topic = config.pose_source == 'topic'
-    places = {'profile': f'on {config.profile_topic}',
-              'pose': f'on {config.pose_topic}' if by_topic else 'from /tf'}
-    silences = [_silence(live, kind, place, obstacle) for kind, place in places.items()]
-    return [trouble for trouble in (*silences, live.trouble) if trouble]
+def _concerns(state: State, arrivals: Arrivals
+              ) -> Iterator[tuple[str, bytes, str, dict[str, object]]]:
+    for stream in (state.profiles, state.poses):
+        level = _stream_level(stream)
+        yield f'{stream.kind}s', level, stream.trouble or _coming(stream), {
+            f'{stream.kind}s': stream.count, f'malformed {stream.kind}s': stream.malformed,
+            f'seconds since the last {stream.kind}': f'{stream.age:.1f}',
+            f'topic of the {stream.kind}s': stream.place}
+    session = state.session
+    attempt = state.attempt
+    yield 'session', WARN if session.trouble else OK, (
+        session.trouble or session.working or count_of(state.taken, 'sample')), {
+        'samples': state.taken, 'mode': session.mode, 'folder': session.path or 'none yet',
+        'robot': state.motion.text, 'dropped': '; '.join(session.notes),
+        'last attempt': attempt.text if attempt else 'none yet',
+        'last refusal': _last_refusal(state),
+        'malformed messages': arrivals.counts['malformed'],
+        'last malformed': arrivals.last_malformed,
+        'worst first': ', '.join(map(str, state.worst)) or state.review}
+    answer = state.calibration
+    level = {CURRENT: OK, NONE: OK, WITHDRAWN: ERROR}.get(answer.state, WARN)
+    yield 'calibration', level, answer.text, {
+        'calibration': answer.text if answer.translation else 'none yet',
+        'state': answer.state}
 
 
-def _silence(live: LiveSession, kind: str, place: str, obstacle: Callable[[str], str]) -> str:
-    seconds = live.arrivals.silence(kind)
-    if seconds < SILENCE:
-        return ''
-    none = 'no' if live.arrivals.counts[kind] == 0 else 'no more'
-    why = obstacle(kind)
-    return f'{none} {kind}s {place} for {seconds:.0f} s' + (f' ({why})' if why else '')
+def _stream_level(stream: StreamState) -> bytes:
+    if not stream.trouble:
+        return OK
+    return ERROR if stream.count == 0 else WARN
+
+
+def _coming(stream: StreamState) -> str:
+    return f'{count_of(stream.count, stream.kind)} on {stream.place}'
+
+
+def _last_refusal(state: State) -> str:
+    refused = [sample.text for sample in state.samples if not sample.taken]
+    if state.attempt and not state.attempt.accepted:
+        return state.attempt.text
+    return refused[-1] if refused else ''

@@ -1,13 +1,13 @@
 """What the node takes in: profiles, and poses from their topic or the transform tree."""
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 
 from geometry_msgs.msg import PoseStamped
-from handeye_ros.data import RawProfile, Reject, Sample, TimedPose
+from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError
 from handeye_ros.ros.bags.contents import CLOUD, POSE
 from handeye_ros.ros.bags.messages import pose_from_cdr
@@ -43,12 +43,10 @@ Stamped = TypeVar('Stamped', RawProfile, TimedPose)
 class Intake:
     """The subscriptions; a message that cannot be understood is counted and left out."""
 
-    def __init__(self, node: Node, live: LiveSession,
-                 tell: Callable[[Sequence[Sample | Reject]], None]) -> None:
-        """Subscribe; tell: called with what became of the stations. Raises InputError."""
+    def __init__(self, node: Node, live: LiveSession) -> None:
+        """Subscribe; raises InputError."""
         self._node = node
         self._live = live
-        self._tell = tell
         self._group = MutuallyExclusiveCallbackGroup()
         config = live.config
         self._tracker = FlangeTracker(config.robot_base_frame, config.robot_effector_frame)
@@ -114,13 +112,13 @@ class Intake:
             self._reader = ProfileReader(config.profile)
         profile = self._stamped(self._reader.take(data))
         offset = round(config.time_offset * 1e9)
-        self._tell(self._live.add_profile(replace(profile, stamp=profile.stamp + offset)))
+        self._live.add_profile(replace(profile, stamp=profile.stamp + offset))
 
     def _on_pose(self, data: bytes) -> None:
-        self._tell(self._live.add_poses([self._stamped(pose_from_cdr(data))]))
+        self._live.add_poses([self._stamped(pose_from_cdr(data))])
 
     def _on_transforms(self, static: bool, msg: Any) -> None:
-        self._tell(self._live.add_poses(self._tracker.add(msg.transforms, static)))
+        self._live.add_poses(self._tracker.add(msg.transforms, static))
 
     def _stamped(self, item: Stamped) -> Stamped:
         """Return a message of a driver that leaves the stamp empty with the time of receipt."""

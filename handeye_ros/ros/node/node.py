@@ -1,24 +1,25 @@
 """The node `handeye`: topics and services around a LiveSession."""
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 import os
 import sys
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TransformStamped
-from handeye_ros.data import Reject, Sample
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.errors import TopicsError
-from handeye_ros.ros.executable import exit_code, InvalidHandle, RCLError, ros
+from handeye_ros.ros.executable import InvalidHandle, RCLError, ros
 from handeye_ros.ros.node import params
-from handeye_ros.ros.node.diagnostics import diagnostics
-from handeye_ros.ros.node.intake import Intake, TFMessage, THROTTLE
+from handeye_ros.ros.node.intake import Intake
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.node.outgoing import feature_cloud, LATCHED, markers, transform_stamped
-from handeye_ros.ros.node.wording import sample_summary, with_trouble
+from handeye_ros.ros.node.nag import Nag
+from handeye_ros.ros.node.outlets import Outlets
+from handeye_ros.ros.node.place import Place
+from handeye_ros.ros.node.telling import state_of
+from handeye_ros.ros.node.wording import in_the_way, sample_summary, with_trouble
+from handeye_ros.sampling.state import State
+from handeye_ros.sampling.stops import Outcome
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
@@ -27,9 +28,8 @@ from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
-from visualization_msgs.msg import MarkerArray
 
 REQUESTS = QoSProfile(depth=1000)  # that wait for a solve; ROS would drop all but ten
 UNSENDABLE = (RCLError, InvalidHandle)
@@ -43,36 +43,30 @@ class HandeyeNode(Node):
         """Subscribe and serve; raises InputError for what the user configured."""
         super().__init__('handeye')
         config = params.declare(self)
-        self._live = LiveSession(config)
-        self._told: tuple[str, ...] = ()
-        self._advertise()
-        self._intake = Intake(self, self._live, self._tell)
+        self.live = LiveSession(config, Place(self.get_namespace()))
+        self._outlets = Outlets(self, self.live)
+        self._intake = Intake(self, self.live)
+        self._nag = Nag(self.get_logger().warning)
         self._serve()
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._apply_change)
+        self.live.on_outcome = partial(self._quietly, self._on_outcome)
+        self.live.on_change = partial(self._quietly, self._outlets.show)
+        self.live.start()
+        self._outlets.show()
         self.get_logger().info(
             f'waiting for profiles on {config.profile_topic}, poses '
             + (f'on {config.pose_topic}' if config.pose_source == 'topic' else 'from /tf'))
 
     @property
-    def is_solving(self) -> bool:
-        """Return whether a calibration is being computed."""
-        return self._live.is_solving
+    def is_busy(self) -> bool:
+        """Return whether a thread is at work that Python would wait for."""
+        return bool(self.live.working)
 
-    def _advertise(self) -> None:
-        self._calibration = self.create_publisher(TransformStamped, '~/calibration', LATCHED)
-        self._markers = self.create_publisher(MarkerArray, '~/markers', LATCHED)
-        self._features = self.create_publisher(PointCloud2, '~/features', 10)
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._tf_static = None
-        if TFMessage:
-            self._tf_static = self.create_publisher(TFMessage, '/tf_static', LATCHED)
-        else:
-            self.get_logger().warning('tf2_msgs is not installed: the transform is published on '
-                                      '~/calibration only, not on /tf_static')
-        # of wall time: the state is told even when a simulated clock stands still
-        self.create_timer(1.0, self._diagnose, MutuallyExclusiveCallbackGroup(),
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+    @property
+    def state(self) -> State:
+        """Return all that is told of the session, as of now."""
+        return state_of(self.live, self._intake.obstacle)
 
     def _serve(self) -> None:
         quick, slow = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
@@ -81,6 +75,10 @@ class HandeyeNode(Node):
                                (slow, self.save_calibration)):
             self._offer(Trigger, service.__name__, partial(self._answer, service), group)
         self._offer(SetBool, 'auto_sample', self._auto_sample, quick)
+        self.create_subscription(Empty, '~/take', self._on_take, 10, callback_group=quick)
+        # of wall time: the state is told even when a simulated clock stands still
+        self.create_timer(1.0, self._diagnose, MutuallyExclusiveCallbackGroup(),
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _offer(self, kind: Any, name: str, callback: Any, group: CallbackGroup) -> None:
         """Create a service; whoever has gone away before the answer must not end the node."""
@@ -97,83 +95,79 @@ class HandeyeNode(Node):
 
         service.send_response = respond
 
-    # what goes out
+    # what is told
 
-    def _tell(self, outcomes: Sequence[Sample | Reject]) -> None:
-        count = len(self._live.samples) - sum(isinstance(o, Sample) for o in outcomes)
-        for outcome in outcomes:
-            if isinstance(outcome, Sample):
-                count += 1
-                self.get_logger().info(f'sample {count}: {sample_summary(outcome)}')
-                self._publish_sample(outcome)
-            else:
-                self.get_logger().warning(f'this stop gave no sample: {outcome.reason}')
-        warnings = self._live.warnings
-        if warnings and warnings != self._told:
-            self._told = warnings
-            self.get_logger().warning('; '.join(warnings), throttle_duration_sec=THROTTLE)
+    def _quietly(self, tell: Callable[..., object], *args: Any) -> None:
+        """Tell something, unless the node ends, and nobody hears of it any more."""
+        try:
+            tell(*args)
+        except UNSENDABLE:
+            if rclpy.ok():
+                raise
 
-    def _publish_sample(self, sample: Sample) -> None:
-        self._features.publish(feature_cloud(sample, self._live.config, self._live.frame_id))
-        self._publish_markers()
-
-    def _publish_markers(self) -> None:
-        live = self._live
-        self._markers.publish(markers(live.samples, live.calibration, live.config))
+    def _on_outcome(self, outcome: Outcome) -> None:
+        attempt = self.live.attempt
+        text = attempt.text if attempt else sample_summary(outcome.result)
+        if outcome.sample:
+            self.get_logger().info(text)
+            self._outlets.show_features(outcome)
+        else:
+            self.get_logger().warning(text)
 
     def _diagnose(self) -> None:
-        self._diagnostics.publish(diagnostics(
-            self._live, self.get_name(), self.get_clock().now().to_msg(),
-            self._intake.obstacle))
+        state = self.state
+        self._outlets.diagnose(state)
+        self._nag.tell((*state.troubles, *state.session.notes))
 
     # what is asked; each returns what to say
 
     def take_sample(self) -> str:
         """Take a sample where the robot stands."""
-        sample, text = self._live.take_sample()
-        self._publish_sample(sample)
-        return text
+        return self.live.take_sample()
 
     def remove_last_sample(self) -> str:
         """Forget the last sample."""
-        text = self._live.remove_last_sample()
-        self._publish_markers()
-        return text
+        return self.live.remove_last_sample()
 
     def clear_samples(self) -> str:
         """Forget all samples and all that was received."""
-        text = self._live.clear_samples()
+        text = self.live.clear_samples()
         self._intake.restart()
-        self._publish_markers()
         return text
 
     def compute_calibration(self) -> str:
-        """Solve; publish the answer if there is one."""
-        calibration, text = self._live.compute()
-        transform = transform_stamped(calibration, self.get_clock().now().to_msg())
-        self._calibration.publish(transform)
-        robot = (self._live.config.robot_base_frame, self._live.config.robot_effector_frame)
-        if self._tf_static and calibration.child_frame not in robot:
-            self._tf_static.publish(TFMessage(transforms=[transform]))
-        self._publish_markers()
-        return with_trouble(text, self._live.trouble)
+        """Solve, and publish the answer if there is one."""
+        return self.live.compute()[1]
 
     def save_calibration(self) -> str:
         """Write the last answer."""
-        return self._live.save()
+        return self.live.save()
+
+    def ask(self, service: Callable[[], str]) -> tuple[bool, str]:
+        """Return whether one of these succeeds, and the one sentence that tells so."""
+        try:
+            text, success = service(), True
+        except HandeyeError as error:
+            text, success = str(error), False
+        text = with_trouble(text, in_the_way(self.state, success, service.__name__))
+        log = self.get_logger()
+        if success:
+            log.info(text)
+        else:
+            log.warning(f'{service.__name__}: {text}')
+        return success, text
 
     def _answer(self, service: Callable[[], str], _: Trigger.Request,
                 response: Trigger.Response) -> Trigger.Response:
         try:
-            response.message, response.success = service(), True
-            self.get_logger().info(response.message)
-        except HandeyeError as error:
-            response.message = with_trouble(str(error), self._live.trouble)
-            self.get_logger().warning(f'{service.__name__}: {response.message}')
+            response.success, response.message = self.ask(service)
         except UNSENDABLE:
             if rclpy.ok():  # else the node ends, and nobody hears of it any more
                 raise
         return response
+
+    def _on_take(self, _: Empty) -> None:
+        self._quietly(self.ask, self.take_sample)
 
     def _auto_sample(self, request: SetBool.Request, response: SetBool.Response
                      ) -> SetBool.Response:
@@ -189,13 +183,13 @@ class HandeyeNode(Node):
 
     def _check_change(self, changes: list[Parameter]) -> SetParametersResult:
         try:
-            params.changed(self._live.config, changes, len(self._live.samples))
+            params.changed(self.live.config, changes)
         except HandeyeError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _apply_change(self, changes: list[Parameter]) -> None:
-        self._live.configure(params.changed(self._live.config, changes, 0))
+        self.live.configure(params.changed(self.live.config, changes))
 
 
 def run() -> None:
@@ -203,7 +197,9 @@ def run() -> None:
     with ros():
         try:
             node = HandeyeNode()
-        except RCLError as error:
+        except UNSENDABLE as error:
+            if not rclpy.ok():  # a signal came meanwhile
+                return
             raise TopicsError(str(error)) from error
         executor = MultiThreadedExecutor(THREADS)
         executor.add_node(node)
@@ -217,13 +213,8 @@ def run() -> None:
         finally:
             executor.shutdown()
             node.destroy_node()
-        if node.is_solving:
+        if node.is_busy:
             # nobody is left to answer; Python would wait for the thread of the solve
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(0)
-
-
-def main() -> int:
-    """Run the executable `calibrate`."""
-    return exit_code(run)

@@ -21,10 +21,6 @@ from rclpy.parameter import Parameter as RosParameter
 # What the node subscribes to, or tells others, from its start on.
 FIXED = ('robot_base_frame', 'robot_effector_frame', 'pose_source', 'pose_topic',
          'profile_topic', 'session')
-# What the samples do not depend on; all other keys need that there are none.
-FREE = ('name', 'limits.translation', 'limits.rotation', 'limits.residual', 'sampling.mode',
-        'samples.exclude', 'save.formats', 'output_dir')
-
 # Keys that serve only targets that are solved from files.
 FILES_ONLY = ('tracker.', 'sensor_frame')
 
@@ -95,30 +91,22 @@ def _constraints(parameter: Parameter) -> str:
         parts.append('one of ' + ', '.join(map(str, parameter.choices)))
     if parameter.key in FIXED:
         parts.append('fixed while the node runs')
-    elif parameter.key not in FREE:
-        parts.append('cannot change while there are samples')
     return '; '.join(parts)
 
 
-def changed(config: Config, changes: Iterable[RosParameter], samples: int) -> Config:
+def changed(config: Config, changes: Iterable[RosParameter]) -> Config:
     """
     Return config with a change at run time put in.
 
-    samples: how many there are now. Raises BadValueError, or InputError when the change has
-    to wait or to be made at the start.
+    Raises BadValueError, or InputError when the change has to be made at the start.
 
     """
     values = _values(changes)
     new = configuration.with_values(config, values, "the node's parameters")
     before, after = configuration.flatten(config), configuration.flatten(new)
     for key in values:
-        if before[key] == after[key]:
-            continue
-        if key in FIXED:
+        if key in FIXED and before[key] != after[key]:
             raise InputError(f'{key} is fixed while the node runs; set it at its start')
-        if key not in FREE and samples:
-            raise InputError(f'{key} cannot change while there are {samples} samples that were '
-                             'taken with the old value; call ~/clear_samples first')
     _check_names(new)
     return new
 

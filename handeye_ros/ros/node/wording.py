@@ -7,6 +7,7 @@ import math
 
 from handeye_ros import se3
 from handeye_ros.data import Calibration, Reject, Sample
+from handeye_ros.sampling.state import State
 import numpy as np
 
 NAMES = {'FaceLine': 'face line', 'EdgePoint': 'edge point', 'Arc': 'arc'}
@@ -35,6 +36,18 @@ def late_sentence(kinds: Sequence[str]) -> str:
 def with_trouble(text: str, trouble: str) -> str:
     """Return a text, and what else a person should know who reads it."""
     return text if trouble in text else f'{text}; {trouble}'
+
+
+def in_the_way(state: State, success: bool, service: str) -> str:
+    """
+    Return what else a person should know who reads the answer of a service.
+
+    Silence is told where it explains a refusal: nothing ever came, or a sample is wanted now.
+    """
+    streams = [stream.trouble for stream in (state.profiles, state.poses)
+               if stream.count == 0 or stream.malformed > stream.count
+               or service == 'take_sample']
+    return '; '.join(filter(None, (*([] if success else streams), state.session.trouble)))
 
 
 def changes_since(solved: Set[int], now: Set[int]) -> str:

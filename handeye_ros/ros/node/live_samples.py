@@ -1,0 +1,205 @@
+"""
+The samples of a running node: fed, judged, stored and changed from different threads.
+
+Knows no ROS. The lock is held around the session alone, for as long as a message takes. What
+takes its time (to extract, to store) is done by a worker or by whoever asks, one thing after
+the other, while messages go on coming in.
+"""
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+import threading
+
+from handeye_ros.config import Config
+from handeye_ros.data import Profile, Reject, TimedPose
+from handeye_ros.errors import HandeyeError, InputError
+from handeye_ros.ros.node.arrivals import Arrivals
+from handeye_ros.ros.node.settings import changes_samples
+from handeye_ros.ros.node.store import NoStore, Store
+from handeye_ros.ros.node.wording import count_of, sample_summary
+from handeye_ros.sampling.errors import NothingNewError
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.state import Attempt
+from handeye_ros.sampling.stops import Outcome, result_of, sample_of, Stop
+
+
+class LiveSamples:
+    """
+    The samples of a running node.
+
+    on_outcome: called with each new outcome; on_change: after whatever changes the state.
+    """
+
+    def __init__(self, config: Config, store: Store | None = None) -> None:
+        """Start without samples; raises BadValueError for a method that does not exist."""
+        self._lock = threading.Lock()  # of the session
+        self._work = threading.RLock()  # of what is done with it, one thing after the other
+        self._session = Session(config)
+        self._store = store or NoStore()
+        self._stops: deque[Stop] = deque()  # over, but not yet judged
+        self._wake = threading.Event()  # of a worker that calls settle
+        self._cleared = 0  # how often
+        self._stale = False  # whether the samples are to be extracted anew
+        self.config = config
+        self.arrivals = Arrivals()
+        self.attempt: Attempt | None = None
+        self.working = ''
+        self.store_trouble = ''
+        self.on_outcome: Callable[[Outcome], None] = lambda outcome: None
+        self.on_change: Callable[[], None] = lambda: None
+
+    # what comes in
+
+    def add_profile(self, profile: Profile) -> None:
+        """Take a profile."""
+        self.arrivals.came('profile', profile.stamp)
+        with self._lock:
+            self._session.add_profile(profile)
+            self._put_off(self._session.passed())
+
+    def add_poses(self, poses: Iterable[TimedPose]) -> None:
+        """Take poses."""
+        with self._lock:
+            for pose in poses:
+                self.arrivals.came('pose', pose.stamp)
+                self._session.add_pose(pose)
+            self._put_off(self._session.passed())
+
+    def _put_off(self, stops: Iterable[Stop]) -> None:
+        """Leave stops to the worker."""
+        self._stops.extend(stops)
+        if self._stops:
+            self._wake.set()
+
+    # what is known
+
+    def copied(self) -> Session:
+        """Return the session of this moment."""
+        with self._lock:
+            return self._session.copied()
+
+    @property
+    def path(self) -> str:
+        """Return the folder of the session, empty before the first sample is stored."""
+        return self._store.path
+
+    # what becomes of the stops
+
+    def judge_all(self) -> None:
+        """Judge every stop that is over; extract anew what other settings ask for."""
+        with self._work:
+            self._extract_anew()
+            while self._stops:
+                self._judge(self._stops.popleft())
+
+    def _judge(self, stop: Stop) -> None:
+        result = result_of(stop, self.config)
+        with self._lock:
+            outcome = self._session.outcome(stop, result)
+        try:
+            outcome = self._store.add(outcome, self.config)
+            self.store_trouble = ''
+        except InputError as error:
+            self.store_trouble = str(error)
+            outcome = Outcome(outcome.number, stop, Reject(outcome.result.stamp, str(error)))
+        self._put(outcome)
+        self._told(outcome.sample is not None, outcome.number, (
+            f'sample {outcome.number} taken: ' if outcome.sample else
+            f'stop {outcome.number} gave no sample: ') + sample_summary(outcome.result))
+        self.on_outcome(outcome)
+
+    def _put(self, outcome: Outcome) -> None:
+        with self._lock:
+            self._session.put(outcome)
+        self._wake.set()
+
+    def _extract_anew(self) -> None:
+        """Let the stored profiles give what the settings of now make of them."""
+        if not self._stale:
+            return
+        self._stale, self.working = False, 'the samples are extracted anew from their profiles'
+        with self._lock:
+            outcomes = self._session.outcomes
+        self.on_change()
+        fresh = [replace(o, result=result_of(o.stop, self.config)) for o in outcomes]
+        with self._lock:
+            self._session.replace(fresh)
+        self.working = ''
+
+    # what is asked; each returns what to say
+
+    def take_sample(self) -> str:
+        """Take a sample where the robot stands; raises DataError, or InputError unstored."""
+        try:
+            return self._take()
+        except HandeyeError as error:
+            self._told(False, 0, str(error))
+            raise
+        finally:
+            self.on_change()
+
+    def _take(self) -> str:
+        with self._work:
+            self.judge_all()
+            with self._lock:
+                stop = self._session.here()
+            sample = sample_of(stop, self.config)
+            with self._lock:
+                outcome = self._session.outcome(stop, sample)
+                again = any(o.stop.began == stop.began for o in self._session.outcomes)
+            if outcome.sample is None:
+                raise NothingNewError(sample_summary(outcome.result))
+            outcome = self._store.add(outcome, self.config)
+            self.store_trouble = ''
+            self._put(outcome)
+        again_text = ' again, as the robot has not moved since' if again else ''
+        text = f'sample {outcome.number} taken{again_text}: {sample_summary(sample)}'
+        self._told(True, outcome.number, text)
+        self.on_outcome(outcome)
+        return text
+
+    def _told(self, accepted: bool, number: int, text: str) -> None:
+        self.attempt = Attempt(accepted, number, text)
+
+    def remove_last_sample(self) -> str:
+        """Forget the last sample; raises DataError when there is none, InputError unstored."""
+        with self._work:
+            self.judge_all()
+            with self._lock:
+                last = self._session.last()
+            self._store.remove(last.number, self.config)
+            with self._lock:
+                self._session.remove(last)
+                count = sum(o.sample is not None for o in self._session.outcomes)
+        self._wake.set()
+        return (f'removed sample {last.number}, the last one ({sample_summary(last.result)}); '
+                f'{count} left')
+
+    def clear_samples(self) -> str:
+        """Forget all samples, and all that was received; raises InputError."""
+        with self._work:
+            kept = self._store.restart(self.config)
+            with self._lock:
+                self._stops.clear()
+                count = sum(o.sample is not None for o in self._session.outcomes)
+                self._session.clear()
+                self._cleared += 1
+            self.attempt = None
+        self._wake.set()
+        return (f'{count_of(count, "sample")} removed; bags and clocks may start again{kept}')
+
+    # what is set
+
+    def configure(self, config: Config) -> None:
+        """Go on with another configuration, already checked by params.changed."""
+        with self._lock:
+            before, self.config = self.config, config
+            self._session.configure(config)
+            self._stale |= changes_samples(before, config)
+        try:
+            self._store.configured(config)
+            self.store_trouble = ''
+        except InputError as error:
+            self.store_trouble = str(error)

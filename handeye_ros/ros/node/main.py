@@ -1,0 +1,75 @@
+"""
+The executable `calibrate`: arguments, signals, exit codes.
+
+What takes long to import is imported inside, so that Ctrl-C ends it cleanly from the first
+moment on.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+import os
+import signal
+import sys
+
+USAGE = """\
+usage: calibrate [--help] [--ros-args [-p KEY:=VALUE]... [--params-file FILE] [-r OLD:=NEW]...]
+
+Runs the node handeye: takes samples of the target as the robot moves, and computes and saves the
+calibration on request. All settings are ROS parameters, so they stand behind --ros-args:
+
+  calibrate --ros-args --params-file config/plate.yaml -p session:=last
+
+`ros2 param list /handeye` and `ros2 param describe /handeye KEY` explain them while it runs.
+"""
+
+
+def own_arguments(argv: Sequence[str]) -> list[str]:
+    """Return what stands outside of --ros-args ... [--]."""
+    own, of_ros = [], False
+    for argument in argv:
+        if of_ros:
+            of_ros = argument != '--'
+        elif argument == '--ros-args':
+            of_ros = True
+        else:
+            own.append(argument)
+    return own
+
+
+def refused(arguments: Sequence[str]) -> int | None:
+    """Print the usage where arguments ask for it or are none of ours; return the exit code."""
+    if not arguments:
+        return None
+    if arguments[0] in ('-h', '--help'):
+        print(USAGE, end='')
+        return 0
+    print(f'error: unknown arguments: {" ".join(arguments)} (ROS arguments such as --params-file '
+          f'and -p stand behind --ros-args)\n{USAGE}', end='', file=sys.stderr)
+    return 2
+
+
+def main() -> int:
+    """Run the executable `calibrate`."""
+    code = 0
+    with suppress(KeyboardInterrupt, OSError):  # OSError: a full device takes no output
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        known = refused(own_arguments(sys.argv[1:]))
+        if known is not None:
+            return known
+        from handeye_ros.ros.executable import exit_code
+        from handeye_ros.ros.node.node import run
+        code = exit_code(run)
+    return code if flushed() else code or 1
+
+
+def flushed() -> bool:
+    """Write what is left to be written; a device that takes none must not end in a traceback."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            with suppress(OSError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            return False
+    return True

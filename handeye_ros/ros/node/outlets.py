@@ -1,0 +1,105 @@
+"""
+What the node publishes of its session: the answer, the samples, what they look like.
+
+A latched topic keeps its last message for whoever joins later. Where there is no answer any
+more, the publisher is made anew, so that a late joiner gets none; who has the old one is told
+so by ~/status.
+"""
+from __future__ import annotations
+
+import json
+import threading
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TransformStamped
+from handeye_ros.data import Calibration
+from handeye_ros.ros.node.diagnostics import diagnostics
+from handeye_ros.ros.node.intake import TFMessage
+from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.ros.node.outgoing import feature_cloud, LATCHED, markers, transform_stamped
+from handeye_ros.ros.node.telling import state_of
+from handeye_ros.sampling.state import samples_message, State, status_message
+from handeye_ros.sampling.stops import Outcome
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+
+
+class Outlets:
+    """The publishers; each state is told once."""
+
+    def __init__(self, node: Node, live: LiveSession) -> None:
+        """Advertise all topics."""
+        self._node, self._live = node, live
+        self._lock = threading.Lock()
+        self._shown: Calibration | None = None
+        self._told: dict[str, str] = {}
+        self._texts = {name: node.create_publisher(String, f'~/{name}', LATCHED)
+                       for name in ('samples', 'status')}
+        self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED)
+        self._features = node.create_publisher(PointCloud2, '~/features', 10)
+        self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        if not TFMessage:
+            node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
+                                      '~/calibration only, not on /tf_static')
+        self._advertise_answer()
+
+    def _advertise_answer(self) -> None:
+        create = self._node.create_publisher
+        self._calibration = create(TransformStamped, '~/calibration', LATCHED)
+        self._tf_static = create(TFMessage, '/tf_static', LATCHED) if TFMessage else None
+
+    def show(self) -> None:
+        """Publish what has changed since the last time."""
+        with self._lock:
+            state = state_of(self._live)
+            self._say('samples', json.dumps(samples_message(state)))
+            self._show_answer(self._live.calibration)
+            self._say('status', json.dumps(status_message(state)))
+
+    def _say(self, name: str, text: str) -> None:
+        if self._told.get(name) != text:
+            self._told[name] = text
+            self._texts[name].publish(String(data=text))
+            if name == 'samples':
+                self._draw()
+
+    def _show_answer(self, calibration: Calibration | None) -> None:
+        if calibration is self._shown:
+            return
+        if calibration is None:
+            self._withdraw()
+        else:
+            self._publish(calibration)
+        self._shown = calibration
+        self._draw()
+
+    def _withdraw(self) -> None:
+        for publisher in filter(None, (self._calibration, self._tf_static)):
+            self._node.destroy_publisher(publisher)
+        self._advertise_answer()
+
+    def _publish(self, calibration: Calibration) -> None:
+        config = self._live.config
+        transform = transform_stamped(calibration, self._node.get_clock().now().to_msg())
+        self._calibration.publish(transform)
+        robot = (config.robot_base_frame, config.robot_effector_frame)
+        if self._tf_static and calibration.child_frame not in robot:
+            self._tf_static.publish(TFMessage(transforms=[transform]))
+
+    def _draw(self) -> None:
+        live = self._live
+        self._markers.publish(markers(live.copied().samples, live.calibration, live.config))
+
+    def show_features(self, outcome: Outcome) -> None:
+        """Publish what a new sample saw."""
+        if outcome.sample:
+            self._features.publish(feature_cloud(outcome.sample, self._live.config,
+                                                 self._live.copied().frame_id))
+
+    def diagnose(self, state: State) -> None:
+        """Publish the state of each concern."""
+        name = self._node.get_fully_qualified_name().lstrip('/')
+        self._diagnostics.publish(diagnostics(state, self._live.arrivals, name,
+                                              self._node.get_clock().now().to_msg()))

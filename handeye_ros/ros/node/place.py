@@ -1,0 +1,38 @@
+"""The folder in which a node keeps its sessions and results."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+import os
+from pathlib import Path
+
+from handeye_ros.config import Config
+from handeye_ros.errors import UnwritableError
+from handeye_ros.results.calibration_file import folder_name
+
+FOLDER = 'handeye_ros'
+
+
+@dataclass(frozen=True)
+class Place:
+    """
+    Where the folder <name> of a node is.
+
+    That is output_dir where it is set, else $ROS_HOME/handeye_ros (~/.ros/handeye_ros where
+    ROS_HOME is not set), below it the namespace, so that two nodes do not share a folder.
+    """
+
+    namespace: str = '/'
+
+    def parent(self, config: Config) -> Path:
+        """Return what is above the folder of a name, absolute; raises UnwritableError."""
+        home = os.environ.get('ROS_HOME') or '~/.ros'
+        parent = Path(config.output_dir) if config.output_dir else (
+            Path(home) / FOLDER / self.namespace.strip('/'))
+        try:
+            return parent.expanduser().absolute()
+        except RuntimeError as error:
+            raise UnwritableError(parent, str(error)) from error
+
+    def folder(self, config: Config) -> Path:
+        """Return the folder of the name, absolute; raises UnwritableError and BadValueError."""
+        return self.parent(config) / folder_name(config)

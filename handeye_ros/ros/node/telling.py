@@ -1,0 +1,103 @@
+"""The state of a running session: everything that is told of it, gathered at one moment."""
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.results import calibration_file
+from handeye_ros.ros.node.live import LiveSession, stamps_of
+from handeye_ros.ros.node.wording import late_sentence, sample_summary
+from handeye_ros.sampling.review import Agreement
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.state import (
+    MotionState,
+    SampleState,
+    SessionState,
+    State,
+    StreamState,
+)
+from handeye_ros.sampling.stops import Outcome
+
+SILENCE = 2.0  # s without a message after which a person should look
+
+Obstacle = Callable[[str], str]
+
+
+def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '') -> State:
+    """Return the state of a session; obstacle: tells why no profile, or pose, comes in."""
+    session, config = live.copied(), live.config
+    by_topic = config.pose_source == 'topic'
+    agreements = _agreements(live)
+    samples = tuple(_sample(outcome, session, agreements.get(outcome.number))
+                    for outcome in session.outcomes)
+    worst = sorted((s for s in samples if s.left_out is not None),
+                   key=lambda s: s.left_out or 0.0, reverse=True)
+    return State(
+        calibration_file.folder_name(config),
+        _stream(live, 'profile', config.profile_topic, session.frame_id, obstacle),
+        _stream(live, 'pose', config.pose_topic if by_topic else '/tf', '', obstacle),
+        _motion(session),
+        SessionState(live.path, config.sampling.mode, live.working,
+                     _trouble(live, session), session.warnings),
+        samples, tuple(sample.number for sample in worst), live.no_review, live.attempt,
+        live.answer.state(stamps_of(session)))
+
+
+def _agreements(live: LiveSession) -> dict[int, Agreement]:
+    """Return what the last review says of each sample, by number."""
+    found = live.review
+    if found is None:
+        return {}
+    pairs = zip(live.reviewed, found.agreements, strict=False)
+    return {outcome.number: agreement for outcome, agreement in pairs if agreement}
+
+
+def _stream(live: LiveSession, kind: str, place: str, frame: str, obstacle: Obstacle
+            ) -> StreamState:
+    arrivals = live.arrivals
+    troubles = (_silence(live, kind, place, obstacle), arrivals.mostly_malformed(kind))
+    return StreamState(kind, place, arrivals.counts[kind], arrivals.bad[kind],
+                       arrivals.silence(kind), frame, '; '.join(filter(None, troubles)))
+
+
+def _silence(live: LiveSession, kind: str, place: str, obstacle: Obstacle) -> str:
+    seconds = live.arrivals.silence(kind)
+    if seconds < SILENCE:
+        return ''
+    none = 'no' if live.arrivals.counts[kind] == 0 else 'no more'
+    why = obstacle(kind)
+    source = 'from' if place == '/tf' else 'on'
+    return f'{none} {kind}s {source} {place} for {seconds:.0f} s' + (f' ({why})' if why else '')
+
+
+def _motion(session: Session) -> MotionState:
+    motion = session.motion
+    if motion is None:
+        return MotionState(False, 0.0, 0.0, 0.0, 'too few poses have come to tell')
+    return MotionState(session.is_standing, motion.speed, motion.turning, motion.still,
+                       motion.sentence)
+
+
+def _trouble(live: LiveSession, session: Session) -> str:
+    """Return why what comes in now is of no use, and what to do; empty if it is."""
+    found = (str(session.conflict or ''), late_sentence(session.late) if session.late else '',
+             live.arrivals.clocks, session.unasked, live.store_trouble)
+    return '; '.join(filter(None, found))
+
+
+def _sample(outcome: Outcome, session: Session, agreement: Agreement | None) -> SampleState:
+    sample, excluded = outcome.sample, session.excludes(outcome)
+    text = sample_summary(outcome.result)
+    if sample is None:
+        return SampleState(outcome.number, outcome.result.stamp, False, excluded, False, text)
+    T = sample.T_base_flange
+    return SampleState(
+        outcome.number, sample.stamp, True, excluded,
+        not excluded and (agreement is None or agreement.used), text,
+        agreement.residual if agreement else None, agreement.left_out if agreement else None,
+        _plain(T[:3, 3]), _plain(se3.quaternion(T)))
+
+
+def _plain(values: Array) -> tuple[float, ...]:
+    return tuple(map(float, values))

@@ -1,0 +1,107 @@
+"""
+How well each sample agrees with the others: from three samples on, long before an answer.
+
+The fit is that of the solver, with none of the checks that an answer must pass.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from handeye_ros import methods
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Sample
+from handeye_ros.errors import DataError
+from handeye_ros.estimation.method import Estimate, UNUSED
+from handeye_ros.estimation.problem import points_in_base, Problem
+from handeye_ros.estimation.robust import consensus
+from handeye_ros.estimation.solve import Solution, without
+from handeye_ros.results.outcome import Measured, measured_points, mounted
+import numpy as np
+
+FEWEST = 3  # samples that can say anything of each other
+
+
+class NoReviewError(DataError):
+    """Too few samples, or such that no fit can be started."""
+
+    def __init__(self, samples: int) -> None:
+        super().__init__(f'{samples} samples are used: residuals are told from {FEWEST} on')
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """
+    RMS distances of a sample's points to the fitted target, in metres.
+
+    residual: from the fit; left_out: from the fit without this sample; used: whether the fit
+    believes it. Both residuals are the same for a sample that the fit does not use.
+    """
+
+    residual: float
+    left_out: float
+    used: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Review:
+    """
+    What the samples say of each other.
+
+    agreements: one for each sample, None for one that shows nothing of the fitted target;
+    solution: the fit, however uncertain.
+    """
+
+    agreements: tuple[Agreement | None, ...]
+    solution: Solution
+
+
+def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) -> Review:
+    """
+    Return what samples say of each other; those not included are only compared with the fit.
+
+    Raises NoReviewError for too few, DataError where no fit can be started.
+    """
+    chosen = [i for i, use in enumerate(included) if use]
+    if len(chosen) < FEWEST:
+        raise NoReviewError(len(chosen))
+    method = methods.of(config)
+    fitted = [samples[i] for i in chosen]
+    problem = Problem(method, mounted(fitted, config), method.observe(fitted), config)
+    agreed = consensus(problem, np.random.default_rng(0))
+    solution = agreed.solution
+    rms = _residuals(samples, solution, config)
+    used = {chosen[place]: k for k, place in enumerate(agreed.used)}
+    found = [None if np.isnan(value) else Agreement(float(value), float(value), i in used)
+             for i, value in enumerate(rms)]
+    left_out = _left_out([samples[i] for i in used], solution)
+    for i, k in used.items():
+        if np.isfinite(rms[i]):
+            found[i] = Agreement(float(rms[i]), float(left_out[k]), True)
+    return Review(tuple(found), solution)
+
+
+def _residuals(samples: Sequence[Sample], solution: Solution, config: Config) -> Array:
+    """Return the RMS residual (n,) of each sample at a solution, NaN where it shows nothing."""
+    method, estimate = solution.problem.method, solution.estimate
+    whole = Problem(method, mounted(samples, config), method.observe(samples), config)
+    labelled = method.relabel(whole.observations, points_in_base(whole, estimate.X),
+                              estimate.target, config)
+    problem = Problem(method, whole.poses, labelled.select(labelled.kind != UNUSED), config)
+    return _rms(measured_points(samples, problem), problem, estimate)
+
+
+def _left_out(used: Sequence[Sample], solution: Solution) -> Array:
+    """Return the RMS residual (n,) of each used sample from the fit to the others."""
+    measured = measured_points(used, solution.problem)
+    return np.array([
+        _rms(measured, solution.problem, without(solution, np.array([k])))[k]
+        for k in range(len(used))])
+
+
+def _rms(measured: Measured, problem: Problem, estimate: Estimate) -> Array:
+    squares = measured.residuals(problem, estimate) ** 2
+    n = len(problem.poses)
+    count = np.bincount(measured.station, minlength=n)
+    with np.errstate(invalid='ignore', divide='ignore'):
+        return np.asarray(np.sqrt(np.bincount(measured.station, squares, minlength=n) / count))
