@@ -92,3 +92,10 @@ class UnpublishedError(InputError):
     def __init__(self, failed: int, total: int) -> None:
         super().__init__(f'{failed} of {total} calibrations not published: see above, and name '
                          'files that handeye solve or ~/save_calibration wrote')
+
+
+class SessionError(InputError):
+    """A folder that is no session, or one that cannot be gone on with."""
+
+    def __init__(self, path: object, reason: str) -> None:
+        super().__init__(f'{path} {reason}')

@@ -98,7 +98,7 @@ class Session(Watch):
         number = before[0].number if before else self._numbers + 1
         others = [o for o in self._outcomes if o not in before and not self.excludes(o)]
         why = nothing_new(result, others, self._config) if isinstance(result, Sample) else ''
-        return Outcome(number, stop, Reject(result.stamp, why) if why else result)
+        return Outcome(number, stop, Reject(result.stamp, why) if why else result, why)
 
     def put(self, outcome: Outcome) -> Outcome:
         """Keep what became of a stop, instead of what was known of it; return it."""

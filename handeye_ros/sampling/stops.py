@@ -8,7 +8,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from handeye_ros import methods, se3
 from handeye_ros.config import Config, flipped_range
@@ -46,11 +46,17 @@ class Stop:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of a stop; number: counted from 1, never given twice in a session."""
+    """
+    What became of a stop.
+
+    number: counted from 1, never given twice in a session; refused: why its sample is none,
+    whatever the profiles show.
+    """
 
     number: int
     stop: Stop
     result: Sample | Reject
+    refused: str = ''
 
     @property
     def sample(self) -> Sample | None:
@@ -137,3 +143,11 @@ def result_of(stop: Stop, config: Config) -> Sample | Reject:
         profiles = _still(seen, config)
         flipped = _flipped(profiles[0], config) if profiles else ()
         return Reject(seen.poses[0].stamp, str(error), flipped)
+
+
+def judged(outcome: Outcome, config: Config) -> Outcome:
+    """Return what becomes of the same stop with another configuration."""
+    if outcome.refused:
+        stamp = outcome.stop.load(config).poses[0].stamp
+        return replace(outcome, result=Reject(stamp, outcome.refused))
+    return replace(outcome, result=result_of(outcome.stop, config))

@@ -67,6 +67,13 @@ def _write_messages(path: Path, profiles: Iterable[Profile], poses: Iterable[Tim
                 writer.write(stamped, item.stamp, types.serialize_cdr(pose, pose_type))
 
 
+def cloud_cdr(profile: Profile, config: Config) -> bytes:
+    """Return a profile as a serialised sensor_msgs/PointCloud2, with no digit lost."""
+    types = get_typestore(Stores.ROS2_JAZZY)
+    cloud = _cloud(types, profile, LAYOUTS['double'], config.profile.unit)
+    return bytes(types.serialize_cdr(cloud, 'sensor_msgs/msg/PointCloud2'))
+
+
 def _header(types: Any, stamp: int, frame_id: str) -> Any:
     time = types.types['builtin_interfaces/msg/Time'](*divmod(stamp, 1_000_000_000))
     return types.types['std_msgs/msg/Header'](time, frame_id)

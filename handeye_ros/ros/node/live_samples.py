@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 import threading
 
 from handeye_ros.config import Config
-from handeye_ros.data import Profile, Reject, TimedPose
+from handeye_ros.data import AnyProfile, Reject, TimedPose
 from handeye_ros.errors import HandeyeError, InputError
 from handeye_ros.ros.node.arrivals import Arrivals
 from handeye_ros.ros.node.settings import changes_samples
@@ -22,7 +21,7 @@ from handeye_ros.ros.node.wording import count_of, sample_summary
 from handeye_ros.sampling.errors import NothingNewError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.state import Attempt
-from handeye_ros.sampling.stops import Outcome, result_of, sample_of, Stop
+from handeye_ros.sampling.stops import judged, Outcome, result_of, sample_of, Stop
 
 
 class LiveSamples:
@@ -52,7 +51,7 @@ class LiveSamples:
 
     # what comes in
 
-    def add_profile(self, profile: Profile) -> None:
+    def add_profile(self, profile: AnyProfile) -> None:
         """Take a profile."""
         self.arrivals.came('profile', profile.stamp)
         with self._lock:
@@ -123,7 +122,7 @@ class LiveSamples:
         with self._lock:
             outcomes = self._session.outcomes
         self.on_change()
-        fresh = [replace(o, result=result_of(o.stop, self.config)) for o in outcomes]
+        fresh = [judged(outcome, self.config) for outcome in outcomes]
         with self._lock:
             self._session.replace(fresh)
         self.working = ''

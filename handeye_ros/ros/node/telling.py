@@ -56,9 +56,9 @@ def _agreements(live: LiveSession) -> dict[int, Agreement]:
 def _stream(live: LiveSession, kind: str, place: str, frame: str, obstacle: Obstacle
             ) -> StreamState:
     arrivals = live.arrivals
-    troubles = (_silence(live, kind, place, obstacle), arrivals.mostly_malformed(kind))
+    trouble = arrivals.mostly_malformed(kind) or _silence(live, kind, place, obstacle)
     return StreamState(kind, place, arrivals.counts[kind], arrivals.bad[kind],
-                       arrivals.silence(kind), frame, '; '.join(filter(None, troubles)))
+                       arrivals.silence(kind), frame, trouble)
 
 
 def _silence(live: LiveSession, kind: str, place: str, obstacle: Obstacle) -> str:

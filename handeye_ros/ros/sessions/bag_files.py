@@ -1,0 +1,161 @@
+"""
+The files of a session: each written whole, or not at all, and on the disk when it is there.
+
+A file is written under another name, synced, renamed, and its folder synced; then metadata.yaml
+is written in the same way. Whenever the process, or the power, ends: all files are complete
+bags, and metadata.yaml lists all of them but perhaps the last one, which nobody was told of.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+import os
+from pathlib import Path
+import re
+import struct
+from typing import Any
+
+from handeye_ros.errors import BagError
+from handeye_ros.ros.bags.contents import Raw
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from rosbags.typesys import get_typestore, Stores
+import yaml
+
+SUFFIX = '.mcap'
+METADATA = 'metadata.yaml'
+CHUNK = 1 << 22  # bytes; a chunk is what a reader has to unpack to read one message
+
+
+@dataclass(frozen=True)
+class BagFile:
+    """What metadata.yaml tells of a file: times in ns, and how many messages by topic."""
+
+    name: str
+    first: int
+    last: int
+    counts: dict[str, int]
+
+
+def write_file(path: Path, messages: Sequence[Raw], types: dict[str, str]) -> BagFile:
+    """Write messages as an .mcap file, whole or not at all; raises OSError."""
+    temporary = path.with_name(f'.{path.name}.tmp')
+    try:
+        with temporary.open('xb') as stream:
+            _write_messages(stream, messages, types)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+        sync_folder(path.parent)
+    except OSError:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+    return described(path.name, messages)
+
+
+def read_file(path: Path, topics: Sequence[str] = ()) -> tuple[dict[str, str], list[Raw]]:
+    """
+    Return the types by topic and the messages (of these topics, or all) of a file.
+
+    Raises BagError.
+    """
+    try:
+        with path.open('rb') as stream:
+            reader = make_reader(stream)
+            summary = reader.get_summary()
+            if summary is None:
+                raise BagError(path, 'is cut off')
+            types = {channel.topic: summary.schemas[channel.schema_id].name
+                     for channel in summary.channels.values()}
+            messages = [Raw(channel.topic, message.log_time, message.data)
+                        for _, channel, message in reader.iter_messages(topics or None)]
+    except OSError as error:
+        raise BagError(path, f'cannot be read: {error.strerror or error}') from error
+    except (McapError, KeyError, struct.error) as error:
+        raise BagError(path, f'is damaged: {error}') from error
+    return types, messages
+
+
+def described(name: str, messages: Iterable[Raw]) -> BagFile:
+    """Return what metadata.yaml tells of a file with these messages."""
+    times, counts = [], dict[str, int]()
+    for message in messages:
+        times.append(message.log_time)
+        counts[message.topic] = counts.get(message.topic, 0) + 1
+    return BagFile(name, min(times, default=0), max(times, default=0), counts)
+
+
+def _write_messages(stream: Any, messages: Sequence[Raw], types: dict[str, str]) -> None:
+    definitions = get_typestore(Stores.ROS2_JAZZY)
+    writer = Writer(stream, CHUNK, CompressionType.ZSTD)
+    writer.start('ros2', 'handeye_ros')
+    channels = {}
+    for topic, kind in types.items():
+        text, _ = definitions.generate_msgdef(kind, ros_version=2)
+        schema = writer.register_schema(kind, 'ros2msg', text.encode())
+        channels[topic] = writer.register_channel(topic, 'cdr', schema,
+                                                  {'offered_qos_profiles': ''})
+    for message in sorted(messages, key=lambda message: message.log_time):
+        writer.add_message(channels[message.topic], message.log_time, message.data,
+                           message.log_time)
+    writer.finish()
+
+
+def write_metadata(folder: Path, files: Sequence[BagFile], types: dict[str, str]) -> None:
+    """Write metadata.yaml of all files, whole or not at all; raises OSError."""
+    text = yaml.safe_dump({'rosbag2_bagfile_information': _metadata(files, types)},
+                          sort_keys=False)
+    temporary = folder / f'.{METADATA}.tmp'
+    with temporary.open('w', encoding='utf-8') as stream:
+        stream.write(text)
+        stream.flush()
+        os.fsync(stream.fileno())
+    os.replace(temporary, folder / METADATA)
+    sync_folder(folder)
+
+
+def _metadata(files: Sequence[BagFile], types: dict[str, str]) -> dict[str, object]:
+    definitions = get_typestore(Stores.ROS2_JAZZY)
+    first, last = min(file.first for file in files), max(file.last for file in files)
+    counts = {topic: sum(file.counts.get(topic, 0) for file in files) for topic in types}
+    return {
+        'version': 9, 'storage_identifier': 'mcap',
+        'duration': {'nanoseconds': last - first},
+        'starting_time': {'nanoseconds_since_epoch': first},
+        'message_count': sum(counts.values()),
+        'topics_with_message_count': [
+            {'topic_metadata': {
+                'name': topic, 'type': kind, 'serialization_format': 'cdr',
+                'offered_qos_profiles': [],
+                'type_description_hash': definitions.hash_rihs01(kind)},
+             'message_count': counts[topic]} for topic, kind in types.items()],
+        'compression_format': '', 'compression_mode': '',
+        'relative_file_paths': [file.name for file in files],
+        'files': [{'path': file.name,
+                   'starting_time': {'nanoseconds_since_epoch': file.first},
+                   'duration': {'nanoseconds': file.last - file.first},
+                   'message_count': sum(file.counts.values())} for file in files],
+        'custom_data': None, 'ros_distro': 'jazzy'}
+
+
+def sync_folder(folder: Path) -> None:
+    """Let the names in a folder be on the disk; raises OSError."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def number_of(path: Path) -> int:
+    """Return the place of a file in its session, -1 if it is none of its files."""
+    match = re.search(rf'_(\d+){re.escape(SUFFIX)}$', path.name)
+    return int(match[1]) if match and not path.name.startswith('.') else -1
+
+
+def files_of(folder: Path) -> list[Path]:
+    """Return the files of a session in the order in which they were written; raises OSError."""
+    return sorted((path for path in folder.iterdir() if number_of(path) >= 0), key=number_of)

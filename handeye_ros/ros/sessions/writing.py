@@ -1,0 +1,201 @@
+"""The store of a running node: what happens is on the disk before anybody is told of it."""
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from datetime import datetime, UTC
+import fcntl
+from functools import partial
+import os
+from pathlib import Path
+import time
+from typing import Any
+
+from handeye_ros.config import Config
+from handeye_ros.data import Profile
+from handeye_ros.errors import UnwritableError
+from handeye_ros.ros.bags.bag_write import cloud_cdr
+from handeye_ros.ros.bags.contents import CLOUD, full_name, POSE, Raw
+from handeye_ros.ros.errors import SessionError
+from handeye_ros.ros.sessions.bag_files import (
+    BagFile,
+    SUFFIX,
+    sync_folder,
+    write_file,
+    write_metadata,
+)
+from handeye_ros.ros.sessions.reading import load, Stored
+from handeye_ros.ros.sessions.records import (
+    CONFIGURATION,
+    CONFIGURED,
+    Event,
+    FEATURES,
+    OUTCOME,
+    pose_cdr,
+    REMOVED,
+    STOP,
+    STRING,
+    string_cdr,
+    texts_of,
+)
+from handeye_ros.sampling.stops import Outcome, Stop
+
+STAMP = '%Y-%m-%dT%H%M%SZ'
+LOCK = '.lock'
+
+
+class SessionStore:
+    """
+    Writes one session after the other.
+
+    parent: gives the folder in which the next session gets one of its own.
+    """
+
+    def __init__(self, parent: Callable[[Config], Path], stored: Stored | None = None) -> None:
+        """Begin with the first thing that happens, or go on with a session; SessionError."""
+        self._parent = parent
+        self._folder: Path | None = stored.path if stored else None
+        self._files: list[BagFile] = list(stored.files) if stored else []
+        self._types: dict[str, str] = dict(stored.types) if stored else {}
+        self._lock: int | None = None
+        if stored:
+            self._reopen(stored)
+
+    def _reopen(self, stored: Stored) -> None:
+        """Go on: only one node may, and all files are listed from now on."""
+        try:
+            self._claim(stored.path)
+            write_metadata(stored.path, self._files, self._types)
+        except OSError as error:
+            raise UnwritableError(stored.path, error.strerror or str(error)) from error
+
+    @property
+    def path(self) -> str:
+        """Return the folder of the session, empty before there is one."""
+        return str(self._folder or '')
+
+    def add(self, outcome: Outcome, config: Config) -> Outcome:
+        """Keep what became of a stop; return it, to be loaded from there; UnwritableError."""
+        sample, stop = outcome.sample, outcome.stop
+        text = outcome.result.reason if not sample else ''  # type: ignore[union-attr]
+        event = Event(STOP, config, outcome.number, stop.began, sample is not None, text,
+                      outcome.refused)
+        file = self._append(event, config, outcome)
+        return replace(outcome, stop=Stop(stop.began, partial(load, file)))
+
+    def remove(self, number: int, config: Config) -> None:
+        """Keep that a sample was removed; raises UnwritableError."""
+        if self._folder:
+            self._append(Event(REMOVED, config, number), config)
+
+    def configured(self, config: Config) -> None:
+        """Keep another configuration; raises UnwritableError."""
+        if self._folder:
+            self._append(Event(CONFIGURED, config), config)
+
+    def restart(self, config: Config) -> str:
+        """Begin another session; return what to say of the one before; UnwritableError."""
+        before = self._folder, self._files, self._types, self._lock
+        if not self._folder:
+            return ''
+        self._folder, self._files, self._types, self._lock = None, [], {}, None
+        try:
+            # so that the last session is this one, without samples
+            self._append(Event(CONFIGURED, config), config)
+        except UnwritableError:
+            self._folder, self._files, self._types, self._lock = before
+            raise
+        if before[3] is not None:
+            os.close(before[3])
+        return f'; they are kept in {before[0]}'
+
+    def _append(self, event: Event, config: Config, outcome: Outcome | None = None) -> Path:
+        place: object = self._folder or 'the folder of the session'
+        try:
+            folder = self._opened(config)
+            place = folder
+            if not folder.is_dir():
+                raise FileNotFoundError(
+                    'its folder is gone (unmounted or removed?); bring it back, or call '
+                    '~/clear_samples for a new session')
+            return self._write(folder, event, config, outcome)
+        except OSError as error:
+            raise UnwritableError(place, error.strerror or str(error)) from error
+
+    def _write(self, folder: Path, event: Event, config: Config, outcome: Outcome | None
+               ) -> Path:
+        types, messages = self._messages(event, config, outcome)
+        numbers = [int(file.name.rsplit('_', 1)[1].removesuffix(SUFFIX)) for file in self._files]
+        path = folder / f'{folder.name}_{max(numbers, default=-1) + 1}{SUFFIX}'
+        written = write_file(path, messages, types)
+        try:
+            write_metadata(folder, [*self._files, written], self._types | types)
+        except OSError:
+            with suppress(OSError):
+                path.unlink()  # nobody is told of it, so it is not to come back
+            raise
+        self._files.append(written)
+        self._types |= types
+        return path
+
+    def _messages(self, event: Event, config: Config, outcome: Outcome | None
+                  ) -> tuple[dict[str, str], list[Raw]]:
+        """Return what a file holds: the types of its topics, and its messages."""
+        profiles = full_name(config.profile_topic)
+        by_topic = config.pose_source == 'topic'
+        poses = full_name(config.pose_topic if by_topic else 'flange_pose')
+        types = {profiles: CLOUD, poses: POSE, CONFIGURATION: STRING, OUTCOME: STRING,
+                 FEATURES: STRING}
+        messages, now = [], time.time_ns()
+        if outcome:
+            seen, offset = outcome.stop.load(config), round(config.time_offset * 1e9)
+            messages += [Raw(poses, pose.stamp, pose_cdr(pose)) for pose in seen.poses]
+            messages += [Raw(profiles, profile.stamp - offset, _cloud(profile, config))
+                         for profile in seen.profiles]
+            now = seen.poses[-1].stamp
+        messages += [Raw(topic, now, string_cdr(text))
+                     for topic, text in texts_of(event, outcome).items()]
+        return types, messages
+
+    def _opened(self, config: Config) -> Path:
+        """Return the folder of the session, made where there is none yet; raises OSError."""
+        if self._folder is None:
+            parent = self._parent(config)
+            parent.mkdir(parents=True, exist_ok=True)
+            folder = _new_folder(parent)
+            sync_folder(parent)
+            self._claim(folder)
+            self._folder = folder
+        return self._folder
+
+    def _claim(self, folder: Path) -> None:
+        """Let no other node write into a session; the lock ends with the process."""
+        lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            os.close(lock)
+            raise SessionError(folder, 'is in use by another node: end that node first, or '
+                                       'begin a new session') from error
+        self._lock = lock
+
+
+def _new_folder(parent: Path) -> Path:
+    """Make a folder named after the time; raises OSError."""
+    stamp = datetime.now(UTC).strftime(STAMP)
+    for attempt in range(1000):
+        folder = parent / (f'{stamp}-{attempt}' if attempt else stamp)
+        with suppress(FileExistsError):
+            folder.mkdir()
+            return folder
+    raise FileExistsError(f'{parent / stamp} is there already')
+
+
+def _cloud(profile: Any, config: Config) -> bytes:
+    """Return a profile as it was received, or as a driver would have sent it."""
+    fetch = getattr(profile, 'fetch', None)
+    if fetch:
+        return bytes(fetch())
+    assert isinstance(profile, Profile)
+    return cloud_cdr(profile, config)

@@ -1,0 +1,208 @@
+"""A running session without ROS: what it keeps, tells, and does when settings change."""
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from cells import recorded
+from handeye_ros import pipeline
+from handeye_ros.config import Config, with_values
+from handeye_ros.data import TimedPose
+from handeye_ros.errors import DataError
+from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.ros.node.place import Place
+from handeye_ros.ros.node.telling import state_of
+from handeye_ros.sampling.state import samples_message, status_message
+import numpy as np
+import pytest
+
+SPHERE = recorded('sphere')
+
+
+def fed(config: Config = SPHERE.config, recording=SPHERE) -> LiveSession:
+    """Return a session that was given a recording in the order of its stamps."""
+    live = LiveSession(config, Place())
+    feed(live, [*recording.poses, *recording.profiles])
+    return live
+
+
+def feed(live: LiveSession, items) -> None:
+    for item in sorted(items, key=lambda item: item.stamp):
+        if isinstance(item, TimedPose):
+            live.add_poses([item])
+        else:
+            live.add_profile(item)
+    live.settle()
+
+
+def changed(live: LiveSession, **values: object) -> None:
+    dotted = {key.replace('__', '.'): value for key, value in values.items()}
+    live.configure(with_values(live.config, dotted, 'test'))
+    live.settle()
+
+
+def test_the_answer_is_that_of_the_recording() -> None:
+    live = fed()
+    found, text = live.compute()
+    offline = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, SPHERE.config)
+    assert np.array_equal(found.T_flange_sensor, offline.T_flange_sensor)
+    assert found.samples == offline.samples
+    state = state_of(live)
+    assert state.calibration.state == 'current' and state.calibration.text == text
+    assert state.calibration.translation == tuple(offline.T_flange_sensor[:3, 3])
+
+
+def test_from_three_samples_on_each_has_its_residuals() -> None:
+    live, told = LiveSession(SPHERE.config, Place()), []
+    items = sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp)
+    for item in items:
+        (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
+        if len(live.copied().outcomes) > len(told):
+            raise AssertionError('a message is never judged by who brings it')
+        if live._stops:
+            live.settle()
+            told.append(state_of(live))
+    for n, state in enumerate(told, 1):
+        assert len(state.samples) == n
+        with_residual = [s.number for s in state.samples if s.left_out is not None]
+        assert bool(with_residual) == (n >= 3), state.review
+        assert sorted(state.worst) == with_residual
+        assert (state.review == '') == (n >= 3)
+
+
+def spoilt(number: int):
+    """Return the recording with one stop whose poses are 5 mm off."""
+    live = fed()
+    began = live.copied().outcomes[number - 1].stop.began
+    after = [o.stop.began for o in live.copied().outcomes if o.stop.began > began]
+    until = min(after, default=2**62)
+    poses = [replace(p, translation=p.translation + [0.0, 5e-3, 0.0])
+             if began <= p.stamp < until else p for p in SPHERE.poses]
+    return replace(SPHERE, poses=tuple(poses))
+
+
+def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
+    live = fed(recording=spoilt(4))
+    state = state_of(live)
+    worst = {s.number: s for s in state.samples}[state.worst[0]]
+    others = [s.left_out for s in state.samples if s.left_out and s.number != 4]
+    assert worst.number == 4 and worst.left_out > 3 * max(others)
+    live.compute()
+    changed(live, samples__exclude=[4])
+    state = state_of(live)
+    assert [s.number for s in state.samples if s.excluded] == [4]
+    assert state.calibration.state == 'current', 'it was solved again'
+    assert any('left out by samples.exclude' in r.reason for r in live.calibration.samples)
+    assert state.worst[0] == 4, 'what is left out is still compared with the rest'
+    without = live.calibration.T_flange_sensor
+    changed(live, samples__exclude=[])
+    assert not any(s.excluded for s in state_of(live).samples)
+    assert not np.array_equal(live.calibration.T_flange_sensor, without)
+
+
+def test_offline_the_same_number_leaves_the_same_sample_out() -> None:
+    live = fed()
+    changed(live, samples__exclude=[2, 5])
+    found, _ = live.compute()
+    offline = pipeline.calibrate(
+        SPHERE.profiles, SPHERE.poses,
+        with_values(SPHERE.config, {'samples.exclude': [2, 5]}, 'test'))
+    assert np.array_equal(found.T_flange_sensor, offline.T_flange_sensor)
+    assert found.samples == offline.samples and found.quality.samples_rejected == 2
+
+
+@pytest.mark.parametrize(('key', 'value'), [
+    ('noise__robot_translation', 1e-3), ('limits__rotation', 1e-6), ('noise__sensor', 1e-4),
+    ('target__radius', 0.0)])
+def test_settings_that_change_need_no_new_samples(key: str, value: object) -> None:
+    live = fed()
+    live.compute()
+    changed(live, **{key: value})
+    config = with_values(SPHERE.config, {key.replace('__', '.'): value}, 'test')
+    try:
+        expected = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, config)
+    except DataError as error:
+        state = state_of(live).calibration
+        assert state.state == 'withdrawn' and str(error) in state.text
+        assert 'is not the answer' in state.text and live.calibration is None
+        changed(live, limits__rotation=2e-2)
+        assert state_of(live).calibration.state == 'current', 'and back'
+    else:
+        assert np.array_equal(live.calibration.T_flange_sensor, expected.T_flange_sensor)
+
+
+def test_what_changes_extraction_extracts_anew() -> None:
+    live = fed()
+    taken = state_of(live).taken
+    changed(live, sampling__min_points=5000)
+    assert state_of(live).taken == 0
+    assert all('5000' in s.text or s.text for s in state_of(live).samples)
+    changed(live, sampling__min_points=20)
+    assert state_of(live).taken == taken
+    assert np.array_equal(live.compute()[0].T_flange_sensor, fed().compute()[0].T_flange_sensor)
+
+
+def test_numbers_are_never_given_twice() -> None:
+    live = fed()
+    live.compute()  # which takes the stop that the robot stands in
+    numbers = [s.number for s in state_of(live).samples]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert f'removed sample {numbers[-1]}' in live.remove_last_sample()
+    later = [replace(item, stamp=item.stamp + 10**12)
+             for item in (*SPHERE.poses, *SPHERE.profiles)]
+    feed(live, later)
+    assert state_of(live).samples[len(numbers) - 1].number == numbers[-1] + 1
+
+
+def test_cleared_and_refused_answers_are_withdrawn() -> None:
+    live = fed()
+    assert state_of(live).calibration.state == 'none'
+    live.compute()
+    live.remove_last_sample()
+    assert state_of(live).calibration.state == 'outdated'
+    live.clear_samples()
+    state = state_of(live).calibration
+    assert (state.state, state.translation) == ('withdrawn', None)
+    assert 'cleared' in state.text and 'is not the answer' in state.text
+    with pytest.raises(DataError):
+        live.compute()
+    assert state_of(live).calibration.state == 'withdrawn'
+
+
+def test_clocks_an_hour_apart_are_told_with_their_size() -> None:
+    live = LiveSession(SPHERE.config, Place())
+    for item in SPHERE.profiles[:50]:
+        live.add_profile(replace(item, stamp=item.stamp + 3600 * 10**9))
+    live.add_poses(SPHERE.poses[:50])
+    trouble = state_of(live).session.trouble
+    assert 'the profiles are 1.00 hours ahead of those of the poses' in trouble
+
+
+def test_nobody_asked_for_a_sample() -> None:
+    manual = with_values(SPHERE.config, {'sampling.mode': 'manual'}, 'test')
+    live = fed(manual)
+    trouble = state_of(live).session.trouble
+    assert 'nobody asked for a sample: sampling.mode is manual' in trouble
+    with pytest.raises(DataError, match='nobody asked for a sample'):
+        live.compute()
+    changed(live, sampling__mode='still')
+
+
+def test_what_is_told_is_plain() -> None:
+    import json
+    live = fed()
+    live.compute()
+    state = state_of(live)
+    samples = json.loads(json.dumps(samples_message(state)))
+    status = json.loads(json.dumps(status_message(state)))
+    assert samples['format'] == 'handeye_ros/samples/1'
+    assert samples['samples'][0]['number'] == 1 and len(samples['worst_first']) > 5
+    assert status['state'] == 'current' and len(status['std']) == 6
+
+
+def test_a_result_lies_below_the_namespace(monkeypatch, tmp_path: Path) -> None:
+    monkeypatch.setenv('ROS_HOME', str(tmp_path))
+    config = SPHERE.config
+    assert Place().parent(config) == tmp_path / 'handeye_ros'
+    assert Place('/cell1/left').parent(config) == tmp_path / 'handeye_ros' / 'cell1' / 'left'
+    assert Place('/cell1').parent(replace(config, output_dir='/data')) == Path('/data')
