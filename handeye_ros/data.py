@@ -110,7 +110,8 @@ class EdgePoint:
 
     point: (2,) in the sensor plane, on the face line; direction: (2,) unit vector along the
     face line, out of the face; std: 1 sigma along the direction; std_across: 1 sigma across it;
-    kind: 'step', 'roof', 'gap' (nothing behind it) or 'open' (the driver does not say).
+    kind: 'step', 'shadow' (a step whose foot is hidden), 'roof' (its wall is seen), 'gap' (nothing
+    behind it) or 'open' (the driver does not say).
     bevel: how far the plate's last point lies below the face line, where no wall is in sight:
     more than 0 for a rounded or bevelled edge.
     """

@@ -27,8 +27,8 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus, consensus, SUBSETS
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.results.outcome import describe_calibration, mounted
+from handeye_ros.sampling.all_edges import judged_together
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.view_border import without_border_ends
 import numpy as np
 
 SEED = 0  # of the searches inside: the same samples give the same answer
@@ -74,7 +74,7 @@ def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, 
     Raises DataError when the samples cannot carry an answer.
     """
     require_own_frame(frame_id, config)
-    ordered, at_border = without_border_ends(sorted(samples, key=lambda sample: sample.stamp))
+    ordered, at_border = judged_together(sorted(samples, key=lambda sample: sample.stamp))
     rejects = [*rejects, *at_border]
     agreed, solution = estimate(ordered, rejects, config)
     require_certain(solution, config)
@@ -112,8 +112,7 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
 def flipped(ordered: Sequence[Sample], problem: Problem) -> Problem | None:
     """Return the problem with the range counted the other way, None if it cannot be posed."""
     config = flipped_range(problem.config)
-    others, _ = without_border_ends([replace(s, features=s.flipped) for s in ordered
-                                     if s.flipped])
+    others, _ = judged_together([replace(s, features=s.flipped) for s in ordered if s.flipped])
     if len(others) < problem.method.minimum:
         return None
     return Problem(problem.method, mounted(others, config), problem.method.observe(others),

@@ -171,7 +171,7 @@ def test_a_few_lost_points_before_a_step_do_not_hide_it() -> None:
     middle = COLUMNS // 2
     points[middle - 4:middle + 1, 1] = np.nan
     _, (edge,) = found(points)
-    assert_edge(edge, 0.0, face(0.0), -1, 'step')
+    assert_edge(edge, 0.0, face(0.0), -1, 'shadow')
 
 
 def test_mixed_points_widen_the_edge_instead_of_moving_it() -> None:

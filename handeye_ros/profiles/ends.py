@@ -19,7 +19,7 @@ MOST_LOST = 4  # rows from one point of the plate to the next
 SLACK_SIGMAS = 6.0  # of the range between two neighbours on a surface
 TAIL_ROWS = 80  # behind a face that may still be the bent end of its plate, or its wall
 WALL_LEAN = 0.45  # largest |tangent| between a wall in the profile and the face's normal
-SMALLEST_WALL = 4e-4  # of a wall in sight, from the face down (m)
+SMALLEST_WALL = 1.2e-3  # of a wall in sight, from the face down (m)
 WALL_POINTS = 4
 BEND_SIGMAS = 2.0  # an end that is lower than this is bent
 FLAT_SIGMAS = 3.0  # below the face line, up to which its points are on it
@@ -121,7 +121,7 @@ def wall_edge(end: End, rows: NDArray[np.intp], points: Array, near: int, column
     all_u, all_v = u, v = frame_of(end, points, near).of(points[rows])
     if len(v) < WALL_POINTS or v.max() < SMALLEST_WALL:
         return None
-    low = (v > 0.4 * v.max()) & (v < 0.97 * v.max())
+    low = (v > 0.5 * v.max()) & (v < 0.97 * v.max())
     if low.sum() < WALL_POINTS:
         return None
     u, v = u[low], v[low]
@@ -159,7 +159,8 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, points: A
     pitch = column * np.hypot(1.0, segment.slope)
     step = float(np.clip(np.diff(u[-LAST_POINTS:]).mean(), 0.0, pitch)) if len(rows) else pitch
     depth_std = segment.noise / LAST_POINTS ** 0.5
-    depth = max(float(v[-LAST_POINTS:].mean()) - BEND_SIGMAS * depth_std, 0.0)
+    bevel = max(float(v[-LAST_POINTS:].mean()), 0.0)
+    depth = max(bevel - BEND_SIGMAS * depth_std, 0.0)
     flat = _end_of_face(end, u[LAST_POINTS:], v[LAST_POINTS:])
     last = max(float(u[-1]), flat)
     # what goes down without going out is no bend, but a wall that is hardly seen
@@ -168,7 +169,7 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, points: A
     place = last + (step * (1 + mixed) / 2 if not width else pitch * width)
     std = np.sqrt(pitch ** 2 * (1 + min(mixed, 2)) ** 2 / 12 + (BEND_DOUBT * depth) ** 2
                   + (RAMP_DOUBT * pitch * 2 * width) ** 2)
-    return edge_point(end, frame, place - BEND_SHARE * depth, float(std), points, kind, depth)
+    return edge_point(end, frame, place - BEND_SHARE * depth, float(std), points, kind, bevel)
 
 
 def _transition(end: End, last: int, ground: Segment | None, points: Array
@@ -182,20 +183,21 @@ def _transition(end: End, last: int, ground: Segment | None, points: Array
     at half its height, 0 without a ramp.
     """
     between = abs(end.start_of(ground) - last) - 1 if ground else 0
-    rows = last + end.outward * np.arange(between + 1)
-    if ground is None or not 0 < between <= MOST_MIXED or not np.isfinite(points[rows]).all():
+    columns = np.arange(between + 2)
+    rows = last + end.outward * columns
+    if ground is None or not 0 < between <= MOST_MIXED:
         return 0, 0.0
-    x, z = points[rows].T
+    seen = np.isfinite(points[rows]).all(axis=1)
+    columns = columns[seen]
+    x, z = points[rows[seen]].T
     height = np.abs(z - end.segment.height(x))
     share = (height - height[0]) / (np.abs(ground.height(x) - end.segment.height(x)) - height[0])
-    mixed = int((share[1:] < 0.8).sum())
+    mixed = int((share[1:-1] < 0.8).sum())
     if mixed <= MOST_STRAY:
-        return mixed, 0.0
-    after = int(np.argmax(share > 0.5))
-    if not after:
-        return mixed, (between + 1) / 2
-    before = (0.5 - share[after - 1]) / (share[after] - share[after - 1])
-    return mixed, after - 1 + float(before)
+        return (mixed if seen.all() else 0), 0.0
+    after = max(int(np.argmax(share > 0.5)), 1)
+    part = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
+    return mixed, float(columns[after - 1] + part * (columns[after] - columns[after - 1]))
 
 
 def edge_point(end: End, frame: Frame, place: float, std: float, points: Array, kind: str,

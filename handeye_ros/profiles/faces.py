@@ -36,7 +36,7 @@ SURE_EDGE = 1.5  # a face with a sure edge is worth this many times its points
 SHADOW_SLOPE = 2.0  # a step hides less than this many times its height behind it
 LARGEST_BEVEL = 2.5e-3  # of the piece between a face and its wall; a larger one is a face (m)
 STEEP_ERROR = 1.0  # of a surface seen steeply, as a share of the noise that it adds
-EDGE_KINDS = ('roof', 'step', 'gap', 'open')
+EDGE_KINDS = ('roof', 'step', 'gap', 'open')  # a step may turn out as a shadow
 
 
 def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
@@ -78,7 +78,7 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine]:
 def _preference(candidate: tuple[Segment, list[EdgePoint]]) -> float:
     """Return how likely a segment is the face: its number of points, more for a sure edge."""
     segment, edges = candidate
-    sure = any(edge.kind in ('step', 'roof') for edge in edges)
+    sure = any(edge.kind in ('step', 'shadow', 'roof') for edge in edges)
     return len(segment.rows) * (SURE_EDGE if sure else 1.0)
 
 
@@ -117,6 +117,7 @@ def _edge(end: End, segments: Sequence[Segment], points: Array, near: int
     if wall:
         return 'roof', edge_point(end, frame_of(end, points, near), *wall, points, 'roof')
     ground = other if kind == 'step' else None
+    kind = 'shadow' if ground and _foot_hidden(end, rows, ground, points) else kind
     return kind, end_edge(end, rows, ground, points, near, column, kind)
 
 
@@ -150,6 +151,13 @@ def _kind(end: End, other: Segment | None, rows: NDArray[np.intp], points: Array
     if crossing:
         return 'roof'
     return 'step' if -rise > _smallest_step(end, other) else 'border'
+
+
+def _foot_hidden(end: End, rows: NDArray[np.intp], ground: Segment, points: Array) -> bool:
+    """Return whether nothing comes back from between a plate's last point and the ground."""
+    last = rows[-1] if len(rows) else end.row
+    first, after = sorted((last, end.start_of(ground)))
+    return int((~np.isfinite(points[first:after]).all(axis=1)).sum()) >= GAP_COLUMNS
 
 
 def _smallest_step(end: End, other: Segment) -> float:

@@ -13,8 +13,8 @@ from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Array, EdgePoint, Feature, Reject, Sample
 from handeye_ros.profiles.errors import FeatureError, range_sign_hint
 
-EDGES = ('roof', 'step', 'gap')
-TURNED_EDGES = ('roof', 'step')  # that the way of counting makes, or takes away
+EDGES = ('roof', 'step', 'shadow', 'gap')
+TURNED_EDGES = ('roof', 'step', 'shadow')  # that the way of counting makes, or takes away
 CHANCE = 0.01  # of so many more edges the other way, were both as likely
 MOST_SHARE = 0.5  # of the stations may show an edge as set, if the sign is to be wrong
 LEAST_SHARE = 0.8  # of the stations show an edge the other way, if it is
