@@ -8,7 +8,7 @@ edge follows. Which face is which follows from the sides, so it need not be told
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -90,9 +90,9 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
 
 
 def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
-          ) -> list[Estimate]:
+          ) -> Iterator[Estimate]:
     """
-    Return estimates from nothing, best first.
+    Yield estimates from nothing.
 
     The crossings of the two lines lie on one straight edge, whatever the labels; and where the
     labels are right by chance, the left lines lie in one plane and so do the right ones.
@@ -101,14 +101,15 @@ def guess(observations: Observations, poses: Array, config: Config, rng: np.rand
     problem = Problem(WEDGE, poses, observations, config).subset(chosen)
     corners = crossings(problem.observations)
     edges = replace(problem, method=edge_line.LINE, observations=corners)
-    starts = [_with_faces(problem, e) for e in best_of(edges, edge_line.linear_candidates(edges))]
+    yield from _refined(problem, [_with_faces(problem, e) for e in best_of(
+        edges, edge_line.linear_candidates(edges))])
     for side in range(len(KINDS)):
         lines = problem.observations.select(problem.observations.kind == side)
         lines = replace(lines, kind=np.zeros_like(lines.kind))
         faces = replace(problem, method=plane.PLANE, observations=lines)
-        starts += [_with_faces(problem, _edge_in(corners, poses[chosen], e))
-                   for e in best_of(faces, plane.linear_candidates(faces))]
-    return _refined(problem, starts)
+        yield from _refined(problem, [
+            _with_faces(problem, _edge_in(corners, problem.poses, e))
+            for e in best_of(faces, plane.linear_candidates(faces))])
 
 
 def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
