@@ -17,6 +17,7 @@ from handeye_ros.simulate.scenario import (
     Scenario,
     SensorModel,
     SphereTarget,
+    WedgeTarget,
 )
 
 QUICK: dict[str, Any] = {'rate': 6.0, 'delay': 0.0, 'thinning': 10**6}
@@ -29,7 +30,9 @@ SPHERE = Scenario('sphere', 'sphere', BALL, WIDE, ROBOT, stations=(14, 0),
 LINE = replace(PLATE, name='line', scene='line', stations=(14, 0))
 PLANE = replace(PLATE, name='plane', scene='plane', target=PlateTarget((0.4, 0.3), table=None),
                 stations=(14, 0))
-BASELINES = (PLATE, SPHERE, LINE, PLANE)
+WEDGE = replace(PLATE, name='wedge', scene='wedge', target=WedgeTarget(), stations=(14, 0),
+                tilt=math.radians(20))
+BASELINES = (PLATE, SPHERE, LINE, PLANE, WEDGE)
 # x from 0 to 140 mm, range from -25 to +25 mm counted upwards
 OFF_CENTRE = SensorModel(**QUICK, range=(0.25, 0.30), half_width=0.2545, sampling='fan_x',
                          camera=(0.12, 0.0))
