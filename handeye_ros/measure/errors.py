@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import DataError, InputError, mm
 
 
 class CloudFileError(InputError):
@@ -37,3 +37,74 @@ class EmptyScanError(DataError):
         super().__init__(f'no point is left of {profiles} profiles with {returns} returns: '
                          + ('widen the limits (--range, --incidence)' if returns else
                             'the sensor saw nothing; check its range and exposure'))
+
+
+def place(point: Sequence[float]) -> str:
+    """Return where a point lies, for a person."""
+    return 'x y z = ' + ' '.join(f'{v * 1e3:.0f}' for v in point) + ' mm'
+
+
+class NoSeamError(DataError):
+    """A cloud without a seam."""
+
+    def __init__(self, spacing: float, widest: float) -> None:
+        super().__init__(
+            f'no seam: nowhere do two edges face each other within {mm(widest)} (--widest). The '
+            f'points are {mm(spacing)} apart, so a gap or step must be larger than '
+            f'{mm(4 * spacing)} to be seen: scan more densely, or check what was scanned')
+
+
+class TooFewPointsError(DataError):
+    """A cloud of so few points that nothing can be seen in it."""
+
+    def __init__(self, count: int, least: int) -> None:
+        super().__init__(f'the cloud has {count} different points, fewer than {least}: scan more '
+                         'densely, or widen --box')
+
+
+class SeveralSeamsError(DataError):
+    """A cloud with more than one seam; places: (3,) of each."""
+
+    def __init__(self, lengths: Sequence[float], places: Sequence[Sequence[float]]) -> None:
+        told = '; '.join(f'{mm(length)} long at {place(p)}'
+                         for length, p in zip(lengths, places, strict=True))
+        super().__init__(f'{len(lengths)} seams ({told}): cut one out with --box')
+
+
+class InterruptedSeamError(DataError):
+    """A seam that is not seen in one piece."""
+
+    def __init__(self, size: float, at: Sequence[float]) -> None:
+        super().__init__(f'the seam is not seen for {mm(size)} at {place(at)}: scan there again, '
+                         'or cut one part out with --box')
+
+
+class NoLineError(DataError):
+    """Facing edges that do not form a line: a closed seam, a branch, a narrow strip."""
+
+    def __init__(self, width: float, at: Sequence[float]) -> None:
+        super().__init__(f'what looks like a seam is no single open line: it is {mm(width)} wide '
+                         f'at {place(at)} (closed, or branching?): cut a part out with --box')
+
+
+class TaughtPathError(InputError):
+    """A taught path that cannot be read."""
+
+    def __init__(self, path: object, reason: str) -> None:
+        super().__init__(f'{path}: {reason}; expected a CSV file with columns x, y, z in metres')
+
+
+class NoMatplotlibError(InputError):
+    """A picture without the library that draws it."""
+
+    def __init__(self) -> None:
+        super().__init__('pictures need matplotlib, which is not installed: install '
+                         'python3-matplotlib (with pip: matplotlib), or ask for no picture')
+
+
+class NeedsCalibrationError(InputError):
+    """A bag whose profiles cannot be put into the base."""
+
+    def __init__(self, path: object) -> None:
+        super().__init__(f'{path} is no .ply or .pcd file; to use it as a bag, say which '
+                         'calibration puts its profiles into the base: --calibration FILE')

@@ -1,0 +1,105 @@
+"""The verb that finds a seam and plans the path along it."""
+from pathlib import Path
+from typing import Annotated, TYPE_CHECKING
+
+from handeye_ros.cli.app import app
+from handeye_ros.cli.common import Assignments, doing, NoPath
+from handeye_ros.cli.measure import calibrated, MeasureConfig
+import typer
+
+if TYPE_CHECKING:
+    from handeye_ros.data import Array
+    from handeye_ros.measure.seam import Seam, ToolFrames
+
+NO_BOX = (float('-inf'), float('inf')) * 3
+THINNED = 2e-4  # m: edge of the cubes of which a scan keeps a point
+
+
+@app.command()
+def seam(
+    path: Annotated[Path, typer.Argument(
+        metavar='CLOUD_OR_BAG', help='A .ply or .pcd file, or a bag with --calibration.')],
+    out: Annotated[Path, typer.Option(
+        metavar='DIR', help='Where seam.csv and seam.yaml are written.')] = Path('out/seam'),
+    calibration: Annotated[NoPath, typer.Option(
+        metavar='FILE', help='The calibration.yaml that puts a bag into the base.')] = None,
+    config: MeasureConfig = None,
+    assignments: Assignments = [],  # noqa: B006 - never changed
+    pitch: Annotated[float, typer.Option(
+        min=1e-5, help='Distance between tool frames along the seam (m).')] = 0.005,
+    box: Annotated[tuple[float, float, float, float, float, float], typer.Option(
+        metavar='X X Y Y Z Z', help='Use the points between these values (m).')] = NO_BOX,
+    widest: Annotated[float, typer.Option(
+        min=1e-4, help='Largest distance between the edges of the seam (m).')] = 0.012,
+    towards: Annotated[tuple[float, float, float], typer.Option(
+        metavar='X Y Z', help='The tool approaches the part this way rather than the other.')
+    ] = (0.0, 0.0, -1.0),
+    travel: Annotated[float, typer.Option(
+        help='Travel angle: the tool leans along the seam (degrees).')] = 0.0,
+    work: Annotated[float, typer.Option(
+        help='Work angle: the tool leans across the seam (degrees).')] = 0.0,
+    taught: Annotated[NoPath, typer.Option(
+        metavar='FILE', help='A taught path to compare with: CSV with x, y, z (m).')] = None,
+    bag: Annotated[bool, typer.Option(
+        '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')] = False,
+    picture: Annotated[bool, typer.Option(
+        '--picture', help='Draw DIR/seam.png (needs matplotlib).')] = False,
+) -> None:
+    """Find the seam in a cloud, and plan tool frames along it (Wu 2017)."""
+    import math
+
+    from handeye_ros.measure import seam_files
+    from handeye_ros.measure.seam import find_seam, tool_frames
+    from handeye_ros.results.calibration_file import write_whole
+    import numpy as np
+    compared = seam_files.read_taught(taught) if taught else None
+    points, frame = _cloud(path, calibration, config, assignments)
+    low, high = np.array(box).reshape(3, 2).T
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    with doing('looking for the seam'):
+        found = find_seam(points, widest)
+        frames = tool_frames(found, pitch, towards, math.radians(travel), math.radians(work))
+    distances = seam_files.against_taught(found, compared) if compared is not None else None
+    write_whole(out / 'seam.csv', seam_files.csv_text(frames))
+    write_whole(out / 'seam.yaml', seam_files.yaml_text(
+        seam_files.values(found, frames, frame, distances)))
+    _more(found, frames, frame, out, bag, picture)
+    for line in seam_files.sentences(found, frames, distances):
+        typer.echo(line)
+    typer.echo(f'wrote {out.absolute()}')
+
+
+def _cloud(path: Path, calibration: Path | None, config: Path | None, assignments: list[str]
+           ) -> tuple['Array', str]:
+    """Return the points (n, 3) of a cloud or a bag, and their frame."""
+    from handeye_ros.measure.cloud_files import FORMATS, read_cloud
+    from handeye_ros.measure.errors import NeedsCalibrationError
+    import numpy as np
+    if path.suffix.lower() in FORMATS:
+        return read_cloud(path), 'base'
+    if calibration is None:
+        raise NeedsCalibrationError(path)
+    from handeye_ros.measure.scan import Scanner, ScanOptions
+    from handeye_ros.measure.track import Track
+    from handeye_ros.ros.bags.flow import flow
+    found, settings = calibrated(calibration, config, assignments)
+    scanner = Scanner(found, settings, ScanOptions(voxel=THINNED))
+    with doing('scanning'):
+        source = flow(path, settings)
+        pieces = list(scanner.scan(source.profiles(),
+                                   Track(source.poses, settings.sampling.max_pose_gap)))
+    scanner.require_points()
+    rows = np.concatenate(pieces)
+    return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame
+
+
+def _more(found: 'Seam', frames: 'ToolFrames', frame: str, out: Path, bag: bool, picture: bool
+          ) -> None:
+    if bag:
+        import time
+
+        from handeye_ros.ros.bags.path_write import write_path
+        write_path(out / 'path', frames.T_base_tool, frame, time.time_ns(), force=True)
+    if picture:
+        from handeye_ros.measure.seam_picture import draw
+        draw(found, frames, out / 'seam.png')

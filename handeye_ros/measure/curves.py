@@ -1,0 +1,100 @@
+"""
+Space curves through noisy points, with one interface: position and advance at t.
+
+The cubic is that of Wu 2017 (eqs. 7 and 8); a seam that it does not follow gets a spline with a
+knot every few centimetres.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from handeye_ros.data import Array
+from handeye_ros.published import wu2017
+import numpy as np
+from scipy.interpolate import make_lsq_spline
+
+KNOT_SPACING = 0.03  # m between the knots of a spline
+CUT = 3.5  # sigmas of points that are left out
+FINE = 2000  # points that measure a length
+SAME = 4e-5  # m RMS between cubic and spline: the cubic follows the seam too
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """
+    A curve in space, over t from first to last.
+
+    kind: cubic or spline; position(t): a point (3,); advance(t): the unit tangent (3,).
+    """
+
+    kind: str
+    first: float
+    last: float
+    position: Callable[[float], Array]
+    advance: Callable[[float], Array]
+
+    def sampled(self, count: int = FINE) -> tuple[Array, Array]:
+        """Return count values of t spread evenly, and the points (count, 3) there."""
+        t = np.linspace(self.first, self.last, count)
+        return t, np.array([self.position(v) for v in t])
+
+    def by_length(self, lengths: Array) -> Array:
+        """Return t (n,) at arc lengths (n,) from the first point."""
+        t, p = self.sampled()
+        return np.interp(lengths, arc_length(p), t)
+
+    @property
+    def length(self) -> float:
+        """Return the length of the curve (m)."""
+        return float(arc_length(self.sampled()[1])[-1])
+
+
+def arc_length(points: Array) -> Array:
+    """Return the length (n,) along a line of points (n, 3) up to each."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def cubic(points: Array) -> Curve:
+    """Return the cubic of Wu 2017 through points (k, 3) at t = 1 to k."""
+    c = wu2017.fit_cubic(points)
+    return Curve('cubic', 1.0, float(len(points)), lambda t: wu2017.position(c, t),
+                 lambda t: wu2017.advance(c, t))
+
+
+def spline(t: Array, points: Array) -> Curve:
+    """
+    Return the smoothing spline through points (n, 3) at rising t (n,).
+
+    Least squares over knots that lie KNOT_SPACING apart; outliers are left out.
+    """
+    kept = np.ones(len(t), dtype=bool)
+    for _ in range(3):
+        fitted = make_lsq_spline(t[kept], points[kept], _knots(t[kept], points[kept]), k=3)
+        away = np.linalg.norm(fitted(np.clip(t, t[kept][0], t[kept][-1])) - points, axis=1)
+        kept = away <= CUT * np.sqrt((away[kept] ** 2).mean())
+    tangent = fitted.derivative()
+
+    def advance(at: float) -> Array:
+        way = tangent(at)
+        return np.asarray(way / np.linalg.norm(way))
+
+    return Curve('spline', float(t[0]), float(t[-1]),
+                 lambda at: np.asarray(fitted(np.clip(at, t[kept][0], t[kept][-1]))), advance)
+
+
+def _knots(t: Array, points: Array) -> Array:
+    """Return knots of a cubic spline, with points between each two."""
+    count = int(np.clip(np.linalg.norm(np.diff(points[::8], axis=0), axis=1).sum()
+                        / KNOT_SPACING, 1, max(len(t) // 8, 1)))
+    inner = np.quantile(t, np.linspace(0, 1, count + 1)[1:-1])
+    return np.concatenate([[t[0]] * 4, inner, [t[-1]] * 4])
+
+
+def through(points: Array) -> Curve:
+    """Return the cubic through points (k, 3) where it runs as a spline does, else the spline."""
+    t = np.arange(1.0, len(points) + 1.0)
+    simple, flexible = cubic(points), spline(t, points)
+    apart = np.array([simple.position(v) - flexible.position(v) for v in t])
+    return simple if np.sqrt((apart ** 2).sum(axis=1).mean()) < SAME else flexible

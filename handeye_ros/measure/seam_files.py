@@ -1,0 +1,104 @@
+"""What is told and written of a seam: CSV, YAML, and its distances from a taught path."""
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.measure.errors import TaughtPathError
+from handeye_ros.measure.seam import Seam, ToolFrames
+import numpy as np
+import yaml
+
+FORMAT = 'handeye_ros/seam/1'
+COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')
+WITHIN = 1e-3  # m: the share of a taught path that is nearer is told
+
+
+@dataclass(frozen=True)
+class Taught:
+    """Distances of a taught path's points from the seam's centre line (m)."""
+
+    count: int
+    mean: float
+    rms: float
+    largest: float
+    within_1_mm: float
+
+
+def against_taught(seam: Seam, taught: Array) -> Taught:
+    """
+    Return how far taught points (n, 3) lie from the centre line, square to it.
+
+    Points beyond its ends are not compared.
+    """
+    t, line = seam.curve.sampled()
+    index = np.argmin(((taught[:, None] - line[None]) ** 2).sum(axis=2), axis=1)
+    tangent = np.array([seam.curve.advance(v) for v in t])[index]
+    offset = taught - line[index]
+    along = (offset * tangent).sum(axis=1)
+    beside = (index > 0) & (index < len(t) - 1) | (np.abs(along) < WITHIN)
+    if not beside.any():
+        beside[:] = True
+    away = np.linalg.norm(offset - along[:, None] * tangent, axis=1)[beside]
+    return Taught(int(beside.sum()), float(away.mean()), float(np.sqrt((away ** 2).mean())),
+                  float(away.max()), float((away <= WITHIN).mean()))
+
+
+def read_taught(path: Path) -> Array:
+    """Return the points (n, 3) of a CSV file with columns x, y, z; raises TaughtPathError."""
+    try:
+        with path.open(newline='', encoding='utf-8') as stream:
+            rows = list(csv.DictReader(stream, skipinitialspace=True))
+        points = np.array([[float(row[axis]) for axis in 'xyz'] for row in rows])
+    except OSError as error:
+        raise TaughtPathError(path, error.strerror or str(error)) from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise TaughtPathError(path, f'{type(error).__name__}: {error}') from error
+    if not len(points) or not np.isfinite(points).all():
+        raise TaughtPathError(path, 'holds no points, or values that are not finite')
+    return points
+
+
+def csv_text(frames: ToolFrames) -> str:
+    """Return arc length, position and quaternion of each frame, metres, as CSV."""
+    rows = np.column_stack([frames.lengths, frames.T_base_tool[:, :3, 3],
+                            se3.quaternion(frames.T_base_tool)])
+    lines = [','.join(COLUMNS), *(','.join(f'{v:.9f}' for v in row) for row in rows)]
+    return '\n'.join(lines) + '\n'
+
+
+def values(seam: Seam, frames: ToolFrames, frame_id: str, taught: Taught | None
+           ) -> dict[str, Any]:
+    """Return what is told of a seam as plain values."""
+    told: dict[str, Any] = {
+        'format': FORMAT, 'frame': frame_id, 'kind': seam.kind, 'curve': seam.curve.kind,
+        'length': seam.curve.length, 'noise': seam.noise, 'spacing': seam.spacing,
+        'neighbours': seam.neighbours}
+    if taught:
+        told['taught'] = dict(vars(taught))
+    told['frames'] = [{'length': float(length), 'position': T[:3, 3].tolist(),
+                       'quaternion': se3.quaternion(T).tolist()}
+                      for length, T in zip(frames.lengths, frames.T_base_tool, strict=True)]
+    return told
+
+
+def yaml_text(told: dict[str, Any]) -> str:
+    """Return the values of a seam as YAML."""
+    return yaml.safe_dump(told, sort_keys=False, width=100, default_flow_style=None)
+
+
+def sentences(seam: Seam, frames: ToolFrames, taught: Taught | None) -> list[str]:
+    """Return what is told of a seam, for a person."""
+    lines = [f'{seam.kind} seam of {seam.curve.length * 1e3:.1f} mm, centre line: '
+             f'{seam.curve.kind}; {len(frames.lengths)} tool frames',
+             f'the points are {seam.spacing * 1e3:.2f} mm apart, their noise is '
+             f'{seam.noise * 1e3:.3f} mm; {seam.neighbours} neighbours make a local plane']
+    if taught:
+        lines.append(f'{taught.count} taught points: mean distance {taught.mean * 1e3:.3f} mm, '
+                     f'RMS {taught.rms * 1e3:.3f} mm, largest {taught.largest * 1e3:.3f} mm, '
+                     f'{taught.within_1_mm:.0%} within 1 mm')
+    return lines

@@ -1,0 +1,200 @@
+"""A seam in a cloud: edges, centre line and frames against the truth; refusals in words."""
+from __future__ import annotations
+
+from command import assert_refused, handeye
+from handeye_ros.measure import seam_files
+from handeye_ros.measure.cloud_files import cloud_writer
+from handeye_ros.measure.curves import cubic, spline, through
+from handeye_ros.measure.errors import (
+    InterruptedSeamError,
+    NoLineError,
+    NoSeamError,
+    SeveralSeamsError,
+    TooFewPointsError,
+)
+from handeye_ros.measure.seam import find_seam, tool_frames
+from handeye_ros.simulate.preform import Preform, preform_cloud
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_typestore, Stores
+from scipy.spatial import cKDTree
+import yaml
+
+SMALL = {'length': 0.12, 'spacing': 5e-4}
+
+
+def cloud_of(seed=0, **values):
+    return preform_cloud(Preform(**{**SMALL, **values}), np.random.default_rng(seed))
+
+
+def off_line(truth, points):
+    """Return the distances of points from the true line, square to it."""
+    _, index = cKDTree(truth.centre).query(points)
+    tangent = np.gradient(truth.centre, axis=0)[index]
+    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    offset = points - truth.centre[index]
+    return np.linalg.norm(offset - (offset * tangent).sum(axis=1)[:, None] * tangent, axis=1)
+
+
+@pytest.mark.parametrize('kind', ['lap', 'butt'])
+@pytest.mark.parametrize('seed', [0, 1])
+def test_centre_line_and_approach_are_the_true_ones(kind, seed):
+    truth = cloud_of(seed, kind=kind)
+    seam = find_seam(truth.points)
+    frames = tool_frames(seam, 5e-3, -truth.normals.mean(axis=0))
+    assert seam.kind == kind
+    assert seam.noise == pytest.approx(1e-4, rel=0.1)
+    away = off_line(truth, frames.T_base_tool[:, :3, 3])
+    assert np.sqrt((away ** 2).mean()) < 1e-4
+    _, index = cKDTree(truth.centre).query(frames.T_base_tool[:, :3, 3])
+    tangent = np.gradient(truth.centre, axis=0)[index]
+    normal = np.cross(np.cross(tangent, truth.normals[index]), tangent)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    cosine = -(frames.T_base_tool[:, :3, 1] * normal).sum(axis=1)
+    assert np.degrees(np.arccos(cosine.min())) < 1.0
+
+
+def test_the_edges_of_a_gap_are_where_the_sheets_end():
+    truth = cloud_of(kind='butt', gap=4e-3, noise=5e-5)
+    seam = find_seam(truth.points)
+    for edge in (seam.first, seam.second):
+        assert off_line(truth, edge[3:-3]).mean() == pytest.approx(2e-3, abs=1e-4)
+
+
+def test_frames_are_rotations_at_the_pitch():
+    truth = cloud_of()
+    frames = tool_frames(find_seam(truth.points), 3e-3, -truth.normals.mean(axis=0), 0.2, -0.1)
+    R = frames.T_base_tool[:, :3, :3]
+    np.testing.assert_allclose(R @ R.swapaxes(1, 2), np.tile(np.eye(3), (len(R), 1, 1)),
+                               atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-14)
+    np.testing.assert_allclose(np.diff(frames.lengths), 3e-3)
+    steps = np.linalg.norm(np.diff(frames.T_base_tool[:, :3, 3], axis=0), axis=1)
+    np.testing.assert_allclose(steps, 3e-3, rtol=1e-3)  # chords of a weakly bent curve
+
+
+def test_the_angles_lean_the_tool_along_and_across():
+    truth = cloud_of()
+    seam, towards = find_seam(truth.points), -truth.normals.mean(axis=0)
+    plain = tool_frames(seam, 0.02, towards).T_base_tool
+    travel = tool_frames(seam, 0.02, towards, travel=0.3).T_base_tool
+    work = tool_frames(seam, 0.02, towards, work=0.3).T_base_tool
+    for leant, axis in ((travel, 2), (work, 0)):
+        cosine = (plain[:, :3, 1] * leant[:, :3, 1]).sum(axis=1)
+        np.testing.assert_allclose(np.arccos(cosine), 0.3, atol=1e-9)
+        np.testing.assert_allclose((plain[:, :3, axis] * leant[:, :3, 1]).sum(axis=1), 0,
+                                   atol=1e-12)
+
+
+def test_the_approach_points_where_it_is_told():
+    truth = cloud_of()
+    seam, down = find_seam(truth.points), -truth.normals.mean(axis=0)
+    for towards in (down, -down):
+        frames = tool_frames(seam, 0.02, towards)
+        assert (frames.T_base_tool[:, :3, 1] @ towards > 0.8).all()
+
+
+@pytest.mark.parametrize(('values', 'error', 'words'), [
+    ({'seams': 2}, SeveralSeamsError, '2 seams .*--box'),
+    ({'seams': 2, 'kind': 'butt'}, SeveralSeamsError, '2 seams'),
+    ({'missing': (0.45, 0.55)}, InterruptedSeamError, 'not seen for 1[0-9]'),
+    ({'missing': (0.45, 0.55), 'kind': 'butt'}, InterruptedSeamError, 'scan there again'),
+    ({'thickness': 1e-3}, NoSeamError, 'scan more densely'),
+    ({'thickness': 0.0}, NoSeamError, 'no seam'),
+])
+def test_what_is_no_single_seam_is_refused(values, error, words):
+    with pytest.raises(error, match=words):
+        find_seam(cloud_of(**values).points)
+
+
+def test_clouds_of_other_things_are_refused():
+    rng = np.random.default_rng(0)
+    flat = rng.uniform(-0.03, 0.03, (12000, 2))
+    plane = np.column_stack([flat, np.zeros(len(flat))])
+    ring = np.column_stack([flat, 4e-3 * (np.hypot(*flat.T) > 0.018)])
+    hole = plane[np.hypot(*flat.T) > 4e-3]
+    with pytest.raises(NoLineError, match='closed'):
+        find_seam(ring)
+    for points in (plane, hole, rng.normal(size=(3000, 3))):
+        with pytest.raises(NoSeamError):
+            find_seam(points)
+    with pytest.raises(TooFewPointsError):
+        find_seam(np.zeros((1000, 3)))
+
+
+def test_a_straight_seam_is_a_cubic_and_a_wound_one_a_spline():
+    t = np.linspace(0, 1, 200)
+    noise = np.random.default_rng(0).normal(size=(200, 3)) * 1e-5
+    bent = np.column_stack([0.2 * t, 0.01 * t ** 2, 0.02 * t ** 3]) + noise
+    wound = np.column_stack([0.2 * t, 0.01 * np.sin(9 * t), 0 * t]) + noise
+    assert through(bent).kind == 'cubic'
+    curve = through(wound)
+    assert curve.kind == 'spline'
+    _, line = curve.sampled()
+    assert cKDTree(wound - noise).query(line)[0].max() < 6e-4  # half a step of the points
+
+
+def test_both_curves_have_one_interface():
+    t = np.linspace(0, 1, 60)
+    points = np.column_stack([0.1 * t, 0.02 * t ** 2, 0 * t])
+    index = np.arange(1.0, 61.0)
+    for curve in (cubic(points), spline(index, points)):
+        assert curve.length == pytest.approx(0.1025, rel=5e-3)
+        for at in (1.0, 30.0, 60.0):
+            np.testing.assert_allclose(curve.position(at), points[int(at) - 1], atol=1e-6)
+            assert np.linalg.norm(curve.advance(at)) == pytest.approx(1.0)
+
+
+def write_cloud(path, points):
+    rows = np.zeros(len(points), [(axis, '<f4') for axis in 'xyz'])
+    for k, axis in enumerate('xyz'):
+        rows[axis] = points[:, k]
+    with cloud_writer(path) as writer:
+        writer.write(rows)
+
+
+def test_the_verb_writes_what_others_read(tmp_path):
+    truth = cloud_of()
+    write_cloud(tmp_path / 'c.pcd', truth.points)
+    header = 'x,y,z'
+    np.savetxt(tmp_path / 'taught.csv', truth.centre[::100] + [0, 0, 5e-4], delimiter=',',
+               header=header, comments='')
+    towards = [str(v) for v in -truth.normals.mean(axis=0)]
+    run = handeye('seam', 'c.pcd', '--out', 'seam', '--bag', '--picture', '--taught',
+                  'taught.csv', '--towards', *towards, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    told = yaml.safe_load((tmp_path / 'seam/seam.yaml').read_text())
+    assert told['kind'] == 'lap'
+    assert told['taught']['largest'] < 8e-4
+    assert 'taught points: mean distance' in run.stdout
+    rows = np.genfromtxt(tmp_path / 'seam/seam.csv', delimiter=',', names=True)
+    assert len(rows) == len(told['frames'])
+    assert (tmp_path / 'seam/seam.png').stat().st_size > 1000
+    types = get_typestore(Stores.ROS2_JAZZY)
+    with Reader(tmp_path / 'seam/path') as reader:
+        found = {c.msgtype: types.deserialize_cdr(data, c.msgtype)
+                 for c, _, data in reader.messages()}
+    path, poses = found['nav_msgs/msg/Path'], found['geometry_msgs/msg/PoseArray']
+    assert path.header.frame_id == poses.header.frame_id == 'base'
+    assert [p.position.x for p in poses.poses] == pytest.approx(list(rows['x']), abs=1e-8)
+    assert [p.pose.orientation.w for p in path.poses] == pytest.approx(list(rows['qw']), abs=1e-8)
+
+
+def test_the_verb_refuses_in_words(tmp_path):
+    write_cloud(tmp_path / 'c.ply', cloud_of(seams=2).points)
+    assert_refused(handeye('seam', 'c.ply', cwd=tmp_path), 3, '2 seams')
+    assert_refused(handeye('seam', 'bag', cwd=tmp_path), 2, '--calibration')
+    (tmp_path / 't.csv').write_text('a,b\n1,2\n')
+    assert_refused(handeye('seam', 'c.ply', '--taught', 't.csv', cwd=tmp_path), 2, 'x, y, z')
+    assert not (tmp_path / 'out').exists()
+
+
+def test_distances_from_a_taught_path_are_square_to_the_seam():
+    seam = find_seam(cloud_of().points)
+    t, line = seam.curve.sampled(50)
+    side = np.cross([seam.curve.advance(v) for v in t], [0.3, 0.2, 0.9])
+    side /= np.linalg.norm(side, axis=1)[:, None]
+    taught = seam_files.against_taught(seam, (line + 1.2e-3 * side)[5:-5])
+    assert taught.mean == pytest.approx(1.2e-3, rel=0.01)
+    assert taught.within_1_mm == 0.0
