@@ -4,8 +4,9 @@ The seam of simulated curved preforms against the truth.
 usage: .venv/bin/python bench/seam.py [SEEDS]
 
 A preform of 200 mm with a lap of 5 mm (or a butt seam with a gap of 3 mm), points 0.4 mm apart
-with 0.1 mm of noise on each axis: centre line against the true one (RMS and largest distance, square
-to the seam), approach against the true normal, over SEEDS (default 20) seeds; the worst is told.
+with 0.1 mm of noise on each axis: centre line against the true one (RMS and largest distance,
+square to the seam), approach against the true normal, over SEEDS (default 20) seeds; the worst is
+told.
 """
 from __future__ import annotations
 
