@@ -14,55 +14,60 @@ if TYPE_CHECKING:
 NO_BOX = (float('-inf'), float('inf')) * 3
 THINNED = 2e-4  # m: edge of the cubes of which a scan keeps a point
 
+Source = Annotated[Path, typer.Argument(
+    metavar='CLOUD_OR_BAG', help='A .ply or .pcd file, or a bag with --calibration.')]
+Out = Annotated[Path, typer.Option(
+    metavar='DIR', help='Where seam.csv and seam.yaml are written.')]
+Calibrated = Annotated[NoPath, typer.Option(
+    metavar='FILE', help='The calibration.yaml that puts a bag into the base.')]
+Pitch = Annotated[float, typer.Option(
+    min=1e-5, help='Distance between tool frames along the seam (m).')]
+Box = Annotated[tuple[float, float, float, float, float, float], typer.Option(
+    metavar='X X Y Y Z Z', help='Use the points between these values (m).')]
+Widest = Annotated[float, typer.Option(
+    min=1e-4, help='Largest distance between the edges of the seam (m).')]
+Towards = Annotated[tuple[float, float, float], typer.Option(
+    metavar='X Y Z', help='The tool approaches the part this way rather than the other.')]
+Travel = Annotated[float, typer.Option(help='The tool leans along the seam (degrees).')]
+Work = Annotated[float, typer.Option(help='The tool leans across the seam (degrees).')]
+TaughtFile = Annotated[NoPath, typer.Option(
+    metavar='FILE', help='A taught path to compare with: CSV with x, y, z (m).')]
+AsBag = Annotated[bool, typer.Option(
+    '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')]
+Picture = Annotated[bool, typer.Option(
+    '--picture', help='Draw DIR/seam.png (needs matplotlib).')]
+
 
 @app.command()
 def seam(
-    path: Annotated[Path, typer.Argument(
-        metavar='CLOUD_OR_BAG', help='A .ply or .pcd file, or a bag with --calibration.')],
-    out: Annotated[Path, typer.Option(
-        metavar='DIR', help='Where seam.csv and seam.yaml are written.')] = Path('out/seam'),
-    calibration: Annotated[NoPath, typer.Option(
-        metavar='FILE', help='The calibration.yaml that puts a bag into the base.')] = None,
+    path: Source,
+    out: Out = Path('out/seam'),
+    calibration: Calibrated = None,
     config: MeasureConfig = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
-    pitch: Annotated[float, typer.Option(
-        min=1e-5, help='Distance between tool frames along the seam (m).')] = 0.005,
-    box: Annotated[tuple[float, float, float, float, float, float], typer.Option(
-        metavar='X X Y Y Z Z', help='Use the points between these values (m).')] = NO_BOX,
-    widest: Annotated[float, typer.Option(
-        min=1e-4, help='Largest distance between the edges of the seam (m).')] = 0.012,
-    towards: Annotated[tuple[float, float, float], typer.Option(
-        metavar='X Y Z', help='The tool approaches the part this way rather than the other.')
-    ] = (0.0, 0.0, -1.0),
-    travel: Annotated[float, typer.Option(
-        help='Travel angle: the tool leans along the seam (degrees).')] = 0.0,
-    work: Annotated[float, typer.Option(
-        help='Work angle: the tool leans across the seam (degrees).')] = 0.0,
-    taught: Annotated[NoPath, typer.Option(
-        metavar='FILE', help='A taught path to compare with: CSV with x, y, z (m).')] = None,
-    bag: Annotated[bool, typer.Option(
-        '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')] = False,
-    picture: Annotated[bool, typer.Option(
-        '--picture', help='Draw DIR/seam.png (needs matplotlib).')] = False,
+    pitch: Pitch = 0.005,
+    box: Box = NO_BOX,
+    widest: Widest = 0.012,
+    towards: Towards = (0.0, 0.0, -1.0),
+    travel: Travel = 0.0,
+    work: Work = 0.0,
+    taught: TaughtFile = None,
+    bag: AsBag = False,
+    picture: Picture = False,
 ) -> None:
     """Find the seam in a cloud, and plan tool frames along it (Wu 2017)."""
     import math
 
     from handeye_ros.measure import seam_files
     from handeye_ros.measure.seam import find_seam, tool_frames
-    from handeye_ros.results.calibration_file import write_whole
-    import numpy as np
     compared = seam_files.read_taught(taught) if taught else None
     points, frame = _cloud(path, calibration, config, assignments)
-    low, high = np.array(box).reshape(3, 2).T
-    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    points = points[((points >= box[::2]) & (points <= box[1::2])).all(axis=1)]
     with doing('looking for the seam'):
         found = find_seam(points, widest)
         frames = tool_frames(found, pitch, towards, math.radians(travel), math.radians(work))
     distances = seam_files.against_taught(found, compared) if compared is not None else None
-    write_whole(out / 'seam.csv', seam_files.csv_text(frames))
-    write_whole(out / 'seam.yaml', seam_files.yaml_text(
-        seam_files.values(found, frames, frame, distances)))
+    seam_files.write(out, found, frames, frame, distances)
     _more(found, frames, frame, out, bag, picture)
     for line in seam_files.sentences(found, frames, distances):
         typer.echo(line)

@@ -10,6 +10,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.measure.errors import TaughtPathError
 from handeye_ros.measure.seam import Seam, ToolFrames
+from handeye_ros.results.calibration_file import write_whole
 import numpy as np
 import yaml
 
@@ -89,6 +90,13 @@ def values(seam: Seam, frames: ToolFrames, frame_id: str, taught: Taught | None
 def yaml_text(told: dict[str, Any]) -> str:
     """Return the values of a seam as YAML."""
     return yaml.safe_dump(told, sort_keys=False, width=100, default_flow_style=None)
+
+
+def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str, taught: Taught | None
+          ) -> None:
+    """Write seam.csv and seam.yaml; raises UnwritableError."""
+    write_whole(folder / 'seam.csv', csv_text(frames))
+    write_whole(folder / 'seam.yaml', yaml_text(values(seam, frames, frame_id, taught)))
 
 
 def sentences(seam: Seam, frames: ToolFrames, taught: Taught | None) -> list[str]:
