@@ -23,11 +23,14 @@ from handeye_ros.checks.motion import (
 from handeye_ros.checks.shape import believable_shape, require_one_scale, with_shape_checked
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Calibration, Reject, Sample, TimedPose
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus, consensus, SUBSETS
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.results.outcome import describe_calibration, mounted
+from handeye_ros.results.report.evidence import Evidence, judged
 from handeye_ros.sampling.all_edges import judged_together
+from handeye_ros.sampling.looks import looks
 from handeye_ros.sampling.session import Session
 import numpy as np
 
@@ -73,6 +76,12 @@ def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, 
     rejects: stations that gave no sample, for the report; frame_id: of the profiles.
     Raises DataError when the samples cannot carry an answer.
     """
+    return solved(samples, rejects, config, frame_id)[0]
+
+
+def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, frame_id: str
+           ) -> tuple[Calibration, list[Sample], Solution]:
+    """Return the calibration as solve does, the samples it comes from, and the solution."""
     require_own_frame(frame_id, config)
     ordered, at_border = judged_together(sorted(samples, key=lambda sample: sample.stamp))
     rejects = [*rejects, *at_border]
@@ -81,7 +90,23 @@ def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, 
     calibration = describe_calibration(ordered, rejects, agreed, solution, config, frame_id)
     if not calibration.quality.holdout_rms <= config.limits.residual:
         raise LeftOutError(calibration.quality.holdout_rms, config.limits.residual)
-    return calibration
+    return calibration, [ordered[i] for i in agreed.used], solution
+
+
+def evidence(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: Config
+             ) -> Evidence:
+    """
+    Return what a recording shows, stop by stop, and what answer it gives, for the report.
+
+    Raises DataError when it holds no stations; one that is refused later is told with its words.
+    """
+    session = gather(profiles, poses, config)
+    seen = looks(session, config)
+    try:
+        found, used, solution = solved(session.samples, session.rejects, config, session.frame_id)
+    except DataError as error:
+        return Evidence(seen, refusal=str(error))
+    return judged(seen, used, solution, found)
 
 
 def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Config

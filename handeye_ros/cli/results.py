@@ -3,7 +3,7 @@ from pathlib import Path
 from typing import Annotated
 
 from handeye_ros.cli.app import app
-from handeye_ros.cli.common import NoPath
+from handeye_ros.cli.common import doing, NoPath
 from handeye_ros.config import SAVE_FORMATS
 import typer
 
@@ -29,3 +29,24 @@ def export(
         return
     target = out or file.parent / form.file_name(calibration)
     typer.echo(exports.export(calibration, name, target))
+
+
+@app.command()
+def report(
+    path: Saved,
+    bag: Annotated[NoPath, typer.Option(
+        metavar='BAG', help='The recording; if not given, the one the calibration names.')] = None,
+    out: Annotated[NoPath, typer.Option(
+        metavar='FILE', help='If not given, report.html beside the calibration.')] = None,
+) -> None:
+    """Show a saved calibration and what it comes from in one HTML file."""
+    from handeye_ros.results import report as reports
+    from handeye_ros.results.calibration_file import file_of, read_calibration
+    from handeye_ros.ros.bags.evidence import evidence
+    file = file_of(path)
+    calibration = read_calibration(file)
+    with doing('finding the stops'):
+        found = evidence(calibration, bag)
+    with doing('writing the report'):
+        written = reports.write(calibration, found, out or file.parent / reports.NAME)
+    typer.echo(f'wrote {written}')

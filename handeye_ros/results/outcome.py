@@ -30,7 +30,11 @@ def mounted(samples: Sequence[Sample], config: Config) -> Array:
 
     The flange in the base (eye_in_hand), or the base in the flange (eye_on_base).
     """
-    T_base_flange = np.array([sample.T_base_flange for sample in samples])
+    return in_mount(np.array([sample.T_base_flange for sample in samples]), config)
+
+
+def in_mount(T_base_flange: Array, config: Config) -> Array:
+    """Return poses (..., 4, 4) of the flange in the base, see mounted."""
     return T_base_flange if config.calibration_type == 'eye_in_hand' else se3.inverse(
         T_base_flange)
 
@@ -61,8 +65,8 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
                *(SampleReport(r.stamp, False, reason=r.reason) for r in rejects)]
     direction, std = weakest(solution, parent)
     residuals = measured.residuals(problem, solution.estimate)
-    quality = Quality(len(used), len(reports) - len(used), float(np.sqrt((residuals ** 2).mean())),
-                      _holdout_rms(solution, measured), direction, std)
+    quality = Quality(len(used), len(reports) - len(used), _rms(residuals),
+                      _rms(left_out(solution, measured)), direction, std)
     return Calibration(
         config.name or config.target.type, problem.method.name, parent, frame_id or 'laser',
         solution.estimate.X @ se3.inverse(sensor_axes(config)),
@@ -106,16 +110,21 @@ def _dropped_reports(samples: Sequence[Sample], agreed: Consensus) -> list[Sampl
             for i, square in agreed.dropped.items()]
 
 
-def _holdout_rms(solution: Solution, measured: Measured) -> float:
-    """Return the RMS residual of stations that are predicted without them, fold by fold."""
+def left_out(solution: Solution, measured: Measured) -> Array:
+    """Return the residuals (k,) of stations that are predicted without them, fold by fold."""
     n = len(solution.problem.poses)
     folds = min(n, MOST_FOLDS)
-    total = 0.0
+    found = np.empty(len(measured.station))
     for fold in range(folds):
         stations = np.arange(fold, n, folds)
-        part = measured.select(np.isin(measured.station, stations))
-        total += float((part.residuals(solution.problem, without(solution, stations)) ** 2).sum())
-    return float(np.sqrt(total / len(measured.station)))
+        part = np.isin(measured.station, stations)
+        found[part] = measured.select(part).residuals(solution.problem,
+                                                      without(solution, stations))
+    return found
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt((values ** 2).mean()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,15 +34,20 @@ def _transform_table(calibration: Calibration) -> Table:
     for name in ('value', '1 sigma'):
         columns.add_column(name, justify='right')
     columns.add_column('')
+    for row in transform_rows(calibration):
+        columns.add_row(*row)
+    return columns
+
+
+def transform_rows(calibration: Calibration) -> Iterator[tuple[str, str, str, str]]:
+    """Yield name, value, 1 sigma and unit of the six numbers of a transform."""
     T, covariance = calibration.T_flange_sensor, calibration.covariance
     for axis, value, std in zip('xyz', T[:3, 3], np.sqrt(np.diag(covariance))[:3], strict=True):
-        columns.add_row(axis, f'{value * 1e3:.3f}', f'{std * 1e3:.3f}', 'mm')
+        yield axis, f'{value * 1e3:.3f}', f'{std * 1e3:.3f}', 'mm'
     stds = rpy_std(T, covariance[3:, 3:])
     for name, angle, std in zip(('roll', 'pitch', 'yaw'), se3.rpy(T), stds, strict=True):
-        columns.add_row(name, f'{math.degrees(angle):.4f}',
-                        f'{math.degrees(std):.4f}' if math.isfinite(std) else 'undefined',
-                        'degrees')
-    return columns
+        yield (name, f'{math.degrees(angle):.4f}',
+               f'{math.degrees(std):.4f}' if math.isfinite(std) else 'undefined', 'degrees')
 
 
 def rpy_std(T: Array, covariance: Array) -> Array:
@@ -64,13 +69,14 @@ def rpy_std(T: Array, covariance: Array) -> Array:
 
 
 def _facts_table(calibration: Calibration) -> Table:
-    facts = Table(box=None, show_header=False, pad_edge=False)
-    for name, fact in _facts(calibration):
-        facts.add_row(name, Text(fact))
-    return facts
+    columns = Table(box=None, show_header=False, pad_edge=False)
+    for name, fact in facts(calibration):
+        columns.add_row(name, Text(fact))
+    return columns
 
 
-def _facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
+def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
+    """Yield what else there is to tell of a calibration, each with its name."""
     quality = calibration.quality
     quaternion = se3.quaternion(calibration.T_flange_sensor)
     yield 'quaternion', ' '.join(f'{q:.9f}' for q in quaternion) + '  (x y z w)'

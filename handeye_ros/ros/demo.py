@@ -19,9 +19,10 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray
 from handeye_ros import config as configuration
 from handeye_ros.errors import InputError, UnwritableError
-from handeye_ros.results import calibration_file, table
+from handeye_ros.results import calibration_file, report, table
 from handeye_ros.results.truth_errors import errors_against
 from handeye_ros.results.truth_file import true_transform
+from handeye_ros.ros.bags.evidence import evidence
 from handeye_ros.ros.errors import NodeError, RefusedError
 from handeye_ros.ros.executable import exit_code, ros
 import rclpy
@@ -66,6 +67,8 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
     if T_true is not None:
         print(table.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
     print(f'wrote {path}')
+    written = report.write(calibration, evidence(calibration, bag), out / report.NAME)
+    print(f'wrote {written}: open it in a browser')
 
 
 @contextmanager
@@ -73,7 +76,8 @@ def _scratch(out: Path) -> Iterator[Path]:
     """Give a folder below out that goes away in the end."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        (out / 'calibration.yaml').unlink(missing_ok=True)  # a refusal leaves none behind
+        for name in ('calibration.yaml', report.NAME):  # a refusal leaves none behind
+            (out / name).unlink(missing_ok=True)
         with tempfile.TemporaryDirectory(prefix='.', dir=out) as folder:
             yield Path(folder)
     except OSError as error:

@@ -1,0 +1,87 @@
+"""What a recording shows of an answer, stop by stop: what the report draws."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from handeye_ros.data import Array, Calibration, Feature, Sample
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.results.calibration_file import input_values
+from handeye_ros.results.outcome import left_out, measured_points
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """
+    A stop of the robot.
+
+    number: counted from 1; T_mount: (4, 4) of what carries the sensor in what the target rests
+    in; points: (n, 2) of one of its profiles, in the sensor plane; features: what was found in
+    it; reason: why it was not used, empty if it was. residuals, left_out: (k,) of its measured
+    points (metres), with and without it in the fit; empty where it was not used.
+    """
+
+    number: int
+    stamp: int
+    T_mount: Array
+    points: Array
+    features: tuple[Feature, ...] = ()
+    reason: str = ''
+    residuals: Array = field(default_factory=lambda: np.empty(0))
+    left_out: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def used(self) -> bool:
+        """Return whether it is part of the answer."""
+        return not self.reason
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """
+    The stops of a recording, and the answer that it gives.
+
+    calibration: None where the recording is refused; refusal: with these words. missing: why
+    there is no recording to show.
+    """
+
+    looks: tuple[Look, ...] = ()
+    calibration: Calibration | None = None
+    refusal: str = ''
+    missing: str = ''
+
+
+def recording_of(calibration: Calibration) -> tuple[Path | None, str]:
+    """Return the recording that a calibration names, None and the reason if it is not there."""
+    advice = 'so its stops are not shown: name the recording with --bag'
+    for item in calibration.provenance.get('inputs', ()):
+        path = Path(str(item.get('path', '')))
+        if not item.get('path'):
+            continue
+        if not path.is_file():
+            return None, f'{path} is not there, {advice}'
+        if input_values(path)['sha256'] != item.get('sha256'):
+            return None, f'{path} has changed since it was solved, {advice}'
+        return path, ''
+    return None, f'the calibration names no recording, {advice}'
+
+
+def judged(looks: Sequence[Look], used: Sequence[Sample], solution: Solution,
+           calibration: Calibration) -> Evidence:
+    """
+    Return stops with what became of them in an answer.
+
+    used: the samples of the answer, in the order of the stations of its problem.
+    """
+    measured = measured_points(used, solution.problem)
+    inside = measured.residuals(solution.problem, solution.estimate)
+    outside = left_out(solution, measured)
+    reasons = {report.stamp: report.reason for report in calibration.samples if not report.used}
+    found = [replace(look, reason=reasons.get(look.stamp, look.reason)) for look in looks]
+    place = {look.stamp: i for i, look in enumerate(found)}
+    for station, sample in enumerate(used):
+        own, i = measured.station == station, place[sample.stamp]
+        found[i] = replace(found[i], residuals=inside[own], left_out=outside[own])
+    return Evidence(tuple(found), calibration)

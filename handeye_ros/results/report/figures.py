@@ -1,0 +1,133 @@
+"""The plots of the report, as SVG texts; axes in millimetres and degrees, for a person."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from io import StringIO
+import math
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.config import NoiseConfig
+from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature
+from handeye_ros.results.report.evidence import Look
+from handeye_ros.results.report.verdict import in_plane
+from matplotlib import rc_context
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+import numpy as np
+
+STYLE: Any = {
+    'svg.fonttype': 'none', 'font.size': 9, 'font.family': 'sans-serif', 'grid.alpha': 0.3,
+    'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True,
+    'legend.frameon': False}
+BLUE, ORANGE, RED, GREY = '#1f6fb4', '#e07b00', '#c62828', '#777777'
+MOST_POINTS = 320  # of a profile in its plot
+BINS = 31
+
+
+def style() -> AbstractContextManager[None]:
+    """Return what all the plots are drawn in."""
+    return rc_context(STYLE)
+
+
+def _figure(width: float, height: float, columns: int = 1) -> tuple[Figure, Any]:
+    figure = Figure(figsize=(width, height), layout='constrained')
+    FigureCanvasSVG(figure)
+    return figure, figure.subplots(1, columns)
+
+
+def _svg(figure: Figure) -> str:
+    stream = StringIO()
+    figure.savefig(stream, format='svg', metadata={'Date': None, 'Creator': None})
+    text = stream.getvalue()
+    return text[text.index('<svg'):]
+
+
+def residuals(looks: Sequence[Look]) -> str:
+    """Return the RMS residual of each stop, in the fit and left out."""
+    used = [look for look in looks if len(look.residuals)]
+    figure, ax = _figure(7, 2.6)
+    place = np.arange(len(used))
+    for shift, color, label, values in (
+            (-0.2, BLUE, 'in the fit', [look.residuals for look in used]),
+            (0.2, ORANGE, 'left out of the fit', [look.left_out for look in used])):
+        heights = [1e3 * float(np.sqrt((v ** 2).mean())) for v in values]
+        ax.bar(place + shift, heights, 0.4, color=color, label=label)
+    ax.set_xticks(place, [str(look.number) for look in used], fontsize=7)
+    ax.set_xlabel('stop')
+    ax.set_ylabel('RMS residual (mm)')
+    ax.legend(loc='upper right', ncols=2)
+    return _svg(figure)
+
+
+def histogram(looks: Sequence[Look], stated: float) -> str:
+    """Return how the residuals spread, beside a noise of so much (1 sigma, metres)."""
+    values = 1e3 * np.concatenate([look.residuals for look in looks])
+    reach = max(float(np.quantile(np.abs(values), 0.999)), 3e3 * stated)
+    bins = np.linspace(-reach, reach, BINS + 1)
+    figure, ax = _figure(7, 2.6)
+    ax.hist(values, bins, density=True, color=BLUE, alpha=0.7,
+            label=f'residuals, RMS {np.sqrt((values ** 2).mean()):.3f} mm')
+    x = np.linspace(-reach, reach, 201)
+    sigma = 1e3 * stated
+    ax.plot(x, np.exp(-(x / sigma) ** 2 / 2) / sigma / math.sqrt(2 * math.pi), color=ORANGE,
+            label=f'stated noise, 1 sigma {sigma:.3f} mm')
+    ax.set_xlabel('residual (mm)')
+    ax.set_ylabel('share per mm')
+    ax.legend(loc='upper right')
+    return _svg(figure)
+
+
+def stated_noise(noise: NoiseConfig, arm: float) -> float:
+    """Return the 1 sigma (metres) of a point so far from the flange that the noise explains."""
+    return math.sqrt(noise.sensor ** 2 + noise.distortion ** 2 + noise.robot_translation ** 2
+                     + (arm * noise.robot_rotation) ** 2)
+
+
+def coverage(looks: Sequence[Look]) -> str:
+    """Return where in the field of view the target was seen, and how the sensor was turned."""
+    used = [look for look in looks if look.used]
+    seen = 1e3 * np.concatenate([in_plane(look.features) for look in used])
+    R = np.array([look.T_mount[:3, :3] for look in used])
+    middle = se3.mean_pose(np.array([look.T_mount for look in used]))[:3, :3]
+    turns = np.degrees(se3.log_rotation(R @ middle.T))
+    figure, (field, ax) = _figure(7, 3.1, 2)
+    field.plot(*seen.T, '.', color=BLUE, ms=4)
+    field.set(xlabel='along the laser line (mm)', ylabel='range (mm)',
+              title='Field of view that was used')
+    field.invert_yaxis()
+    dots = ax.scatter(turns[:, 0], turns[:, 1], c=turns[:, 2], s=22, cmap='viridis')
+    ax.set(xlabel='turn about x (degrees)', ylabel='turn about y (degrees)', aspect='equal',
+           adjustable='datalim', title='Rotations from their mean')
+    figure.colorbar(dots, ax=ax, label='turn about z (degrees)')
+    return _svg(figure)
+
+
+def profile(look: Look) -> str:
+    """Return a profile of a stop with what was found in it."""
+    points = 1e3 * look.points[np.isfinite(look.points).all(axis=1)]
+    points = points[::max(1, len(points) // MOST_POINTS)]
+    figure, ax = _figure(3.2, 2.3)
+    ax.plot(*points.T, '.', color=GREY if look.used else RED, ms=1.5)
+    for feature in look.features:
+        _draw(ax, feature)
+    ax.set(xlabel='along the line (mm)', ylabel='range (mm)')
+    ax.invert_yaxis()
+    return _svg(figure)
+
+
+def _draw(ax: Any, feature: Feature) -> None:
+    if isinstance(feature, FaceLine):
+        ends = 1e3 * _face(feature)
+        ax.plot(*ends.T, color=BLUE, lw=1.6)
+    elif isinstance(feature, EdgePoint):
+        ax.plot(*(1e3 * feature.point), 'o', mfc='none', color=ORANGE, ms=7, mew=1.6)
+    elif isinstance(feature, Arc):
+        ax.plot(*(1e3 * feature.points).T, color=BLUE, lw=1.6)
+
+
+def _face(line: FaceLine) -> Array:
+    """Return the ends (2, 2) of a straight piece: of evenly spread points, sqrt(3) spreads."""
+    half = math.sqrt(3) * line.spread * line.direction
+    return np.array([line.centre - half, line.centre + half])

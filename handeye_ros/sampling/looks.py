@@ -1,0 +1,41 @@
+"""What was seen at each stop of a session, for those who draw it."""
+from __future__ import annotations
+
+from contextlib import suppress
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array
+from handeye_ros.errors import UnusableMessageError
+from handeye_ros.results.outcome import in_mount
+from handeye_ros.results.report.evidence import Look
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import Outcome, Seen
+import numpy as np
+
+
+def looks(session: Session, config: Config) -> tuple[Look, ...]:
+    """Return what was seen at the stops, in the order of their numbers; all count as unused."""
+    return tuple(_look(outcome, config) for outcome in session.outcomes)
+
+
+def _look(outcome: Outcome, config: Config) -> Look:
+    seen, sample = outcome.stop.load(config), outcome.sample
+    stamp = outcome.result.stamp
+    T = sample.T_base_flange if sample else _middle(seen)
+    return Look(outcome.number, stamp, in_mount(T, config), _points(seen, stamp, config),
+                sample.features if sample else (), getattr(outcome.result, 'reason', ''))
+
+
+def _points(seen: Seen, stamp: int, config: Config) -> Array:
+    """Return the points of the profile nearest to a stamp, none if it is unusable."""
+    profile = min(seen.profiles, key=lambda p: abs(p.stamp - stamp), default=None)
+    if profile is not None:
+        with suppress(UnusableMessageError):
+            return profile.read(config.profile).points
+    return np.empty((0, 2))
+
+
+def _middle(seen: Seen) -> Array:
+    pose = seen.poses[len(seen.poses) // 2]
+    return se3.from_quaternion(pose.translation, pose.quaternion)

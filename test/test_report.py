@@ -1,0 +1,205 @@
+"""The report of a calibration: what it says, and what a browser shows of it."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+import re
+from typing import Any
+
+from browser import chromium, complaints
+from command import assert_refused, handeye, ROOT
+from handeye_ros import config, se3
+from handeye_ros.data import Calibration
+from handeye_ros.results import calibration_file, report
+from handeye_ros.results.report.evidence import Evidence
+from handeye_ros.results.report.verdict import mapped_std, verdict
+from handeye_ros.ros.bags.evidence import evidence
+import numpy as np
+import pytest
+
+PLATE = ROOT / 'config' / 'plate.yaml'
+BAG = ROOT / 'bags' / 'plate'
+PAINTED = """
+const c = document.getElementById('scene');
+const copy = document.createElement('canvas');
+[copy.width, copy.height] = [c.width, c.height];
+const pen = copy.getContext('2d', {willReadFrequently: true});
+pen.drawImage(c, 0, 0);
+const d = pen.getImageData(0, 0, c.width, c.height).data;
+const seen = new Set();
+let painted = 0;
+for (let i = 0; i < d.length; i += 4) {
+  if (d[i] < 250 || d[i + 1] < 250 || d[i + 2] < 250) painted++;
+  seen.add((d[i] >> 5) + ',' + (d[i + 1] >> 5) + ',' + (d[i + 2] >> 5));
+}
+return [painted, seen.size, c.toDataURL()];
+"""
+
+
+@pytest.fixture(scope='module')
+def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the calibration of a plate and its report."""
+    folder = tmp_path_factory.mktemp('solved')
+    run = handeye('solve', BAG, '--config', PLATE, '--out', folder, cwd=ROOT)
+    assert run.returncode == 0, run.stderr
+    run = handeye('report', folder, cwd=ROOT)
+    assert (run.returncode, run.stdout) == (0, f'wrote {folder / "report.html"}\n'), run.stderr
+    return folder
+
+
+@pytest.fixture(scope='module')
+def calibration(solved: Path) -> Calibration:
+    return calibration_file.read_calibration(solved / 'calibration.yaml')
+
+
+@pytest.fixture(scope='module')
+def found(calibration: Calibration) -> Evidence:
+    return evidence(calibration, BAG)
+
+
+@pytest.fixture(scope='module')
+def page(solved: Path) -> Iterator[Any]:
+    with chromium() as browser:
+        browser.get((solved / 'report.html').as_uri())
+        yield browser
+
+
+def text_of(page: Any, name: str) -> str:
+    return str(page.find_element('id', name).get_attribute('textContent'))
+
+
+def test_it_opens_without_a_network(solved: Path) -> None:
+    text = (solved / 'report.html').read_text()
+    plain = re.sub(r'base64,[A-Za-z0-9+/=]+', '', text)
+    assert not re.search(r'(src|href)="(?!data:)', plain) and '@import' not in plain
+    assert 'http' not in plain
+    assert len(text.encode()) < 8e6
+
+
+def test_it_shows_the_same_numbers_as_the_file(page: Any, calibration: Calibration) -> None:
+    T, std = calibration.T_flange_sensor, np.sqrt(np.diag(calibration.covariance))
+    told = page.find_elements('css selector', '#transform td.number')
+    values = np.array([cell.text for cell in told], dtype=float).reshape(6, 2)
+    np.testing.assert_allclose(values[:3, 0], T[:3, 3] * 1e3, atol=5e-4)
+    np.testing.assert_allclose(values[:3, 1], std[:3] * 1e3, atol=5e-4)
+    np.testing.assert_allclose(values[3:, 0], np.degrees(se3.rpy(T)), atol=5e-5)
+    left_out = float(text_of(page, 'left_out'))
+    assert left_out == pytest.approx(calibration.quality.holdout_rms * 1e3, abs=5e-4)
+    assert calibration.provenance['inputs'][0]['sha256'] in text_of(page, 'inputs')
+
+
+def test_the_verdict_comes_first(page: Any, calibration: Calibration) -> None:
+    first = page.find_element('css selector', 'h1')
+    assert first.text.startswith('Good for mapping points of laser into flange to 0.0')
+    assert first.location['y'] < 100
+    assert not page.find_elements('id', 'remarks')
+
+
+def test_the_scene_is_drawn_and_turns(page: Any) -> None:
+    painted, colors, before = page.execute_script(PAINTED)
+    assert painted > 3000 and colors > 10
+    canvas = page.find_element('id', 'scene')
+    from selenium.webdriver import ActionChains
+    ActionChains(page).move_to_element(canvas).click_and_hold().move_by_offset(
+        90, 40).release().perform()
+    painted, _, after = page.execute_script(PAINTED)
+    assert painted > 3000 and after != before
+    assert float(text_of(page, 'factor')) >= 1
+
+
+def test_every_picture_is_there(page: Any, calibration: Calibration) -> None:
+    sizes = page.execute_script(
+        'return Promise.all([...document.images].map((i) => { i.loading = "eager"; '
+        'return i.decode().then(() => [i.naturalWidth, i.alt]); }))')
+    assert len(sizes) == 3 + len(calibration.samples)
+    assert all(width > 100 and alt for width, alt in sizes)
+
+
+def test_the_numbers_can_be_copied(page: Any) -> None:
+    for button in page.find_elements('css selector', '.copy button'):
+        button.click()
+    page.execute_async_script('setTimeout(arguments[0])')  # what the clicks promised is done
+    told = {button.text for button in page.find_elements('css selector', '.copy button')}
+    assert told <= {'copied', 'press Ctrl-C'}
+    uses = [pre.text for pre in page.find_elements('css selector', '.copy pre')]
+    assert '<origin xyz="' in uses[0] and uses[1].startswith('ros2 run tf2_ros static_')
+
+
+def test_nothing_is_complained_of(page: Any) -> None:
+    assert complaints(page) == []
+
+
+def test_a_phone_needs_no_scrolling_sideways(solved: Path) -> None:
+    with chromium(360, 740) as browser:
+        browser.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', {
+            'width': 360, 'height': 740, 'deviceScaleFactor': 2, 'mobile': True})
+        browser.get((solved / 'report.html').as_uri())
+        assert browser.execute_script('return document.documentElement.scrollWidth') <= 360
+        assert browser.execute_script(PAINTED)[0] > 3000
+
+
+def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration, found: Evidence
+                                                    ) -> None:
+    reason = 'no edge <was> seen'
+    looks = tuple(replace(look, reason=reason) if look.number == 3 else look
+                  for look in found.looks)
+    samples = tuple(replace(s, used=False, reason=reason) if i == 2 else s
+                    for i, s in enumerate(calibration.samples))
+    text = report.html(replace(calibration, samples=samples), replace(found, looks=looks))
+    assert text.count('no edge &lt;was&gt; seen') == 3  # counted, below the profile, in the list
+    assert 'Stop 3:\nnot used: no edge' in text
+
+
+def test_another_answer_is_told(calibration: Calibration, found: Evidence) -> None:
+    T = se3.perturb(calibration.T_flange_sensor, np.array([1e-3, 0, 0, 0, 0, 0]))
+    said = verdict(replace(calibration, T_flange_sensor=T), found, np.empty((0, 3)))
+    assert not said.good
+    assert said.sentence.startswith('Do not rely on this calibration: the recording gives another '
+                                    'answer than the one saved, 1.000 mm')
+
+
+def test_a_recording_that_is_refused_is_told(calibration: Calibration) -> None:
+    found = evidence(calibration, ROOT / 'bags' / 'one_orientation')
+    text = report.html(calibration, found)
+    assert 'Do not rely on this calibration: the recording is refused now: all poses share' in text
+
+
+def test_mapped_points_are_as_uncertain_as_draws_say(calibration: Calibration) -> None:
+    points = np.array([[0.0, 0.0, 0.16], [0.02, 0.0, 0.19]])
+    draws = np.random.default_rng(1).multivariate_normal(np.zeros(6), calibration.covariance, 4000)
+    T = calibration.T_flange_sensor
+    spread = [se3.apply(se3.perturb(T, d), points) - se3.apply(T, points) for d in draws]
+    rms = float(np.sqrt((np.array(spread) ** 2).sum(axis=2).mean()))
+    assert mapped_std(calibration, points) == pytest.approx(rms, rel=0.05)
+
+
+def test_without_its_recording_it_says_so(solved: Path, tmp_path: Path) -> None:
+    text = (solved / 'calibration.yaml').read_text()
+    (tmp_path / 'calibration.yaml').write_text(text.replace(str(BAG), 'gone'))
+    run = handeye('report', '.', cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    text = (tmp_path / 'report.html').read_text()
+    assert 'is not there, so its stops are not shown: name the recording with --bag' in text
+
+
+def test_a_recording_that_has_changed_is_not_shown(calibration: Calibration, tmp_path: Path
+                                                   ) -> None:
+    (tmp_path / 'plate.mcap').write_text('another')
+    inputs = [{**calibration.provenance['inputs'][0], 'path': str(tmp_path / 'plate.mcap')}]
+    changed = replace(calibration, provenance={**calibration.provenance, 'inputs': inputs})
+    assert 'has changed since it was solved' in evidence(changed, None).missing
+
+
+def test_a_calibration_from_files_has_a_report_too(calibration: Calibration) -> None:
+    told = {**config.flatten(config.Config()), 'target.type': 'points',
+            'calibration_type': 'eye_on_base'}
+    files = replace(calibration, provenance={**calibration.provenance, 'config': told})
+    found = evidence(files, None)
+    assert 'solved from files' in found.missing
+    assert 'id="scene"' in report.html(files, found)
+
+
+def test_wrong_input_is_refused(tmp_path: Path) -> None:
+    assert_refused(handeye('report', 'none.yaml', cwd=tmp_path), 2, 'none.yaml cannot be used')
+    assert not list(tmp_path.iterdir())
