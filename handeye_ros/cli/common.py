@@ -36,9 +36,9 @@ def configuration(file: Path | None, assignments: list[str]) -> 'Config':
 
 def read_bag(bag: Path, settings: 'Config') -> 'Recording':
     """Return what a bag holds, and tell what was lost of it."""
-    with doing('reading the recording'):
+    with advancing('reading the recording') as progress:
         from handeye_ros.ros.bags.bag import read
-        recording = read(bag, settings)
+        recording = read(bag, settings, progress)
     for warning in recording.warnings:
         warn(warning)
     return recording
@@ -58,6 +58,19 @@ def doing(what: str) -> Iterator[Callable[[str], None]]:
     from rich.console import Console
     with Console(stderr=True).status(what) as status:
         yield status.update
+
+
+@contextmanager
+def advancing(what: str) -> Iterator[Callable[[float], None]]:
+    """Show on a terminal a bar of what takes its time; what it yields is told the share done."""
+    if not sys.stderr.isatty():
+        yield lambda share: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=1.0)
+        yield lambda share: bar.update(task, completed=share)
 
 
 def show(renderable: Any) -> None:

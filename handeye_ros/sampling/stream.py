@@ -11,7 +11,7 @@ from bisect import bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from copy import copy
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import Generic, TypeVar
 
 from handeye_ros.data import Profile, RawProfile, TimedPose
@@ -115,6 +115,8 @@ def in_order(stamps: Sequence[int]) -> list[bool] | None:
 
     stamps: in the order of recording. One that lies within LARGEST_STEP of its place fits.
     """
+    if all(earlier <= later for earlier, later in pairwise(stamps)):
+        return [True] * len(stamps)
     rising = _longest_rising(stamps)
     before = accumulate((s if r else -1 for s, r in zip(stamps, rising, strict=True)), max)
     backwards = [(s if r else None) for s, r in zip(stamps, rising, strict=True)][::-1]

@@ -9,11 +9,13 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.results import folder
 from handeye_ros.results import truth_file as truth_file
-from handeye_ros.ros.bags.contents import full_name
+from handeye_ros.ros.bags.contents import CLOUD, full_name, POSE
 from handeye_ros.ros.bags.messages import DATATYPES, UNITS
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 # The points of real drivers: dtypes with the fields x, y and z.
 LAYOUTS: dict[str, np.dtype[Any]] = {
@@ -49,22 +51,23 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
 
 def _write_messages(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
                     config: Config, dtype: np.dtype[Any]) -> None:
-    types = get_typestore(Stores.ROS2_JAZZY)
     writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    cloud_type, pose_type = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseStamped'
     with writer:
-        clouds = writer.add_connection(full_name(config.profile_topic), cloud_type,
-                                       typestore=types)
-        stamped = writer.add_connection(full_name(config.pose_topic), pose_type, typestore=types)
+        clouds = writer.add_connection(full_name(config.profile_topic), CLOUD,
+                                       typestore=TYPES)
+        stamped = writer.add_connection(full_name(config.pose_topic), POSE, typestore=TYPES)
         items: list[Profile | TimedPose] = [*profiles, *poses]
         for item in sorted(items, key=lambda item: item.stamp):
-            if isinstance(item, Profile):
-                cloud = _cloud(types, item, dtype, config.profile.unit)
-                writer.write(clouds, item.stamp, types.serialize_cdr(cloud, cloud_type))
-            else:
-                pose = _pose_stamped(types, item)
-                writer.write(stamped, item.stamp, types.serialize_cdr(pose, pose_type))
+            writer.write(clouds if isinstance(item, Profile) else stamped, item.stamp,
+                         serialised(item, dtype, config.profile.unit))
+
+
+def serialised(item: Profile | TimedPose, dtype: np.dtype[Any], unit: str) -> bytes:
+    """Return the message of a profile, its points laid out and in a unit, or of a pose."""
+    if isinstance(item, Profile):
+        return bytes(TYPES.serialize_cdr(_cloud(TYPES, item, dtype, unit), CLOUD))
+    return bytes(TYPES.serialize_cdr(_pose_stamped(TYPES, item), POSE))
 
 
 def cloud_cdr(profile: Profile, config: Config) -> bytes:

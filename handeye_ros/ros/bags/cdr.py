@@ -9,26 +9,22 @@ Whatever the bytes are, they give a message or MessageError. Source: the OMG's C
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 import struct
 from typing import NamedTuple
 
 from handeye_ros.ros.errors import MessageError
 
+FRAME = 16  # where the characters of the frame_id lie
+FRAMES = 100  # that are remembered: they come thousands of times
 ENCAPSULATION = 4  # bytes before the message: its encoding, big or little endian
 MOST_FIELDS = 1000  # of a point; a count that damage made absurd must not become a loop
 
 
-class Time(NamedTuple):
-    """A builtin_interfaces/Time."""
-
-    sec: int
-    nanosec: int
-
-
 class Header(NamedTuple):
-    """A std_msgs/Header."""
+    """A std_msgs/Header; stamp: ns."""
 
-    stamp: Time
+    stamp: int
     frame_id: str
 
 
@@ -78,11 +74,15 @@ def header(data: bytes, kind: str) -> tuple[Header, int]:
         sec, nanosec, length = _HEADERS[order].unpack_from(data, ENCAPSULATION)
     except struct.error as error:
         raise MessageError(kind, f'damaged message: {error}') from error
-    start = ENCAPSULATION + 12
-    end = start + length
+    end = FRAME + length
     if end > len(data):
         raise MessageError(kind, 'damaged message: its frame_id does not end')
-    return Header(Time(sec, nanosec), _text(data, start, end, kind)), end
+    return Header(sec * 1_000_000_000 + nanosec, _frame(data[FRAME:end], kind)), end
+
+
+@lru_cache(FRAMES)
+def _frame(data: bytes, kind: str) -> str:
+    return _text(data, 0, len(data), kind)
 
 
 def _text(data: bytes, start: int, end: int, kind: str) -> str:

@@ -1,9 +1,10 @@
 """What a bag holds, before anything is made of it."""
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import zstandard
 
@@ -12,6 +13,7 @@ POSE = 'geometry_msgs/msg/PoseStamped'
 TF = 'tf2_msgs/msg/TFMessage'
 
 ZSTD = b'\x28\xb5\x2f\xfd'
+LARGEST = 1 << 28  # bytes of one record or message, packed or not: no recorder writes more
 
 
 class Raw(NamedTuple):
@@ -22,19 +24,25 @@ class Raw(NamedTuple):
     data: bytes
 
 
+# A message, and what reads it again from where it lies: nothing, where that is lost meanwhile.
+Given: TypeAlias = tuple[Raw, Callable[[], bytes]]
+
+
 @dataclass
 class Contents:
     """
     What a bag holds.
 
     topics: the type by the name of each; messages: of the topics asked for, in the order of
-    recording; warnings: what could not be read; files: what was read.
+    recording, where they were asked for; warnings: what could not be read; files: what was read;
+    at: the byte of the present file that is being read.
     """
 
     topics: dict[str, str] = field(default_factory=dict)
     messages: list[Raw] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
+    at: int = 0
 
 
 def full_name(topic: str) -> str:
@@ -46,7 +54,16 @@ def message_of(data: bytes) -> bytes:
     """Return a message, unpacked where the recorder packed each one; CDR starts with 0."""
     if data[:4] != ZSTD:
         return data
-    return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+    try:
+        return unpacked(data)
+    except zstandard.ZstdError:
+        return b''  # which is no message of any type
+
+
+def unpacked(data: bytes) -> bytes:
+    """Return what was packed with zstd, also the beginning of it; never more than LARGEST."""
+    with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+        return stream.read(LARGEST)
 
 
 def type_of(name: str, encoding: str) -> str:

@@ -1,28 +1,41 @@
 """
-The records of an .mcap file, as far as they can be read.
+The records of an .mcap file, one after the other, as far as they can be read.
 
 rosbags and mcap read whole files only; a recording that was cut off (power, full disk) is
-common, so the framing is read here, up to the damage, and says what was lost.
+common, so the framing is read here, up to the damage, and says what was lost. No length that a
+file claims is believed: nothing larger than LARGEST is ever held.
 """
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import lru_cache, partial
 import io
 from pathlib import Path
 import struct
 from typing import Any, BinaryIO
 import zlib
 
-from handeye_ros.ros.bags.contents import Contents, full_name, message_of, Raw, type_of
+from handeye_ros.ros.bags.contents import (
+    Contents,
+    full_name,
+    Given,
+    LARGEST,
+    message_of,
+    Raw,
+    type_of,
+    unpacked,
+)
 import lz4.frame  # type: ignore[import-untyped]
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Schema
-import zstandard
 
-PIECE = 1 << 24  # a length that damage made absurd must not become an allocation
+FOOTER = struct.Struct('<QQI')  # what it holds: start of the summary, of its offsets, crc
+RECORD = struct.Struct('<BQ')
+MESSAGE = struct.Struct('<HIQQ')
+CHUNKS = 4  # that are kept unpacked: profiles of a stop lie close together
+MAGIC = 8  # bytes at either end
 
 
 class DamagedError(Exception):
@@ -32,85 +45,166 @@ class DamagedError(Exception):
 class McapFile:
     """Reads one .mcap file record by record."""
 
-    def __init__(self, path: Path, contents: Contents, wanted: set[str] | None) -> None:
-        """wanted: the topics whose messages are put into the contents; None: all."""
+    def __init__(self, path: Path, name: str, contents: Contents, wanted: set[str] | None
+                 ) -> None:
+        """name: for the warnings; wanted: the topics whose messages are given, None: all."""
         self._path = path
+        self._name = name
         self._contents = contents
         self._wanted = wanted
         self._schemas: dict[int, str] = {}
-        self._channels: dict[int, str] = {}
-        self._messages: list[tuple[int, int, bytes]] = []
+        self._channels: dict[int, str] = {}  # those that are wanted
+        self._known: set[int] = set()
         self._bad_chunks = 0
+        self._count = 0
+        self._chunk = lru_cache(CHUNKS)(self._unpacked_at)
 
-    def scan(self, stream: BinaryIO) -> None:
-        """Take all records behind the magic."""
-        complete = self._take_all(stream)
-        # only now: where a damaged chunk defines the channels, the summary repeats them
-        for channel, log_time, data in self._messages:
-            topic = self._channels.get(channel)
-            if topic is not None and (self._wanted is None or topic in self._wanted):
-                self._contents.messages.append(Raw(topic, log_time, message_of(data)))
-        if self._bad_chunks:
-            self._contents.warnings.append(
-                f'{self._path.name} is damaged: {self._bad_chunks} chunk(s) of it were left out')
-        if not complete:
-            self._contents.warnings.append(
-                f'{self._path.name} is cut off or damaged: read {len(self._messages)} messages '
-                'up to there')
-
-    def _take_all(self, stream: BinaryIO) -> bool:
-        """Take all records; return whether the end of the data was among them."""
+    def messages(self) -> Iterator[Given]:
+        """Yield the messages in the order of recording, each with what gives it again."""
         complete = False
-        with suppress(DamagedError):
-            for opcode, body, whole in _frames(stream):
+        with suppress(DamagedError), self._path.open('rb') as stream:
+            self._take_summary(stream)
+            stream.seek(MAGIC)
+            for opcode, body, whole, position in _frames(stream):
+                self._contents.at = position
                 complete |= opcode in (Opcode.DATA_END, Opcode.FOOTER)
                 if opcode == Opcode.FOOTER:
                     break
                 if opcode == Opcode.CHUNK:
-                    self._take_chunk(body, whole)
-                elif whole:
+                    yield from self._of_chunk(body, whole, position)
+                elif whole and opcode != Opcode.MESSAGE:
                     self._take(opcode, body)
-        return complete
+                elif whole and (raw := self._message(body, 0, len(body))):
+                    yield raw, partial(self._at, position + MESSAGE.size,
+                                       len(body) - MESSAGE.size)
+        self._tell(complete)
 
-    def _take_chunk(self, body: bytes, whole: bool) -> None:
-        """Take the records of a chunk, or of its beginning where the file is cut in it."""
+    def _tell(self, complete: bool) -> None:
+        if self._bad_chunks:
+            self._contents.warnings.append(
+                f'{self._name} is damaged: {self._bad_chunks} chunk(s) of it were left out')
+        if not complete:
+            self._contents.warnings.append(f'{self._name} is cut off or damaged: read '
+                                           f'{self._count} messages up to there')
+
+    def _take_summary(self, stream: BinaryIO) -> None:
+        """Take the channels that the end of a whole file repeats, in case its chunks are not."""
         try:
-            chunk = _parsed(_record, Chunk, body)
-            data = _parsed(_unpacked, chunk)
+            size = stream.seek(0, io.SEEK_END)
+            stream.seek(max(0, size - MAGIC - RECORD.size - FOOTER.size))
+            opcode, _ = RECORD.unpack(stream.read(RECORD.size))
+            start, *_ = FOOTER.unpack(stream.read(FOOTER.size))
+            if opcode != Opcode.FOOTER or not 0 < start < size:
+                return
+            stream.seek(start)
+            for opcode, body, whole, _ in _frames(stream):
+                if not whole or opcode == Opcode.FOOTER:
+                    return
+                self._take(opcode, body)
+        except (struct.error, DamagedError):
+            return
+
+    def _of_chunk(self, body: bytes, whole: bool, position: int) -> Iterator[Given]:
+        """Yield the messages of a chunk, or of its beginning where the file is cut in it."""
+        try:
+            chunk, data = _chunk(body)
             crc = chunk.uncompressed_crc
             if whole and (len(data) != chunk.uncompressed_size or crc and crc != zlib.crc32(data)):
                 self._bad_chunks += 1
                 return
-            for opcode, record, complete in _frames(io.BytesIO(data)):
-                if complete:
-                    self._take(opcode, record)
+            yield from self._of_records(data, position, len(body))
         except DamagedError:
             self._bad_chunks += 1
 
+    def _of_records(self, data: bytes, position: int, size: int) -> Iterator[Given]:
+        """Yield the messages of an unpacked chunk; position, size: of it in the file."""
+        place, end = 0, len(data)
+        while place + RECORD.size <= end:
+            opcode, length = RECORD.unpack_from(data, place)
+            start = place + RECORD.size
+            place = start + length
+            if opcode == 0:
+                return
+            if place > end:
+                continue
+            if opcode != Opcode.MESSAGE:
+                self._take(opcode, data[start:place])
+            elif raw := self._message(data, start, place):
+                yield raw, partial(self._in_chunk, position, size, start + MESSAGE.size, place)
+
+    def _message(self, data: bytes, start: int, end: int) -> Raw | None:
+        """Return the message that data[start:end] holds, if it is wanted."""
+        if end - start < MESSAGE.size:
+            raise DamagedError
+        channel, _, log_time, _ = MESSAGE.unpack_from(data, start)
+        self._count += 1
+        topic = self._channels.get(channel)
+        if topic is None:
+            return None
+        return Raw(topic, log_time, message_of(data[start + MESSAGE.size:end]))
+
     def _take(self, opcode: int, body: bytes) -> None:
-        if opcode == Opcode.MESSAGE:
-            channel, _, log_time, _ = _parsed(struct.unpack_from, '<HIQQ', body)
-            self._messages.append((channel, log_time, body[22:]))
-        elif opcode == Opcode.SCHEMA:
-            schema = _parsed(_record, Schema, body)
+        """Take a record that describes the messages."""
+        if opcode == Opcode.SCHEMA:
+            schema = _record(Schema, body)
             self._schemas[schema.id] = schema.name
         elif opcode == Opcode.CHANNEL:
-            channel = _parsed(_record, Channel, body)
-            self._channels[channel.id] = topic = full_name(channel.topic)
-            kind = self._schemas.get(channel.schema_id, 'of unknown type')
-            self._contents.topics[topic] = type_of(kind, channel.message_encoding)
+            self._take_channel(_record(Channel, body))
+
+    def _take_channel(self, channel: Any) -> None:
+        topic = full_name(channel.topic)
+        kind = self._schemas.get(channel.schema_id, 'of unknown type')
+        self._contents.topics[topic] = type_of(kind, channel.message_encoding)
+        if self._wanted is None or topic in self._wanted:
+            self._channels[channel.id] = topic
+        else:
+            self._channels.pop(channel.id, None)
+
+    # what gives a message again
+
+    def _at(self, position: int, size: int) -> bytes:
+        return message_of(self._bytes(position, size))
+
+    def _in_chunk(self, position: int, size: int, start: int, end: int) -> bytes:
+        return message_of(self._chunk(position, size)[start:end])
+
+    def _unpacked_at(self, position: int, size: int) -> bytes:
+        try:
+            return _chunk(self._bytes(position, size))[1]
+        except DamagedError:  # the file is another by now
+            return b''
+
+    def _bytes(self, position: int, size: int) -> bytes:
+        try:
+            with self._path.open('rb') as stream:
+                stream.seek(position)
+                return stream.read(size)
+        except OSError:  # nothing is no message of any type
+            return b''
 
 
-def _frames(stream: BinaryIO) -> Iterator[tuple[int, bytes, bool]]:
-    """Yield the opcode and body of each record, and whether it is whole; opcode 0 is damage."""
-    while len(head := stream.read(9)) == 9:
-        opcode, length = struct.unpack('<BQ', head)
-        if opcode == 0:
+def _frames(stream: BinaryIO) -> Iterator[tuple[int, bytes, bool, int]]:
+    """
+    Yield the opcode and body of each record, whether it is whole, and where it begins.
+
+    Opcode 0, and a length that no recorder writes, is damage.
+    """
+    wanted = (Opcode.MESSAGE, Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL)
+    while len(head := stream.read(RECORD.size)) == RECORD.size:
+        opcode, length = RECORD.unpack(head)
+        position = stream.tell()
+        if opcode == 0 or length > LARGEST:
             return
-        body = stream.read(min(length, PIECE))
-        while len(body) < length and (piece := stream.read(min(length - len(body), PIECE))):
-            body += piece
-        yield opcode, body, len(body) == length
+        if opcode in wanted:
+            body = stream.read(length)
+            yield opcode, body, len(body) == length, position
+        else:
+            yield opcode, b'', True, position
+            stream.seek(position + length)
+
+
+def _record(kind: Any, body: bytes) -> Any:
+    return _parsed(kind.read, ReadDataStream(io.BytesIO(body)))
 
 
 def _parsed(parse: Callable[..., Any], *args: Any) -> Any:
@@ -121,16 +215,16 @@ def _parsed(parse: Callable[..., Any], *args: Any) -> Any:
         raise DamagedError from error
 
 
-def _record(kind: Any, body: bytes) -> Any:
-    return kind.read(ReadDataStream(io.BytesIO(body)))
+def _chunk(body: bytes) -> tuple[Any, bytes]:
+    """Return a chunk and its records, also of the beginning of one; raises DamagedError."""
+    chunk = _record(Chunk, body)
+    if chunk.compression == '':
+        return chunk, chunk.data
+    unpack = {'zstd': unpacked, 'lz4': _unpacked_lz4}.get(chunk.compression)
+    if unpack is None:
+        raise DamagedError
+    return chunk, _parsed(unpack, chunk.data)
 
 
-def _unpacked(chunk: Chunk) -> bytes:
-    """Return the records of a chunk, also of the beginning of one."""
-    if chunk.compression == 'zstd':
-        return zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
-    if chunk.compression == 'lz4':
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data))
-    if chunk.compression:
-        raise McapError(f'unknown compression {chunk.compression}')
-    return chunk.data
+def _unpacked_lz4(data: bytes) -> bytes:
+    return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=LARGEST))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 import math
+import sys
 from typing import Any
 
 from handeye_ros.config import ProfileConfig
@@ -36,6 +37,8 @@ LARGEST_POSITION = 1e6  # m; a robot in mm stays below, so that the solver can n
 
 def stamp_of(header: Any) -> int:
     """Return the stamp of a std_msgs/Header in nanoseconds."""
+    if isinstance(header.stamp, int):
+        return header.stamp
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
@@ -99,7 +102,7 @@ def require_layout(msg: Any, config: ProfileConfig) -> None:
 
 def frame_name(frame_id: str) -> str:
     """Return the name of a frame as tf2 has it, without the slash of ROS 1."""
-    return str(frame_id).removeprefix('/')
+    return sys.intern(str(frame_id).removeprefix('/'))  # it comes thousands of times
 
 
 def _third(config: ProfileConfig) -> str:
@@ -172,38 +175,49 @@ def _layout(msg: Any, height: int, width: int) -> tuple[int, int, Any]:
 
 def pose_from_cdr(data: bytes) -> TimedPose:
     """Return the pose in a serialised geometry_msgs/PoseStamped; raises MessageError."""
-    return _pose('PoseStamped', *cdr.pose(data))
+    stamp, frame, numbers = pose_numbers(data)
+    return TimedPose(stamp, np.array(numbers[:3]), np.array(numbers[3:]), frame)
+
+
+def pose_numbers(data: bytes) -> tuple[int, str, tuple[float, ...]]:
+    """
+    Return stamp, frame and x y z, qx qy qz qw of a serialised geometry_msgs/PoseStamped.
+
+    The quaternion is of unit length, with qw >= 0. Raises MessageError.
+
+    """
+    head, numbers = cdr.pose(data)
+    return head.stamp, frame_name(head.frame_id), _checked('PoseStamped', numbers)
 
 
 def pose_from_stamped(msg: Any) -> TimedPose:
     """Return the pose in a geometry_msgs/PoseStamped; raises MessageError."""
-    return _pose('PoseStamped', msg.header,
-                 _numbers(msg.pose.position, msg.pose.orientation))
+    return _pose('PoseStamped', msg.header, msg.pose.position, msg.pose.orientation)
 
 
 def pose_from_transform(msg: Any) -> TimedPose:
     """Return the pose of the child in a geometry_msgs/TransformStamped; raises MessageError."""
     transform = msg.transform
-    return _pose('TransformStamped', msg.header,
-                 _numbers(transform.translation, transform.rotation))
+    return _pose('TransformStamped', msg.header, transform.translation, transform.rotation)
 
 
-def _numbers(position: Any, rotation: Any) -> tuple[float, ...]:
-    return (*(float(getattr(position, name)) for name in 'xyz'),
-            *(float(getattr(rotation, name)) for name in 'xyzw'))
+def _pose(kind: str, header: Any, position: Any, rotation: Any) -> TimedPose:
+    numbers = _checked(kind, (*(float(getattr(position, name)) for name in 'xyz'),
+                              *(float(getattr(rotation, name)) for name in 'xyzw')))
+    return TimedPose(stamp_of(header), np.array(numbers[:3]), np.array(numbers[3:]),
+                     frame_name(header.frame_id))
 
 
-def _pose(kind: str, header: Any, numbers: tuple[float, ...]) -> TimedPose:
-    """Return a pose; numbers: x y z, qx qy qz qw."""
-    translation, quaternion = numbers[:3], numbers[3:]
-    if not all(map(math.isfinite, numbers)):
+def _checked(kind: str, numbers: tuple[float, ...]) -> tuple[float, ...]:
+    """Return x y z, qx qy qz qw with a quaternion of unit length, or raise MessageError."""
+    x, y, z, qx, qy, qz, qw = numbers
+    norm = math.hypot(qx, qy, qz, qw)
+    farthest = max(abs(x), abs(y), abs(z))
+    if not math.isfinite(norm + farthest + x + y + z):
         raise MessageError(kind, 'the pose holds values that are not finite')
-    farthest = max(map(abs, translation))
     if farthest > LARGEST_POSITION:
         raise MessageError(kind, f'the position reaches {farthest:.3g} m')
-    norm = math.hypot(*quaternion)
     if abs(norm - 1.0) > 1e-2:
         raise MessageError(kind, f'quaternion of length {norm:.4g}, expected 1')
-    sign = -1.0 if quaternion[3] < 0 else 1.0
-    return TimedPose(stamp_of(header), np.array(translation),
-                     np.array(quaternion) * (sign / norm), frame_name(header.frame_id))
+    scale = (-1.0 if qw < 0 else 1.0) / norm
+    return x, y, z, qx * scale, qy * scale, qz * scale, qw * scale

@@ -1,0 +1,103 @@
+"""
+What is held of the messages of a topic of a bag: as little as can be, so that hours fit.
+
+Of a profile its stamp is held and where it lies, of a pose its numbers.
+"""
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any, overload, Protocol, TypeVar
+
+from handeye_ros.data import RawProfile, TimedPose
+from handeye_ros.ros.bags.contents import Given
+from handeye_ros.ros.bags.messages import pose_numbers
+import numpy as np
+
+Item = TypeVar('Item', covariant=True)
+
+
+class Store(Protocol[Item]):
+    """Where the items of a topic are held; each can be had with another stamp."""
+
+    def add(self, given: Given) -> int:
+        """Take the next message; return its stamp. Raises MessageError."""
+
+    def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> Sequence[Item]:
+        """Return items in an order, with stamps."""
+
+
+class Profiles:
+    """Profiles, to be read where they are used."""
+
+    def __init__(self, take: Callable[..., RawProfile]) -> None:
+        """Start with none; take: makes one of a message and of what reads it again."""
+        self._take = take
+        self._items: list[RawProfile] = []
+
+    def add(self, given: Given) -> int:
+        """Take the next message; return its stamp. Raises MessageError."""
+        raw, fetch = given
+        self._items.append(self._take(raw.data, fetch))
+        return self._items[-1].stamp
+
+    def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> tuple[RawProfile, ...]:
+        """Return profiles in an order, with stamps."""
+        items = [self._items[index] for index in order]
+        return tuple(item if item.stamp == stamp else replace(item, stamp=stamp)
+                     for item, stamp in zip(items, stamps, strict=True))
+
+
+class PoseTable(Sequence[TimedPose]):
+    """Poses in rows of numbers: thousands a second take little of the memory so."""
+
+    def __init__(self, stamps: Sequence[int], rows: np.ndarray[Any, Any],
+                 frame: str) -> None:
+        """rows: (n, 7) position and quaternion x y z w; frame: the parent of all."""
+        self._stamps = array('q', stamps)
+        self._rows = rows
+        self._frame = frame
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._stamps)
+
+    @overload
+    def __getitem__(self, index: int) -> TimedPose: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[TimedPose]: ...
+
+    def __getitem__(self, index: int | slice) -> TimedPose | Sequence[TimedPose]:
+        """Return a pose, or some."""
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        row = self._rows[index]
+        return TimedPose(self._stamps[index], row[:3], row[3:], self._frame)
+
+    def __iter__(self) -> Iterator[TimedPose]:
+        """Yield the poses in their order."""
+        return (self[index] for index in range(len(self)))
+
+
+class Poses:
+    """Poses, held as numbers; frames: the first two of their parents."""
+
+    def __init__(self) -> None:
+        """Start with none."""
+        self._rows = array('d')
+        self.frames: list[str] = []
+
+    def add(self, given: Given) -> int:
+        """Take the next message; return its stamp. Raises MessageError."""
+        stamp, frame, numbers = pose_numbers(given[0].data)
+        self._rows.extend(numbers)
+        if len(self.frames) < 2 and frame not in self.frames:
+            self.frames.append(frame)
+        return stamp
+
+    def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> PoseTable:
+        """Return poses in an order, with stamps."""
+        rows = np.frombuffer(self._rows, float).reshape(-1, 7)[np.array(order, int)]
+        return PoseTable(stamps, rows, self.frames[0])

@@ -1,0 +1,130 @@
+"""The messages of one topic of a bag: which can be used, and in which order they belong."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from handeye_ros.errors import BagError
+from handeye_ros.ros.bags.contents import Contents, full_name, Given
+from handeye_ros.ros.bags.held import Store
+from handeye_ros.ros.errors import AllMalformedError, MessageError, NoTopicError, TopicTypeError
+from handeye_ros.sampling.errors import TimeBackwardsError
+from handeye_ros.sampling.stream import in_order, LARGEST_STEP
+
+LAST = 2 ** 63 - 1  # ns; no stamp lies behind
+
+Item = TypeVar('Item')
+
+
+class Topic(Generic[Item]):
+    """Takes the messages of a topic in the order of recording; gives what they stand for."""
+
+    def __init__(self, key: str, name: str, kind: str, store: Store[Item]) -> None:
+        """key: of the configuration, that names the topic; kind: the type it must have."""
+        self.name = full_name(name)
+        self._key = key
+        self._kind = kind
+        self._store = store
+        self._stamps: list[int] = []
+        self._log_times: list[int] = []
+        self._malformed = 0
+        self._first_reason = ''
+
+    def take(self, given: Given) -> None:
+        """Take the next message; one that is malformed is counted."""
+        try:
+            stamp = self._store.add(given)
+        except MessageError as error:
+            self._malformed += 1
+            self._first_reason = self._first_reason or str(error)
+        else:
+            self._stamps.append(stamp)
+            self._log_times.append(min(given[0].log_time, LAST))
+
+    def items(self, path: Path, contents: Contents) -> Sequence[Item]:
+        """
+        Return what the messages stand for, in the order of their stamps.
+
+        contents: of the bag at path; what is left out or repaired is added to its warnings.
+        Raises NoTopicError, TopicTypeError, BagError, AllMalformedError or TimeBackwardsError.
+        """
+        self.require(path, contents)
+        order = self._as_received(contents)
+        stamps, order = self._stamped(order, contents)
+        order = sorted(in_their_order(self.name, [(stamps[i], i) for i in order], contents),
+                       key=stamps.__getitem__)
+        return self._store.chosen(order, [stamps[i] for i in order])
+
+    def require(self, path: Path, contents: Contents, may_be_empty: bool = False) -> None:
+        """Refuse a topic that is not there, or most of whose messages cannot be used."""
+        topics = contents.topics
+        if self.name not in topics:
+            raise NoTopicError(path, self._key, self.name, self._kind, topics)
+        if topics[self.name] != self._kind:
+            raise TopicTypeError(self._key, self.name, self._kind, topics)
+        good, bad = len(self._stamps), self._malformed
+        if not good + bad and not may_be_empty:
+            raise BagError(path, f'no messages on {self.name} ({self._kind}): check that it was '
+                           f'published while recording, or set {self._key}')
+        if bad > good:
+            raise AllMalformedError(self.name, bad, good + bad, self._first_reason)
+        if bad:
+            contents.warnings.append(f'{bad} of {good + bad} messages on {self.name} were left '
+                                     f'out; the first: {self._first_reason}')
+
+    def _as_received(self, contents: Contents) -> list[int]:
+        """
+        Return messages in the order in which they were received, if that is not how they lie.
+
+        The order in the file is believed first: two runs of a simulated clock, one behind the
+        other, have the same times of receipt, and must not be taken for one.
+        """
+        stamps = self._stamps
+        as_they_lie = list(range(len(stamps)))
+        by_receipt = sorted(as_they_lie, key=self._log_times.__getitem__)
+        if (by_receipt == as_they_lie or in_order(stamps)
+                or not in_order([stamps[i] for i in by_receipt])
+                or len(set(stamps)) < len(stamps)):
+            return as_they_lie
+        contents.warnings.append(f'the messages on {self.name} do not lie in the order in which '
+                                 'they were received, and were sorted')
+        return by_receipt
+
+    def _stamped(self, order: list[int], contents: Contents) -> tuple[list[int], list[int]]:
+        """Return stamps, and which messages have one; if none has, the times of receipt."""
+        stamped = [index for index in order if self._stamps[index] != 0]
+        if len(stamped) == len(order):
+            return self._stamps, order
+        if stamped:
+            contents.warnings.append(f'{len(order) - len(stamped)} messages on {self.name} '
+                                     'without a stamp were left out')
+            return self._stamps, stamped
+        contents.warnings.append(f'the messages on {self.name} have no stamps; the times at '
+                                 'which they were recorded are used')
+        return self._log_times, order
+
+
+def in_their_order(topic: str, stamped: Sequence[tuple[int, Item]], contents: Contents
+                   ) -> list[Item]:
+    """Return what fits the order of the stamps; raises TimeBackwardsError."""
+    stamps = [stamp for stamp, _ in stamped]
+    fits = in_order(stamps)
+    if fits is None:
+        raise TimeBackwardsError(topic, *_first_jump_back(stamps))
+    wrong = [index for index, right in enumerate(fits) if not right]
+    if wrong:
+        contents.warnings.append(
+            f'{len(wrong)} of {len(stamps)} messages on {topic} were left out: their stamps '
+            f'are far from those around them (first message {wrong[0] + 1}, of '
+            f'{stamps[wrong[0]] * 1e-9:.3f} s)')
+    return [item for (_, item), right in zip(stamped, fits, strict=True) if right]
+
+
+def _first_jump_back(stamps: Sequence[int]) -> tuple[int, float]:
+    """Return the index behind the first jump back, and by how many seconds it goes."""
+    for index, latest in enumerate(accumulate(stamps, max)):
+        if latest - stamps[index] > LARGEST_STEP:
+            return index, (latest - stamps[index]) * 1e-9
+    raise ValueError('the stamps never jump back')
