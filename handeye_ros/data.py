@@ -59,6 +59,11 @@ class RawProfile:
         """Return the profile, with the stamp given here; raises UnusableMessageError."""
         return replace(self.convert(self.fetch(), config or self.config), stamp=self.stamp)
 
+    @property
+    def points(self) -> Array:
+        """Return the points (n, 2) of the profile, read anew each time; see Profile."""
+        return self.read().points
+
     def __deepcopy__(self, memo: Any) -> RawProfile:
         """Return itself: nothing in it changes."""
         return self

@@ -23,27 +23,32 @@ def demo(bag: Path | str, out: Path, config: str = PLATE):
 
 def test_the_demo_leaves_the_calibration_and_tells_its_error(tmp_path: Path) -> None:
     bag = ROOT / 'bags' / 'plate'
+    path = tmp_path / 'calibration.yaml'
+    path.write_text('of another run')
     run = demo(bag, tmp_path)
     assert run.returncode == 0, run.stderr
-    path = tmp_path / 'calibration.yaml'
+    assert f'wrote {path}; the former result is kept in {tmp_path}/history/' in run.stdout
+    (former,) = tmp_path.glob('history/*/calibration.yaml')
+    assert former.read_text() == 'of another run'
+    assert 'samples so far: ' in run.stdout
     report = tmp_path / 'report.html'
-    assert run.stdout.endswith(f'wrote {path}\nwrote {report}: open it in a browser\n')
+    assert run.stdout.endswith(f'wrote {report}: open it in a browser\n')
     assert 'Good for mapping points of laser into flange' in report.read_text()
     assert 'error against truth.yaml: translation 0.0' in run.stdout
     T_true = true_transform(bag)
     assert T_true is not None
     assert mapped_point_error(read_calibration(path).T_flange_sensor, T_true) < 9e-5
-    assert sorted(p.name for p in tmp_path.iterdir()) == [
-        'calibration.yaml', 'node.log', 'report.html']
+    assert {p.name for p in tmp_path.iterdir()} == {
+        'calibration.yaml', 'history', 'node.log', 'report.html'}
 
 
-def test_a_refusal_ends_with_3_and_leaves_no_calibration(tmp_path: Path) -> None:
-    for name in ('calibration.yaml', 'report.html'):
-        (tmp_path / name).write_text('of another run')
+def test_a_refusal_ends_with_3_and_leaves_the_former_result(tmp_path: Path) -> None:
+    (tmp_path / 'calibration.yaml').write_text('of another run')
     run = demo(ROOT / 'bags' / 'one_orientation', tmp_path)
     assert run.returncode == 3
     assert run.stderr.startswith('~/compute_calibration was refused: all poses share one ')
-    assert [p.name for p in tmp_path.iterdir()] == ['node.log']
+    assert sorted(p.name for p in tmp_path.iterdir()) == ['calibration.yaml', 'node.log']
+    assert (tmp_path / 'calibration.yaml').read_text() == 'of another run'
 
 
 @pytest.mark.parametrize(('bag', 'config', 'reason'), [

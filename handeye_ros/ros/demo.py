@@ -19,7 +19,7 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray
 from handeye_ros import config as configuration
 from handeye_ros.errors import InputError, UnwritableError
-from handeye_ros.results import calibration_file, report, table
+from handeye_ros.results import calibration_file, exports, report, table
 from handeye_ros.results.truth_errors import errors_against
 from handeye_ros.results.truth_file import true_transform
 from handeye_ros.ros.bags.evidence import evidence
@@ -37,38 +37,42 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
     """
     Calibrate from a bag over ROS; print the answer and leave out/calibration.yaml.
 
+    A former result in out is kept in its history; where there is no answer it stays as it is.
     Raises InputError, or RefusedError when the node has no answer.
 
     """
     configuration.load(config)
-    T_true = true_transform(bag)
+    T_true, out = true_transform(bag), out.absolute()
     os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 101)  # undisturbed by other nodes
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    out = out.absolute()
     with _scratch(out) as saved, ros([], interruptible=True):
-        log = out / 'node.log'
-        options = ['--params-file', str(config), '-p', f'output_dir:={saved}']
-        with log.open('wb') as stream, _child('node', ['--ros-args', *options], stream) as node:
-            print(f'the node is running; its log: {log}', flush=True)
-            client = Client(node, log)
-            client.wait()
-            with _child('replay', [str(bag), '--rate', str(rate)]) as replay:
-                print(f'replaying {bag}', flush=True)
-                if replay.wait():
-                    raise InputError(f'the replay of {bag} failed')
-            client.wait_until_all_is_taken()
-            client.call('compute_calibration')
-            client.call('save_calibration')
-        path = out / 'calibration.yaml'
-        os.replace(next(saved.glob('*/calibration.yaml')), path)
-    calibration = calibration_file.read_calibration(path)
+        _through_the_node(bag, rate, out / 'node.log',
+                          ['--params-file', str(config), '-p', f'output_dir:={saved}'])
+        calibration = calibration_file.read_calibration(next(saved.glob('*/calibration.yaml')))
+    written = exports.save_all(calibration, out)
     terminal = sys.stdout.isatty()
     Console(width=None if terminal else 160).print(table.table(calibration))
     if T_true is not None:
         print(table.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
-    print(f'wrote {path}')
-    written = report.write(calibration, evidence(calibration, bag), out / report.NAME)
-    print(f'wrote {written}: open it in a browser')
+    report_file = report.write(calibration, evidence(calibration, bag), out / report.NAME)
+    print(f'{written}\nwrote {report_file}: open it in a browser')
+
+
+def _through_the_node(bag: Path, rate: float, log: Path, options: Sequence[str]) -> None:
+    """Start the node, replay the bag to it, let it compute and save."""
+    with log.open('wb') as stream, _child('node', ['--ros-args', *options], stream) as node:
+        print(f'the node is running; its log: {log}', flush=True)
+        client = Client(node, log)
+        client.wait()
+        with _child('replay', [str(bag), '--rate', str(rate)]) as replay:
+            print(f'replaying {bag}, {rate:g} times as fast as recorded', flush=True)
+            client.tell_samples_until(lambda: replay.poll() is not None)
+            if replay.returncode:
+                raise InputError(f'the replay of {bag} failed')
+        client.wait_until_all_is_taken()
+        print('solving', flush=True)
+        client.call('compute_calibration')
+        client.call('save_calibration')
 
 
 @contextmanager
@@ -76,8 +80,6 @@ def _scratch(out: Path) -> Iterator[Path]:
     """Give a folder below out that goes away in the end."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for name in ('calibration.yaml', report.NAME):  # a refusal leaves none behind
-            (out / name).unlink(missing_ok=True)
         with tempfile.TemporaryDirectory(prefix='.', dir=out) as folder:
             yield Path(folder)
     except OSError as error:
@@ -117,6 +119,16 @@ class Client:
         client = self._node.create_client(Trigger, '/handeye/save_calibration')
         self._until(client.service_is_ready)
 
+    def tell_samples_until(self, condition: Callable[[], bool]) -> None:
+        """Print how many samples there are, whenever that changes, until a condition holds."""
+        told = ''
+        while not condition():
+            rclpy.spin_once(self._node, timeout_sec=0.1)
+            count = self._diagnostics[-1].get('samples', '') if self._diagnostics else ''
+            if count != told and count != '0':
+                print(f'samples so far: {count}', flush=True)
+                told = count
+
     def call(self, service: str) -> str:
         """Return what a service says; raises RefusedError when it does not succeed."""
         future = self._node.create_client(Trigger, f'/handeye/{service}').call_async(
@@ -155,7 +167,7 @@ def main() -> int:
     parser.add_argument('--bag', type=Path, required=True)
     parser.add_argument('--config', type=Path, required=True)
     parser.add_argument('--out', type=Path, required=True)
-    parser.add_argument('--rate', type=float, default=1.0, help='speed; 1: as recorded')
+    parser.add_argument('--rate', type=float, default=4.0, help='speed; 1: as recorded')
     options = parser.parse_args()
     return exit_code(lambda: demo(options.bag, options.config, options.out, options.rate))
 
