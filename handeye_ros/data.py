@@ -61,7 +61,7 @@ class RawProfile:
 
     @property
     def points(self) -> Array:
-        """Return the points (n, 2) of the profile, read anew each time; see Profile."""
+        """Return the (n, 2) rows of the profile, read anew each time; see Profile."""
         return self.read().points
 
     def __deepcopy__(self, memo: Any) -> RawProfile:
