@@ -161,6 +161,21 @@ class SaveConfig:
 
 
 @dataclass(frozen=True)
+class GuidanceConfig:
+    """What is enough, and where a proposed pose may be."""
+
+    accuracy: float = _key(1e-4, 'Wanted 1 sigma of points that the transform maps, over the '
+                           'field of view (m): with it, the samples are enough.',
+                           minimum=1e-6, maximum=0.1)
+    reach: float = _key(0.3, 'Largest distance of a proposed position of the flange from that '
+                        'of the first sample (m).', minimum=0.0, maximum=5.0)
+    tilt: float = _key(0.44, 'Largest tilt of the viewing direction of a proposed pose, from '
+                       'that of the first sample (rad).', minimum=0.05, maximum=1.2)
+    turn: float = _key(1.75, 'Largest turn of a proposed pose about the viewing direction, from '
+                       'the first sample (rad).', minimum=0.0, maximum=3.15)
+
+
+@dataclass(frozen=True)
 class Config:
     """Everything a user can set."""
 
@@ -193,6 +208,7 @@ class Config:
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     save: SaveConfig = field(default_factory=SaveConfig)
+    guidance: GuidanceConfig = field(default_factory=GuidanceConfig)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""What is known so far, what is missing, and the next pose that helps most."""

@@ -1,0 +1,192 @@
+"""What is known so far, what is missing, and what to do next: the whole of the guidance."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from handeye_ros import methods, se3
+from handeye_ros.checks.motion import (
+    mount_frame,
+    name_direction,
+    worst_rotation,
+    worst_translation,
+)
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Sample
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.guidance.candidates import Search
+from handeye_ros.guidance.limits import limits_of
+from handeye_ros.guidance.moves import Move, next_move, noun
+from handeye_ros.guidance.score import Mapping, mapping
+from handeye_ros.guidance.spread import missing
+from handeye_ros.guidance.view import learn_view
+from handeye_ros.results.outcome import mounted
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+ROUGHLY_KNOWN = 3e-3  # m: points mapped worse than this cannot be aimed at
+TOLD = 2  # of what is missing
+LITTLE = 0.03  # of the mapped points' sigma: less is no reason for another sample
+SEED = 0  # the same samples give the same advice
+
+
+@dataclass(frozen=True)
+class Sigma:
+    """One direction's 1 sigma and its limit, metres or radians (unit: m or rad)."""
+
+    name: str
+    std: float
+    limit: float
+    unit: str = 'm'
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """
+    The next pose: T_base_flange (4, 4), and what it would bring.
+
+    place: (2,) where in the sensor plane the feature will be seen; std: 1 sigma of mapped points
+    with it (m).
+    """
+
+    T_base_flange: Array
+    place: Array
+    std: float
+
+
+@dataclass(frozen=True, eq=False)
+class Advice:
+    """
+    What to tell whoever moves the robot.
+
+    sentences: in the order of their weight; next: the pose that helps most, None before the
+    sensor is roughly known; move: what to do instead then; sigmas: empty before there is an
+    answer; enough: whether to stop; why: the reason, one sentence.
+    """
+
+    sentences: tuple[str, ...]
+    next: Proposal | None  # noqa: A003
+    move: Move | None
+    sigmas: tuple[Sigma, ...]
+    enough: bool
+    why: str
+
+    @property
+    def text(self) -> str:
+        """Return all sentences as one text."""
+        return '. '.join(s[0].upper() + s[1:] for s in self.sentences) + '.'
+
+
+def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
+           trouble: str = '', seen: Array | None = None) -> Advice:
+    """
+    Return the advice after some samples, the first of them being what guidance.* counts from.
+
+    solution: from these samples (or those that agree), None before there is one; trouble: why
+    there is none, or why it was refused; seen: points (n, 2) of profiles, to learn the view from.
+    """
+    method = methods.of(config)
+    if not samples:
+        return _unguided(f'take the first sample: look squarely at the target, with the '
+                         f'{noun(method)} in the middle of the view', None, trouble)
+    view = learn_view(samples, seen)
+    known = None if solution is None else mapping(solution.estimate.X, view)
+    if solution is None or known is None or known.std(_stated(solution)) > ROUGHLY_KNOWN:
+        move = next_move(len(samples), method, config, view)
+        return _unguided(move.text, move, trouble)
+    limits = limits_of(mounted(samples, config)[0], config)
+    sigmas = sigma_table(solution, known, config)
+    proposal = propose(Search(solution, view, limits, known), config)
+    enough, why = _judged(sigmas, known.std(_stated(solution)), proposal)
+    told = [why, *missing(solution, view, limits)[:TOLD * (not enough)]]
+    if proposal and not enough:
+        told.append(_directions(samples[-1].T_base_flange, proposal, config, noun(method)))
+    if not proposal and not enough:
+        told.append('no pose within guidance.reach, guidance.tilt and guidance.turn keeps the '
+                    f'{noun(method)} in view: widen them')
+    return Advice(tuple(filter(None, [trouble, *told])), proposal, None, sigmas,
+                  enough and not trouble, why)
+
+
+def _unguided(text: str, move: Move | None, trouble: str) -> Advice:
+    why = trouble or 'there is no answer yet'
+    return Advice(tuple(filter(None, [text, trouble])), None, move, (), False, why)
+
+
+def _stated(solution: Solution) -> Array:
+    return solution.stated[:6, :6]
+
+
+def sigma_table(solution: Solution, known: Mapping, config: Config) -> tuple[Sigma, ...]:
+    """Return the uncertainty of each direction, of the worst ones, and of mapped points."""
+    covariance, limits, frame = _stated(solution), config.limits, mount_frame(config)
+    std = np.sqrt(np.diag(covariance))
+    found = [Sigma(f'position {axis}', float(s), limits.translation)
+             for axis, s in zip('xyz', std[:3], strict=True)]
+    found += [Sigma(f'rotation about {axis}', float(s), limits.rotation, 'rad')
+              for axis, s in zip('xyz', std[3:], strict=True)]
+    shift, along = worst_translation(covariance)
+    turn, about = worst_rotation(covariance)
+    far, way = known.worst(covariance)
+    return (*found,
+            Sigma(f'position along {name_direction(along, frame)} (worst)', shift,
+                  limits.translation),
+            Sigma(f'rotation about {name_direction(about, frame)} (worst)', turn,
+                  limits.rotation, 'rad'),
+            Sigma(f'points in view, along {name_direction(way, frame)} (worst)', far,
+                  config.guidance.accuracy),
+            Sigma('points in view', known.std(covariance), config.guidance.accuracy))
+
+
+def propose(search: Search, config: Config) -> Proposal | None:
+    """Return the pose that helps most, None where none keeps the feature in view."""
+    rng = np.random.default_rng(SEED)
+    found = search.draw(rng)
+    if not found:
+        return None
+    part = search.refined(found, rng)
+    best = part.best()
+    T = part.poses[best]
+    solution = search.solution
+    # what independent noise hides of the stated uncertainty stays
+    now = search.mapping.variance(solution.covariance[:6, :6])
+    surplus = float(search.mapping.variance(_stated(solution)) - now)
+    in_hand = config.calibration_type == 'eye_in_hand'
+    return Proposal(T if in_hand else se3.inverse(T), part.places[best],
+                    float(np.sqrt(max(part.variance[best] + surplus, 0.0))))
+
+
+def _judged(sigmas: Sequence[Sigma], std: float, proposal: Proposal | None) -> tuple[bool, str]:
+    """Return whether the samples are enough, and why."""
+    accuracy = sigmas[-1].limit
+    over = [s for s in sigmas[:-2] if s.std > s.limit]
+    told = f'points in view are known to {1e3 * std:.3f} mm (1 sigma, {1e3 * accuracy:.3f} wanted)'
+    after = f'one more sample would bring {1e3 * proposal.std:.3f} mm' if proposal else ''
+    if over:
+        return False, f'{over[-1].name} is known only to {_figure(over[-1])}'
+    if std <= accuracy:
+        return True, 'enough: ' + '; '.join(filter(None, [told, after]))
+    if proposal and proposal.std > (1 - LITTLE) * std:
+        after += ', little: the noise of robot and sensor rules, not the choice of poses'
+    return False, '; '.join(filter(None, [told, after]))
+
+
+def _figure(sigma: Sigma) -> str:
+    if sigma.unit == 'm':
+        return f'{1e3 * sigma.std:.2f} mm (limit {1e3 * sigma.limit:.2f})'
+    return f'{np.degrees(sigma.std):.3f} degrees (limit {np.degrees(sigma.limit):.3f})'
+
+
+def _directions(T_base_flange: Array, proposal: Proposal, config: Config, what: str) -> str:
+    """Return how to get from the last sample to the next pose."""
+    T = se3.inverse(T_base_flange) @ proposal.T_base_flange
+    shift = 1e3 * (proposal.T_base_flange[:3, 3] - T_base_flange[:3, 3])
+    turns = Rotation.from_matrix(T[:3, :3]).as_euler('XYZ', degrees=True)
+    flange, base = config.robot_effector_frame, config.robot_base_frame
+    turned = ', then '.join(f'{angle:+.0f} degrees about {flange} {axis}'
+                            for angle, axis in zip(turns, 'xyz', strict=True)
+                            if abs(angle) >= 0.5)
+    moved = ', '.join(f'{v:+.0f}' for v in shift)
+    x, z = 1e3 * proposal.place
+    return (f'next, from the last sample: turn {turned or "nothing"}, and move by {moved} mm '
+            f'along {base} x, y, z; the {what} is then at x = {x:.0f} mm, range {z:.0f} mm')

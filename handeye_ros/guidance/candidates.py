@@ -1,0 +1,145 @@
+"""
+Poses that could come next, and how well mapped points would be known after each.
+
+A station that was taken is a prototype: the sensor is turned about the spot that it saw and
+shifted, so that the spot appears elsewhere in the field of view. Candidates are drawn at random,
+and then around the best of them.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.estimation.problem import linearise, Problem
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.weights import whitening
+from handeye_ros.guidance.following import batch_of, following
+from handeye_ros.guidance.limits import Limits, twist_of
+from handeye_ros.guidance.score import Mapping, with_rows
+from handeye_ros.guidance.view import View
+import numpy as np
+
+PROTOTYPES = 6
+DRAWN = 240  # for each prototype
+REFINED = 80  # in each round, around the best
+ROUNDS = 2
+LARGEST_TWIST = 1.6  # rad: about the viewing direction, from the prototype's
+LARGEST_SHIFT = 0.2  # of the spot across the laser line, in widths of the view
+NEAR = np.array([0.15, 0.1, 0.1, 0.1, 0.1, 0.3])  # 1 sigma of the choices of a round
+CHOICES = 6  # twist, tilt (2), place (2), shift
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """
+    n poses (n, 4, 4) of what carries the sensor, and what each would give.
+
+    station: of the prototype; choices: (n, 6) what was drawn; places: (n, 2) where in the
+    sensor plane the spot is seen; variance: (n,) of mapped points with the station.
+    """
+
+    station: int
+    choices: Array
+    poses: Array
+    places: Array
+    variance: Array
+
+    def best(self) -> int:
+        """Return which is the best."""
+        return int(np.argmin(self.variance))
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What the candidates are drawn in, and judged by."""
+
+    solution: Solution
+    view: View
+    limits: Limits
+    mapping: Mapping
+
+    def draw(self, rng: np.random.Generator) -> list[Candidates]:
+        """Return candidates of some stations; none where none keeps the feature in view."""
+        found = []
+        for station in prototypes(self.solution.problem):
+            drawn = self.judged(station, _drawn(DRAWN, self.limits, rng))
+            found += [drawn] if len(drawn.poses) else []
+        return found
+
+    def refined(self, found: list[Candidates], rng: np.random.Generator) -> Candidates:
+        """Return the candidates around the best of those found (one at least)."""
+        best = min(found, key=lambda part: float(part.variance.min()))
+        for _ in range(ROUNDS):
+            choices = best.choices[best.best()] + NEAR * rng.normal(size=(REFINED, CHOICES))
+            choices[:, 3:] = np.clip(choices[:, 3:], -1.0, 1.0)
+            more = self.judged(best.station, choices)
+            if len(more.poses) and more.variance.min() < best.variance.min():
+                best = more
+        return best
+
+    def judged(self, station: int, choices: Array) -> Candidates:
+        """Return the candidates that choices (n, 6) give, those alone that are possible."""
+        problem, estimate = self.solution.problem, self.solution.estimate
+        X, anchor = estimate.X, anchor_of(problem, station)
+        T_sensor, places = self._sensors(problem.poses[station] @ X, anchor, choices)
+        poses = T_sensor @ se3.inverse(X)
+        kept = np.flatnonzero(self.limits.allow(poses, X))
+        obs = problem.observations
+        prototype = replace(problem, observations=obs.select(obs.station == station))
+        batch = batch_of(prototype, estimate, anchor, poses[kept], places[kept])
+        good, stations = following(batch, self.view.inner())
+        kept = kept[stations]
+        return Candidates(station, choices[kept], poses[kept], places[kept],
+                          self.mapping.variance(with_rows(self.solution, self._rows(good))))
+
+    def _sensors(self, T_sensor: Array, anchor: Array, choices: Array) -> tuple[Array, Array]:
+        """Return poses (n, 4, 4) of the sensor and where each sees its spot (n, 2)."""
+        view, first = self.view.inner(), self.limits.first[:3, :3] @ self.solution.estimate.X[
+            :3, :3]
+        twist = twist_of(first, T_sensor[None, :3, :3])[0] + choices[:, 0]
+        zero = np.zeros(len(choices))
+        R = first @ se3.exp_rotation(np.column_stack([zero, zero, twist])) @ se3.exp_rotation(
+            np.column_stack([choices[:, 1:3], zero]))
+        places = (view.low + view.high) / 2 + choices[:, 3:5] * view.size / 2
+        spot = T_sensor[:3, [0, 2]] @ anchor + T_sensor[:3, 3]
+        spot = spot + LARGEST_SHIFT * view.size[0] * choices[:, 5:] * T_sensor[:3, 1]
+        in_sensor = np.column_stack([places[:, 0], zero, places[:, 1]])
+        return se3.transform(R, spot - np.einsum('nij,nj->ni', R, in_sensor)), places
+
+    def _rows(self, batch: Problem) -> Array:
+        """Return the whitened derivatives (n, c, u) by the unknowns."""
+        if not len(batch.poses):
+            return np.zeros((0, 1, len(batch.columns)))
+        linear = linearise(batch, self.solution.estimate)
+        rows = whitening(batch, linear, self.solution.noise)(linear.jacobian[:, batch.columns])
+        return rows.reshape(len(batch.poses), -1, rows.shape[1])
+
+
+def _drawn(count: int, limits: Limits, rng: np.random.Generator) -> Array:
+    """Return choices (n, 6), evenly spread; half of the tilts are the largest."""
+    turn = rng.uniform(0.0, 2 * np.pi, count)
+    tilt = limits.tilt * np.minimum(np.sqrt(rng.uniform(0.0, 2.0, count)), 0.99)
+    return np.column_stack([
+        rng.uniform(-LARGEST_TWIST, LARGEST_TWIST, count), tilt * np.cos(turn),
+        tilt * np.sin(turn), rng.uniform(-1.0, 1.0, (count, 3))])
+
+
+def prototypes(problem: Problem) -> list[int]:
+    """Return some stations, of every combination of conditions at least one."""
+    obs = problem.observations
+    stations = np.unique(obs.station)
+    kinds = [tuple(obs.kind[obs.station == i]) for i in stations]
+    groups = [stations[[k == kind for k in kinds]] for kind in dict.fromkeys(kinds)]
+    share = max(1, PROTOTYPES // len(groups))
+    return [int(group[i]) for group in groups
+            for i in np.unique(np.linspace(0, len(group) - 1, share).astype(int))]
+
+
+def anchor_of(problem: Problem, station: int) -> Array:
+    """Return the point (2,) of the sensor plane that stands for what a station saw."""
+    obs = problem.observations
+    rows = np.flatnonzero(obs.station == station)
+    edges = [k for k, name in enumerate(problem.method.kinds) if name in problem.method.edges]
+    at_edge = rows[np.isin(obs.kind[rows], edges)]
+    return np.asarray(obs.points[at_edge if len(at_edge) else rows].mean(axis=0))

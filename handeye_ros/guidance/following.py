@@ -1,0 +1,155 @@
+"""
+What stations elsewhere would see: the points of one that was taken follow the target.
+
+They take least steps in the sensor's plane until the method's own conditions hold, so that no
+more needs to be known of a target than its method.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from handeye_ros.data import Array
+from handeye_ros.estimation.method import Estimate, Observations
+from handeye_ros.estimation.problem import linearise, points_in_base, Problem
+from handeye_ros.guidance.view import View
+import numpy as np
+from numpy.typing import NDArray
+
+STEPS = 4
+LARGEST_STEP = 0.05  # m
+ON_TARGET = 1e-4  # m: a point that is nearer follows the target
+BORDER = 1e-4  # m: by as much a point may be outside the view
+SMALLEST_SHARE = 0.5  # of a feature's length that must stay in the view
+STEEPER = 0.09  # rad: by how much lines must cross edges more steeply than is needed
+SMALLEST_COSINE = 0.5  # of the incidence on what the prototype looked at
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """
+    n stations that all see what a prototype saw, each elsewhere.
+
+    problem: c observations for each station; places: (n, 2) the prototype's anchor in the sensor
+    plane; groups: which of the c observations are of one point; seen: (c,) the prototype's
+    derivatives of the conditions by the range.
+    """
+
+    problem: Problem
+    estimate: Estimate
+    places: Array
+    groups: tuple[NDArray[np.intp], ...]
+    seen: Array
+
+    def __len__(self) -> int:
+        """Return the number of stations."""
+        return len(self.problem.poses)
+
+    @property
+    def points(self) -> Array:
+        """Return the observed points (n, c, 2) of the sensor plane."""
+        return self.problem.observations.points.reshape(len(self), -1, 2)
+
+    def moved(self, points: Array) -> Batch:
+        """Return the batch with its points elsewhere: (n, c, 2)."""
+        observations = replace(self.problem.observations, points=points.reshape(-1, 2))
+        return replace(self, problem=replace(self.problem, observations=observations))
+
+
+def batch_of(prototype: Problem, estimate: Estimate, anchor: Array, poses: Array, places: Array
+             ) -> Batch:
+    """
+    Return a batch at poses (n, 4, 4), its points not yet on the target.
+
+    prototype: of one station; anchor: (2,) the point of its plane that goes to places (n, 2).
+    """
+    obs, n = prototype.observations, len(poses)
+    _, which = np.unique(obs.points, axis=0, return_inverse=True)
+    groups = tuple(np.flatnonzero(which.reshape(-1) == k) for k in range(which.max() + 1))
+    points = obs.points[None] + (places - anchor)[:, None]
+    many = Observations(np.repeat(np.arange(n), len(obs)), points.reshape(-1, 2),
+                        np.tile(obs.kind, n), np.tile(obs.noise, (n, 1, 1)),
+                        np.tile(obs.source, n))
+    return Batch(replace(prototype, poses=poses, observations=many), estimate, places, groups,
+                 linearise(prototype, estimate).by_point[:, 1])
+
+
+def following(batch: Batch, view: View) -> tuple[Problem, NDArray[np.intp]]:
+    """Return the stations that see the target as the prototype did, and which they are."""
+    if not len(batch):
+        return batch.problem, np.zeros(0, dtype=np.intp)
+    batch, share = _fitted(_on_target(batch), view)
+    batch = _on_target(batch)
+    linear = linearise(batch.problem, batch.estimate)
+    by_point = linear.by_point.reshape(len(batch), -1, 2)
+    near = np.abs(linear.residuals).reshape(len(batch), -1).max(axis=1) < ON_TARGET
+    inside = view.room(batch.points).min(axis=1) > -BORDER
+    good = near & inside & (share > SMALLEST_SHARE) & _steep(batch, by_point)
+    good &= _facing(batch, by_point) & _recognised(batch)
+    stations = np.flatnonzero(good)
+    return batch.problem.subset(stations), stations
+
+
+def _on_target(batch: Batch) -> Batch:
+    """Return the batch after least steps of its points towards the target."""
+    for _ in range(STEPS):
+        linear = linearise(batch.problem, batch.estimate)
+        g, A = linear.residuals.reshape(len(batch), -1), linear.by_point
+        A = A.reshape(len(batch), -1, 2)
+        points = batch.points.copy()
+        for rows in batch.groups:
+            step = _least_step(A[:, rows], g[:, rows])
+            points[:, rows] -= np.clip(step, -LARGEST_STEP, LARGEST_STEP)[:, None]
+        batch = batch.moved(points)
+    return batch
+
+
+def _least_step(A: Array, g: Array) -> Array:
+    """Return the shortest x (n, 2) with A x = g, for A (n, r, 2), r = 1 or 2; nearly, if flat."""
+    At = np.swapaxes(A, 1, 2)
+    if A.shape[1] == 1:
+        return np.asarray(A[:, 0] * g / np.maximum((A[:, 0] ** 2).sum(axis=1), 1e-3)[:, None])
+    return np.asarray((At @ np.linalg.solve(A @ At + 1e-6 * np.eye(A.shape[1]), g[..., None])
+                       )[..., 0])
+
+
+def _fitted(batch: Batch, view: View) -> tuple[Batch, Array]:
+    """Return the batch with features cut to what is in the view, and the shares (n,) left."""
+    anchors = batch.places[:, None]
+    offset = batch.points - anchors
+    outward = np.maximum(offset @ view.normals.T, 1e-9)
+    room = view.offsets - anchors @ view.normals.T
+    share = np.clip((room / outward).min(axis=(1, 2)), 0.0, 1.0)
+    batch = batch.moved(anchors + share[:, None, None] * offset)
+    obs = batch.problem.observations
+    fewer = np.repeat(1 / np.sqrt(np.maximum(share, 1e-3)), len(obs) // len(batch))
+    obs = replace(obs, noise=obs.noise * fewer[:, None, None])
+    return replace(batch, problem=replace(batch.problem, observations=obs)), share
+
+
+def _steep(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
+    """Return which stations have all conditions changed enough by moves within the plane."""
+    angle = batch.problem.config.sampling.min_crossing_angle + STEEPER
+    good = np.ones(len(batch), dtype=bool)
+    for rows in batch.groups:
+        A = by_point[:, rows]
+        good &= np.linalg.eigvalsh(A @ np.swapaxes(A, 1, 2))[:, 0] > np.sin(angle) ** 2
+    return good
+
+
+def _facing(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
+    """Return which stations look at the target from the side that the prototype saw."""
+    faces = np.abs(batch.seen) > SMALLEST_COSINE
+    along_range = by_point[:, faces, 1] * np.sign(batch.seen[faces])
+    return np.asarray((along_range > SMALLEST_COSINE).all(axis=1))
+
+
+def _recognised(batch: Batch) -> NDArray[np.bool_]:
+    """Return which stations the method would take for what they are meant to be."""
+    problem, estimate = batch.problem, batch.estimate
+    sampling = problem.config.sampling
+    stricter = replace(problem.config, sampling=replace(
+        sampling, min_crossing_angle=sampling.min_crossing_angle + STEEPER))
+    p = points_in_base(problem, estimate.X)
+    labelled = problem.method.relabel(problem.observations, p, estimate.target, stricter)
+    same = labelled.kind == problem.observations.kind
+    return np.asarray(same.reshape(len(batch), -1).all(axis=1))

@@ -1,0 +1,78 @@
+"""The part of the sensor plane that is known to be seen, learnt from what was seen in it."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Sample
+import numpy as np
+
+DIRECTIONS = 32  # of the tangents that bound the view
+ROOM = 0.88  # of the view that a feature is put into: the rest is for who moves the robot
+STEPS = 3  # places along each side of the view
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """
+    A convex part of the sensor plane: p with normals @ p <= offsets.
+
+    normals: (d, 2) unit vectors; offsets: (d,); low, high: (2,) corners of the box around it.
+    """
+
+    normals: Array
+    offsets: Array
+    low: Array
+    high: Array
+
+    @property
+    def size(self) -> Array:
+        """Return width and depth, (2,)."""
+        return np.asarray(self.high - self.low)
+
+    def inner(self) -> View:
+        """Return the view that leaves room for who moves the robot."""
+        middle = (self.low + self.high) / 2
+        offsets = self.normals @ middle + ROOM * (self.offsets - self.normals @ middle)
+        half = ROOM * self.size / 2
+        return View(self.normals, offsets, middle - half, middle + half)
+
+    def room(self, points: Array) -> Array:
+        """Return how far points (..., 2) are from the border, negative outside: (...)."""
+        return np.asarray((self.offsets - points @ self.normals.T).min(axis=-1))
+
+    def places(self) -> Array:
+        """Return points (k, 2) spread over the view."""
+        share = np.linspace(0.0, 1.0, STEPS)
+        x, z = np.meshgrid(*(self.low + share[:, None] * self.size).T)
+        grid = np.column_stack([x.ravel(), z.ravel()])
+        return np.asarray(grid[self.room(grid) > -0.1 * self.size.min()])
+
+
+def seen_points(sample: Sample) -> Array:
+    """Return points (n, 2) that span the features of a sample."""
+    points: list[Array] = []
+    for f in sample.features:
+        if isinstance(f, FaceLine):
+            reach = 3 ** 0.5 * f.spread * f.direction  # half its length, were it sampled evenly
+            points += [f.centre - reach, f.centre + reach]
+        elif isinstance(f, EdgePoint):
+            points.append(f.point)
+        elif isinstance(f, Arc):
+            points += [*f.raw[[0, -1]], *f.points]
+    return np.array(points).reshape(-1, 2)
+
+
+def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
+    """
+    Return the view that holds the features of samples and points seen (n, 2) of profiles.
+
+    There must be one sample, or one point, at least.
+    """
+    found = [seen_points(sample) for sample in samples]
+    found += [] if seen is None else [seen[np.isfinite(seen).all(axis=1)]]
+    points = np.concatenate(found)
+    turn = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
+    normals = np.column_stack([np.cos(turn), np.sin(turn)])
+    return View(normals, (points @ normals.T).max(axis=0), points.min(axis=0),
+                points.max(axis=0))
