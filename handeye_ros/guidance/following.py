@@ -46,11 +46,11 @@ class Batch:
 
     @property
     def points(self) -> Array:
-        """Return the observed points (n, c, 2) of the sensor plane."""
+        """Return the observed places (n, c, 2) in the sensor plane."""
         return self.problem.observations.points.reshape(len(self), -1, 2)
 
     def moved(self, points: Array) -> Batch:
-        """Return the batch with its points elsewhere: (n, c, 2)."""
+        """Return the batch with its points elsewhere, shape n, c, 2."""
         observations = replace(self.problem.observations, points=points.reshape(-1, 2))
         return replace(self, problem=replace(self.problem, observations=observations))
 

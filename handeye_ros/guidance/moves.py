@@ -50,7 +50,7 @@ class Move:
 def next_move(taken: int, method: Method, config: Config, view: View) -> Move:
     """Return the move after so many samples (one at least)."""
     mirrored = -1.0 if taken // len(DESIGN) % 2 else 1.0
-    step = DESIGN[taken % len(DESIGN)] * [mirrored, mirrored, 1, 1, 1]
+    step = DESIGN[taken % len(DESIGN)] * [mirrored, 1, 1, 1, 1]
     limits = config.guidance
     turn = float(np.clip(np.radians(step[0]), -limits.turn, limits.turn))
     tilt = np.round(step[1:3] * limits.tilt, 3)
