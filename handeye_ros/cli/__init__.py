@@ -5,10 +5,10 @@ One file per group of verbs; importing it here makes its verbs known.
 """
 import sys
 
-from handeye_ros.cli import calibrate, measure, recordings, results, seam
+from handeye_ros.cli import calibrate, measure, recordings, results, seam, verify
 from handeye_ros.cli.app import app
 
-__all__ = ['app', 'calibrate', 'main', 'measure', 'recordings', 'results', 'seam']
+__all__ = ['app', 'calibrate', 'main', 'measure', 'recordings', 'results', 'seam', 'verify']
 
 
 def main() -> None:

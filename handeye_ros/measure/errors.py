@@ -108,3 +108,26 @@ class NeedsCalibrationError(InputError):
     def __init__(self, path: object) -> None:
         super().__init__(f'{path} is no .ply or .pcd file; to use it as a bag, say which '
                          'calibration puts its profiles into the base: --calibration FILE')
+
+
+class WrongCountError(InputError):
+    """A routine that was not given what it needs; what: bags, or lengths."""
+
+    def __init__(self, routine: str, what: str, given: int, needed: str) -> None:
+        super().__init__(f'{routine} needs {needed} {what}, and got {given}')
+
+
+class TooFewSeenError(DataError):
+    """Too few stations for a verification."""
+
+    def __init__(self, stations: int, least: int, reason: str) -> None:
+        super().__init__(f'{stations} usable stations, fewer than {least}'
+                         + (f' (of the others: {reason})' if reason else '')
+                         + ': measure more, with the sensor turned differently at each')
+
+
+class NoAnswerError(DataError):
+    """A verification that says neither pass nor fail."""
+
+    def __init__(self, verdict: str, reasons: Sequence[str]) -> None:
+        super().__init__(f'{verdict}: ' + '; '.join(reasons))

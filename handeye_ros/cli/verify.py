@@ -1,0 +1,93 @@
+"""The verb that lets a calibration prove itself on something known."""
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Optional, TYPE_CHECKING
+
+from handeye_ros.cli.app import app
+from handeye_ros.cli.common import Assignments, doing, NoPath, read_bag, show, warn
+from handeye_ros.cli.measure import calibrated, CalibrationFile, MeasureConfig
+from handeye_ros.errors import UnknownNameError
+import typer
+
+if TYPE_CHECKING:
+    from handeye_ros.config import Config
+    from handeye_ros.data import Calibration
+    from handeye_ros.measure.routine import Nominal, Routine
+    from handeye_ros.measure.verification import Verification
+    from handeye_ros.measure.verify import Tolerances
+
+Point = Optional[tuple[float, float, float]]  # noqa: UP045 - see common.py
+Name = Annotated[str, typer.Argument(metavar='ROUTINE', help='See docs/measure.md.')]
+Bags = Annotated[list[Path], typer.Argument(
+    metavar='BAG...', help='Recordings with stops, one of each face or ball, in their order.')]
+Lengths = Annotated[list[float], typer.Option(
+    '--length', metavar='L', help='Nominal length, or height over the first face (m); once for '
+    'each.')]
+Radius = Annotated[float, typer.Option(min=0.0, help='Radius of the balls (m).')]
+Reference = Annotated[Point, typer.Option(
+    metavar='X Y Z', help='The point as a tip of the robot touched it (m, base).')]
+Aim = Annotated[float, typer.Option(
+    min=0.0, help='How exactly the laser was put to the point, 1 sigma (m).')]
+Tolerance = Annotated[float, typer.Option(min=1e-9, help='Largest error of a length (m).')]
+AngleTolerance = Annotated[float, typer.Option(
+    min=1e-9, help='Largest error of an angle (degrees).')]
+Out = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the result as YAML too.')]
+
+
+@app.command()
+def verify(
+    name: Name,
+    bags: Bags,
+    calibration: CalibrationFile,
+    config: MeasureConfig = None,
+    assignments: Assignments = [],  # noqa: B006 - never changed
+    length: Lengths = [],  # noqa: B006 - never changed
+    radius: Radius = 0.0,
+    reference: Reference = None,
+    aim: Aim = 0.0,
+    tolerance: Tolerance = 3e-4,
+    angle_tolerance: AngleTolerance = 0.1,
+    out: Out = None,
+) -> None:
+    """Measure something known with a calibration: pass, fail, or why neither can be said."""
+    import math
+
+    from handeye_ros.measure import verification
+    from handeye_ros.measure.errors import NoAnswerError
+    from handeye_ros.measure.routine import Nominal
+    from handeye_ros.measure.routines import ROUTINES
+    from handeye_ros.measure.verify import Tolerances
+    from handeye_ros.results.calibration_file import write_whole
+    if name not in ROUTINES:
+        raise UnknownNameError('routine', name, list(ROUTINES))
+    found, settings = calibrated(calibration, config, assignments)
+    result = _verified(ROUTINES[name], bags, found, settings,
+                       Nominal(tuple(length), radius, tuple(reference or ()), aim),
+                       Tolerances(tolerance, math.radians(angle_tolerance)))
+    show(verification.table(result))
+    if out:
+        write_whole(out, verification.yaml_text(result))
+    if result.verdict not in ('pass', 'fail'):
+        raise NoAnswerError(result.verdict, result.reasons)
+    for sentence in (result.verdict, *result.reasons):
+        typer.echo(sentence)
+
+
+def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
+              config: 'Config', nominal: 'Nominal', tolerances: 'Tolerances') -> 'Verification':
+    from handeye_ros import pipeline
+    from handeye_ros.measure.verify import seen_in, settings_for, verify
+    settings = settings_for(routine, config, nominal, len(bags))
+    used = {report.stamp for report in calibration.samples if report.used}
+    seen, reason = [], ''
+    for bag in bags:
+        recording = read_bag(bag, settings)
+        with doing('finding the stations'):
+            session = pipeline.gather(recording.profiles, recording.poses, settings)
+        if any(sample.stamp in used for sample in session.samples):
+            warn(f'{bag} holds stations that the calibration was made of: they agree with it too '
+                 'well; measure at others')
+        reason = reason or next((reject.reason for reject in session.rejects), '')
+        seen.append(seen_in(routine, session.samples, calibration, settings))
+    result = verify(routine, seen, calibration, settings, nominal, tolerances, reason)
+    return replace(result, inputs=tuple(map(str, bags)))

@@ -1,0 +1,117 @@
+"""What a verification found: plain values, the table that tells them, and their YAML."""
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from handeye_ros import __version__
+from rich.table import Table
+import yaml
+
+FORMAT = 'handeye_ros/verification/1'
+DEGREES = 57.29578
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """
+    A measured value beside its nominal one; metres, or radians where unit is rad.
+
+    std: 1 sigma of the value, of which from_calibration comes from the calibration, and the rest
+    from sensor and robot here. nominal: None where there is none.
+    """
+
+    name: str
+    value: float
+    std: float
+    from_calibration: float
+    nominal: float | None = None
+    unit: str = 'm'
+
+    @property
+    def error(self) -> float | None:
+        """Return value less nominal."""
+        return None if self.nominal is None else self.value - self.nominal
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """
+    Distances of the measured points from the fitted shape (m).
+
+    expected: below this RMS lie 95 % of verifications whose uncertainty is as stated; p: the share
+    of them whose points disagree at least as much.
+    """
+
+    points: int
+    mean: float
+    std: float
+    rms: float
+    maximum: float
+    expected: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Verification:
+    """
+    The result of a routine.
+
+    verdict: pass, fail, undecided (the uncertainty is too large for the tolerance), or blind (an
+    error of the calibration of NOTICED would not have shown). reasons: sentences. noticed: the
+    smallest error of the calibration that would have shown, in the direction that shows least (m).
+    region: squared distance of all values with a nominal from it, in units of the stated
+    covariance; freedom: how many they are.
+    """
+
+    routine: str
+    calibration: str
+    verdict: str
+    reasons: tuple[str, ...]
+    tolerance: float
+    angle_tolerance: float
+    stations: int
+    quantities: tuple[Quantity, ...]
+    scatter: Scatter
+    noticed: float
+    blind_direction: str
+    region: float
+    freedom: int
+    inputs: tuple[str, ...] = ()
+
+
+def values(found: Verification) -> dict[str, Any]:
+    """Return a verification as plain values, for YAML and for the report."""
+    told = {'format': FORMAT, 'version': __version__, **asdict(found)}
+    told['reasons'], told['inputs'] = list(found.reasons), list(found.inputs)
+    told['quantities'] = [asdict(q) for q in found.quantities]
+    return told
+
+
+def yaml_text(found: Verification) -> str:
+    """Return a verification as YAML."""
+    return yaml.safe_dump(values(found), sort_keys=False, width=100, default_flow_style=None)
+
+
+def shown(value: float | None, unit: str) -> str:
+    """Return a value for a person: millimetres, or degrees."""
+    if value is None:
+        return ''
+    return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{value * DEGREES:.4f} degrees'
+
+
+def table(found: Verification) -> Table:
+    """Return what is told of a verification."""
+    title = f'{found.routine}: {found.verdict.upper()}, {found.stations} stations'
+    made = Table(title=title, title_justify='left')
+    for column in ('', 'measured', 'nominal', 'error', '1 sigma', 'of it calibration'):
+        made.add_column(column, justify='left' if not column else 'right')
+    for q in found.quantities:
+        made.add_row(q.name, *(shown(v, q.unit) for v in (
+            q.value, q.nominal, q.error, q.std, q.from_calibration)))
+    s = found.scatter
+    for name, value in (('mean distance from the fit', s.mean), ('its standard deviation', s.std),
+                        ('its maximum', s.maximum), ('its RMS', s.rms),
+                        ('95 % of such RMS lie below', s.expected)):
+        made.add_row(name, shown(value, 'm'))
+    return made

@@ -1,0 +1,163 @@
+"""Routines: the truth lies in their regions, a wrong calibration fails, too little says so."""
+from __future__ import annotations
+
+from dataclasses import replace
+import importlib.util
+from pathlib import Path
+
+from command import assert_refused, handeye
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Sample
+from handeye_ros.measure import verification
+from handeye_ros.measure.errors import TooFewSeenError, WrongCountError
+from handeye_ros.measure.routine import Nominal
+from handeye_ros.measure.routines import ROUTINES
+from handeye_ros.measure.verify import seen_in, settings_for, Tolerances, verify
+from handeye_ros.results.calibration_file import write_calibration
+from handeye_ros.ros.bags import bag_write
+from handeye_ros.simulate import gauges, simulate
+from handeye_ros.simulate.scenarios import SCENARIOS
+import numpy as np
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[1]
+spec = importlib.util.spec_from_file_location('bench_verify', ROOT / 'bench' / 'verify.py')
+bench = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(bench)
+
+SEEDS = 12
+
+
+@pytest.mark.parametrize('name', bench.SCENES)
+def test_the_truth_lies_in_the_stated_region_and_wrong_calibrations_fail(name):
+    inside = 0
+    for seed in range(SEEDS):
+        right, wrong = bench.trial(name, seed)
+        inside += bench.within(right)
+        assert right.verdict == 'pass'
+        assert wrong.verdict == 'fail'
+    assert inside >= SEEDS - 3  # more than 3 of 12 outside a true 95 % region: p = 0.002
+
+
+def measured(name, seed=0, **values):
+    rng = np.random.default_rng(seed)
+    made = bench.SCENES[name](rng, **values)
+    return made, bench.calibration(made.T_flange_sensor, bench.covariance(rng))
+
+
+def result(name, made, found, nominal=None, tolerances=None, config=None):
+    routine, config = ROUTINES[name], config or Config(noise=bench.NOISE)
+    bags = [seen_in(routine, samples, found, config) for samples in made.bags]
+    nominal = nominal or Nominal(made.lengths, bench.RADIUS if 'ball' in name else 0.0,
+                                 made.reference, gauges.AIM if name == 'point' else 0.0)
+    return verify(routine, bags, found, config, nominal, tolerances)
+
+
+def test_errors_of_the_artefact_are_measured():
+    made, found = measured('step')
+    longer = replace(made, lengths=(0.025, 0.05, 0.1004))
+    told = result('step', longer, found)
+    assert told.verdict == 'fail'
+    assert told.quantities[2].error == pytest.approx(-4e-4, abs=1e-4)
+    assert 'height of face 3' in told.reasons[0]
+    made, found = measured('ball_bar')
+    told = result('ball_bar', replace(made, lengths=(0.1995,)), found)
+    assert told.quantities[2].error == pytest.approx(5e-4, abs=1e-4)
+
+
+def test_the_bias_of_a_touched_point_is_measured():
+    made, found = measured('point')
+    moved = replace(made, reference=tuple(np.add(made.reference, [0, 0, 5e-4])))
+    told = result('point', moved, found)
+    assert told.verdict == 'fail'
+    assert told.quantities[2].error == pytest.approx(-5e-4, abs=1e-4)
+    unknown = result('point', replace(made, reference=()), found)
+    assert unknown.verdict == 'pass' and unknown.quantities[0].error is None
+
+
+def test_a_motion_that_could_not_have_shown_an_error_is_no_pass():
+    made, found = measured('plane')
+    # all stations with nearly one orientation: a shift of the sensor shows nowhere
+    first = made.bags[0][0]
+    T = np.array([first.T_base_flange] * 8)
+    T[:, :3, 3] += first.T_base_flange[:3, :3] @ found.T_flange_sensor[:3, 1] * np.linspace(
+        0, 0.02, 8)[:, None]
+    alike = tuple(Sample(k, T[k], first.features) for k in range(8))
+    told = result('plane', replace(made, bags=(alike,)), found, tolerances=Tolerances(1e-2))
+    assert told.verdict in ('blind', 'fail')
+    made, found = measured('plane', count=5)
+    told = result('plane', made, found)
+    assert told.verdict == 'blind'
+    assert 'would show only from' in told.reasons[0]
+
+
+def test_a_tolerance_below_the_uncertainty_is_undecided_and_never_a_pass():
+    made, found = measured('ball_bar')
+    told = result('ball_bar', made, found, tolerances=Tolerances(1e-5))
+    assert told.verdict in ('undecided', 'fail')
+
+
+def test_the_stated_std_is_that_of_many_trials():
+    errors = []
+    for seed in range(40):
+        right, _ = bench.trial('ball_bar', seed)
+        errors.append(right.quantities[2].error / right.quantities[2].std)
+        assert right.quantities[2].from_calibration < right.quantities[2].std
+    assert 0.75 < np.std(errors) < 1.3  # 40 of chi-squared: 0.78 to 1.22 are 95 %
+
+
+def test_too_few_stations_and_wrong_counts_are_refused():
+    made, found = measured('sphere', count=3)
+    with pytest.raises(TooFewSeenError, match='3 usable stations'):
+        result('sphere', made, found)
+    routine = ROUTINES['step']
+    with pytest.raises(WrongCountError, match='2 to 9 bags'):
+        settings_for(routine, Config(), Nominal((0.1,)), 1)
+    with pytest.raises(WrongCountError, match=r'2 lengths \(--length\), and got 1'):
+        settings_for(routine, Config(), Nominal((0.1,)), 3)
+
+
+def test_the_edge_of_one_line_is_told_from_others():
+    made, found = measured('line')
+    mixed = []
+    for sample in made.bags[0]:
+        edge = sample.features[1]
+        other = replace(edge, point=edge.point + np.random.default_rng(sample.stamp).uniform(
+            0.004, 0.01, 2))
+        mixed.append(replace(sample, features=(other, sample.features[0], edge)))
+    told = result('line', replace(made, bags=(tuple(mixed),)), found)
+    assert told.scatter == result('line', made, found).scatter
+
+
+def test_results_are_plain_values():
+    made, found = measured('step')
+    told = result('step', made, found)
+    read = yaml.safe_load(verification.yaml_text(told))
+    assert read['format'] == verification.FORMAT
+    assert read['verdict'] == 'pass'
+    assert [q['nominal'] for q in read['quantities']] == list(made.lengths)
+    assert read == verification.values(told)
+
+
+def test_the_verb_on_rendered_profiles(tmp_path):
+    scenario = replace(SCENARIOS['small_sphere'], stations=(10, 0))
+    made = simulate(scenario, np.random.default_rng(3))
+    X = made.truth.T_flange_sensor
+    bag_write.write(tmp_path / 'ball', made.profiles, made.poses)
+    for name, T in (('right', X), ('wrong', se3.perturb(X, np.array([1e-3, 0, 0, 0, 0.009, 0])))):
+        write_calibration(bench.calibration(T, np.diag(bench.STD ** 2)), tmp_path / f'{name}.yaml')
+        run = handeye('verify', 'sphere', 'ball', '--calibration', f'{name}.yaml', '--radius',
+                      scenario.target.radius, '--out', 'v.yaml', cwd=tmp_path)
+        assert run.returncode == 0, run.stderr
+        told = yaml.safe_load((tmp_path / 'v.yaml').read_text())
+        assert told['verdict'] == {'right': 'pass', 'wrong': 'fail'}[name]
+        assert told['inputs'] == ['ball']
+        assert run.stdout.splitlines()[0].startswith(f'sphere: {told["verdict"].upper()}')
+    run = handeye('verify', 'ball_bar', 'ball', '--calibration', 'right.yaml', cwd=tmp_path)
+    assert_refused(run, 2, 'ball_bar needs 2 bags, and got 1')
+    run = handeye('verify', 'cube', 'ball', '--calibration', 'right.yaml', cwd=tmp_path)
+    assert_refused(run, 2, 'no routine "cube"')
+    run = handeye('verify', 'sphere', 'ball', '--calibration', 'none.yaml', cwd=tmp_path)
+    assert_refused(run, 2, 'none.yaml')
