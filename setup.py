@@ -14,7 +14,7 @@ setup(
     maintainer_email='maintainers@handeye-ros.example.org',
     python_requires='>=3.11',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'results/report/page/*']},
+    package_data={NAME: ['py.typed', 'results/report/assets/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -30,8 +30,8 @@ setup(
                  'selenium', 'urdf-parser-py'],
         'dev': ['colcon-common-extensions', 'flake8', 'flake8-blind-except', 'flake8-builtins',
                 'flake8-class-newline', 'flake8-comprehensions', 'flake8-deprecated',
-                'flake8-docstrings', 'flake8-import-order', 'flake8-quotes', 'mypy',
-                'ruff', 'types-PyYAML'],
+                'flake8-docstrings', 'flake8-import-order', 'flake8-quotes', 'foxglove-sdk',
+                'mypy', 'ruff', 'types-PyYAML'],
     },
     entry_points={
         'console_scripts': [

@@ -210,7 +210,7 @@ def test_a_parameter_file_with_empty_lists_and_integers(tmp_path: Path, client: 
     ('target.size:=[1.0, 2]', 'ROS does not start: '),
 ])
 def test_wrong_parameters_end_the_node(argument: str, reason: str) -> None:
-    run = run_module('node.node', '--ros-args', '-p', argument)
+    run = run_module('node', '--ros-args', '-p', argument)
     assert run.returncode == 2
     assert reason in run.stderr.splitlines()[-1]
     assert 'Traceback' not in run.stderr

@@ -11,7 +11,8 @@ from browser import chromium, complaints
 from command import assert_refused, handeye, ROOT
 from handeye_ros import config, se3
 from handeye_ros.data import Calibration
-from handeye_ros.results import calibration_file, report
+from handeye_ros.results import calibration_file
+from handeye_ros.results.report import page as pages
 from handeye_ros.results.report.evidence import Evidence
 from handeye_ros.results.report.verdict import mapped_std, verdict
 from handeye_ros.ros.bags.evidence import evidence
@@ -146,7 +147,7 @@ def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration, fo
                   for look in found.looks)
     samples = tuple(replace(s, used=False, reason=reason) if i == 2 else s
                     for i, s in enumerate(calibration.samples))
-    text = report.html(replace(calibration, samples=samples), replace(found, looks=looks))
+    text = pages.html(replace(calibration, samples=samples), replace(found, looks=looks))
     assert text.count('no edge &lt;was&gt; seen') == 3  # counted, below the profile, in the list
     assert 'Stop 3:\nnot used: no edge' in text
 
@@ -161,7 +162,7 @@ def test_another_answer_is_told(calibration: Calibration, found: Evidence) -> No
 
 def test_a_recording_that_is_refused_is_told(calibration: Calibration) -> None:
     found = evidence(calibration, ROOT / 'bags' / 'one_orientation')
-    text = report.html(calibration, found)
+    text = pages.html(calibration, found)
     assert 'Do not rely on this calibration: the recording is refused now: all poses share' in text
 
 
@@ -197,7 +198,7 @@ def test_a_calibration_from_files_has_a_report_too(calibration: Calibration) -> 
     files = replace(calibration, provenance={**calibration.provenance, 'config': told})
     found = evidence(files, None)
     assert 'solved from files' in found.missing
-    assert 'id="scene"' in report.html(files, found)
+    assert 'id="scene"' in pages.html(files, found)
 
 
 def test_wrong_input_is_refused(tmp_path: Path) -> None:

@@ -40,13 +40,13 @@ def report(
         metavar='FILE', help='If not given, report.html beside the calibration.')] = None,
 ) -> None:
     """Show a saved calibration and what it comes from in one HTML file."""
-    from handeye_ros.results import report as reports
     from handeye_ros.results.calibration_file import file_of, read_calibration
+    from handeye_ros.results.report import page
     from handeye_ros.ros.bags.evidence import evidence
     file = file_of(path)
     calibration = read_calibration(file)
     with doing('finding the stops'):
         found = evidence(calibration, bag)
     with doing('writing the report'):
-        written = reports.write(calibration, found, out or file.parent / reports.NAME)
+        written = page.write(calibration, found, out or file.parent / page.NAME)
     typer.echo(f'wrote {written}')

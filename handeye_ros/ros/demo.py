@@ -19,7 +19,8 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray
 from handeye_ros import config as configuration
 from handeye_ros.errors import InputError, UnwritableError
-from handeye_ros.results import calibration_file, exports, report, table
+from handeye_ros.results import calibration_file, exports, table
+from handeye_ros.results.report import page
 from handeye_ros.results.truth_errors import errors_against
 from handeye_ros.results.truth_file import true_transform
 from handeye_ros.ros.bags.evidence import evidence
@@ -54,7 +55,7 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
     Console(width=None if terminal else 160).print(table.table(calibration))
     if T_true is not None:
         print(table.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
-    report_file = report.write(calibration, evidence(calibration, bag), out / report.NAME)
+    report_file = page.write(calibration, evidence(calibration, bag), out / page.NAME)
     print(f'{written}\nwrote {report_file}: open it in a browser')
 
 

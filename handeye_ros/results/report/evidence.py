@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from handeye_ros import config as configuration
+from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Feature, Sample
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.results.calibration_file import input_values
@@ -66,6 +68,15 @@ def recording_of(calibration: Calibration) -> tuple[Path | None, str]:
             return None, f'{path} has changed since it was solved, {advice}'
         return path, ''
     return None, f'the calibration names no recording, {advice}'
+
+
+def config_of(calibration: Calibration) -> Config:
+    """Return the configuration that a calibration was made with, as far as it says so."""
+    known = {p.key for p in configuration.parameters()}
+    told = calibration.provenance.get('config') or {}
+    return configuration.with_values(
+        Config(), {key: value for key, value in told.items() if key in known},
+        'the provenance of the calibration')
 
 
 def judged(looks: Sequence[Look], used: Sequence[Sample], solution: Solution,

@@ -8,7 +8,6 @@ import math
 from typing import Any
 
 from handeye_ros import se3
-from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature
 from handeye_ros.results.report.evidence import Look
 from handeye_ros.results.report.verdict import in_plane
@@ -77,12 +76,6 @@ def histogram(looks: Sequence[Look], stated: float) -> str:
     ax.set_ylabel('share per mm')
     ax.legend(loc='upper right')
     return _svg(figure)
-
-
-def stated_noise(noise: NoiseConfig, arm: float) -> float:
-    """Return the 1 sigma (metres) of a point so far from the flange that the noise explains."""
-    return math.sqrt(noise.sensor ** 2 + noise.distortion ** 2 + noise.robot_translation ** 2
-                     + (arm * noise.robot_rotation) ** 2)
 
 
 def coverage(looks: Sequence[Look]) -> str:

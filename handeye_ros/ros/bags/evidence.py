@@ -5,8 +5,7 @@ from pathlib import Path
 
 from handeye_ros import files, pipeline
 from handeye_ros.data import Calibration
-from handeye_ros.results.report import config_of
-from handeye_ros.results.report.evidence import Evidence, recording_of
+from handeye_ros.results.report.evidence import config_of, Evidence, recording_of
 from handeye_ros.ros.bags.bag import read
 
 

@@ -15,6 +15,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Reject, TimedPose
 from handeye_ros.errors import HandeyeError, InputError
 from handeye_ros.ros.node.arrivals import Arrivals
+from handeye_ros.ros.node.latest import Latest
 from handeye_ros.ros.node.settings import changes_samples
 from handeye_ros.ros.node.store import NoStore, Store
 from handeye_ros.ros.node.wording import count_of, sample_summary
@@ -43,6 +44,7 @@ class LiveSamples:
         self._stale = False  # whether the samples are to be extracted anew
         self.config = config
         self.arrivals = Arrivals()
+        self.latest = Latest()
         self.attempt: Attempt | None = None
         self.working = ''
         self.store_trouble = ''
@@ -54,12 +56,15 @@ class LiveSamples:
     def add_profile(self, profile: AnyProfile) -> None:
         """Take a profile."""
         self.arrivals.came('profile', profile.stamp)
+        self.latest.add_profile(profile)
         with self._lock:
             self._session.add_profile(profile)
             self._put_off(self._session.passed())
 
     def add_poses(self, poses: Iterable[TimedPose]) -> None:
         """Take poses."""
+        poses = list(poses)
+        self.latest.add_poses(poses)
         with self._lock:
             for pose in poses:
                 self.arrivals.came('pose', pose.stamp)

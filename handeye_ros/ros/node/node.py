@@ -33,6 +33,7 @@ from std_srvs.srv import SetBool, Trigger
 
 REQUESTS = QoSProfile(depth=1000)  # that wait for a solve; ROS would drop all but ten
 UNSENDABLE = (RCLError, InvalidHandle)
+CURRENT = 0.2  # s between two pictures of what is seen now
 THREADS = 4  # the streams, the quick services, a solve, and the rest
 
 
@@ -77,8 +78,10 @@ class HandeyeNode(Node):
         self._offer(SetBool, 'auto_sample', self._auto_sample, quick)
         self.create_subscription(Empty, '~/take', self._on_take, 10, callback_group=quick)
         # of wall time: the state is told even when a simulated clock stands still
-        self.create_timer(1.0, self._diagnose, MutuallyExclusiveCallbackGroup(),
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+        for period, tell in ((1.0, self._diagnose), (CURRENT, self._outlets.show_current)):
+            self.create_timer(period, partial(self._quietly, tell),
+                              MutuallyExclusiveCallbackGroup(),
+                              clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _offer(self, kind: Any, name: str, callback: Any, group: CallbackGroup) -> None:
         """Create a service; whoever has gone away before the answer must not end the node."""

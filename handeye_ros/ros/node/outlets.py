@@ -16,7 +16,8 @@ from handeye_ros.data import Calibration
 from handeye_ros.ros.node.diagnostics import diagnostics
 from handeye_ros.ros.node.intake import TFMessage
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.node.outgoing import feature_cloud, LATCHED, markers, transform_stamped
+from handeye_ros.ros.node.outgoing import feature_cloud, LATCHED, transform_stamped
+from handeye_ros.ros.node.scene import current_markers, Seen, session_markers
 from handeye_ros.ros.node.telling import state_of
 from handeye_ros.sampling.state import samples_message, State, status_message
 from handeye_ros.sampling.stops import Outcome
@@ -38,6 +39,7 @@ class Outlets:
         self._texts = {name: node.create_publisher(String, f'~/{name}', LATCHED)
                        for name in ('samples', 'status')}
         self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED)
+        self._current = node.create_publisher(MarkerArray, '~/current', 1)
         self._features = node.create_publisher(PointCloud2, '~/features', 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         if not TFMessage:
@@ -90,7 +92,18 @@ class Outlets:
 
     def _draw(self) -> None:
         live = self._live
-        self._markers.publish(markers(live.copied().samples, live.calibration, live.config))
+        calibration, state = live.calibration, state_of(live)
+        residuals = {sample.number: sample.residual for sample in state.samples}
+        self._markers.publish(session_markers(
+            [Seen(o.number, o.sample, residuals.get(o.number)) for o in live.copied().outcomes
+             if o.sample], calibration, live.config))
+
+    def show_current(self) -> None:
+        """Publish what the sensor sees now, if anybody looks."""
+        if self._current.get_subscription_count():
+            config = self._live.config
+            self._current.publish(current_markers(
+                self._live.latest.current(config), self._live.calibration, config))
 
     def show_features(self, outcome: Outcome) -> None:
         """Publish what a new sample saw."""

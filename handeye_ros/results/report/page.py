@@ -1,0 +1,101 @@
+"""
+One HTML file that shows an answer to a person: verdict, scene, residuals, profiles, use.
+
+It holds all that it shows: it opens without a network.
+"""
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime, UTC
+import json
+from pathlib import Path
+from typing import Any
+
+from handeye_ros import __version__
+from handeye_ros import config as configuration
+from handeye_ros.config import Config
+from handeye_ros.data import Calibration
+from handeye_ros.results import calibration_file, table
+from handeye_ros.results.exports import ros
+from handeye_ros.results.exports.plain import matrix
+from handeye_ros.results.report import figures
+from handeye_ros.results.report.evidence import config_of, Evidence, Look
+from handeye_ros.results.report.scene import in_sensor, legend, scene
+from handeye_ros.results.report.verdict import in_plane, stated_noise, verdict
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+import numpy as np
+
+NAME = 'report.html'
+
+
+def write(calibration: Calibration, evidence: Evidence, path: Path) -> Path:
+    """Write the report of a calibration; return its absolute path. Raises UnwritableError."""
+    path = path.expanduser().absolute()
+    calibration_file.write_whole(path, html(calibration, evidence))
+    return path
+
+
+def html(calibration: Calibration, evidence: Evidence) -> str:
+    """Return the text of the report."""
+    pages = Environment(loader=PackageLoader('handeye_ros.results.report', 'assets'),
+                        autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+                        lstrip_blocks=True)
+    pages.globals['source'] = lambda name: Markup(pages.get_template(name).render())
+    config = config_of(calibration)
+    return pages.get_template('report.html').render(_values(calibration, evidence, config))
+
+
+def _values(calibration: Calibration, evidence: Evidence, config: Config) -> dict[str, Any]:
+    used = [look for look in evidence.looks if look.used and look.features]
+    seen = in_sensor(in_plane(tuple(f for look in used for f in look.features)), config)
+    drawn = scene(calibration, evidence.looks, config)
+    with figures.style():
+        plots = {name: _image(svg) for name, svg in _plots(calibration, used, config)}
+        profiles = [_profile(look) for look in evidence.looks]
+    return {
+        'c': calibration, 'verdict': verdict(calibration, evidence, seen),
+        'version': __version__, 'now': datetime.now(UTC).isoformat(timespec='seconds'),
+        'transform': list(table.transform_rows(calibration)),
+        'facts': list(table.facts(calibration)), 'matrix': matrix(calibration),
+        'scene': Markup(json.dumps(drawn).replace('<', '\\u003c')), 'drawn': drawn,
+        'legend': legend(drawn['parts']), 'plots': plots, 'profiles': profiles,
+        'refused': [report for report in calibration.samples if not report.used],
+        'settings': configuration.flatten(config).items(),
+        'inputs': [_words(item) for item in calibration.provenance.get('inputs', ())],
+        'uses': [('URDF or xacro', ros.joint(calibration)),
+                 ('ROS 2, shell', ros.command(calibration))],
+    }
+
+
+def _plots(calibration: Calibration, used: Sequence[Look], config: Config
+           ) -> Iterator[tuple[str, str]]:
+    """Yield the plots that there is data for, by name."""
+    if not used:
+        return
+    yield 'coverage', figures.coverage(used)
+    solved = [look for look in used if len(look.residuals)]
+    if solved:
+        yield 'residuals', figures.residuals(solved)
+        points = np.concatenate([in_plane(look.features) for look in solved])
+        middle = in_sensor(points.mean(axis=0)[None], config)[0]
+        arm = calibration.T_flange_sensor @ np.append(middle, 1.0)
+        yield 'histogram', figures.histogram(
+            solved, stated_noise(config.noise, float(np.linalg.norm(arm[:3]))))
+
+
+def _profile(look: Look) -> dict[str, Any]:
+    rms = float(np.sqrt((look.residuals ** 2).mean())) if len(look.residuals) else None
+    return {'number': look.number, 'used': look.used, 'reason': look.reason,
+            'residual': None if rms is None else f'{rms * 1e3:.3f} mm',
+            'image': _image(figures.profile(look)) if len(look.points) else ''}
+
+
+def _image(svg: str) -> str:
+    """Return an image for src=, apart from the page: what is inside cannot clash with it."""
+    return 'data:image/svg+xml;base64,' + base64.b64encode(svg.encode()).decode()
+
+
+def _words(values: Mapping[str, Any]) -> str:
+    return ', '.join(f'{key} {value}' for key, value in values.items())

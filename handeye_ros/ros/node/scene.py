@@ -1,0 +1,214 @@
+"""Markers of the session: where samples were taken, what they saw, what is seen now."""
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from geometry_msgs.msg import Point
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.results.outcome import in_mount
+from handeye_ros.results.report.scene import in_sensor
+from handeye_ros.results.report.verdict import stated_noise
+from handeye_ros.results.target_shape import enlargement, half_axes, shape
+from handeye_ros.ros.node.latest import Current
+import numpy as np
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+
+def _color(red: float, green: float, blue: float, alpha: float = 1.0) -> ColorRGBA:
+    return ColorRGBA(r=red, g=green, b=blue, a=alpha)
+
+
+FLANGES, NUMBERS, LINES = _color(0.5, 0.5, 0.5), _color(0.9, 0.9, 0.9), _color(0.2, 0.6, 1.0)
+TARGET, EDGES, BALL = _color(0.1, 0.8, 0.3, 0.4), _color(0.0, 0.6, 0.5), _color(1.0, 0.7, 0.1, 0.5)
+UNKNOWN, LASER, FOUND = _color(0.7, 0.7, 0.7), _color(0.9, 0.1, 0.1), _color(1.0, 0.6, 0.0)
+AXES = (_color(0.9, 0.2, 0.2), _color(0.2, 0.8, 0.2), _color(0.2, 0.4, 0.9))
+
+AXIS = 0.03  # m, of a drawn frame
+ELLIPSOID = 0.02  # m, the largest half axis of the uncertainty as it is drawn
+DOT, LINE, TEXT = 0.003, 0.001, 0.012  # m
+ARM = 0.2  # m from the flange to the target, for the noise that a colour compares with
+WORST = 3.0  # times that noise: the residual that is drawn red
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A sample with its number, and its residual (metres) where one is known."""
+
+    number: int
+    sample: Sample
+    residual: float | None = None
+
+
+def frame_of(config: Config) -> str:
+    """Return the frame that all is drawn in: what the target rests in."""
+    in_hand = config.calibration_type == 'eye_in_hand'
+    return config.robot_base_frame if in_hand else config.robot_effector_frame
+
+
+def session_markers(samples: Sequence[Seen], calibration: Calibration | None, config: Config
+                    ) -> MarkerArray:
+    """Return where the samples were taken and, once there is an answer, what they saw."""
+    found = [Marker(action=Marker.DELETEALL)]
+    poses = [in_mount(seen.sample.T_base_flange, config) for seen in samples]
+    if samples:
+        found.append(_points('flanges', FLANGES, np.array(poses)[:, :3, 3], 0.01))
+        found += [_text('numbers', str(seen.number), T[:3, 3], NUMBERS)
+                  for seen, T in zip(samples, poses, strict=True)]
+    if calibration:
+        found += _seen(samples, poses, calibration, config)
+    return _array(found, config)
+
+
+def current_markers(current: Current | None, calibration: Calibration | None, config: Config
+                    ) -> MarkerArray:
+    """Return the profile of now where the answer puts it, with what is found in it."""
+    found = [Marker(action=Marker.DELETEALL)]
+    if current and calibration:
+        T = in_mount(current.T_base_flange, config) @ calibration.T_flange_sensor
+        for name, color, size, plane in (('profile', LASER, DOT / 2, current.points),
+                                         ('feature', FOUND, 2 * DOT, _spots(current.features))):
+            if len(plane):
+                found.append(_points(name, color, se3.apply(T, in_sensor(plane, config)), size))
+        ends = _ends(current.features)
+        if len(ends):
+            found.append(_lines('feature', FOUND, se3.apply(T, in_sensor(ends, config))))
+        found += _sensor(T, calibration)
+    return _array(found, config)
+
+
+def _seen(samples: Sequence[Seen], poses: Sequence[Array], calibration: Calibration,
+          config: Config) -> list[Marker]:
+    """Return target, samples and sensor of an answer."""
+    T_sensors = [T @ calibration.T_flange_sensor for T in poses]
+    spots = [se3.apply(T, in_sensor(_spots(seen.sample.features), config))
+             for seen, T in zip(samples, T_sensors, strict=True)]
+    ends = [se3.apply(T, in_sensor(_ends(seen.sample.features), config))
+            for seen, T in zip(samples, T_sensors, strict=True)]
+    near = np.concatenate([*spots, *ends]) if samples else np.empty((0, 3))
+    found = _target(calibration.target, config, near)
+    if len(near):
+        scale = WORST * stated_noise(config.noise, ARM)
+        found.append(_points('samples', UNKNOWN, np.concatenate(spots), DOT, [
+            _by_residual(seen.residual, scale) for seen, points in zip(samples, spots, strict=True)
+            for _ in points]))
+        found.append(_lines('face lines', LINES, np.concatenate(ends)))
+        found += [_text('numbers at the target', f'{seen.number}{_told(seen.residual)}',
+                        points.mean(axis=0), _by_residual(seen.residual, scale))
+                  for seen, points in zip(samples, spots, strict=True) if len(points)]
+        found += _sensor(T_sensors[-1], calibration)
+    return [marker for marker in found if marker.type not in LISTS or marker.points]
+
+
+LISTS = (Marker.SPHERE_LIST, Marker.LINE_LIST, Marker.POINTS)
+
+
+def _told(residual: float | None) -> str:
+    return '' if residual is None else f': {residual * 1e3:.3f} mm'
+
+
+def _by_residual(residual: float | None, worst: float) -> ColorRGBA:
+    """Return green for none, over yellow to red for the worst; grey where none is known."""
+    if residual is None:
+        return UNKNOWN
+    share = min(residual / worst, 1.0)
+    return _color(min(1.0, 2 * share), min(1.0, 2 * (1 - share)), 0.1)
+
+
+def _target(target: Mapping[str, Any], config: Config, near: Array) -> list[Marker]:
+    found = shape(target, config.target.size, near)
+    markers = [_lines('target', TARGET, _pairs(line)) for line in found.outline]
+    markers += [_lines('edges', EDGES, _pairs(line), 2 * LINE) for line in found.edges]
+    if found.ball:
+        centre, radius = found.ball
+        markers.append(_ellipsoid('target', TARGET, centre, np.eye(3) * radius))
+    return markers
+
+
+def _sensor(T: Array, calibration: Calibration) -> list[Marker]:
+    """Return the frame of the sensor and its uncertainty, enlarged so that it can be seen."""
+    R_mount = T[:3, :3] @ calibration.T_flange_sensor[:3, :3].T
+    axes = R_mount @ half_axes(calibration.covariance[:3, :3])
+    factor = enlargement(float(np.linalg.norm(axes, axis=0).max()), ELLIPSOID)
+    markers = [_lines('sensor', color, np.array([T[:3, 3], T[:3, 3] + AXIS * T[:3, i]]))
+               for i, color in enumerate(AXES)]
+    return [*markers, _ellipsoid('uncertainty', BALL, T[:3, 3], axes * factor),
+            _text('uncertainty', f'1 sigma x {factor:g}', T[:3, 3] + ELLIPSOID * T[:3, 1], BALL)]
+
+
+def _spots(features: Iterable[Feature]) -> Array:
+    """Return the edge points, centres of faces without one, and points of arcs, (k, 2)."""
+    features = tuple(features)
+    edges = [f.point for f in features if isinstance(f, EdgePoint)]
+    faces = [f.centre for f in features if isinstance(f, FaceLine)]
+    arcs = [p for f in features if isinstance(f, Arc) for p in f.points]
+    return np.array((edges or faces) + arcs).reshape(-1, 2)
+
+
+def _ends(features: Iterable[Feature]) -> Array:
+    """Return two points (2, 2) for each face line, two spreads from its centre."""
+    return np.array([f.centre + side * f.spread * f.direction for f in features
+                     if isinstance(f, FaceLine) for side in (-2, 2)]).reshape(-1, 2)
+
+
+def _pairs(line: Array) -> Array:
+    """Return the ends (2 (n - 1), 3) of the pieces of a polyline (n, 3)."""
+    return np.repeat(line, 2, axis=0)[1:-1]
+
+
+def _points(name: str, color: ColorRGBA, points: Array, size: float,
+            colors: Sequence[ColorRGBA] = ()) -> Marker:
+    marker = _marker(name, Marker.SPHERE_LIST, color, (size, size, size))
+    marker.points, marker.colors = _messages(points), list(colors)
+    return marker
+
+
+def _lines(name: str, color: ColorRGBA, points: Array, width: float = LINE) -> Marker:
+    marker = _marker(name, Marker.LINE_LIST, color, (width, 0.0, 0.0))
+    marker.points = _messages(points)
+    return marker
+
+
+def _text(name: str, text: str, place: Array, color: ColorRGBA) -> Marker:
+    marker = _marker(name, Marker.TEXT_VIEW_FACING, color, (0.0, 0.0, TEXT))
+    marker.text = text
+    _put(marker.pose.position, 'xyz', place + [0.0, 0.0, TEXT])
+    return marker
+
+
+def _ellipsoid(name: str, color: ColorRGBA, centre: Array, axes: Array) -> Marker:
+    """Return an ellipsoid with half axes in columns (3, 3)."""
+    lengths = np.linalg.norm(axes, axis=0)
+    R = axes / np.maximum(lengths, 1e-12)
+    R[:, 2] = np.cross(R[:, 0], R[:, 1])
+    marker = _marker(name, Marker.SPHERE, color, np.maximum(2 * lengths, 1e-6))
+    _put(marker.pose.position, 'xyz', centre)
+    _put(marker.pose.orientation, 'xyzw', se3.quaternion(se3.transform(R, centre)))
+    return marker
+
+
+def _marker(name: str, kind: int, color: ColorRGBA, scale: Iterable[float]) -> Marker:
+    marker = Marker(type=kind, action=Marker.ADD, color=color, ns=name)
+    marker.pose.orientation.w = 1.0
+    _put(marker.scale, 'xyz', scale)
+    return marker
+
+
+def _messages(points: Array) -> list[Point]:
+    return [_put(Point(), 'xyz', point) for point in points]
+
+
+def _put(msg: Any, names: str, values: Iterable[float]) -> Any:
+    for name, value in zip(names, values, strict=True):
+        setattr(msg, name, float(value))
+    return msg
+
+
+def _array(found: list[Marker], config: Config) -> MarkerArray:
+    for number, marker in enumerate(found):
+        marker.header.frame_id, marker.id = frame_of(config), number
+    return MarkerArray(markers=found)
