@@ -1,16 +1,18 @@
 """Arcs of a sphere in drawn profiles: exact, noisy, among clutter; any array at all."""
 from __future__ import annotations
 
+from collections.abc import Callable
 import warnings
 
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Array
-from handeye_ros.profiles.arcs import arc_features, fit_circle, NORMAL_POINTS, normal_points
+from handeye_ros.profiles.arcs import arc_features, NORMAL_POINTS, normal_points
+from handeye_ros.profiles.circles import fit_circle
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.sampling.station_features import combine
 from hypothesis import given
 import numpy as np
-from profiles import any_points, drawn, face, NOISE
+from profiles import any_points, drawn, face, NOISE, roof, step_up_to
 import pytest
 
 KNOWN = with_values(Config(), {'target.type': 'sphere', 'target.radius': 0.04}, 'test')
@@ -126,6 +128,63 @@ def test_any_array_gives_a_finite_arc_or_a_reason(points: Array) -> None:
         assert (arc.std >= 0).all() and 0 < arc.radius < 0.6
         assert len(arc.points) == len(arc.std) >= 3 and len(arc.raw) >= 20
     assert np.array_equal(points, before, equal_nan=True)
+
+
+@pytest.mark.parametrize('config', [KNOWN, UNKNOWN], ids=['known', 'unknown'])
+@pytest.mark.parametrize('noise', [1.0, 3.0], ids=['', 'noise told threefold'])
+def test_a_small_ball_before_a_table_is_found(config: Config, noise: float) -> None:
+    # 7 mm of 80: a table is a circle of a large radius within the noise, and has more points
+    values = {'target.radius': config.target.radius / 8, 'noise.sensor': noise * NOISE}
+    told = with_values(config, values, 'test')
+    for seed, x in enumerate(np.linspace(-0.03, 0.03, 8)):
+        centre = np.array([x, 0.2])
+
+        def scene(at: Array, centre: Array = centre) -> Array:
+            z = ball(at, 0.0045, centre=centre)
+            return np.where(np.isnan(z), 0.21 + 0.05 * at, z)
+        arc, = arc_features(wide(scene, seed), told)
+        assert np.linalg.norm(arc.centre - centre) < 1e-4
+
+
+@pytest.mark.parametrize('shape', [
+    step_up_to(0.002), step_up_to(-0.004, drop=0.002), roof(0.003), roof(-0.003, turn=-0.3),
+    lambda x: np.where(np.abs(x) < 0.006, face(x), face(x) + 0.004),
+    lambda x: face(x) + 0.0006 * np.sin(x / 0.006)])
+def test_corners_steps_and_waves_are_no_arcs(shape: Callable[[Array], Array]) -> None:
+    for seed in range(10):
+        points = drawn(shape, seed)
+        points[np.random.default_rng(seed).random(len(points)) < 0.02, 1] += 2e-3
+        for config in (KNOWN, UNKNOWN):
+            with pytest.raises(FeatureError):
+                arc_features(points, config)
+
+
+def test_points_on_both_sides_of_a_circle_are_no_arc() -> None:
+    # half of each side: as many points of the circle in all as an arc has
+    points = wide(ball)
+    points[:, 1] = np.where(points[:, 0] < CENTRE[0], points[:, 1],
+                            2 * CENTRE[1] - points[:, 1])
+    for arc in arc_features(points, KNOWN):
+        assert (arc.raw[:, 1] < CENTRE[1]).all() or (arc.raw[:, 1] > CENTRE[1]).all()
+
+
+def test_what_repeats_is_not_averaged_away() -> None:
+    # speckle alike over four columns, frozen while the robot stands, and little white noise
+    misfits = {1: [], 6: []}  # type: dict[int, list[Array]]
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        frozen = np.convolve(rng.normal(size=644), np.ones(4) / 2, 'valid') * 2e-5
+        found = []
+        for _ in range(6):
+            points = wide(ball, noise=0.0)
+            points[:, 1] += frozen + rng.normal(0, 4e-6, len(points))
+            found.append(arc_features(points, KNOWN))
+        for count, kept in misfits.items():
+            arc, = combine(found[:count])
+            assert isinstance(arc, Arc)
+            kept.append((np.linalg.norm(arc.points - CENTRE, axis=1) - 0.03) / arc.std)
+    for kept in misfits.values():
+        assert np.sqrt(np.mean(np.square(kept))) == pytest.approx(1, abs=0.3)
 
 
 def test_a_circle_through_points_is_the_best_one() -> None:

@@ -23,7 +23,8 @@ from handeye_ros.estimation.method import (
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.solve import best_of
 from handeye_ros.methods.common import collect, GUESS_STATIONS, ObservationRows, some_stations
-from handeye_ros.profiles.arcs import arc_features, fit_circle
+from handeye_ros.profiles.arcs import arc_features
+from handeye_ros.profiles.circles import fit_circle
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation

@@ -7,18 +7,22 @@ from __future__ import annotations
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array
+from handeye_ros.profiles.circles import candidates, fit_circle
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.profiles.segment import noise_level
+from handeye_ros.profiles.shares import means, SURELY_MORE, variance_of_means
 import numpy as np
 from numpy.typing import NDArray
 
-HYPOTHESES = 96
-SEARCH_POINTS = 256
 NORMAL_POINTS = 12
+BLOCKS = 4  # of each share of an arc, whose scatter tells that of its normal point
 SMALLEST_RADIUS, LARGEST_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown radius (m)
-LARGEST_SHARE = 1.05  # of an arc's radius in that of the sphere, for short and noisy arcs
-TINY = 1e-12
+SMALLEST_SHARE = 0.2  # of an arc's radius in that of the sphere
+LARGEST_SHARE = 1.05  # the same, for short and noisy arcs
 TOLERANCE_SIGMAS = 6.0
+MOST_SCATTER = 2.5  # RMS distance of an arc's points from their circle, in sigmas
+BELIEVED_SCATTER = 1.5  # the same, in sigmas of the configured noise, that needs no test
+SLOWEST = 0.5  # share of the scatter that the normal points may have
 SMALLEST_DENSITY = 0.5  # of an arc's points among those between its ends
 STEEP = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its rim
 RIM_WIDTH = 0.24  # of the arc before its rim (rad) that is not used
@@ -34,135 +38,125 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
     Raises FeatureError when there is none.
     """
     valid = points[np.isfinite(points).all(axis=1)]
-    min_points = config.sampling.min_points
+    min_points, radius = config.sampling.min_points, config.target.radius
     if len(valid) < min_points:
         raise FeatureError(f'fewer than {min_points} returns in the profile')
-    noise = max(noise_level(valid[:, 1], config.noise.sensor), config.noise.sensor)
-    circle = _dominant_circle(valid, config.target.radius, TOLERANCE_SIGMAS * noise)
-    if circle is None:
-        raise FeatureError('no arc of the sphere in the profile')
-    inliers = _refined(valid, circle, TOLERANCE_SIGMAS * noise)
+    # speckle that is alike over some columns does not show in the noise level
+    noise = max(noise_level(valid[:, 1], config.noise.sensor), config.noise.sensor / 2)
+    limits = (SMALLEST_RADIUS, LARGEST_RADIUS)
+    if radius > 0:
+        limits = SMALLEST_SHARE * radius, (LARGEST_SHARE + 0.1) * radius
+    reason = 'no arc of the sphere in the profile'
+    for i, circle in enumerate(candidates(valid, *limits, TOLERANCE_SIGMAS * noise)):
+        try:
+            return (_arc(valid, circle, noise, config),)
+        except FeatureError as error:
+            reason = str(error) if i == 0 else reason
+    raise FeatureError(reason)
+
+
+def _arc(points: Array, circle: Array, noise: float, config: Config) -> Arc:
+    """Return the arc of the points near a circle; raises FeatureError when it is none."""
+    inliers = _refined(points, circle, TOLERANCE_SIGMAS * noise)
+    min_points, radius = config.sampling.min_points, config.target.radius
     if inliers.sum() < min_points:
         raise FeatureError(f'fewer than {min_points} points on an arc of the sphere')
     rows = np.flatnonzero(inliers)
     if len(rows) < SMALLEST_DENSITY * (rows[-1] - rows[0] + 1):
         raise FeatureError('no arc of the sphere in the profile, only scattered points')
-    arc = normal_points(valid[inliers])
-    if config.target.radius > 0 and arc.radius > LARGEST_SHARE * config.target.radius:
+    arc = normal_points(points[inliers])
+    if _wanders(arc, noise, config):
+        raise FeatureError('no arc of the sphere in the profile, only something like it')
+    if 0 < LARGEST_SHARE * radius < arc.radius:
         raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
                            'more than the sphere')
     if arc.radius < SMALLEST_RADIUS or _covered_angle(arc) < SMALLEST_ANGLE:
         raise FeatureError('the arc of the sphere in the profile is too short')
-    return (arc,)
+    return arc
 
 
-def _dominant_circle(points: Array, radius: float, tolerance: float) -> Array | None:
-    """Return the circle (x, z, r) through three points on which the most points lie."""
-    circles = _hypotheses(points)
-    r = circles[:, 2]
-    if radius > 0:
-        circles = circles[(r > 0.2 * radius) & (r < 1.02 * radius)]
-    else:
-        circles = circles[(r > SMALLEST_RADIUS) & (r < LARGEST_RADIUS)]
-    if not len(circles):
-        return None
-    voters = points[::-(-len(points) // SEARCH_POINTS)]
-    distance = np.linalg.norm(voters - circles[:, None, :2], axis=2) - circles[:, 2:]
-    best = int(np.argmax((np.abs(distance) < tolerance).sum(axis=1)))
-    return np.asarray(circles[best])
+def _wanders(arc: Arc, noise: float, config: Config) -> bool:
+    """
+    Return whether points do not scatter about their circle, but wander from side to side of it.
 
-
-def _hypotheses(points: Array) -> Array:
-    """Return circles (k, 3) through three points each, spread over the profile."""
-    circles = []
-    for parts in (2.5, 4, 8):
-        span = max(int(len(points) / parts / 2), 1)
-        first = np.unique(np.linspace(0, len(points) - 1 - 2 * span, HYPOTHESES).astype(int))
-        circles.append(_through(points[first], points[first + span], points[first + 2 * span]))
-    found = np.concatenate(circles)
-    return np.asarray(found[np.isfinite(found).all(axis=1)])
-
-
-def _through(a: Array, b: Array, c: Array) -> Array:
-    """Return the circles (k, 3) through three (k, 2) points; not finite for collinear ones."""
-    u, v = b - a, c - a
-    cross = 2 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
-    uu, vv = (u ** 2).sum(axis=1), (v ** 2).sum(axis=1)
-    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        centre = np.column_stack([v[:, 1] * uu - u[:, 1] * vv, u[:, 0] * vv - v[:, 0] * uu])
-        centre = centre / cross[:, None]
-        return np.column_stack([a + centre, np.linalg.norm(centre, axis=1)])
+    So do those of a corner, or of two surfaces that a circle happens to touch.
+    """
+    off = np.sqrt(((arc.raw - arc.centre) ** 2).sum(axis=1)) - arc.radius
+    of_shares = np.sqrt(((arc.points - arc.centre) ** 2).sum(axis=1)) - arc.radius
+    scatter, slow = float(off @ off) / len(off), float(of_shares @ of_shares) / len(of_shares)
+    white = min(BELIEVED_SCATTER * config.noise.sensor,
+                MOST_SCATTER * noise_level(arc.raw[:, 1], config.noise.sensor))
+    believed = np.hypot(white, BELIEVED_SCATTER * config.noise.distortion)
+    return scatter > believed ** 2 and (scatter > (MOST_SCATTER * noise) ** 2
+                                        or slow > SLOWEST * scatter)
 
 
 def _refined(points: Array, circle: Array, tolerance: float) -> NDArray[np.bool_]:
     """Return which points lie on the circle, fitted again to those that do, rims left out."""
-    inliers = np.zeros(len(points), dtype=bool)
+    used = on = np.zeros(len(points), dtype=bool)
     for width in (3.0, 2.0, 1.0, 1.0):
         offset = points - circle[:2]
-        distance = np.linalg.norm(offset, axis=1)
-        steep = np.abs(offset[:, 1]) < RIM_COSINE * distance
-        inliers = (np.abs(distance - circle[2]) < width * tolerance) & ~steep
-        if inliers.sum() < 5:
+        distance = np.sqrt((offset ** 2).sum(axis=1))
+        on = np.abs(distance - circle[2]) < width * tolerance
+        # the light falls on one side of a ball only
+        side = np.sign(offset[on, 1].sum())
+        on = on & (side * offset[:, 1] > 0)
+        used = on & (side * offset[:, 1] > RIM_COSINE * distance)
+        if used.sum() < 5:
             break
-        circle = fit_circle(points[inliers])
-    return inliers & ~_rim(points, inliers, circle)
+        circle = fit_circle(points[used], steps=1)
+    return used & ~_rim(points, on, circle)
 
 
-def _rim(points: Array, inliers: NDArray[np.bool_], circle: Array) -> NDArray[np.bool_]:
+def _rim(points: Array, on: NDArray[np.bool_], circle: Array) -> NDArray[np.bool_]:
     """
     Return which points are near an end of the arc where the surface turns away.
 
     The light comes back badly before it stops to come back at all; how steep that is depends on
     the part of the tilt that a profile does not show, so it is told by where the arc ends.
     """
+    if not on.any():
+        return on
     offset = points - circle[:2]
-    towards = np.sign(offset[inliers, 1].sum())
+    towards = np.sign(offset[on, 1].sum())
     turn = np.arctan2(offset[:, 0], towards * offset[:, 1])
-    if not inliers.any():
-        return inliers
-    first, last = np.quantile(turn[inliers], [0.005, 0.995])
+    first, last = np.quantile(turn[on], [0.005, 0.995])
     left = (turn < first + RIM_WIDTH) & (first < -STEEP)
     return np.asarray(left | ((turn > last - RIM_WIDTH) & (last > STEEP)))
 
 
-def fit_circle(points: Array) -> Array:
-    """Return the circle (x, z, r) with the least squared radial distances to (n, 2) points."""
-    mean = points.mean(axis=0)
-    centred = points - mean
-    A = np.column_stack([2 * centred, np.ones(len(points))])
-    x, z, c = _least_squares(A, (centred ** 2).sum(axis=1))
-    circle = np.array([x, z, np.sqrt(c + x * x + z * z)])
-    for _ in range(4):  # Gauss-Newton from the algebraic fit, which is biased for short arcs
-        offset = centred - circle[:2]
-        distance = np.linalg.norm(offset, axis=1)
-        away = np.maximum(distance, TINY)[:, None]  # equal points have their centre in them
-        J = np.column_stack([offset / away, np.ones(len(points))])
-        circle = circle + _least_squares(J, distance - circle[2])
-    return np.asarray(circle + [*mean, 0.0])
-
-
-def _least_squares(A: Array, b: Array) -> Array:
-    """Return the solution (3,) of many equations, of least norm when they say too little."""
-    return np.asarray(np.linalg.lstsq(A.T @ A, A.T @ b, rcond=1e-12)[0])
-
-
 def normal_points(raw: Array) -> Arc:
-    """Return the arc of (n, 2) raw points, with at most NORMAL_POINTS normal points."""
+    """
+    Return the arc of (n, 2) raw points, with at most NORMAL_POINTS normal points.
+
+    The points of several profiles may be mixed: what repeats in all of them scatters from one
+    part of the arc to the next, and so is not taken for something that averages out.
+    """
     circle = fit_circle(raw)
     offset = raw - circle[:2]
-    distance = np.linalg.norm(offset, axis=1)
+    distance = np.sqrt((offset ** 2).sum(axis=1))
     middle = offset.mean(axis=0)
     angle = np.arctan2(middle[0] * offset[:, 1] - middle[1] * offset[:, 0], offset @ middle)
     order = np.argsort(angle)
     angle, residual = angle[order], distance[order] - circle[2]
-    noise = float(np.sqrt(residual @ residual / max(len(raw) - 3, 1)))
-    shares = np.array_split(np.arange(len(raw)), min(NORMAL_POINTS, len(raw) // 3))
-    count = np.array([len(share) for share in shares])
-    first = np.concatenate([[0], np.cumsum(count)[:-1]])
-    radius = circle[2] + np.add.reduceat(residual, first) / count
-    turn = np.add.reduceat(angle, first) / count + np.arctan2(middle[1], middle[0])
-    points = circle[:2] + radius[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
-    return Arc(points, noise / np.sqrt(count), circle[:2], float(circle[2]), raw)
+    shares = min(NORMAL_POINTS, len(raw) // 3)
+    radius, count = means(residual, shares)
+    turn = means(angle, shares)[0] + np.arctan2(middle[1], middle[0])
+    points = circle[:2] + (circle[2] + radius)[:, None] * np.column_stack(
+        [np.cos(turn), np.sin(turn)])
+    std = np.sqrt(_variance(residual, radius, len(raw) / shares) * len(raw) / shares / count)
+    return Arc(points, std, circle[:2], float(circle[2]), raw)
+
+
+def _variance(residual: Array, of_shares: Array, size: float) -> float:
+    """Return the variance of a normal point, the mean of a share of the residuals (n,)."""
+    white = float(residual @ residual) / max(len(residual) - 3, 1) / size
+    blocks = means(residual, BLOCKS * len(of_shares))[0] if size > 2 * BLOCKS else of_shares
+    fine = variance_of_means(blocks, white * len(blocks) / len(of_shares))
+    # what is alike over a whole share scatters between them
+    coarse = float(of_shares @ of_shares) / max(len(of_shares) - 3, 1)
+    coarse = coarse if coarse > SURELY_MORE * white else white
+    return max(fine * len(of_shares) / len(blocks), coarse)
 
 
 def _covered_angle(arc: Arc) -> float:

@@ -1,0 +1,35 @@
+"""
+Means of equal shares of points in a row, and how much they scatter.
+
+Speckle is alike over some columns, and stays while the robot stands: the scatter of single
+points, divided by the root of their number, says too little. So the means themselves are looked
+at; their second differences do not see the smooth shape below.
+"""
+from __future__ import annotations
+
+from handeye_ros.data import Array
+import numpy as np
+
+SURELY_MORE = 1.7  # times the variance of white noise: what chance seldom makes
+
+
+def means(values: Array, shares: int) -> tuple[Array, Array]:
+    """Return means, (k, ...), of equal shares of values (n, ...), and the sizes (k,) of these."""
+    first = np.linspace(0, len(values), shares, endpoint=False).astype(int)
+    count = np.diff(np.append(first, len(values)))
+    total = np.add.reduceat(values, first)
+    return total / count.reshape(-1, *[1] * (values.ndim - 1)), count
+
+
+def variance_of_means(blocks: Array, white: float) -> float:
+    """
+    Return the variance of the means (k,) of neighbouring blocks of residuals.
+
+    white: what it would be if the residuals were white noise; it holds unless the blocks surely
+    scatter more.
+    """
+    if len(blocks) < 6:
+        return white
+    second = blocks[:-2] - 2 * blocks[1:-1] + blocks[2:]
+    seen = float(second @ second) / (6 * len(second))
+    return seen if seen > SURELY_MORE * white else white
