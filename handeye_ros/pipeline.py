@@ -44,7 +44,12 @@ def calibrate(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config
 
     Raises DataError when the recording cannot carry an answer.
     """
-    session = gather(profiles, poses, config)
+    return calibrate_session(gather(profiles, poses, config), config)
+
+
+def calibrate_session(session: Session, config: Config) -> Calibration:
+    """Return the calibration from the samples of a session; raises DataError without one."""
+    session.require_stations()
     calibration = solve(session.samples, session.rejects, config, session.frame_id)
     if not session.warnings:
         return calibration

@@ -13,6 +13,7 @@ from handeye_ros.cli.common import (
     NoPath,
     read_bag,
     show,
+    stored_session,
     warn,
 )
 from handeye_ros.errors import TableForProfilesError
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from handeye_ros.files.method import FileMethod
     from handeye_ros.files.method import Input as Given
     from handeye_ros.ros.bags.bag import Recording
+    from handeye_ros.ros.sessions.reading import Stored
 
 
 TABLES = ('.csv', '.yaml', '.yml')
@@ -39,7 +41,8 @@ def solve(
                             'output_dir, or in out.')] = None,
 ) -> None:
     """Find the transform from a recording or a file, and write calibration.yaml."""
-    settings = configuration(config, assignments)
+    stored = stored_session(path)
+    settings = configuration(config, assignments, stored.config if stored else None)
     folder = _target(out, settings)
 
     from handeye_ros.results import exports, table
@@ -47,7 +50,8 @@ def solve(
     from handeye_ros.results.truth_file import true_transform
     method, T_true = _file_method(path, settings), true_transform(path)
     calibration, field = (_solve_files(method, path, settings) if method else
-                          (_solve_bag(path, settings), None))
+                          (_solve_session(stored, settings) if stored else
+                           _solve_bag(path, settings), None))
     saved = exports.save_all(calibration, folder, settings.save.formats)
     show(table.table(calibration))
     if T_true is not None:
@@ -71,15 +75,26 @@ def _file_method(path: Path, settings: 'Config') -> 'FileMethod[Any] | None':
     return method
 
 
+def _solve_session(stored: 'Stored', settings: 'Config') -> 'Calibration':
+    with doing('solving'):
+        from handeye_ros import pipeline
+        calibration = pipeline.calibrate_session(stored.session(settings), settings)
+    return _with_inputs(calibration, [{'path': str(stored.path)}])
+
+
 def _solve_bag(bag: Path, settings: 'Config') -> 'Calibration':
     recording = read_bag(bag, settings)
     with doing('solving'):
         from handeye_ros import pipeline
         calibration = pipeline.calibrate(recording.profiles, recording.poses, settings)
+    return _with_inputs(calibration, list(recording.inputs))
+
+
+def _with_inputs(calibration: 'Calibration', inputs: list[dict[str, str]]) -> 'Calibration':
+    """Return a calibration that says what it came from; tell what was odd."""
     for warning in calibration.provenance.get('warnings', ()):
         warn(warning)
-    provenance = {**calibration.provenance, 'inputs': list(recording.inputs)}
-    return replace(calibration, provenance=provenance)
+    return replace(calibration, provenance={**calibration.provenance, 'inputs': inputs})
 
 
 def _read_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'

@@ -16,6 +16,7 @@ import typer
 if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.ros.bags.bag import Recording
+    from handeye_ros.ros.sessions.reading import Stored
 
 NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
 Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
@@ -28,10 +29,20 @@ Assignments = Annotated[list[str], typer.Option(
     '--set', metavar='KEY=VALUE', help='Set a key of the configuration; may be repeated.')]
 
 
-def configuration(file: Path | None, assignments: list[str]) -> 'Config':
-    """Return the configuration of a file, or the default one, with keys set by hand."""
+def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None
+                  ) -> 'Config':
+    """Return the base (default: the defaults) with the keys of a file, and those set by hand."""
     from handeye_ros.config import Config, load, with_assignments
-    return with_assignments(load(file) if file else Config(), assignments)
+    base = base or Config()
+    return with_assignments(load(file, base) if file else base, assignments)
+
+
+def stored_session(path: Path) -> 'Stored | None':
+    """Return the session in a folder, None where it holds none."""
+    if not path.is_dir():
+        return None
+    from handeye_ros.ros.sessions.reading import is_session, read_session
+    return read_session(path) if is_session(path) else None
 
 
 def read_bag(bag: Path, settings: 'Config') -> 'Recording':

@@ -45,7 +45,7 @@ class Session(Watch):
         """Go on from the stops of an earlier run; numbers: given so far."""
         self.clear()
         self._outcomes, self._numbers = list(outcomes), numbers
-        self._taken = {outcome.stop.began for outcome in outcomes}
+        self._taken = {outcome.stop.began for outcome in outcomes} | ({-1} if numbers else set())
         self._profile_stream.frame = frame_id or None
 
     @property

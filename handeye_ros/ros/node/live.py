@@ -20,11 +20,11 @@ from handeye_ros.ros.node.live_samples import LiveSamples
 from handeye_ros.ros.node.place import Place
 from handeye_ros.ros.node.settings import changes_answer
 from handeye_ros.ros.node.store import Store
-from handeye_ros.ros.node.wording import calibration_summary
 from handeye_ros.sampling.errors import ClearedError
 from handeye_ros.sampling.review import Review, review
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome
+from handeye_ros.sampling.wording import calibration_summary
 
 
 class LiveSession(LiveSamples):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 import threading
 
 from handeye_ros.config import Config
@@ -18,11 +19,11 @@ from handeye_ros.ros.node.arrivals import Arrivals
 from handeye_ros.ros.node.latest import Latest
 from handeye_ros.ros.node.settings import changes_samples
 from handeye_ros.ros.node.store import NoStore, Store
-from handeye_ros.ros.node.wording import count_of, sample_summary
 from handeye_ros.sampling.errors import NothingNewError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.state import Attempt
 from handeye_ros.sampling.stops import judged, Outcome, result_of, sample_of, Stop
+from handeye_ros.sampling.wording import count_of, sample_summary
 
 
 class LiveSamples:
@@ -50,6 +51,20 @@ class LiveSamples:
         self.store_trouble = ''
         self.on_outcome: Callable[[Outcome], None] = lambda outcome: None
         self.on_change: Callable[[], None] = lambda: None
+
+    def restore(self, session: Session, before: Config) -> str:
+        """
+        Go on with the stops of an earlier run; return what to say.
+
+        before: its settings; other ones are stored. Raises UnwritableError.
+        """
+        with self._work, self._lock:
+            self._session = session
+        if replace(before, session=self.config.session) != self.config:
+            self._store.configured(self.config)
+        self._wake.set()
+        count = sum(outcome.sample is not None for outcome in session.outcomes)
+        return f'going on with {count_of(count, "sample")} of {self.path}'
 
     # what comes in
 

@@ -17,9 +17,10 @@ from handeye_ros.ros.node.nag import Nag
 from handeye_ros.ros.node.outlets import Outlets
 from handeye_ros.ros.node.place import Place
 from handeye_ros.ros.node.telling import state_of
-from handeye_ros.ros.node.wording import in_the_way, sample_summary, with_trouble
+from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.state import State
 from handeye_ros.sampling.stops import Outcome
+from handeye_ros.sampling.wording import in_the_way, sample_summary, with_trouble
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
@@ -43,8 +44,9 @@ class HandeyeNode(Node):
     def __init__(self) -> None:
         """Subscribe and serve; raises InputError for what the user configured."""
         super().__init__('handeye')
-        config = params.declare(self)
-        self.live = LiveSession(config, Place(self.get_namespace()))
+        config, stored = params.declare(self)
+        place = Place(self.get_namespace())
+        self.live = LiveSession(config, place, SessionStore(place.folder, stored))
         self._outlets = Outlets(self, self.live)
         self._intake = Intake(self, self.live)
         self._nag = Nag(self.get_logger().warning)
@@ -53,6 +55,11 @@ class HandeyeNode(Node):
         self.add_post_set_parameters_callback(self._apply_change)
         self.live.on_outcome = partial(self._quietly, self._on_outcome)
         self.live.on_change = partial(self._quietly, self._outlets.show)
+        if stored:
+            self.get_logger().info(self.live.restore(stored.session(config), stored.config))
+        elif config.session:
+            self.get_logger().warning(f'there is no session in {place.parent(config)}: a new one '
+                                      'begins')
         self.live.start()
         self._outlets.show()
         self.get_logger().info(

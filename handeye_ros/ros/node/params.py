@@ -14,6 +14,9 @@ from handeye_ros import methods
 from handeye_ros.config import Config, EVERY_NODES, Parameter
 from handeye_ros.errors import InputError, UnknownKeyError
 from handeye_ros.results import calibration_file
+from handeye_ros.ros.node.place import Place
+from handeye_ros.ros.sessions.reading import Stored
+from handeye_ros.ros.sessions.resume import resumed
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
@@ -25,20 +28,21 @@ FIXED = ('robot_base_frame', 'robot_effector_frame', 'pose_source', 'pose_topic'
 FILES_ONLY = ('tracker.', 'sensor_frame')
 
 
-def declare(node: Node) -> Config:
+def declare(node: Node) -> tuple[Config, Stored | None]:
     """
-    Declare all parameters of the node, and return the configuration.
+    Declare all parameters of the node; return the configuration and the session to go on with.
 
-    Raises UnknownKeyError and BadValueError for what the user gave.
+    Raises UnknownKeyError and BadValueError for what the user gave, InputError for a session
+    that cannot be read.
 
     """
-    config = configuration.with_values(Config(), _given(node), "the node's parameters")
+    config, stored = resumed(_given(node), Place(node.get_namespace()))
     _check_names(config)
     values = configuration.flatten(config)
     for parameter in parameters():
         node.declare_parameter(parameter.key, values[parameter.key], descriptor(parameter),
                                ignore_override=True)
-    return config
+    return config, stored
 
 
 def parameters() -> tuple[Parameter, ...]:

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 import json
 import struct
 from typing import Any
@@ -49,7 +49,7 @@ def texts_of(event: Event, outcome: Outcome | None) -> dict[str, str]:
         'event': event.kind, 'number': event.number, 'began': event.began, 'taken': event.taken,
         'text': event.text, 'refused': event.refused}
     texts: dict[str, dict[str, Any]] = {
-        CONFIGURATION: {'config': flatten(event.config)}, OUTCOME: values}
+        CONFIGURATION: {'config': flatten(replace(event.config, session=''))}, OUTCOME: values}
     if outcome and outcome.sample:
         sample = outcome.sample
         values |= {'stamp': sample.stamp, 'profiles': sample.profiles,

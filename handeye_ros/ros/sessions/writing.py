@@ -75,6 +75,12 @@ class SessionStore:
         """Return the folder of the session, empty before there is one."""
         return str(self._folder or '')
 
+    def close(self) -> None:
+        """Let another node go on with the session, as if this process had ended."""
+        if self._lock is not None:
+            os.close(self._lock)
+        self._lock = None
+
     def add(self, outcome: Outcome, config: Config) -> Outcome:
         """Keep what became of a stop; return it, to be loaded from there; UnwritableError."""
         sample, stop = outcome.sample, outcome.stop
@@ -107,7 +113,7 @@ class SessionStore:
             self._folder, self._files, self._types, self._lock = before
             raise
         if before[3] is not None:
-            os.close(before[3])
+            os.close(before[3])  # another node may have it
         return f'; they are kept in {before[0]}'
 
     def _append(self, event: Event, config: Config, outcome: Outcome | None = None) -> Path:

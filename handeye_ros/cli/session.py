@@ -1,0 +1,98 @@
+"""The verbs around a session at the cell: start the node, look at its samples."""
+import os
+from pathlib import Path
+import sys
+from typing import Annotated, TYPE_CHECKING
+
+from handeye_ros.cli.app import app
+from handeye_ros.cli.common import (
+    Assignments,
+    ConfigFile,
+    configuration,
+    doing,
+    read_bag,
+    show,
+    stored_session,
+)
+from handeye_ros.errors import NoRosError
+import typer
+
+if TYPE_CHECKING:
+    from handeye_ros.config import Config
+    from handeye_ros.sampling.session import Session
+    from rich.table import Table
+
+
+@app.command()
+def calibrate(
+    resume: Annotated[bool, typer.Option(
+        '--resume', help='Go on with the last session; without it a new one begins.')] = False,
+    config: ConfigFile = None,
+    assignments: Assignments = [],  # noqa: B006 - never changed
+) -> None:
+    """Start the node that takes samples at the cell (needs ROS)."""
+    configuration(config, assignments)  # so that a slip is told at once
+    try:
+        import rclpy  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise NoRosError('calibrate', str(error.name)) from error
+    arguments = ['--params-file', str(config)] if config else []
+    for text in [*assignments, *(['session=last'] if resume else [])]:
+        key, _, value = text.partition('=')
+        arguments += ['-p', f'{key.strip()}:={value}']
+    command = [sys.executable, '-m', 'handeye_ros.ros.node']
+    os.execv(sys.executable, [*command, *(['--ros-args', *arguments] if arguments else [])])
+
+
+@app.command()
+def samples(
+    path: Annotated[Path, typer.Argument(metavar='SESSION', help=(
+        'The folder of a session, or a bag.'))],
+    config: ConfigFile = None,
+    assignments: Assignments = [],  # noqa: B006 - never changed
+) -> None:
+    """Show the samples of a session, and how well each agrees with the others."""
+    from handeye_ros.errors import DataError
+    from handeye_ros.sampling.review import review
+    stored = stored_session(path)
+    settings = configuration(config, assignments, stored.config if stored else None)
+    with doing('finding the samples'):
+        session = stored.session(settings) if stored else _gathered(path, settings)
+    outcomes = [outcome for outcome in session.outcomes if outcome.sample]
+    included = [not session.excludes(outcome) for outcome in outcomes]
+    agreements: dict[int, tuple[float, float, bool]] = {}
+    try:
+        found = review([o.sample for o in outcomes if o.sample], included, settings)
+    except DataError as error:
+        typer.echo(f'no residuals yet: {error}', err=True)
+    else:
+        agreements = {o.number: (a.residual, a.left_out, a.used) for o, a in
+                      zip(outcomes, found.agreements, strict=True) if a}
+    show(_table(session, agreements))
+
+
+def _gathered(path: Path, settings: 'Config') -> 'Session':
+    from handeye_ros import pipeline
+    recording = read_bag(path, settings)
+    return pipeline.gather(recording.profiles, recording.poses, settings)
+
+
+def _table(session: 'Session', agreements: dict[int, tuple[float, float, bool]]) -> 'Table':
+    """Return the samples with what is known of them, those that agree worst first."""
+    from handeye_ros.sampling.wording import sample_summary
+    from rich import box
+    from rich.table import Table
+    columns = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in ('number', 'residual', 'left out'):
+        columns.add_column(name, justify='right')
+    columns.add_column('')
+    columns.add_column('')
+    for outcome in sorted(session.outcomes, key=lambda o: (
+            -agreements.get(o.number, (0.0, -1.0))[1], o.number)):
+        residual, left_out, used = agreements.get(outcome.number, (None, None, True))
+        state = 'left out' if session.excludes(outcome) else '' if used else 'not believed'
+        columns.add_row(
+            str(outcome.number), *('' if value is None else f'{value * 1e3:.3f} mm'
+                                   for value in (residual, left_out)),
+            'no sample' if outcome.sample is None else state, sample_summary(outcome.result))
+    return columns
