@@ -3,11 +3,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+import re
 import resource
 import shutil
+import subprocess
+import sys
 
 from cells import recorded
-from command import assert_refused, handeye
+from command import assert_refused, handeye, ROOT
 from handeye_ros import pipeline
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
@@ -274,6 +277,15 @@ def test_what_is_no_session_is_told(tmp_path: Path) -> None:
     file.write_bytes(file.read_bytes()[:1000])
     with pytest.raises(InputError, match='damaged|cut off|no session'):
         read_session(Path(live.path))
+
+
+def test_nothing_acknowledged_is_lost_by_kills() -> None:
+    run = subprocess.run([sys.executable, 'bench/kills.py', '--count', '20'], cwd=ROOT, text=True,
+                         capture_output=True, check=False)
+    assert run.returncode == 0, run.stderr
+    told = re.fullmatch(r'20 kills: (\d+) samples acknowledged, .* none lost',
+                        run.stdout.splitlines()[-1])
+    assert told and int(told[1]) >= 10, run.stdout
 
 
 def test_no_answer_from_a_session_without_samples(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -72,9 +73,14 @@ def serialised(item: Profile | TimedPose, dtype: np.dtype[Any], unit: str) -> by
 
 def cloud_cdr(profile: Profile, config: Config) -> bytes:
     """Return a profile as a serialised sensor_msgs/PointCloud2, with no digit lost."""
-    types = get_typestore(Stores.ROS2_JAZZY)
+    types = _types()
     cloud = _cloud(types, profile, LAYOUTS['double'], config.profile.unit)
     return bytes(types.serialize_cdr(cloud, 'sensor_msgs/msg/PointCloud2'))
+
+
+@cache
+def _types() -> Any:
+    return get_typestore(Stores.ROS2_JAZZY)
 
 
 def _header(types: Any, stamp: int, frame_id: str) -> Any:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 import os
 from pathlib import Path
 import re
@@ -88,13 +89,17 @@ def described(name: str, messages: Iterable[Raw]) -> BagFile:
     return BagFile(name, min(times, default=0), max(times, default=0), counts)
 
 
+@cache
+def _definitions() -> Any:
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
 def _write_messages(stream: Any, messages: Sequence[Raw], types: dict[str, str]) -> None:
-    definitions = get_typestore(Stores.ROS2_JAZZY)
     writer = Writer(stream, CHUNK, CompressionType.ZSTD)
     writer.start('ros2', 'handeye_ros')
     channels = {}
     for topic, kind in types.items():
-        text, _ = definitions.generate_msgdef(kind, ros_version=2)
+        text, _ = _definitions().generate_msgdef(kind, ros_version=2)
         schema = writer.register_schema(kind, 'ros2msg', text.encode())
         channels[topic] = writer.register_channel(topic, 'cdr', schema,
                                                   {'offered_qos_profiles': ''})
@@ -118,7 +123,6 @@ def write_metadata(folder: Path, files: Sequence[BagFile], types: dict[str, str]
 
 
 def _metadata(files: Sequence[BagFile], types: dict[str, str]) -> dict[str, object]:
-    definitions = get_typestore(Stores.ROS2_JAZZY)
     first, last = min(file.first for file in files), max(file.last for file in files)
     counts = {topic: sum(file.counts.get(topic, 0) for file in files) for topic in types}
     return {
@@ -130,7 +134,7 @@ def _metadata(files: Sequence[BagFile], types: dict[str, str]) -> dict[str, obje
             {'topic_metadata': {
                 'name': topic, 'type': kind, 'serialization_format': 'cdr',
                 'offered_qos_profiles': [],
-                'type_description_hash': definitions.hash_rihs01(kind)},
+                'type_description_hash': _definitions().hash_rihs01(kind)},
              'message_count': counts[topic]} for topic, kind in types.items()],
         'compression_format': '', 'compression_mode': '',
         'relative_file_paths': [file.name for file in files],
