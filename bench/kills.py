@@ -19,9 +19,11 @@ import signal
 import sys
 import tempfile
 import time
+import traceback
 
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Profile, TimedPose
+from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.bags.bag_write import cloud_cdr
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.place import Place
@@ -38,16 +40,17 @@ NS = 1_000_000_000
 KILLS_OF_A_SESSION = 10  # then another begins, as reading hundreds of samples takes its time
 LONGEST = 0.5  # s until a kill
 WORKING = 0.8  # share of kills of which this time begins with the first acknowledgement
-REMOVED, TAKEN = 'removed', 'taken'
+REMOVING, REMOVED, TAKEN = 'removing', 'removed', 'taken'
 SETTINGS = {'target.type': 'sphere', 'target.radius': 0.04, 'sampling.mode': 'manual',
             'session': 'last'}
 
 
 @dataclass
 class Tally:
-    """What is known of a session from what it acknowledged."""
+    """What is known of a session from what it acknowledged; removing: may be gone or not."""
 
     taken: set[int] = field(default_factory=set)
+    removing: set[int] = field(default_factory=set)
     removed: set[int] = field(default_factory=set)
 
     def hear(self, text: str) -> None:
@@ -55,7 +58,7 @@ class Tally:
         for line in text.splitlines(keepends=True):
             if line.endswith('\n'):
                 what, number = line.split()
-                (self.taken if what == TAKEN else self.removed).add(int(number))
+                getattr(self, what).add(int(number))
 
 
 def profile(stamp: int) -> Profile:
@@ -88,6 +91,7 @@ def work(output_dir: Path, acknowledge: int) -> None:
         number = int(live.take_sample().split()[1])
         os.write(acknowledge, f'{TAKEN} {number}\n'.encode())
         if rng.random() < 0.2:
+            os.write(acknowledge, f'{REMOVING} {number}\n'.encode())
             number = int(live.remove_last_sample().split()[2].rstrip(','))
             os.write(acknowledge, f'{REMOVED} {number}\n'.encode())
 
@@ -100,6 +104,8 @@ def killed(output_dir: Path, rng: random.Random) -> str:
         os.close(ours)
         try:
             work(output_dir, its)
+        except (HandeyeError, OSError):
+            traceback.print_exc()
         finally:
             os._exit(1)
     os.close(its)
@@ -118,7 +124,7 @@ def killed(output_dir: Path, rng: random.Random) -> str:
 def check(folder: Path, tally: Tally, config: Config) -> None:
     """Raise AssertionError where something acknowledged is lost, or cannot be read."""
     found = read_session(folder)
-    lost = tally.taken - tally.removed - set(found.stops)
+    lost = tally.taken - tally.removing - set(found.stops)
     assert not lost, f'{folder}: samples {sorted(lost)} are lost'
     back = tally.removed & set(found.stops)
     assert not back, f'{folder}: the removed samples {sorted(back)} are back'

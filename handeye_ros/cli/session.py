@@ -1,4 +1,5 @@
 """The verbs around a session at the cell: start the node, look at its samples."""
+from importlib.util import find_spec
 import os
 from pathlib import Path
 import sys
@@ -32,10 +33,8 @@ def calibrate(
 ) -> None:
     """Start the node that takes samples at the cell (needs ROS)."""
     configuration(config, assignments)  # so that a slip is told at once
-    try:
-        import rclpy  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise NoRosError('calibrate', str(error.name)) from error
+    if find_spec('rclpy') is None:
+        raise NoRosError('calibrate', 'rclpy')
     arguments = ['--params-file', str(config)] if config else []
     for text in [*assignments, *(['session=last'] if resume else [])]:
         key, _, value = text.partition('=')

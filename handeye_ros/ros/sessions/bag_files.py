@@ -44,7 +44,7 @@ def write_file(path: Path, messages: Sequence[Raw], types: dict[str, str]) -> Ba
     """Write messages as an .mcap file, whole or not at all; raises OSError."""
     temporary = path.with_name(f'.{path.name}.tmp')
     try:
-        with temporary.open('xb') as stream:
+        with temporary.open('wb') as stream:  # one that a killed process left is in no one's way
             _write_messages(stream, messages, types)
             stream.flush()
             os.fsync(stream.fileno())
