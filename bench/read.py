@@ -7,7 +7,8 @@ usage: python bench/read.py [--minutes 1 10] [--no-solve]
 Makes bags of 1280-point profiles at 100 Hz and poses at 500 Hz as rosbag2 does (mcap, no
 compression, chunks of 768 KiB). Prints for the shortest the seconds of a bare rosbags loop, once
 without and once with deserialising, and of our reading, which also says what every message is and
-puts them in order; then for each length the wall time and the peak memory of `handeye solve`.
+puts them in order; then for each length the time and the peak memory of `handeye solve`. Seconds
+are of the processor, so that other work on the machine does not count.
 """
 from __future__ import annotations
 
@@ -15,6 +16,7 @@ import argparse
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+import resource
 import struct
 import subprocess
 import sys
@@ -77,7 +79,7 @@ def bare(path: Path, deserialise: bool) -> None:
 
 
 def seconds_of(work: Callable[[], object], runs: int = 3) -> float:
-    """Return the least time of some runs."""
+    """Return the least processor time of some runs."""
     times = []
     for _ in range(runs):
         start = time.process_time()
@@ -96,15 +98,15 @@ def tell_rates(path: Path, minutes: float, config: Config) -> None:
 
 
 def solved(path: Path, folder: str) -> tuple[float, float]:
-    """Return the wall time (s) and the peak memory (MB) of `handeye solve`."""
+    """Return the CPU time (s, of all so far) and the peak memory (MB) of `handeye solve`."""
     code = ('from handeye_ros.cli import main\n'
             'try:\n    main()\nfinally:\n'
             '    status = open("/proc/self/status").read()\n'
             '    print("peak", status.split("VmHWM:")[1].split()[0])')
-    start = time.process_time()
     run = subprocess.run([sys.executable, '-c', code, 'solve', path, '--config', CONFIG, '--out',
                           folder], check=True, capture_output=True, text=True)
-    return time.process_time() - start, int(run.stdout.split('peak')[-1]) / 1024
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime, int(run.stdout.split('peak')[-1]) / 1024
 
 
 def main() -> None:
@@ -113,7 +115,7 @@ def main() -> None:
     parser.add_argument('--minutes', type=float, nargs='+', default=[1.0, 10.0])
     parser.add_argument('--no-solve', action='store_true', help='leave out the solves')
     options = parser.parse_args()
-    config = load(CONFIG, Config())
+    config, cpu = load(CONFIG, Config()), 0.0
     with tempfile.TemporaryDirectory() as folder:
         for number, minutes in enumerate(sorted(options.minutes)):
             path = Path(folder) / 'bag.mcap'
@@ -122,8 +124,9 @@ def main() -> None:
             if number == 0:
                 tell_rates(path, minutes, config)
             if not options.no_solve:
-                wall, memory = solved(path, folder)
-                print(f'handeye solve, {minutes:g} min, {size:.0f} MB: {wall:.1f} s, peak '
+                before = cpu
+                cpu, memory = solved(path, folder)
+                print(f'handeye solve, {minutes:g} min, {size:.0f} MB: {cpu - before:.1f} s, peak '
                       f'{memory:.0f} MB', flush=True)
 
 
