@@ -46,7 +46,8 @@ class RawProfile:
     A profile as it was received: most are never used, and converted only where they are.
 
     fetch: gives the serialised message from where it lies; convert: makes a profile of it as a
-    configuration reads it, or raises UnusableMessageError; config: that of its topic.
+    configuration reads it, or raises UnusableMessageError; config: that of its topic; held: bytes
+    of memory that it takes, 0 where it lies in a file.
     """
 
     stamp: int
@@ -54,6 +55,7 @@ class RawProfile:
     fetch: Callable[[], bytes]
     convert: Callable[[bytes, ProfileConfig], Profile]
     config: ProfileConfig
+    held: int = 0
 
     def read(self, config: ProfileConfig | None = None) -> Profile:
         """Return the profile, with the stamp given here; raises UnusableMessageError."""

@@ -6,7 +6,6 @@ end, so they do not depend on how poses and profiles were interleaved on arrival
 """
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from copy import copy
 from typing import Self
@@ -24,6 +23,7 @@ from handeye_ros.sampling.errors import (
     TwoFramesError,
 )
 from handeye_ros.sampling.frame_notes import frame_notes
+from handeye_ros.sampling.kept import KeptProfiles
 from handeye_ros.sampling.stations import FOREVER, Motion, NS, Station, StationFinder
 from handeye_ros.sampling.stops import beside, Stop, stop_of
 from handeye_ros.sampling.stream import LARGEST_STEP, Stream
@@ -46,7 +46,7 @@ class Watch:
         """Forget all that was received."""
         self._finder = StationFinder(self._config.sampling)
         self._waiting: list[Station] = []
-        self._profiles: list[AnyProfile] = []
+        self._profiles = KeptProfiles()
         self._taken: set[int] = set()  # when the stops began that were given
         self._passed_by = 0  # stops at which no sample was to be taken by itself
         self._largest_position = 0.0
@@ -58,7 +58,7 @@ class Watch:
         """Return another that goes on from here by itself."""
         other = copy(self)
         other._waiting, other._profiles, other._taken = (
-            list(self._waiting), list(self._profiles), set(self._taken))
+            list(self._waiting), self._profiles.copied(), set(self._taken))
         other._finder, other._pose_stream, other._profile_stream = (
             self._finder.copied(), self._pose_stream.copied(), self._profile_stream.copied())
         return other
@@ -72,7 +72,8 @@ class Watch:
     def warnings(self) -> tuple[str, ...]:
         """Return what was dropped on the way, one sentence each."""
         notes = frame_notes(self._profile_stream.frame, self._beside, self._config)
-        return (*self._pose_stream.warnings, *self._profile_stream.warnings, *notes)
+        return (*self._pose_stream.warnings, *self._profile_stream.warnings,
+                *self._profiles.warnings, *notes)
 
     @property
     def frame_id(self) -> str:
@@ -126,13 +127,13 @@ class Watch:
 
     def add_profile(self, profile: AnyProfile) -> None:
         """Take a laser profile; one that cannot be used is dropped with a warning."""
-        self._profiles += self._profile_stream.add(profile, profile.frame_id)
+        self._profiles.add(self._profile_stream.add(profile, profile.frame_id))
 
     def passed(self) -> list[Stop]:
         """Return the stops that both streams have passed since the last call."""
         # a sensor that is triggered once at each stop does not send the next profile soon
         now = self._pose_stream.latest
-        self._profiles += self._profile_stream.believed(now - LARGEST_STEP, now + LARGEST_STEP)
+        self._profiles.add(self._profile_stream.believed(now - LARGEST_STEP, now + LARGEST_STEP))
         over = [s for s in self._waiting if self._profile_stream.latest > s.end]
         self._waiting = [s for s in self._waiting if s not in over]
         stops = self._stops(over)
@@ -147,7 +148,7 @@ class Watch:
         """
         self._require_one_frame()
         self._take_poses(self._pose_stream.believed(0, FOREVER))
-        self._profiles += self._profile_stream.believed(0, FOREVER)
+        self._profiles.add(self._profile_stream.believed(0, FOREVER))
         current = self._finder.current()
         if current and self._config.sampling.by_itself:
             self._waiting.append(current)
@@ -167,7 +168,7 @@ class Watch:
         station = self._finder.current()
         if station is None:
             raise MovingError(self._config.sampling.still_time, self.motion)
-        self._profiles += self._profile_stream.believed(station.start, station.end)
+        self._profiles.add(self._profile_stream.believed(station.start, station.end))
         return self._stop(station)
 
     def standing(self) -> Stop | None:
@@ -204,7 +205,7 @@ class Watch:
         return [self._stop(station) for station in new]
 
     def _stop(self, station: Station) -> Stop:
-        stop = stop_of(station, self._profiles, self._config)
+        stop = stop_of(station, self._profiles.items, self._config)
         self._beside = max(self._beside, beside(stop, self._config))
         return stop
 
@@ -229,5 +230,4 @@ class Watch:
         first, last = self._finder.window()
         oldest = min([*starts, first])
         newest = max([*(s.end for s in self._waiting), last])
-        del self._profiles[bisect_right(self._profiles, newest, key=lambda p: p.stamp):]
-        del self._profiles[:bisect_left(self._profiles, oldest, key=lambda p: p.stamp)]
+        self._profiles.keep(oldest, newest)

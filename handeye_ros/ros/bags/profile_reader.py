@@ -51,7 +51,8 @@ class ProfileReader:
         head, end = cdr.header(data, 'PointCloud2')
         self._require_layout(data, end)
         profile = RawProfile(stamp_of(head), frame_name(head.frame_id),
-                             fetch or partial(bytes, data), profile_from_cdr, self.config)
+                             fetch or partial(bytes, data), profile_from_cdr, self.config,
+                             0 if fetch else len(data))
         if not self._trusted or abs(profile.stamp - self._probed) >= PROBE:
             self._probe(data, profile.stamp)
         return profile

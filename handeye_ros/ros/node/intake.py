@@ -2,8 +2,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+import threading
+import time
+import traceback
 from typing import Any, TypeVar
 
 from geometry_msgs.msg import PoseStamped
@@ -14,9 +18,10 @@ from handeye_ros.ros.bags.messages import pose_from_cdr
 from handeye_ros.ros.bags.profile_reader import ProfileReader
 from handeye_ros.ros.bags.transforms import FlangeTracker
 from handeye_ros.ros.errors import MessageError
+from handeye_ros.ros.executable import InvalidHandle
 from handeye_ros.ros.node.graph import elsewhere
 from handeye_ros.ros.node.live import LiveSession
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -35,19 +40,41 @@ __all__ = ['Intake', 'TFMessage', 'THROTTLE']
 STREAM = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
+PAUSE = 2e-3  # s between two looks at what has come
+
 THROTTLE = 5.0  # s between two warnings of a kind
 
 Stamped = TypeVar('Stamped', RawProfile, TimedPose)
 
 
+class Apart(CallbackGroup):
+    """Subscriptions that no executor takes from: one round of it costs ten messages."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Keep an entity out of the sets that executors wait for."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """Let no executor begin."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing has begun."""
+
+
 class Intake:
-    """The subscriptions; a message that cannot be understood is counted and left out."""
+    """
+    The subscriptions, and the thread that takes what they receive as it is serialised.
+
+    A message that cannot be understood is counted and left out.
+    """
 
     def __init__(self, node: Node, live: LiveSession) -> None:
         """Subscribe; raises InputError."""
         self._node = node
         self._live = live
-        self._group = MutuallyExclusiveCallbackGroup()
+        self._group = Apart()
+        self._drains: list[Callable[[], None]] = []
         config = live.config
         self._tracker = FlangeTracker(config.robot_base_frame, config.robot_effector_frame)
         self._reader = ProfileReader(config.profile)
@@ -60,6 +87,10 @@ class Intake:
         else:
             raise InputError('pose_source is tf, but tf2_msgs is not installed: install it '
                              '(ros-jazzy-tf2-msgs), or publish the poses on pose_topic')
+
+    def start(self) -> None:
+        """Begin to take what comes."""
+        threading.Thread(target=self._run, name='streams', daemon=True).start()
 
     def obstacle(self, kind: str) -> str:
         """Return why no messages of a kind (profile, pose) come in, or an empty string."""
@@ -76,32 +107,36 @@ class Intake:
 
     def _listen(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile
                 ) -> None:
-        """
-        Call take with every message of a topic; malformed ones are counted.
-
-        Profiles and poses are taken as they are serialised: few are ever read.
-        """
+        """Let the thread call take with every message of a topic."""
         raw = kind in (PointCloud2, PoseStamped)
-
-        def callback(msg: Any) -> None:
-            self._understood(kind, take, msg)
-            # A round of the executor costs ten times as much as a message: take what waits.
-            with subscription.handle:
-                while taken := subscription.handle.take_message(kind, raw):
-                    self._understood(kind, take, taken[0])
-
         try:
             subscription = self._node.create_subscription(
-                kind, topic, callback, qos, callback_group=self._group, raw=raw,
+                kind, topic, take, qos, callback_group=self._group, raw=raw,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
         except NameValidationException as error:
             raise InputError(f'"{topic}" cannot name a topic: '
                              + str(error).splitlines()[0]) from error
+        self._drains.append(partial(self._drain, subscription.handle, kind, raw, take))
+
+    def _run(self) -> None:
+        """Take what waits, again and again, until the node ends."""
+        with suppress(InvalidHandle):
+            while self._node.context.ok():
+                for drain in self._drains:
+                    drain()
+                time.sleep(PAUSE)
+
+    def _drain(self, handle: Any, kind: Any, raw: bool, take: Callable[[Any], None]) -> None:
+        with handle:
+            while taken := handle.take_message(kind, raw):
+                self._understood(kind, take, taken[0])
 
     def _understood(self, kind: Any, take: Callable[[Any], None], msg: Any) -> None:
         try:
             take(msg)
-        except MessageError as error:
+        except Exception as error:  # noqa: BLE001 - the streams go on, whatever comes
+            if not isinstance(error, MessageError):
+                self._node.get_logger().error(traceback.format_exc())
             what = 'profile' if kind is PointCloud2 else 'pose'
             self._live.arrivals.malformed(what, str(error))
             self._node.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)

@@ -61,6 +61,7 @@ class HandeyeNode(Node):
             self.get_logger().warning(f'there is no session in {place.parent(config)}: a new one '
                                       'begins')
         self.live.start()
+        self._intake.start()
         self._outlets.show()
         self.get_logger().info(
             f'waiting for profiles on {config.profile_topic}, poses '

@@ -1,0 +1,72 @@
+"""The profiles that a stop of the robot can still need, in no more than so much memory."""
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable, Iterator
+from copy import copy
+from typing import Self
+
+from handeye_ros.data import AnyProfile, RawProfile
+
+MOST_BYTES = 256_000_000  # of messages: 8 s of 2000 profiles a second of 1280 points
+SLACK = 0.05  # of it that is made free at once
+
+
+class KeptProfiles:
+    """Profiles in the order of their stamps; the oldest are dropped first, and counted."""
+
+    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
+        """Start with none."""
+        self._most = most_bytes
+        self.items: list[AnyProfile] = []
+        self._bytes = 0
+        self._dropped = 0
+
+    def __len__(self) -> int:
+        """Return how many are kept."""
+        return len(self.items)
+
+    @property
+    def warnings(self) -> Iterator[str]:
+        """Yield how many were dropped, where any were."""
+        if self._dropped:
+            yield (f'dropped {self._dropped} profiles, the oldest of their stops: a stop may take '
+                   f'{self._most / 1e6:.0f} MB')
+
+    def copied(self) -> Self:
+        """Return another that goes on from here by itself."""
+        other = copy(self)
+        other.items = list(self.items)
+        return other
+
+    def add(self, profiles: Iterable[AnyProfile]) -> None:
+        """Take the next ones."""
+        for profile in profiles:
+            self.items.append(profile)
+            self._bytes += _held(profile)
+        if self._bytes > self._most:
+            # more than has to go: to shift what is left for every single one takes its time
+            excess, drop = self._bytes - self._most * (1 - SLACK), 0
+            while excess > 0 and drop < len(self.items) - 1:
+                excess -= _held(self.items[drop])
+                drop += 1
+            self._dropped += drop
+            self._forget(slice(0, drop))
+
+    def keep(self, first: int, last: int) -> None:
+        """Forget what does not lie between two stamps."""
+        end = bisect_right(self.items, last, key=_stamp)
+        self._forget(slice(end, len(self.items)))
+        self._forget(slice(0, bisect_left(self.items, first, key=_stamp)))
+
+    def _forget(self, part: slice) -> None:
+        self._bytes -= sum(map(_held, self.items[part]))
+        del self.items[part]
+
+
+def _held(profile: AnyProfile) -> int:
+    return profile.held if isinstance(profile, RawProfile) else 0
+
+
+def _stamp(profile: AnyProfile) -> int:
+    return profile.stamp
