@@ -98,8 +98,8 @@ class FaceLine:
     the centre, which is also that of its offset's change over one spread: the offsets at
     centre +- spread * direction are uncorrelated, each with sqrt(2) * std.
     points: (k, 2) normal points, the means of equal shares of its points, in their order, as
-    measured; points_std: (k,) 1 sigma of each across the line. Both are empty where only the
-    line is known.
+    measured; points_std: (k,) 1 sigma of each across the line. blocks: (m, 2) the means of
+    finer shares, whose scatter tells these. All are empty where only the line is known.
     """
 
     centre: Array
@@ -108,6 +108,7 @@ class FaceLine:
     std: float
     points: Array = field(default_factory=lambda: np.empty((0, 2)))
     points_std: Array = field(default_factory=lambda: np.empty(0))
+    blocks: Array = field(default_factory=lambda: np.empty((0, 2)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -329,10 +329,47 @@ def test_an_edge_that_few_profiles_show_is_left_out() -> None:
     assert len([f for f in features if isinstance(f, EdgePoint)]) == 2
 
 
-def test_a_station_that_was_bumped_is_refused_or_says_how_uncertain_it_is() -> None:
-    halves = [*many(step_up_to(0.002), 7), *many(lambda x: step_up_to(0.004)(x) + 0.002, 7, 1)]
-    line, edge = combine(halves)
-    assert edge.std > 1e-4 and line.std > 1e-4, 'half a millimetre and more is between them'
+@pytest.mark.parametrize('apart', [0.0007, 0.0019, 0.004])
+def test_a_station_that_was_bumped_is_refused_with_a_reason(apart: float) -> None:
+    for count in (6, 7):
+        halves = [*many(step_up_to(0.002), 7),
+                  *many(lambda x: step_up_to(0.002)(x) + apart, count, 1)]
+        with pytest.raises(FeatureError, match=f'how high the face is: .* {apart * 1e3:.1f}'):
+            combine(halves)
+        halves = [*many(step_up_to(0.002), 7), *many(step_up_to(0.002 + apart), count, 1)]
+        with pytest.raises(FeatureError, match='where the edge is'):
+            combine(halves)
+
+
+@pytest.mark.parametrize('count', [1, 8])
+def test_frozen_speckle_of_a_face_does_not_average_out(count: int) -> None:
+    # alike over five columns, the same in every profile while the robot stands
+    offsets, shares = [], []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        frozen = np.convolve(rng.normal(size=COLUMNS + 4), np.ones(5) / 5 ** 0.5, 'valid') * NOISE
+        points = [drawn_whole(gap_up_to(-0.005), 100 * seed + k, NOISE / 6) + np.column_stack(
+            [np.zeros(COLUMNS), frozen]) for k in range(count)]
+        found = [face_features(with_lost(p), CONFIG) for p in points]
+        line = combine(found)[0]
+        normal = np.array([-np.sin(0.1), np.cos(0.1)])
+        offsets.append((line.centre - [0, face(0.0)]) @ normal / line.std)
+        shares.append((line.points - [0, face(0.0)]) @ normal / line.points_std)
+    assert np.std(offsets) == pytest.approx(1, abs=0.35)
+    assert np.std(shares) == pytest.approx(1, abs=0.25)
+
+
+def test_a_bent_end_is_not_in_the_line() -> None:
+    # 120 points of a face, 14 of which bend away within the tolerance of the line
+    def height(x: Array) -> Array:
+        return np.where(x > -0.0125, face(x, 0.0) + np.maximum(-0.01165 - x, 0) ** 2 / 0.008,
+                        np.nan)
+    errors = []
+    for seed in range(20):
+        points = drawn(height, seed)[:240]
+        line, _ = found(np.concatenate([points, np.full((5, 2), np.nan)]))
+        errors.append((line.points[:, 1] - 0.17) / line.points_std)
+    assert np.abs(np.mean(errors, axis=0)).max() < 1.5
 
 
 # -- against the truth of a simulated recording

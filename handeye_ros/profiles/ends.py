@@ -82,32 +82,34 @@ def frame_of(end: End, points: Array, near: int) -> Frame:
     return Frame(np.array([x, segment.height(x)]), along, below)
 
 
-def tail(end: End, points: Array, near: int, noise: float) -> NDArray[np.intp]:
+def tail(end: End, points: Array, near: int, column: float) -> NDArray[np.intp]:
     """
     Return the rows behind a segment's last point that its surface continues on, outwards.
 
     The surface turns away from the sensor, as steeply as light comes back from it at most; one
-    wrong point does not end it.
+    wrong point does not end it. column: distance along x between neighbours on the segment.
     """
     rows = end.row + end.outward * np.arange(TAIL_ROWS + 1)
     rows = rows[(rows >= 0) & (rows < len(points))]
     rows = rows[np.isfinite(points[rows]).all(axis=1)]
-    found = _connected(rows, points, near, noise)
+    found = _connected(rows, points, near, end.segment.noise, column)
     if found < len(rows) - 1:
         skipped = np.delete(rows, found)
-        further = _connected(skipped, points, near, noise)
+        further = _connected(skipped, points, near, end.segment.noise, column)
         if further > found:
             return skipped[1:further]
     return rows[1:found]
 
 
-def _connected(rows: NDArray[np.intp], points: Array, near: int, noise: float) -> int:
+def _connected(rows: NDArray[np.intp], points: Array, near: int, noise: float, column: float
+               ) -> int:
     """Return how many of the rows follow each other on one surface that turns away."""
     step = np.diff(points[rows], axis=0)
-    drop = -near * step[:, 1]
+    aside, drop = np.abs(step[:, 0]), -near * step[:, 1]
     slack = SLACK_SIGMAS * noise
-    follows = ((drop < STEEPEST * np.abs(step[:, 0]) + slack) & (drop > -slack)
-               & (np.abs(np.diff(rows)) <= MOST_LOST))
+    # a driver may leave lost points out: then the next row need not be near
+    follows = ((drop < STEEPEST * aside + slack) & (drop > -slack)
+               & (np.abs(np.diff(rows)) <= MOST_LOST) & (aside < (MOST_LOST + 0.5) * column))
     return int(np.argmin(follows)) + 1 if not follows.all() else len(rows)
 
 

@@ -33,6 +33,7 @@ ROOF_ANGLE = 0.15  # two pieces that meet at a smaller angle (rad) are one bent 
 ROOF_REACH = 8.0  # they meet when their ends are this many columns from the crossing
 MIN_STEP_SIGMAS = 8.0
 SURE_EDGE = 1.5  # a face with a sure edge is worth this many times its points
+BEHIND = 0.3  # one with something nearer beside it, this many times
 SHADOW_SLOPE = 2.0  # a step hides less than this many times its height behind it
 LARGEST_BEVEL = 2.5e-3  # of the piece between a face and its wall; a larger one is a face (m)
 STEEP_ERROR = 1.0  # of a surface seen steeply, as a share of the noise that it adds
@@ -51,13 +52,12 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
     segments = straight_segments(points, noise, min_points)
     if not segments:
         raise FeatureError(f'no straight face of {min_points} points or more in the profile')
-    candidates = [(s, edges) for s in segments
-                  if (edges := _edges(s, segments, points, near)) is not None]
-    with_edges = [(s, edges) for s, edges in candidates if edges]
+    candidates = [(s, *_edges(s, segments, points, near)) for s in segments]
+    with_edges = [candidate for candidate in candidates if candidate[1]]
     if not with_edges:
         raise FeatureError('no edge of a face in the profile: the face ends only at the border '
                            'of the field of view or at something nearer')
-    face, edges = max(with_edges, key=_preference)
+    face, edges, _ = max(with_edges, key=_preference)
     return (face_line(face, points), *edges)
 
 
@@ -75,24 +75,18 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine]:
     return (face_line(max(segments, key=lambda s: len(s.rows)), points),)
 
 
-def _preference(candidate: tuple[Segment, list[EdgePoint]]) -> float:
+def _preference(candidate: tuple[Segment, list[EdgePoint], bool]) -> float:
     """Return how likely a segment is the face: its number of points, more for a sure edge."""
-    segment, edges = candidate
+    segment, edges, behind = candidate
     sure = any(edge.kind in ('step', 'shadow', 'roof') for edge in edges)
-    return len(segment.rows) * (SURE_EDGE if sure else 1.0)
+    return len(segment.rows) * (SURE_EDGE if sure else 1.0) * (BEHIND if behind else 1.0)
 
 
 def _edges(segment: Segment, segments: Sequence[Segment], points: Array, near: int
-           ) -> list[EdgePoint] | None:
-    """Return the edges of a segment, or None when something beside it is nearer: no face."""
-    edges = []
-    for end in (End(segment, -1), End(segment, 1)):
-        kind, edge = _edge(end, segments, points, near)
-        if kind == 'nearer':
-            return None
-        if edge:
-            edges.append(edge)
-    return edges
+           ) -> tuple[list[EdgePoint], bool]:
+    """Return the edges of a segment, and whether something beside it is nearer."""
+    found = [_edge(End(segment, outward), segments, points, near) for outward in (-1, 1)]
+    return [edge for _, edge in found if edge], any(kind == 'nearer' for kind, _ in found)
 
 
 def _edge(end: End, segments: Sequence[Segment], points: Array, near: int
@@ -102,7 +96,7 @@ def _edge(end: End, segments: Sequence[Segment], points: Array, near: int
                         and (s.first - end.row) * end.outward > 0),
                        key=lambda s: abs(s.first - end.row))
     column = _column(end.segment, points)
-    rows = tail(end, points, near, end.segment.noise)
+    rows = tail(end, points, near, column)
     if following and _is_bevel(end, following[0], rows, points, near):
         following = following[1:]
     other = following[0] if following else None

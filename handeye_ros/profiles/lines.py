@@ -1,22 +1,60 @@
 """The line of a face, and the normal points that stand for its shape."""
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from handeye_ros.data import Array, FaceLine
 from handeye_ros.profiles.segment import Segment
+from handeye_ros.profiles.shares import means, variance_of_means
 import numpy as np
 
 NORMAL_POINTS = 6
+BLOCKS = 24  # whose scatter tells that of the normal points
+FEWEST_POINTS = 4  # of a block
 
 
 def face_line(segment: Segment, points: Array) -> FaceLine:
     """Return the face line of a segment of a profile (n, 2), with its normal points."""
-    measured = points[segment.rows]
-    x = measured[:, 0]
+    measured = points[segment.straight]
+    x, n = measured[:, 0], len(measured)
     length = np.hypot(1.0, segment.slope)
+    blocks, count = means(measured, BLOCKS if n >= BLOCKS * FEWEST_POINTS else min(
+        NORMAL_POINTS, n))
     centre = np.array([x.mean(), segment.height(x.mean())])
-    std = float(segment.noise / length)
-    first = np.linspace(0, len(x), min(NORMAL_POINTS, len(x)), endpoint=False).astype(int)
-    count = np.diff(np.append(first, len(x)))
-    means = np.add.reduceat(measured, first) / count[:, None]
-    return FaceLine(centre, np.array([1.0, segment.slope]) / length, float(x.std() * length),
-                    std / len(x) ** 0.5, means, std / np.sqrt(count))
+    return _line(centre, segment.slope, float(x.std() * length), blocks,
+                 (segment.noise / length) ** 2 / count.mean())
+
+
+def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatter: float
+                  ) -> FaceLine:
+    """
+    Return one line for those that profiles of one stop show.
+
+    centre (2,), slope: of it; scatter: 1 sigma of their offsets. What repeats from profile to
+    profile, such as the speckle of a face, does not average out.
+    """
+    size = min(len(line.blocks) for line in lines)
+    same = [line for line in lines if len(line.blocks) == size]
+    spread = float(np.median([line.spread for line in lines]))
+    n, normal = len(same), np.array([-slope, 1.0]) / np.hypot(1.0, slope)
+    if not size:
+        std = max(scatter, float(np.mean([line.std for line in lines]))) / len(lines) ** 0.5
+        return FaceLine(centre, np.array([normal[1], -normal[0]]), spread, std)
+    each = np.array([line.blocks for line in same])
+    across = (each - centre) @ normal
+    expected = float(np.mean([line.std ** 2 for line in same])) * size
+    white = float(across.var(axis=0, ddof=1).mean()) if n > 1 else expected
+    line = _line(centre, slope, spread, each.mean(axis=0), white / n)
+    shared = max(scatter ** 2 / n - line.std ** 2, 0.0)  # a robot that shakes moves all alike
+    return FaceLine(centre, line.direction, spread, float(np.sqrt(line.std ** 2 + shared)),
+                    line.points, np.sqrt(line.points_std ** 2 + shared), line.blocks)
+
+
+def _line(centre: Array, slope: float, spread: float, blocks: Array, white: float) -> FaceLine:
+    """Return the line with blocks (m, 2); white: variance of each across it, if independent."""
+    direction = np.array([1.0, slope]) / np.hypot(1.0, slope)
+    across = (blocks - centre) @ [-direction[1], direction[0]]
+    variance = variance_of_means(across, white)
+    normal_points, size = means(blocks, min(NORMAL_POINTS, len(blocks)))
+    return FaceLine(centre, direction, spread, float(np.sqrt(variance / len(blocks))),
+                    normal_points, np.sqrt(variance / size), blocks)

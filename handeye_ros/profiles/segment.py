@@ -21,6 +21,9 @@ FOREIGN_POINTS = 5  # this many points of something else between two of a line p
 STRAY_GAP = 2  # an end point this far from its neighbour is on the line by chance
 INLIER_SIGMAS = 4.0
 MOST_NOISE = 30.0  # times the configured noise: more is no surface
+BEND_POINTS = 5  # at an end, whose mean tells whether it is bent
+BEND_SIGMAS = 3.0
+LARGEST_BEND = 6  # a bent end has at most one part in so many of the points
 NARROWEST = 1e-6  # spread along the laser line of points that make a line (m)
 
 
@@ -30,7 +33,8 @@ class Segment:
     A straight piece of a profile: z = offset + slope * x.
 
     first, last: its first and last point, as rows of the profile; rows: (k,) all its points;
-    noise: the standard deviation of its points in range.
+    noise: the standard deviation of its points in range; straight: rows without the ends
+    that are bent.
     """
 
     first: int
@@ -39,6 +43,7 @@ class Segment:
     offset: float
     slope: float
     noise: float
+    straight: NDArray[np.intp]
 
     def height(self, x: Any) -> Any:
         """Return the range of its line at x, a number or an array."""
@@ -145,7 +150,25 @@ def _segment(rows: NDArray[np.intp], points: Array, least_noise: float) -> Segme
     # the last points at an end are the worst: the line is fitted without them
     margin = min(max(2, len(rows) // 50), (len(rows) - 3) // 2)
     inner = slice(margin, len(rows) - margin)
-    offset, slope = _fit(x[inner], z[inner])
-    residual = z[inner] - offset - slope * x[inner]
-    noise = float(np.sqrt(residual @ residual / max(len(residual) - 2, 1)))
-    return Segment(int(rows[0]), int(rows[-1]), rows, offset, slope, max(noise, least_noise))
+    offset, slope, noise = _fit_with_noise(x[inner], z[inner])
+    residual = z - offset - slope * x
+    first, last = (_bent_end(r, max(noise, least_noise)) for r in (residual, residual[::-1]))
+    if max(first, last) > margin:
+        inner = slice(max(margin, first), len(rows) - max(margin, last))
+        offset, slope, noise = _fit_with_noise(x[inner], z[inner])
+    return Segment(int(rows[0]), int(rows[-1]), rows, offset, slope, max(noise, least_noise),
+                   rows[first:len(rows) - last])
+
+
+def _fit_with_noise(x: Array, z: Array) -> tuple[float, float, float]:
+    offset, slope = _fit(x, z)
+    residual = z - offset - slope * x
+    return offset, slope, float(np.sqrt(residual @ residual / max(len(residual) - 2, 1)))
+
+
+def _bent_end(residual: Array, noise: float) -> int:
+    """Return how many residuals (n,) from the first on together say that the end is bent."""
+    most = len(residual) // LARGEST_BEND // BEND_POINTS
+    means = residual[:most * BEND_POINTS].reshape(most, BEND_POINTS).mean(axis=1)
+    off = np.abs(means) > BEND_SIGMAS * noise / BEND_POINTS ** 0.5
+    return BEND_POINTS * (int(np.argmin(off)) if not off.all() else most)

@@ -10,8 +10,13 @@ from collections.abc import Callable, Sequence
 
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature, Profile
 from handeye_ros.profiles.arcs import normal_points
-from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.profiles.errors import DisagreeingProfilesError, FeatureError
+from handeye_ros.profiles.lines import combined_line
 import numpy as np
+from numpy.typing import NDArray
+
+LARGEST_DISAGREEMENT = 5e-4  # between profiles of a robot that stands still (m)
+LEAST_AGREEING = 0.6  # of the profiles of a stop
 
 
 def of_station(profiles: Sequence[Profile], extract: Callable[[Array], tuple[Feature, ...]]
@@ -53,7 +58,9 @@ def combine(found: Sequence[tuple[Feature, ...]]) -> tuple[Feature, ...]:
         if 2 * len(same) > len(found):
             combined.append(_combined_edge(same))
     if edges and not any(isinstance(f, EdgePoint) for f in combined):
-        raise FeatureError('the profiles of this station do not agree on where the edge is')
+        places = np.array([edge.point for edge in edges])
+        raise DisagreeingProfilesError('where the edge is',
+                                       float(np.linalg.norm(np.ptp(places, axis=0))))
     return tuple(combined)
 
 
@@ -68,68 +75,60 @@ def _by_place(found: Sequence[tuple[Feature, ...]]) -> list[list[FaceLine]]:
 def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
     centres = np.array([line.centre for line in lines])
     slopes = np.array([line.direction[1] / line.direction[0] for line in lines])
-    slope, x = float(np.median(slopes)), float(np.median(centres[:, 0]))
-    length = np.hypot(1.0, slope)
+    x = float(np.median(centres[:, 0]))
     heights = centres[:, 1] + slopes * (x - centres[:, 0])
-    z, spread = float(np.median(heights)), float(np.median([line.spread for line in lines]))
-    expected = float(np.mean([line.std for line in lines]))
-    good = np.abs(heights - z) < np.maximum(6 * _scatter(heights), 6 * expected)
-    n = int(good.sum())
-    scatter = float(heights[good].std(ddof=1) / length) if n > 1 else expected
-    std = max(scatter, expected) / np.sqrt(n)
+    good = _agreeing(heights, 6.0, 6 * float(np.mean([line.std for line in lines])),
+                     'how high the face is')
     slope = float(slopes[good].mean())
-    length = np.hypot(1.0, slope)
-    return FaceLine(np.array([x, heights[good].mean()]), np.array([1.0, slope]) / length,
-                    spread, float(std),
-                    *_combined_points([line for line, g in zip(lines, good, strict=True) if g]))
-
-
-def _combined_points(lines: Sequence[FaceLine]) -> tuple[Array, Array]:
-    """Return the means of the normal points of lines, share by share, and their 1 sigma."""
-    k = min(len(line.points) for line in lines)
-    same = [line for line in lines if len(line.points) == k]
-    points = np.array([line.points for line in same])
-    expected = np.sqrt(np.mean([line.points_std ** 2 for line in same], axis=0))
-    if len(same) == 1 or not k:
-        return points[0], expected
-    normals = np.array([[-line.direction[1], line.direction[0]] for line in same])
-    across = np.einsum('nki,ni->nk', points - points.mean(axis=0), normals)
-    scatter = np.sqrt((across ** 2).sum() / (len(same) - 1) / k)
-    return points.mean(axis=0), np.maximum(expected, scatter) / len(same) ** 0.5
+    scatter = heights[good].std(ddof=1) / np.hypot(1.0, slope) if good.sum() > 1 else 0.0
+    return combined_line([line for line, g in zip(lines, good, strict=True) if g],
+                         np.array([x, heights[good].mean()]), slope, float(scatter))
 
 
 def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
+    kind = Counter(e.kind for e in edges).most_common(1)[0][0]
+    edges = [e for e in edges if e.kind == kind]  # each kind has its own way of being off
     points = np.array([e.point for e in edges])
     direction = np.median([e.direction for e in edges], axis=0)
     direction /= np.linalg.norm(direction)
-    along = points @ direction
-    centre = np.median(along)
+    along, across = points @ direction, points @ [-direction[1], direction[0]]
     single = float(np.median([e.std for e in edges]))
-    good = np.abs(along - centre) <= np.maximum(4 * _scatter(along), 2 * single)
-    across = points @ [-direction[1], direction[0]]
     expected = float(np.median([e.std_across for e in edges]))
-    good &= np.abs(across - np.median(across)) <= np.maximum(6 * _scatter(across), 6 * expected)
-    n = int(good.sum())
+    good = _agreeing(along, 4.0, 2 * single, 'where the edge is')
+    good &= _agreeing(across, 6.0, 6 * expected, 'where the edge is')
+    n = max(int(good.sum()), 1)
     scatter = float(along[good].std(ddof=1)) if n > 1 else single
     # a robot that stands still repeats the rounding to a column, and mixed and lost points pull
     # the edge inwards in every profile: that does not average out
     std = np.hypot(single, scatter / min(np.sqrt(n), 2.0))
-    kinds = [e.kind for e in edges]
     return EdgePoint(points[good].mean(axis=0), direction, float(std), expected / np.sqrt(n),
-                     max(set(kinds), key=kinds.count), float(np.median([e.bevel for e in edges])))
+                     kind, float(np.median([e.bevel for e in edges])))
 
 
-def _scatter(values: Array) -> float:
-    """Return the median absolute deviation, scaled to 1 sigma of a normal distribution."""
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+def _agreeing(values: Array, times: float, least: float, what: str) -> NDArray[np.bool_]:
+    """
+    Return which values (n,) lie near their median: within so many scatters, or least.
+
+    Raises DisagreeingProfilesError when too many do not, or they scatter more than a robot may
+    move that stands still.
+    """
+    middle = np.quantile(values, 0.5, method='lower')
+    scatter = 1.4826 * np.median(np.abs(values - middle))  # 1 sigma of a normal distribution
+    limit = min(max(times * scatter, least), LARGEST_DISAGREEMENT)
+    good = np.abs(values - middle) <= limit
+    if good.sum() < LEAST_AGREEING * len(values):
+        raise DisagreeingProfilesError(what, float(np.ptp(values)))
+    return np.asarray(good)
 
 
 def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     """Return one arc from all points of the profiles of a station."""
     radius = np.median([a.radius for a in arcs])
-    centre = np.median([a.centre for a in arcs], axis=0)
+    centres = np.array([a.centre for a in arcs])
+    centre = np.median(centres, axis=0)
     good = [a for a in arcs if abs(a.radius - radius) < 0.05 * radius
             and np.linalg.norm(a.centre - centre) < 0.05 * radius]
     if 2 * len(good) < len(arcs):
-        raise FeatureError('the profiles of this station do not agree on where the sphere is')
+        raise DisagreeingProfilesError('where the sphere is',
+                                       float(np.linalg.norm(np.ptp(centres, axis=0))))
     return normal_points(np.concatenate([a.raw for a in good]))
