@@ -54,6 +54,14 @@ class TargetConfig:
     size: tuple[float, ...] = _key(
         (), 'Lengths of the plate along its edges p and q in m; empty: unknown, and only the '
         'two edges that meet in the corner are used.', minimum=0.0, maximum=10.0, length=(0, 2))
+    radius_std: float = _key(5e-5, '1 sigma of the stated radius of the sphere (m).',
+                             minimum=0.0, maximum=0.1)
+    size_std: float = _key(1e-4, '1 sigma of each of the stated lengths of the plate (m).',
+                           minimum=0.0, maximum=0.1)
+    edge_angle_std: float = _key(3e-4, '1 sigma of the angle between the edges of the plate '
+                                 '(rad).', minimum=0.0, maximum=0.1)
+    setback_std: float = _key(2e-4, '1 sigma of how far the seen end of a face lies inside its '
+                              'sharp edge: deburring, smoothing (m).', minimum=0.0, maximum=0.01)
     edge_angle_free: bool = _key(False, 'Estimate the angle between the edges of the plate '
                                  'instead of taking it as a right angle.')
     use_face: bool = _key(False, 'Use the face beside the straight edge (line) too; it must be '
@@ -129,12 +137,19 @@ class NoiseConfig:
 
     sensor: float = _key(3e-5, 'Range noise of one profile point (m).',
                          minimum=1e-9, maximum=0.01)
-    distortion: float = _key(0.0, "Smooth error of the sensor's field, its linearity (m).",
+    distortion: float = _key(2e-5, "Smooth error of the sensor's field, its linearity (m).",
                              minimum=0.0, maximum=0.01)
+    flatness: float = _key(2e-5, 'Smooth deviation of the faces of the target from flat (m).',
+                           minimum=0.0, maximum=0.01)
     robot_translation: float = _key(3e-5, 'Repeatability of the flange position, each axis (m).',
                                     minimum=0.0, maximum=0.01)
     robot_rotation: float = _key(7e-5, 'Repeatability of the flange orientation, each axis '
                                  '(rad).', minimum=0.0, maximum=0.01)
+    robot_smooth: float = _key(1e-4, 'Error of the robot that varies smoothly over its '
+                               'workspace, each axis (m); the data corrects it.',
+                               minimum=0.0, maximum=0.01)
+    robot_scale: float = _key(5e-4, 'Relative error of the lengths of the robot.',
+                              minimum=0.0, maximum=0.1)
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,12 @@ from handeye_ros.checks.motion import (
     require_rotations,
     require_samples,
 )
-from handeye_ros.checks.shape import believable_shape, require_one_scale, with_shape_checked
+from handeye_ros.checks.shape import believable_shape, require_one_scale
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Calibration, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.robust import Consensus, consensus, SUBSETS
+from handeye_ros.estimation.robust import Consensus, consensus, settle, SUBSETS
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.results.outcome import describe_calibration, mounted
 from handeye_ros.results.report.evidence import Evidence, judged
@@ -134,9 +134,10 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     require_consistent(problem, agreed, rng)
     require_judged(agreed)
     require_only_answer(problem, agreed, rng)
-    solution = with_shape_checked(agreed.solution)
-    require_one_scale(solution)
-    return agreed, solution
+    agreed = settle(agreed, method.minimum)
+    require_judged(agreed)
+    require_one_scale(agreed.solution)
+    return agreed, agreed.solution
 
 
 def flipped(ordered: Sequence[Sample], problem: Problem) -> Problem | None:

@@ -18,6 +18,9 @@ from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simula
 from handeye_ros.simulate.layout import FRAMES
 import numpy as np
 
+NO_DOUBTS = {'noise__distortion': 0.0, 'noise__flatness': 0.0, 'noise__robot_smooth': 0.0,
+             'noise__robot_scale': 0.0, 'target__radius_std': 0.0, 'target__size_std': 0.0,
+             'target__edge_angle_std': 0.0, 'target__setback_std': 0.0}
 EXACT_COLUMNS = 10 ** 12  # so fine that an edge has no sampling error
 EDGED = ('plate', 'line')  # scenes with edges; they only count the columns
 ANY_POSE = se3.transform(se3.exp_rotation(np.array([0.7, -1.1, 0.4])), np.array([0.3, -0.2, 0.9]))
@@ -47,10 +50,14 @@ def problem(samples: Sequence[Sample], config: Config) -> Problem:
 
 
 def cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: object) -> Cell:
-    """Return a cell of features with exactly known noise; values: settings, __ for the dot."""
+    """
+    Return a cell of features with exactly known noise, and settings that doubt nothing else.
+
+    values: settings, __ for the dot.
+    """
     made = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
     samples, truth = simulate_samples(made, np.random.default_rng(seed))
-    return Cell(made, samples, truth, config(made, **values))
+    return Cell(made, samples, truth, config(made, **(NO_DOUBTS | values)))
 
 
 def config(scenario: Scenario, **values: object) -> Config:

@@ -39,7 +39,8 @@ def table() -> Iterator[tuple[str, str, int, int]]:
 def at_truth(made: Cell) -> Estimate:
     T = made.truth.T_base_target
     radius = getattr(made.scenario.target, 'radius', 0.0)
-    targets = {'plate': np.append(T.ravel(), np.pi / 2), 'line': T.ravel(), 'plane': T.ravel(),
+    targets = {'plate': np.append(T.ravel(), [0.0, 0.0, np.pi / 2]),
+               'line': T.ravel(), 'plane': T.ravel(),
                'sphere': np.append(T[:3, 3], radius),
                'wedge': np.append(T.ravel(), WEDGE_TURNS)}
     return Estimate(made.truth.T_flange_sensor, targets[made.problem.method.name])

@@ -26,8 +26,8 @@ class TwoAnswersError(DataError):
     """Two answers that explain the samples equally well."""
 
     def __init__(self, distance: float, turn: float, missing: str) -> None:
-        super().__init__(f'two answers fit these samples, {mm(distance)} and {degrees(turn)} '
-                         f'apart; to part them, {missing}')
+        super().__init__(f'two answers fit these samples, {mm(distance)} and '
+                         f'{turn * 57.29578:.2g} degrees apart; to part them, {missing}')
 
 
 class SensorFrameError(DataError):

@@ -10,7 +10,7 @@ from handeye_ros.config import LimitsConfig
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.estimation.weights import covariances, groups
+from handeye_ros.estimation.weights import covariances, groups, lumped
 import numpy as np
 
 SUSPICIOUS = 9.0  # variance factor from which something other than noise is looked for
@@ -79,8 +79,10 @@ def residual_rms(solution: Solution) -> float:
 
 
 def expected_rms(solution: Solution) -> float:
-    """Return the RMS of the plain residuals that the configured noise makes (m)."""
-    variances = [np.einsum('nii->ni', part).ravel()
-                 for rows in groups(solution.problem.observations.station)
-                 for part in covariances(solution.problem, solution.linear, rows)]
-    return float(np.sqrt(np.concatenate(variances).sum() / len(solution.white)))
+    """Return the RMS of the plain residuals that the configured noise and doubts make (m)."""
+    total = 0.0
+    for rows in groups(solution.problem.observations.station):
+        parts = covariances(solution.problem, solution.linear, rows).sum(axis=0)
+        total += float(np.einsum('nii->', parts + lumped(
+            solution.problem, solution.linear, rows)))
+    return float((total / len(solution.white)) ** 0.5)

@@ -1,39 +1,41 @@
-"""Whether the target has the shape that it is configured to have."""
+"""Whether target, robot and sensor are as stated: what was in doubt, against its prior."""
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
+from typing import Any
 
 from handeye_ros.checks.errors import ScaleError
+from handeye_ros.config import Config
+from handeye_ros.data import Array
 from handeye_ros.errors import DataError
+from handeye_ros.estimation.doubts import Doubt, tolerances
+from handeye_ros.estimation.method import ENDS
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus, consensus
-from handeye_ros.estimation.solve import evaluate, least_squares, Solution
-from handeye_ros.estimation.systematic import with_systematic_error
-from handeye_ros.estimation.variance import with_estimated_noise
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.estimation.weights import whitening
 import numpy as np
 
 CONTRADICTION = 4.0  # sigmas
 DOUBTFUL = 4.0  # variance factor from which another shape is tried from the start
-LARGEST_SCALE_ERROR = 2e-3  # between robot and sensor, of an answer that can be used
 CONVINCING = 4.0  # by which it must lower it
+LARGEST_CHANGE = 0.5  # of a stated measure, relative: more is no tolerance but another target
+LARGEST_SCALE_ERROR = 2e-2  # of the robot's lengths, of an answer that can be used
+SMALLEST_SCALE_ERROR = 2e-3  # that is named as what is wrong
 ROUNDING = 1e-12  # of the squared effect of a scale: less is none
+TOLD = 0.5  # sigma over prior sigma below which a doubt is worth telling
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A measure of the target: configured and estimated, with 1 sigma."""
+    """A measure of the target: stated and estimated, with 1 sigma."""
 
     label: str
-    configured: float
+    stated: float
     estimated: float
     std: float
-
-    @property
-    def contradicts(self) -> bool:
-        """Return whether the target is not as configured."""
-        return abs(self.estimated - self.configured) > CONTRADICTION * self.std
 
     @property
     def note(self) -> str:
@@ -41,18 +43,21 @@ class Shape:
         unit, scale = ('degrees', 57.29577951) if 'angle' in self.label else ('mm', 1e3)
         return (f'the {self.label.replace("_", " ")} of the target is '
                 f'{self.estimated * scale:.3f} +- {self.std * scale:.3f} {unit}, not the '
-                f'configured {self.configured * scale:.3f}: the answer uses the estimate')
+                f'configured {self.stated * scale:.3f}: the answer uses the estimate')
 
 
 def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> Consensus:
     """Return the consensus with the target's shape free if only that makes the stations agree."""
-    free = freed(problem)
+    config = problem.method.relax(problem.config)
     doubtful = agreed.dropped or agreed.solution.variance_factor > DOUBTFUL
-    if free is None or not doubtful:
+    if config is None or not doubtful:
         return agreed
     try:
-        other = consensus(free, rng)
+        other = consensus(replace(problem, config=config), rng)
     except DataError:
+        return agreed
+    stated = problem.method.configured(problem.config)
+    if abs(other.solution.estimate.target[-1] - stated) > LARGEST_CHANGE * stated:
         return agreed
     gain = agreed.solution.variance_factor / max(other.solution.variance_factor, 1.0)
     more = len(other.used) - len(agreed.used)
@@ -60,42 +65,60 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
     return other if better else agreed
 
 
-def with_shape_checked(solution: Solution) -> Solution:
-    """Return the solution with its noise estimated, the shape free where it contradicts."""
-    noisy = with_systematic_error(with_estimated_noise(solution))
-    relaxed = relax(noisy)
-    if relaxed is None or not measured_shape(relaxed, noisy.problem).contradicts:
-        return noisy
-    return with_systematic_error(with_estimated_noise(relaxed))
+def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
+    """Yield the measures of the target that are not as the configuration states them."""
+    stated = tolerances(replace(solution.problem, config=config))
+    labels, target = solution.problem.method.labels, solution.estimate.target
+    for doubt, _, std, z in sizes(solution):
+        if doubt.parameter is not None and abs(z) > CONTRADICTION:
+            i = doubt.parameter - len(labels)
+            offset = _value(solution, doubt)
+            yield Shape(doubt.name, float(target[i]) - offset, float(target[i]), std)
+    first = solution.problem.method.configured(config)
+    free = solution.problem.columns[-1] - 6 == len(labels) - 1
+    if stated[-1] and free:  # given up to make the stations agree
+        std = float(solution.target_std[-1])
+        if abs(target[-1] - first) > CONTRADICTION * math.hypot(std, float(stated[-1])):
+            yield Shape(labels[-1], first, float(target[-1]), std)
 
 
-def shape_of(solution: Solution, configured: Problem) -> Shape | None:
-    """Return what the solution says of the target's shape, None where nothing was configured."""
-    if freed(configured) is None:
-        return None
-    relaxed = relax(solution) or solution
-    return measured_shape(relaxed, configured)
+def sizes(solution: Solution) -> Iterator[tuple[Doubt, float, float, float]]:
+    """
+    Yield each doubt of one unknown with its value, 1 sigma, and how it contradicts its prior.
+
+    The last is the distance of what the data alone say from what was stated, in sigmas of both.
+    """
+    first = solution.unknowns
+    for doubt in solution.doubts:
+        if doubt.columns.shape[1] == 1:
+            n = float(solution.doubtful[first - solution.unknowns])
+            p = min(float(solution.covariance[first, first]), 1 - 1e-9)
+            size = solution.noise.doubts.get(doubt.name, 1.0)
+            alone, variance = n / (1 - p), p / (1 - p)
+            z = alone / math.sqrt(1 / size + variance)
+            yield doubt, n * doubt.std, p ** 0.5 * doubt.std, z
+        first += doubt.columns.shape[1]
 
 
-def freed(problem: Problem) -> Problem | None:
-    """Return the problem with the target's shape unknown, None where it is already."""
-    config = problem.method.relax(problem.config)
-    return None if config is None else replace(problem, config=config)
+def _value(solution: Solution, doubt: Doubt) -> float:
+    return next(value for other, value, _, _ in sizes(solution) if other is doubt)
 
 
-def relax(solution: Solution) -> Solution | None:
-    """Return the solution with the target's shape unknown, None where it is already."""
-    problem = freed(solution.problem)
-    if problem is None:
-        return None
-    estimate = least_squares(problem, solution.estimate, solution.noise, iterations=10)
-    return with_systematic_error(evaluate(problem, estimate, solution.noise))
-
-
-def measured_shape(relaxed: Solution, configured: Problem) -> Shape:
-    """Return the shape parameter, which is the target's last, beside what was configured."""
-    return Shape(configured.method.labels[-1], configured.method.configured(configured.config),
-                 float(relaxed.estimate.target[-1]), float(relaxed.target_std[-1]))
+def found_doubts(solution: Solution) -> dict[str, Any]:
+    """Return what of the doubts is worth telling: scale, set-backs, sizes of the smooth errors."""
+    told: dict[str, Any] = {}
+    for doubt, value, std, _ in sizes(solution):
+        if doubt.name == 'scale':
+            told |= {'scale': 1 + value, 'scale_std': std}
+        elif doubt.name.startswith('setback'):
+            name, end = doubt.name.rsplit('_', 1)
+            told |= {f'{name}_{ENDS[int(end) - 1]}': value,
+                     f'{name}_{ENDS[int(end) - 1]}_std': std}
+    for name in ('robot_position', 'robot_rotation', 'distortion', 'flatness'):
+        for doubt in solution.doubts:
+            if doubt.name == name:
+                told |= {f'{name}_error': doubt.std}
+    return told
 
 
 def scale_error(solution: Solution) -> tuple[float, float]:
@@ -109,7 +132,7 @@ def scale_error(solution: Solution) -> tuple[float, float]:
     positions = problem.poses[:, :3, 3]
     moved = (positions - positions.mean(axis=0))[problem.observations.station]
     by_scale = (solution.linear.by_pose[:, :3] * moved).sum(axis=1)
-    column = whitening(problem, solution.linear, solution.noise)(by_scale)
+    column: Array = whitening(problem, solution.linear, solution.noise)(by_scale)
     Q, _ = np.linalg.qr(solution.jacobian)
     free = column - Q @ (Q.T @ column)
     information = float(free @ free)
@@ -120,23 +143,25 @@ def scale_error(solution: Solution) -> tuple[float, float]:
 
 def require_one_scale(solution: Solution) -> None:
     """
-    Refuse a solution whose robot and sensor disagree about lengths.
+    Refuse a solution whose robot and sensor disagree too much about lengths.
 
     Raises ScaleError.
     """
-    scale, std = scale_error(solution)
-    if abs(scale) > max(CONTRADICTION * std, LARGEST_SCALE_ERROR):
-        raise ScaleError(abs(scale), std)
+    for doubt, value, std, z in sizes(solution):
+        if doubt.name == 'scale' and abs(z) > CONTRADICTION and abs(value) > max(
+                SMALLEST_SCALE_ERROR, CONTRADICTION * std):
+            raise ScaleError(abs(value), std)
 
 
 def require_not_only_scale(solution: Solution) -> None:
     """
-    Refuse a solution most of whose residuals one scale error explains.
+    Refuse a solution most of whose residuals one small scale error explains.
 
     Raises ScaleError.
     """
     scale, std = scale_error(solution)
     explained = (scale / std) ** 2 > 0.5 * float(solution.white @ solution.white)
     std *= solution.variance_factor ** 0.5
-    if explained and abs(scale) > max(CONTRADICTION * std, LARGEST_SCALE_ERROR):
+    if explained and max(CONTRADICTION * std, SMALLEST_SCALE_ERROR) < abs(
+            scale) < LARGEST_SCALE_ERROR:
         raise ScaleError(abs(scale), std)

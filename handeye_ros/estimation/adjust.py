@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.solve import covariance_of
+from handeye_ros.estimation.algebra import covariance_of
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2

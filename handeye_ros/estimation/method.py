@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from handeye_ros.config import Config
@@ -10,6 +10,7 @@ from handeye_ros.data import Array, Feature, Sample
 import numpy as np
 from numpy.typing import NDArray
 
+ENDS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
 UNUSED = -1  # the kind of an observation that belongs to nothing
 
 
@@ -20,7 +21,9 @@ class Observations:
 
     station: (m,) index of the pose, ascending; points: (m, 2); kind: (m,) which condition, an
     index into the method's kinds; noise: (m, 2, 2) factor L, the point's error is L @ e with
-    e of unit covariance; source: (m,) observations of equal source share their e.
+    e of unit covariance; source: (m,) observations of equal source share their e. end: (m,) how
+    the face ends where an edge point is, 0 of any other point; outward: (m, 2) unit vector out
+    of the face there.
     """
 
     station: NDArray[np.intp]
@@ -28,6 +31,14 @@ class Observations:
     kind: NDArray[np.intp]
     noise: Array
     source: NDArray[np.intp]
+    end: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    outward: Array = field(default_factory=lambda: np.empty((0, 2)))
+
+    def __post_init__(self) -> None:
+        """Take points of which nothing is said for no edge points."""
+        if len(self.end) < len(self.station):
+            object.__setattr__(self, 'end', np.zeros(len(self.station), dtype=np.intp))
+            object.__setattr__(self, 'outward', np.zeros((len(self.station), 2)))
 
     def __len__(self) -> int:
         """Return the number of conditions."""
@@ -36,7 +47,8 @@ class Observations:
     def select(self, keep: NDArray[np.bool_]) -> Observations:
         """Return the observations where keep (m,) is true."""
         return Observations(self.station[keep], self.points[keep], self.kind[keep],
-                            self.noise[keep], self.source[keep])
+                            self.noise[keep], self.source[keep], self.end[keep],
+                            self.outward[keep])
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +87,8 @@ class Method:
     observations (points, kind) of a sample stand for.
     edges: the kinds that name an edge. minimum: fewest samples.
     one_axis: what turns about one axis alone leave open, in words.
+    tolerances(config): (k,) 1 sigma of those of the target's parameters that are stated with one,
+    0 of all others.
     relax(config): the configuration with the target's shape (its last parameter) unknown, None
     where it is; configured(config): its configured value.
     """
@@ -94,6 +108,7 @@ class Method:
     edges: tuple[str, ...]
     minimum: int
     one_axis: str = 'the position along it is free'
+    tolerances: Callable[[Config], Array] = lambda config: np.zeros(0)
     relax: Callable[[Config], Config | None] = lambda config: None
     configured: Callable[[Config], float] = lambda config: 0.0
 

@@ -47,7 +47,7 @@ class Linear:
 
     residuals: Array
     jacobian: Array
-    by_pose: Array  # (m, 6) derivative by the pose's error, base frame, about the flange
+    by_pose: Array  # (m, 6) derivative by the robot's error, base frame, about the flange
     by_feature: Array  # (m, 2) derivative by the feature's unit errors
     by_point: Array  # (m, 2) derivative by the point of the sensor plane
 
@@ -76,7 +76,11 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     g_base = conditions.dg_dp
     g_mount = np.einsum('mji,mj->mi', R, g_base)
     jacobian = np.hstack([g_mount, se3.cross(lever, g_mount), conditions.dg_dtarget])
-    by_pose = np.hstack([g_base, se3.cross(from_flange, g_base)])
+    if problem.config.calibration_type == 'eye_in_hand':
+        by_pose = np.hstack([g_base, se3.cross(from_flange, g_base)])
+    else:  # the poses are those of the base in the flange; the robot errs in its base
+        p_base = np.einsum('mji,mj->mi', R, from_flange + T[:, :3, 3])
+        by_pose = np.hstack([g_mount, se3.cross(p_base, g_mount)])
     by_point = g_mount @ X[:3, [0, 2]]
     by_feature = np.einsum('mi,mij->mj', by_point, obs.noise)
     return Linear(conditions.g, jacobian, by_pose, by_feature, by_point)

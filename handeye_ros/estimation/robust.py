@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.method import Estimate, UNUSED
+from handeye_ros.estimation.mixed import settled
 from handeye_ros.estimation.problem import linearise, points_in_base, Problem
 from handeye_ros.estimation.solve import evaluate, least_squares, Solution, station_statistic
 from handeye_ros.estimation.weights import Noise, whitening
@@ -28,8 +29,6 @@ SMALLEST_SCALE = 9.0  # squared residual, in variances, at which a station begin
 LOST_EDGE = 8.0  # squared residual of a station that shows an edge which lies on none of ours
 SCALE = 3.0  # the same, in squared residuals that the believed share stays below
 DOUBTFUL = 16.0  # squared residual, in variances, that a clean recording stays below
-CHANCE_FACTOR = 0.5  # a variance factor between this and 1 says nothing
-SMALLEST_FACTOR = 1e-3
 MOST_FREEDOM = 6  # of a station's residuals: a pose has no more
 FALSE_ALARM = 1e-3  # of a good recording losing one station
 LARGEST_VARIANCE = 1.0  # m^2 or rad^2: more is no answer at all
@@ -197,6 +196,23 @@ def without_outliers(trial: Trial) -> Consensus:
         used = np.delete(used, worst)
 
 
+def settle(agreed: Consensus, minimum: int) -> Consensus:
+    """Return the consensus with all doubts in its solution; what then does not fit is dropped."""
+    used, dropped, total = agreed.used, dict(agreed.dropped), len(agreed.used)
+    total += len(dropped)
+    part, estimate = agreed.solution.problem, agreed.solution.estimate
+    while True:
+        solution = settled(part, estimate)
+        mean_square, freedom = _mean_squares(solution)
+        probability = chi2_distribution.sf(mean_square * freedom, freedom)
+        worst = int(np.argmin(probability))
+        if probability[worst] > FALSE_ALARM / total or len(used) <= minimum:
+            return replace(agreed, solution=solution, used=used, dropped=dropped)
+        dropped[int(used[worst])] = float(mean_square[worst])
+        used = np.delete(used, worst)
+        part = part.subset(np.delete(np.arange(len(part.poses)), worst))
+
+
 def _mean_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
     """
     Return per station the mean squared deleted residual and its degrees of freedom.
@@ -208,7 +224,6 @@ def _mean_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
 
 
 def _scale(mean_square: Array, freedom: NDArray[np.intp]) -> float:
-    """Return the variance factor that most stations share, 1 where it may be by chance."""
+    """Return the variance factor that most stations share, 1 where they fit as they should."""
     typical = chi2_distribution.median(freedom) / freedom
-    factor = float(np.median(mean_square / typical))
-    return 1.0 if CHANCE_FACTOR < factor < 1.0 else max(factor, SMALLEST_FACTOR)
+    return max(1.0, float(np.median(mean_square / typical)))

@@ -2,10 +2,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.estimation.algebra import covariance_of, inverse
+from handeye_ros.estimation.doubts import Doubt
+from handeye_ros.estimation.fields import places, spread
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import cost, Linear, linearise, Problem
 from handeye_ros.estimation.weights import groups, Noise, Whitening, whitening
@@ -13,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_ITERATIONS = 50
-LARGEST_STD = 1e3  # stands for infinity (m or rad)
 FIRST_DAMPING, DAMPING_FACTOR, MAX_DAMPINGS = 1e-4, 30.0, 8
 COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on after them
 CONVERGED = 1e-8  # step length in sigmas
 ROUNDING_OF_COST = 1e-9  # relative; whitened residuals are differences of large numbers
 NEAR = 1e-6  # that of a start (m)
+ASKED = 100  # stations, beyond which there are enough poses
 SAME = 1e-6  # relative singular value of what a station says twice
 FEW_STATIONS, MORE_STARTS = 12, 6  # with few stations there may be several answers
 
@@ -93,9 +97,10 @@ class Solution:
     """
     An estimate with what the data says of it.
 
-    white: whitened residuals (m,); jacobian: whitened (m, u), u unknowns, X's six first;
-    covariance: (u, u) of independent errors, infinite variances cut at LARGEST_STD; stated:
-    (u, u) what is told of the uncertainty.
+    white: whitened residuals (m,), what doubts explain taken out; jacobian: whitened (m, u + q),
+    u unknowns, X's six first, then q of the doubts in units of their sigma; covariance: of all
+    of them, infinite variances cut at LARGEST_STD; doubtful: (q,) how large those of the doubts
+    are; doubts: the doubts, their sigmas as estimated.
     """
 
     problem: Problem
@@ -105,23 +110,46 @@ class Solution:
     white: Array
     jacobian: Array
     covariance: Array
-    stated: Array
+    doubtful: Array = field(default_factory=lambda: np.empty(0))
+    doubts: tuple[Doubt, ...] = ()
+
+    @property
+    def unknowns(self) -> int:
+        """Return the number of unknowns that are no doubts."""
+        return int(self.jacobian.shape[1]) - len(self.doubtful)
+
+    @cached_property
+    def information(self) -> Array:
+        """Return that of all unknowns, (u + q, u + q): of the residuals and of the priors."""
+        prior = np.append(np.zeros(self.unknowns), np.ones(len(self.doubtful)))
+        return np.asarray(self.jacobian.T @ self.jacobian + np.diag(prior))
+
+    @property
+    def squares(self) -> float:
+        """Return the sum of squares, of residuals and of what doubts were taken to be."""
+        return float(self.white @ self.white + self.doubtful @ self.doubtful)
 
     @property
     def variance_factor(self) -> float:
         """Return the squared whitened residual per degree of freedom."""
-        return float(self.white @ self.white / max(self.degrees_of_freedom, 1))
+        return self.squares / max(self.degrees_of_freedom, 1)
 
     @property
     def degrees_of_freedom(self) -> int:
         """Return the number of conditions less the number of unknowns."""
-        return len(self.white) - int(self.jacobian.shape[1])
+        return len(self.white) - self.unknowns
 
     @property
     def target_std(self) -> Array:
         """Return 1 sigma (k,) of the target's parameters, 0 of those that were given."""
         std = np.zeros(len(self.problem.method.labels))
-        std[self.problem.columns[6:] - 6] = np.sqrt(np.diag(self.stated)[6:])
+        variances = np.diag(self.covariance)
+        std[self.problem.columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])
+        first = self.unknowns
+        for doubt in self.doubts:
+            if doubt.parameter is not None:
+                std[doubt.parameter] = doubt.std * variances[first] ** 0.5
+            first += doubt.columns.shape[1]
         return std
 
 
@@ -131,17 +159,7 @@ def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
     white = whitening(problem, linear, noise)
     r, J = white(linear.residuals), white(linear.jacobian[:, problem.columns])
     covariance = covariance_of(J)
-    return Solution(problem, estimate, noise, linear, r, J, covariance, covariance)
-
-
-def covariance_of(J: Array) -> Array:
-    """Return that (u, u) of the unknowns of whitened J (m, u); what it leaves free is cut."""
-    few = len(J) < J.shape[1]  # then the free directions come with the whole basis only
-    _, s, Vt = np.linalg.svd(J, full_matrices=few)
-    values = np.zeros(len(Vt))
-    values[:len(s)] = s
-    root = Vt / np.maximum(values, 1 / LARGEST_STD)[:, None]
-    return np.asarray(root.T @ root)
+    return Solution(problem, estimate, noise, linear, r, J, covariance)
 
 
 def station_ranks(solution: Solution) -> NDArray[np.intp]:
@@ -152,16 +170,24 @@ def station_ranks(solution: Solution) -> NDArray[np.intp]:
     """
     station = solution.problem.observations.station
     ranks = np.zeros(len(solution.problem.poses), dtype=np.intp)
-    scale = np.maximum(np.linalg.norm(solution.jacobian, axis=0), 1e-300)
+    J = solution.jacobian[:, :solution.unknowns]
+    J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
     for rows in groups(station):
-        s = np.linalg.svd(solution.jacobian[rows] / scale, compute_uv=False)
+        s = np.linalg.svd(J[rows], compute_uv=False)
         ranks[station[rows[:, 0]]] = (s > SAME * s[:, :1]).sum(axis=1)
     return ranks
 
 
 def redundancy(solution: Solution) -> int:
-    """Return how many independent conditions there are beyond the number of unknowns."""
-    return int(station_ranks(solution).sum()) - int(solution.jacobian.shape[1])
+    """
+    Return how many independent conditions there are beyond the number of unknowns.
+
+    A pose that is taken again says nothing new.
+    """
+    ranks = station_ranks(solution)
+    if len(ranks) <= ASKED:
+        ranks = ranks[spread(places(solution.problem.poses), ASKED)]
+    return int(ranks.sum()) - solution.unknowns
 
 
 def station_squares(solution: Solution) -> Array:
@@ -193,7 +219,12 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
 def without(solution: Solution, stations: NDArray[np.intp]) -> Estimate:
     """Return the estimate from all stations but the given ones, to first order."""
     left_out = np.isin(solution.problem.observations.station, stations)
-    J, r = solution.jacobian, solution.white
-    information = J[~left_out].T @ J[~left_out]
-    step = np.linalg.lstsq(information, J[left_out].T @ r[left_out], rcond=1e-14)[0]
-    return move(solution.problem, solution.estimate, np.asarray(step))
+    J, r, u = solution.jacobian, solution.white, solution.unknowns
+    J_out, r_out = J[left_out], r[left_out]
+    if len(r_out) < J.shape[1]:
+        to_out = J_out @ solution.covariance
+        inside = (1 + 1e-9) * np.eye(len(r_out)) - to_out @ J_out.T
+        step = to_out.T @ np.linalg.solve(inside, r_out)
+    else:
+        step = inverse(solution.information - J_out.T @ J_out) @ (J_out.T @ r_out)
+    return move(solution.problem, solution.estimate, np.asarray(step[:u]))

@@ -2,11 +2,14 @@
 What the noise makes of the residuals: their covariances, and the map that makes them white.
 
 The error of a condition has two parts: the feature's own, and that of the station's pose, which
-all observations of the station share. Both are whitened together.
+all observations of the station share. Both are whitened together. Doubts, which all stations
+share, are unknowns of the solution (see mixed); while it is searched for they count as errors
+of each station by itself.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.problem import Linear, Problem
@@ -15,6 +18,7 @@ from numpy.typing import NDArray
 
 SMALLEST_STD = 1e-9  # of a feature without any noise, which would weigh infinitely (m)
 DISTORTION_LENGTH = 0.01  # over which the error of a sensor's field is alike (m)
+TURN_LENGTH = 0.4  # over which an error of the robot's joints turns as much as it shifts (m)
 ROUNDING = 1e-12  # keeps a covariance invertible that one pose error rules
 
 
@@ -23,13 +27,21 @@ class Noise:
     """
     Scale factors on the configured variances.
 
-    sensor: on the features' own; distortion: on the smooth error of the sensor's field;
-    robot: on the pose noise.
+    sensor: on the features' own, edge: on those of edge points; robot: on the pose noise;
+    doubts: on the unknowns of each, by name; lumped: whether doubts count as errors of each
+    station here.
     """
 
     sensor: float = 1.0
-    distortion: float = 1.0
+    edge: float = 1.0
     robot: float = 1.0
+    doubts: Mapping[str, float] = field(default_factory=dict)
+    lumped: bool = True
+
+    @property
+    def factors(self) -> Array:
+        """Return the factors on the parts of covariances."""
+        return np.array([self.sensor, self.edge, self.robot])
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,20 +70,35 @@ def groups(station: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
     return tuple(first[count == c, None] + np.arange(c) for c in np.unique(count))
 
 
-def covariances(problem: Problem, linear: Linear, rows: NDArray[np.intp]) -> tuple[Array, ...]:
+def covariances(problem: Problem, linear: Linear, rows: NDArray[np.intp]) -> Array:
+    """Return covariances, (3, stations, c, c), of the residuals: of features, edges, poses."""
+    obs, noise = problem.observations, problem.config.noise
+    H = linear.by_feature[rows]
+    edge = (obs.end[rows] > 0)[:, :, None] * np.ones(rows.shape[1])
+    feature = (H @ np.swapaxes(H, 1, 2)) * _shared(obs.source[rows]) + (
+        SMALLEST_STD ** 2 * np.eye(rows.shape[1]))
+    G = linear.by_pose[rows] * np.repeat([noise.robot_translation, noise.robot_rotation], 3)
+    return np.array([feature * (1 - edge), feature * edge, G @ np.swapaxes(G, 1, 2)])
+
+
+def lumped(problem: Problem, linear: Linear, rows: NDArray[np.intp]) -> Array:
     """
-    Return covariances, (stations, c, c), of the residuals: from features, distortion, poses.
+    Return covariances (stations, c, c) of the residuals from what all stations share.
 
     The distortion of a sensor is smooth: points near each other in its plane share it.
     """
-    obs, noise = problem.observations, problem.config.noise
-    source = obs.source[rows]
-    H = linear.by_feature[rows]
-    shared = source[:, :, None] == source[:, None, :]
-    feature = (H @ np.swapaxes(H, 1, 2)) * shared + SMALLEST_STD ** 2 * np.eye(rows.shape[1])
-    distortion = _distortion(obs.points[rows], linear.by_point[rows], noise.distortion)
-    G = linear.by_pose[rows] * np.repeat([noise.robot_translation, noise.robot_rotation], 3)
-    return feature, distortion, G @ np.swapaxes(G, 1, 2)
+    obs, config = problem.observations, problem.config
+    by_point = linear.by_point[rows]
+    along = (by_point * obs.outward[rows]).sum(axis=2) * config.target.setback_std
+    robot = config.noise.robot_smooth * np.repeat([1.0, 1 / TURN_LENGTH], 3)
+    G = linear.by_pose[rows] * robot
+    return np.asarray(_distortion(obs.points[rows], by_point, config.noise.distortion)
+                      + along[:, :, None] * along[:, None, :] * _shared(obs.source[rows])
+                      + G @ np.swapaxes(G, 1, 2))
+
+
+def _shared(source: NDArray[np.intp]) -> NDArray[np.bool_]:
+    return np.asarray(source[:, :, None] == source[:, None, :])
 
 
 def _distortion(points: Array, by_point: Array, sigma: float) -> Array:
@@ -88,9 +115,10 @@ def whitening(problem: Problem, linear: Linear, noise: Noise) -> Whitening:
     rows = groups(problem.observations.station)
     factors = []
     for group in rows:
-        parts = covariances(problem, linear, group)
-        scales = (noise.sensor, noise.distortion, noise.robot)
-        factors.append(inverse_roots(np.tensordot(scales, np.array(parts), 1)))
+        total = np.tensordot(noise.factors, covariances(problem, linear, group), 1)
+        if noise.lumped:
+            total = total + lumped(problem, linear, group)
+        factors.append(inverse_roots(total))
     return Whitening(rows, tuple(factors))
 
 

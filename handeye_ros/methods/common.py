@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 
 from handeye_ros import se3
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
-from handeye_ros.estimation.method import Observations
+from handeye_ros.estimation.method import ENDS, Observations
 import numpy as np
 from numpy.typing import NDArray
 
 FACE = 0  # the kind of a condition on a face, in every method that has them
+SOURCES = 64  # of one feature at most
 GUESS_STATIONS = 40  # more add time to a guess, nothing else
 
 
@@ -23,30 +24,39 @@ class ObservationRows:
     kind: list[int] = field(default_factory=list)
     noise: list[Array] = field(default_factory=list)
     source: list[int] = field(default_factory=list)
+    end: list[int] = field(default_factory=list)
+    outward: list[Array] = field(default_factory=list)
 
-    def add(self, station: int, point: Array, kind: int, noise: Array, source: int) -> None:
-        """Append one condition; see Observations."""
+    def add(self, station: int, point: Array, kind: int, noise: Array, source: int,
+            edge: EdgePoint | None = None) -> None:
+        """Append one condition; see Observations. edge: that the point is."""
         self.station.append(station)
         self.points.append(point)
         self.kind.append(kind)
         self.noise.append(noise)
         self.source.append(source)
+        self.end.append(1 + ENDS.index(edge.kind) if edge else 0)
+        self.outward.append(edge.direction if edge else np.zeros(2))
 
     def observations(self) -> Observations:
         """Return what was collected."""
         return Observations(
             np.array(self.station, dtype=np.intp), np.array(self.points).reshape(-1, 2),
             np.array(self.kind, dtype=np.intp), np.array(self.noise).reshape(-1, 2, 2),
-            np.array(self.source, dtype=np.intp))
+            np.array(self.source, dtype=np.intp), np.array(self.end, dtype=np.intp),
+            np.array(self.outward).reshape(-1, 2))
 
 
 def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int,
              kind: int = FACE) -> None:
-    """Append the two decorrelated points of a face line."""
+    """Append the normal points of a face line, its two decorrelated points where it has none."""
     across = np.array([-line.direction[1], line.direction[0]])
-    noise = np.column_stack([across * line.std * 2 ** 0.5, np.zeros(2)])
-    for i, side in enumerate((-1.0, 1.0)):
-        point = line.centre + side * line.spread * line.direction
+    points, std = line.points, line.points_std
+    if not len(points):
+        points = line.centre + np.outer([-1.0, 1.0], line.spread * line.direction)
+        std = np.full(2, line.std * 2 ** 0.5)
+    for i, (point, sigma) in enumerate(zip(points, std, strict=True)):
+        noise = np.column_stack([across * sigma, np.zeros(2)])
         rows.add(station, point, kind, noise, source + i)
 
 
@@ -56,7 +66,7 @@ def collect(samples: Sequence[Sample],
     rows = ObservationRows()
     for station, sample in enumerate(samples):
         for i, feature in enumerate(sample.features):
-            add(rows, station, feature, 2 * i)
+            add(rows, station, feature, SOURCES * i)
     return rows.observations()
 
 

@@ -61,7 +61,7 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
         add_face(rows, station, feature, source)
     elif isinstance(feature, EdgePoint):
         for kind in (EDGE_Y, EDGE_Z):
-            rows.add(station, feature.point, kind, edge_noise(feature), source)
+            rows.add(station, feature.point, kind, edge_noise(feature), source, feature)
 
 
 def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:

@@ -40,7 +40,8 @@ from numpy.typing import NDArray
 P, Q, P_FAR, Q_FAR = range(1, 5)
 OUTWARD = np.array([[0, 0], [0, -1.0], [-1.0, 0], [0, 1.0], [1.0, 0]])  # by kind, in the face
 KINDS = ('face', 'p', 'q', 'p_far', 'q_far')
-LABELS = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'edge_angle')
+LABELS = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
+SIZE, ANGLE = slice(16, 18), 18  # of the target's state, after its pose
 GATE = 10.0  # an edge point this many times further from its edge than most is no edge of ours
 SMALLEST_GATE = 1e-3
 BELIEVED_SHARE = 0.3  # of the edge points that are surely on an edge of ours
@@ -57,18 +58,17 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
     if isinstance(feature, FaceLine):
         add_face(rows, station, feature, source)
     elif isinstance(feature, EdgePoint):
-        rows.add(station, feature.point, P, edge_noise(feature), source)
+        rows.add(station, feature.point, P, edge_noise(feature), source, feature)
 
 
 def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
     """Return the height over the face, or the distance from the edge, of points (m, 3)."""
-    T, angle = target[:16].reshape(4, 4), target[16]
+    T, size, angle = target[:16].reshape(4, 4), target[SIZE], target[ANGLE]
     R = T[:3, :3]
     local = (p - T[:3, 3]) @ R
     along_q = np.array([np.cos(angle), np.sin(angle), 0.0])
     across_q = np.array([np.sin(angle), -np.cos(angle), 0.0])
     normals = np.array([[0, 0, 1.0], [0, 1.0, 0], across_q, [0, 1.0, 0], across_q])[kind]
-    size = config.target.size or (0.0, 0.0)
     offsets = np.array([0.0, 0.0, 0.0, size[1] * np.sin(angle), size[0] * np.sin(angle)])[kind]
     g = (local * normals).sum(axis=1) - offsets
     dg_dp = normals @ R.T
@@ -76,18 +76,31 @@ def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) 
     by_angle = by_angle - np.where(kind == P_FAR, size[1], np.where(
         kind == Q_FAR, size[0], 0.0)) * np.cos(angle)
     by_rotation = -se3.cross(p - T[:3, 3], dg_dp)
-    return Conditions(g, dg_dp, np.column_stack([-dg_dp, by_rotation, by_angle]))
+    by_size = [np.where(kind == k, -np.sin(angle), 0.0) for k in (Q_FAR, P_FAR)]
+    return Conditions(g, dg_dp, np.column_stack([-dg_dp, by_rotation, *by_size, by_angle]))
 
 
 def retract(target: Array, delta: Array) -> Array:
-    """Return the target's state moved by delta (7,)."""
+    """Return the target's state moved by delta (9,)."""
     T = se3.perturb(target[:16].reshape(4, 4), delta[:6])
-    return np.append(T.ravel(), target[16] + delta[6])
+    return np.append(T.ravel(), target[16:] + delta[6:])
 
 
 def free(config: Config) -> NDArray[np.bool_]:
-    """Return which parameters are unknown: all but the edge angle."""
-    return np.array([True] * 6 + [config.target.edge_angle_free])
+    """Return which parameters are unknown: all but the lengths and the edge angle."""
+    return np.array([True] * 6 + [False] * 2 + [config.target.edge_angle_free])
+
+
+def tolerances(config: Config) -> Array:
+    """Return 1 sigma of the stated lengths and of the right angle."""
+    size = config.target.size_std if config.target.size else 0.0
+    angle = 0.0 if config.target.edge_angle_free else config.target.edge_angle_std
+    return np.array([0.0] * 6 + [size, size, angle])
+
+
+def state(T_base_target: Array, config: Config) -> Array:
+    """Return what describes a plate as configured at a pose (4, 4): (19,) values."""
+    return np.concatenate([T_base_target.ravel(), config.target.size or (0.0, 0.0), [np.pi / 2]])
 
 
 def relabel(observations: Observations, p: Array, target: Array, config: Config
@@ -138,7 +151,7 @@ def _with_edges(observations: Observations, poses: Array, plane: Estimate, confi
     corner, turn = two_lines(flat[edge], rng)
     inward = _face_centres(observations, flat, edge) - flat[edge]
     T_plane_target = _oriented(flat[edge] - corner, inward, corner, turn)
-    return Estimate(plane.X, np.append((T_base_plane @ T_plane_target).ravel(), np.pi / 2))
+    return Estimate(plane.X, state(T_base_plane @ T_plane_target, config))
 
 
 def _facing_sensor(plane: Estimate, poses: Array, config: Config) -> Array:
@@ -233,9 +246,9 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
     x, y, z, w = map(float, se3.quaternion(T))
     translation = dict(zip('xyz', map(float, T[:3, 3]), strict=True))
     return {'pose': {'translation': translation, 'rotation': {'x': x, 'y': y, 'z': z, 'w': w}},
-            'edge_angle': float(target[16]), 'edge_angle_std': float(std[6])}
+            'edge_angle': float(target[ANGLE]), 'edge_angle_std': float(std[8])}
 
 
 PLATE = Method('plate', KINDS, LABELS, face_features, observe, guess, conditions, retract, free,
                relabel, describe, observed_points, edges=KINDS[1:], minimum=6,
-               relax=relax, configured=right_angle)
+               relax=relax, configured=right_angle, tolerances=tolerances)

@@ -67,6 +67,11 @@ def free(config: Config) -> NDArray[np.bool_]:
     return np.array([True, True, True, config.target.radius <= 0])
 
 
+def tolerances(config: Config) -> Array:
+    """Return 1 sigma of the stated radius."""
+    return np.array([0.0] * 3 + [config.target.radius_std if config.target.radius > 0 else 0.0])
+
+
 def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
           ) -> list[Estimate]:
     """
@@ -154,4 +159,4 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 
 SPHERE = Method('sphere', ('arc',), ('x', 'y', 'z', 'radius'), arc_features, observe, guess,
                 conditions, retract, free, kind_unchanged, describe, arc_points, edges=(),
-                minimum=6, relax=relax, configured=configured_radius)
+                minimum=6, relax=relax, configured=configured_radius, tolerances=tolerances)

@@ -2,12 +2,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import __version__, se3
 from handeye_ros.checks.motion import mount_frame, weakest
-from handeye_ros.checks.shape import scale_error, shape_of
+from handeye_ros.checks.shape import contradictions, found_doubts
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport
 from handeye_ros.estimation.method import Estimate
@@ -70,22 +70,18 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
     return Calibration(
         config.name or config.target.type, problem.method.name, parent, frame_id or 'laser',
         solution.estimate.X @ se3.inverse(sensor_axes(config)),
-        solution.stated[:6, :6],
+        solution.covariance[:6, :6],
         describe_target(solution, config), quality,
         tuple(sorted(reports, key=lambda report: report.stamp)),
         {'version': __version__, 'config': flatten(config)})
 
 
 def describe_target(solution: Solution, config: Config) -> dict[str, Any]:
-    """Return what was estimated of the target, its shape compared with the configured one."""
-    method = solution.problem.method
-    told = method.describe(solution.estimate.target, solution.target_std)
-    shape = shape_of(solution, replace(solution.problem, config=config))
-    if shape:
-        told |= {shape.label: shape.estimated, f'{shape.label}_std': shape.std}
-        told |= {'note': shape.note} if shape.contradicts else {}
-    error, std = scale_error(solution)
-    return told | ({'scale': 1 + error, 'scale_std': std} if std < LARGEST_SCALE_STD else {})
+    """Return what was estimated of the target, and of all else that was in doubt."""
+    told = solution.problem.method.describe(solution.estimate.target, solution.target_std)
+    told |= found_doubts(solution)
+    notes = [shape.note for shape in contradictions(solution, config)]
+    return told | ({'note': '; '.join(notes)} if notes else {})
 
 
 def _used_reports(used: Sequence[Sample], solution: Solution, measured: Measured

@@ -15,7 +15,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-LENGTHS = ('centre', 'point', 'radius', 'distance', 'size')
+LENGTHS = ('centre', 'point', 'radius', 'distance', 'size', 'setback')
 DIRECTIONS = ('normal', 'direction')
 ANGLES = ('angle',)
 

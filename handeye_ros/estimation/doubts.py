@@ -1,0 +1,112 @@
+"""
+What may be wrong beside the noise: each doubt is some unknowns with a prior.
+
+With residuals r = J u + K n + e, a doubt gives columns of K, scaled so that its unknowns n are of
+unit variance; how large they really were is estimated (see mixed).
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.estimation.fields import bending, bent_faces, places, process
+from handeye_ros.estimation.method import Estimate
+from handeye_ros.estimation.problem import Linear, points_in_base, Problem
+from handeye_ros.estimation.weights import TURN_LENGTH
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Doubt:
+    """
+    Something that may be wrong.
+
+    columns: (m, k) derivatives of the residuals by taking it out, each unknown in units of its
+    prior sigma std (m, rad or 1); parameter: which of the target's it is of, None of none.
+    """
+
+    name: str
+    columns: Array
+    std: float
+    parameter: int | None = None
+
+
+def tolerances(problem: Problem) -> Array:
+    """Return 1 sigma (k,) of the target's parameters that are stated with one, 0 of others."""
+    stated = problem.method.tolerances(problem.config)
+    return stated if len(stated) else np.zeros(len(problem.method.labels))
+
+
+def doubts(problem: Problem, estimate: Estimate, linear: Linear) -> tuple[Doubt, ...]:
+    """Return all that may be wrong at an estimate."""
+    found = [*_stated(problem, linear), *_setbacks(problem, linear),
+             *_robot(problem, linear), *_sensor(problem, linear),
+             *_faces(problem, estimate)]
+    return tuple(doubt for doubt in found if doubt.std > 0 and np.any(doubt.columns))
+
+
+def _stated(problem: Problem, linear: Linear) -> Iterator[Doubt]:
+    for i, std in enumerate(tolerances(problem)):
+        column = linear.jacobian[:, 6 + i:7 + i] * std
+        yield Doubt(problem.method.labels[i], column, float(std), i)
+
+
+def _setbacks(problem: Problem, linear: Linear) -> Iterator[Doubt]:
+    """Yield by how much the faces end short of each edge, for each way in which they end."""
+    obs, std = problem.observations, problem.config.target.setback_std
+    along = (linear.by_point * obs.outward).sum(axis=1)
+    source = obs.station * (int(obs.source.max(initial=0)) + 1) + obs.source
+    _, inverse, count = np.unique(source, return_inverse=True, return_counts=True)
+    length = np.sqrt(np.bincount(inverse, along ** 2))[inverse]
+    outwards = np.divide(along, length, out=np.zeros(len(obs)), where=length > 0)
+    edge = np.where(count[inverse] > 1, 0, obs.kind)  # conditions of one point share its edge
+    for kind, end in sorted({(int(k), int(e)) for k, e in zip(edge, obs.end, strict=True) if e}):
+        here = (edge == kind) & (obs.end == end)
+        name = f'setback_{problem.method.kinds[kind]}_{end}'
+        yield Doubt(name, np.where(here, outwards, 0.0)[:, None] * std, std)
+    # what of a bevel or of a blurred step is seen depends on the tilt
+    slope = np.divide(obs.outward[:, 1], np.abs(obs.outward[:, 0]), out=np.zeros(len(obs)),
+                      where=obs.outward[:, 0] != 0)
+    for end in sorted(set(obs.end[obs.end > 0].tolist())):
+        tilted = np.where(obs.end == end, outwards, 0.0)[:, None] * np.column_stack(
+            [slope, 2 * slope ** 2])
+        yield Doubt(f'incidence_{end}', tilted * std, std)
+
+
+def _robot(problem: Problem, linear: Linear) -> Iterator[Doubt]:
+    noise, station = problem.config.noise, problem.observations.station
+    poses = problem.poses
+    if problem.config.calibration_type != 'eye_in_hand':
+        poses = se3.inverse(poses)
+    moved = (poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0))[station]
+    by_scale = (linear.by_pose[:, :3] * moved).sum(axis=1)
+    yield Doubt('scale', -by_scale[:, None] * noise.robot_scale, noise.robot_scale)
+    if not noise.robot_smooth:
+        return
+    shared = process(places(poses))[station]  # (m, r)
+    for name, part, std in (
+            ('robot_position', slice(0, 3), noise.robot_smooth),
+            ('robot_rotation', slice(3, 6), noise.robot_smooth / TURN_LENGTH)):
+        columns = linear.by_pose[:, part, None] * shared[:, None, :] * std
+        yield Doubt(name, columns.reshape(len(station), -1), std)
+
+
+def _sensor(problem: Problem, linear: Linear) -> Iterator[Doubt]:
+    std = problem.config.noise.distortion
+    if std:
+        field = bending(problem.observations.points)  # (m, 2, k)
+        columns = np.einsum('mi,mik->mk', linear.by_point, field) * std
+        yield Doubt('distortion', columns, std)
+
+
+def _faces(problem: Problem, estimate: Estimate) -> Iterator[Doubt]:
+    std, kinds = problem.config.noise.flatness, problem.method.kinds
+    if not std:
+        return
+    p = points_in_base(problem, estimate.X)
+    columns = [bent_faces(p, problem.observations.kind == i)
+               for i, name in enumerate(kinds) if name.startswith('face')]
+    if columns:
+        yield Doubt('flatness', np.hstack(columns) * std, std)

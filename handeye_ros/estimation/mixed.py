@@ -1,0 +1,194 @@
+"""
+The answer with all doubts in it: estimate, weights and covariance hold them always.
+
+With whitened residuals r = J u + K n + e, doubts n and noise e of unit variance, the least
+squares of [J K; 0 I] give the best linear unbiased u (Henderson 1975, Biometrics 31:423). How
+large doubts and noise really are is estimated by restricted maximum likelihood in multiplicative
+fixed-point steps (Patterson and Thompson 1971, Biometrika 58:545), held to the configured size by
+a weak belief.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from handeye_ros.data import Array
+from handeye_ros.estimation.algebra import inverse
+from handeye_ros.estimation.doubts import Doubt, doubts
+from handeye_ros.estimation.method import Estimate
+from handeye_ros.estimation.problem import Linear, linearise, Problem
+from handeye_ros.estimation.solve import move, Solution
+from handeye_ros.estimation.weights import (
+    covariances,
+    groups,
+    inverse_roots,
+    Noise,
+    Whitening,
+    whitening,
+)
+import numpy as np
+from numpy.typing import NDArray
+
+ROUNDS, STEPS = 6, 10  # of linearising, and of estimating sizes in each
+SETTLED = 0.03  # relative change of a variance that changes no answer
+CONVERGED = 1e-3  # step in sigmas
+DIVERGED = 4.0  # of a step over the smallest before
+BELIEF = 1.0  # in the configured size of a doubt, in degrees of freedom
+BELIEF_NOISE = 4.0  # in the configured noise
+CAUTION = 2.0  # degrees of freedom by which a size is known less well than it is estimated
+SMALLEST, LARGEST = 1e-4, 1e8
+
+
+def settled(problem: Problem, start: Estimate) -> Solution:
+    """
+    Return the solution near a start with its doubts and noise as large as the residuals show.
+
+    start: with the target as stated.
+    """
+    noise, nothing = Noise(lumped=False), np.zeros(len(problem.method.labels))
+    system, least = _System.of(problem, start, noise, nothing), np.inf
+    best = system
+    for _ in range(ROUNDS):
+        system = replace(system, noise=system.sized())
+        x, covariance = system.solved()
+        size = float(np.abs(x[:system.u] / np.sqrt(np.diag(covariance)[:system.u])).max())
+        if size > DIVERGED * least:
+            return best.solution()
+        best, least = system, min(size, least)
+        estimate, deviation = system.moved(x)
+        noise = system.with_noise(x, covariance)
+        system = _System.of(problem, estimate, noise, deviation)
+        if size < CONVERGED:
+            break
+    return system.solution()
+
+
+def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
+    """Return the solution that an estimate is with doubts and noise of a given size."""
+    nothing = np.zeros(len(problem.method.labels))
+    return _System.of(problem, estimate, replace(noise, lumped=False), nothing).solution()
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """
+    The whitened least squares at an estimate.
+
+    r: (m,), of which the doubts are not taken out; A: (m, u + q) derivatives by the unknowns and
+    by the doubts at their configured size; group: (q,) the doubt of each column.
+    """
+
+    problem: Problem
+    estimate: Estimate
+    linear: Linear
+    noise: Noise
+    doubts: tuple[Doubt, ...]
+    r: Array
+    A: Array
+    N: Array
+    b: Array
+    group: NDArray[np.intp]
+    deviation: Array
+
+    @classmethod
+    def of(cls, problem: Problem, estimate: Estimate, noise: Noise, deviation: Array) -> _System:
+        linear = linearise(problem, estimate)
+        found = doubts(problem, estimate, linear)
+        white: Whitening = whitening(problem, linear, noise)
+        residuals = linear.residuals - linear.jacobian[:, 6:] @ deviation
+        columns = [linear.jacobian[:, problem.columns], *(d.columns for d in found)]
+        A, r = white(np.hstack(columns)), white(residuals)
+        group = np.repeat(np.arange(len(found)), [d.columns.shape[1] for d in found])
+        return cls(problem, estimate, linear, noise, found, r, A, A.T @ A, A.T @ r, group,
+                   deviation)
+
+    @property
+    def u(self) -> int:
+        return len(self.b) - len(self.group)
+
+    def scales(self) -> Array:
+        """Return the square roots (u + q,) of the sizes of doubts, 1 of unknowns."""
+        sizes = np.array([self.noise.doubts.get(d.name, 1.0) for d in self.doubts])
+        return np.append(np.ones(self.u), np.sqrt(sizes)[self.group])
+
+    def solved(self) -> tuple[Array, Array]:
+        """Return what unknowns and doubts are (u + q,), and their covariance."""
+        s = self.scales()
+        information = self.N * np.outer(s, s)
+        doubted = np.arange(self.u, len(s))
+        information[doubted, doubted] += 1.0
+        covariance = inverse(information)
+        return -covariance @ (s * self.b), covariance
+
+    def sized(self) -> Noise:
+        """Return the noise with the doubts as large as they show themselves."""
+        noise, system = self.noise, self
+        if not self.doubts:
+            return noise
+        M, c = self._reduced()
+        for _ in range(STEPS):
+            s = system.scales()[self.u:]
+            C = inverse(M * np.outer(s, s) + np.eye(len(s)))
+            n = -C @ (s * c)
+            known = np.bincount(self.group, 1 - np.diag(C))
+            form = np.bincount(self.group, n ** 2)
+            before = np.array([noise.doubts.get(d.name, 1.0) for d in self.doubts])
+            after = (before * form * (1 + CAUTION / (known + CAUTION + 1)) + BELIEF) / (
+                known + BELIEF)
+            after = np.clip(after, SMALLEST, LARGEST)
+            noise = replace(noise, doubts={d.name: float(v) for d, v in zip(
+                self.doubts, after, strict=True)})
+            system = replace(self, noise=noise)
+            if np.abs(np.log(after / before)).max() < SETTLED:
+                break
+        return noise
+
+    def _reduced(self) -> tuple[Array, Array]:
+        """Return information (q, q) and gradient (q,) of the doubts, all unknowns free."""
+        u = self.u
+        JJ, JK, KK = self.N[:u, :u], self.N[:u, u:], self.N[u:, u:]
+        solve = inverse(JJ) @ np.column_stack([JK, self.b[:u]])
+        M = KK - JK.T @ solve[:, :-1]
+        return (M + M.T) / 2, self.b[u:] - JK.T @ solve[:, -1]
+
+    def with_noise(self, x: Array, covariance: Array) -> Noise:
+        """Return the noise with the factors of sensor and robot that the residuals show."""
+        s = self.scales()
+        residuals, A = self.r + self.A @ (s * x), self.A * s
+        sums = np.zeros((3, 2))
+        for rows in groups(self.problem.observations.station):
+            V = self.noise.factors[:, None, None, None] * covariances(
+                self.problem, self.linear, rows)
+            root = inverse_roots(V.sum(axis=0))
+            r, J = residuals[rows], A[rows]
+            taken = J @ covariance @ np.swapaxes(J, 1, 2)
+            W = root @ V @ np.swapaxes(root, 1, 2)
+            sums[:, 0] += np.einsum('ni,knij,nj->k', r, W, r, optimize=True)
+            sums[:, 1] += np.einsum('knii->k', W) - np.einsum('knij,nji->k', W, taken)
+        before = self.noise.factors
+        after = before * (sums[:, 0] + BELIEF_NOISE / before) / (
+            np.maximum(sums[:, 1], 0.0) + BELIEF_NOISE)
+        sensor, edge, robot = np.clip(after, SMALLEST, LARGEST).tolist()
+        return replace(self.noise, sensor=sensor, edge=edge, robot=robot)
+
+    def moved(self, x: Array) -> tuple[Estimate, Array]:
+        """Return the estimate moved by a solution, and how far the target is from as stated."""
+        after, s = np.zeros_like(self.deviation), self.scales()
+        for i, doubt in enumerate(self.doubts):
+            if doubt.parameter is not None:
+                column = self.u + int(np.argmax(self.group == i))
+                after[doubt.parameter] = x[column] * s[column] * doubt.std
+        changed = move(self.problem, self.estimate, x[:self.u])
+        target = self.problem.method.retract(changed.target, after - self.deviation)
+        return Estimate(changed.X, target), after
+
+    def solution(self) -> Solution:
+        """Return the solution that the estimate is, near enough to its minimum."""
+        x, covariance = self.solved()
+        s = self.scales()
+        A = self.A * s
+        x[:self.u] = 0.0
+        sized = tuple(replace(d, columns=d.columns * s[self.u + first], std=d.std * float(
+            s[self.u + first])) for d, first in zip(self.doubts, np.searchsorted(
+                self.group, np.arange(len(self.doubts))), strict=True))
+        return Solution(self.problem, self.estimate, self.noise, self.linear, self.r + A @ x, A,
+                        covariance, x[self.u:], sized)
