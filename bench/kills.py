@@ -42,6 +42,7 @@ LONGEST = 0.5  # s until a kill
 WORKING = 0.8  # share of kills of which this time begins with the first acknowledgement
 REMOVING, REMOVED, TAKEN = 'removing', 'removed', 'taken'
 SETTINGS = {'target.type': 'sphere', 'target.radius': 0.04, 'sampling.mode': 'manual',
+            'sampling.new_translation': 0.0,
             'session': 'last'}
 
 

@@ -90,11 +90,11 @@ class SamplingConfig:
     min_crossing_angle: float = _key(0.44, 'A laser line that crosses an edge at a smaller '
                                      'angle is not used (rad).', minimum=0.0, maximum=1.5)
     new_translation: float = _key(
-        0.0, 'A stop nearer than this to an earlier one (m), and turned by less than '
+        8e-3, 'A stop nearer than this to an earlier one (m), and turned by less than '
         'new_rotation, brings nothing new and is not used; 0: every stop is used.',
         minimum=0.0, maximum=1.0)
     new_rotation: float = _key(
-        0.0, 'A stop turned by less than this against an earlier one (rad), and nearer than '
+        0.05, 'A stop turned by less than this against an earlier one (rad), and nearer than '
         'new_translation, brings nothing new and is not used; 0: every stop is used.',
         minimum=0.0, maximum=3.15)
 

@@ -13,8 +13,10 @@ from handeye_ros.sampling.errors import (
     NoPosesError,
     NoProfilesError,
     NoStationsError,
+    NothingNewError,
     NothingToRemoveError,
     PositionUnitError,
+    SilentPosesError,
     SparsePosesError,
     TwoFramesError,
 )
@@ -31,7 +33,7 @@ START = 1_700_000_000_000_000_000
 MS = 1_000_000
 GOOD = with_lost(drawn(step_up_to(0.002)))[::4]
 BAD = with_lost(drawn(face))[::4]  # a face without an edge
-CONFIG = Config()
+CONFIG = with_values(Config(), {'sampling.new_translation': 0.0}, 'test')
 MANUAL = with_values(CONFIG, {'sampling.mode': 'manual'}, 'test')
 
 
@@ -481,6 +483,52 @@ def test_automatic_samples_can_be_switched_on_and_off() -> None:
         add(session, item)
     session.finish()
     assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.1]
+
+
+def test_a_stop_near_an_earlier_one_brings_nothing_new() -> None:
+    config, near = Config(), stops((0, 1), (2, 3))
+    poses = [replace(p, translation=p.translation * [0.06, 1, 1]) for p in near]  # 6 mm apart
+    session = played(poses, profiles(0, 3), config)
+    reject, = session.rejects
+    assert reject.reason == '6 mm and 0.0 degrees from sample 1: it brings nothing new'
+    left_out = with_values(config, {'samples.exclude': [1]}, 'test')
+    assert len(played(poses, profiles(0, 3), left_out).samples) == 1, 'of the second stop'
+    turned = [replace(p, quaternion=pose(0, turn=0.1 * (p.stamp > START + NS)).quaternion)
+              for p in poses]
+    assert len(played(turned, profiles(0, 3), config).samples) == 2
+    manual = with_values(config, {'sampling.mode': 'manual'}, 'test')
+    by_hand = played([p for p in poses if p.stamp <= START + NS], profiles(0, 1), manual,
+                     finish=False)
+    by_hand.take_sample()
+    for item in sorted([*poses[51:], *profiles(1.01, 3)], key=lambda item: item.stamp):
+        add(by_hand, item)
+    with pytest.raises(NothingNewError, match='6 mm .* from sample 1: .* move on'):
+        by_hand.take_sample()
+
+
+def test_a_moving_robot_is_told_its_speed() -> None:
+    creeping = [pose(t, x=4e-3 * t) for t in np.arange(0, 2, 0.02)]
+    with pytest.raises(MovingError, match=r'it moves by 4\.0 mm/s and 0\.0 degrees/s'):
+        played(creeping, profiles(0, 2), MANUAL, finish=False).take_sample()
+
+
+def test_silent_poses_are_told() -> None:
+    session = played(stops((0, 1)), profiles(0, 1.32), MANUAL, finish=False)
+    with pytest.raises(SilentPosesError, match=r'silent for 0\.3 s'):
+        session.take_sample()
+
+
+@pytest.mark.parametrize(('cut', 'words'), [
+    (0.3e-3, 'the border of the field of view'), (0.9e-3, '0.9 mm from the end of the view'),
+    (2e-3, '')])
+def test_an_edge_at_the_end_of_the_view_is_told(cut: float, words: str) -> None:
+    points = with_lost(drawn(step_up_to(0.002)))
+    points = points[~(points[:, 0] > 0.002 + cut)].copy()
+    points[0] = np.nan  # a driver that sends the columns without a return too
+    config = with_values(CONFIG, {'sampling.min_points': 5}, 'test')
+    session = played(stops((0, 1)), profiles(0, 1, points=points), config)
+    reasons = [reject.reason for reject in session.rejects]
+    assert (words in reasons[0]) if words else not reasons, reasons
 
 
 # -- interpolation

@@ -18,6 +18,7 @@ from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.sampling import station_features
 from handeye_ros.sampling.errors import NoProfilesError
 from handeye_ros.sampling.stations import interpolate, NS, Station
+from handeye_ros.sampling.view_end import require_inside
 import numpy as np
 
 MOST_PROFILES = 300  # of one stop, evenly spread: more adds nothing but time
@@ -96,6 +97,7 @@ def sample_of(stop: Stop, config: Config) -> Sample:
         raise NoProfilesError((seen.poses[-1].stamp - seen.poses[0].stamp) / NS)
     used, combined = station_features.of_station(
         profiles, lambda points: method.extract(points, config))
+    require_inside(combined, used)
     poses = interpolate(seen.poses, [p.stamp for p in used])
     return Sample(used[0].stamp, se3.mean_pose(poses), combined, len(used),
                   _flipped(used[0], config))

@@ -20,6 +20,7 @@ from handeye_ros.ros.node.live_samples import LiveSamples
 from handeye_ros.ros.node.place import Place
 from handeye_ros.ros.node.settings import changes_answer
 from handeye_ros.ros.node.store import Store
+from handeye_ros.sampling.crossing import flat_crossing
 from handeye_ros.sampling.errors import ClearedError
 from handeye_ros.sampling.review import Review, review
 from handeye_ros.sampling.session import Session
@@ -82,6 +83,14 @@ class LiveSession(LiveSamples):
             except DataError as error:
                 self.review, self.no_review, self._reviewed = None, str(error), outcomes
         self.on_change()
+
+    def _remark(self, outcome: Outcome) -> str:
+        """Return that the laser crosses an edge too flatly, as far as the edge is known."""
+        known = self.review
+        if outcome.sample is None or known is None or known.solution.degrees_of_freedom < 1:
+            return ''
+        text = flat_crossing(outcome.sample, known.solution, self.config)
+        return f'; {text}' if text else ''
 
     # what is asked; each returns what to say
 

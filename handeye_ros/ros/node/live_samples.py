@@ -126,7 +126,8 @@ class LiveSamples:
         self._put(outcome)
         self._told(outcome.sample is not None, outcome.number, (
             f'sample {outcome.number} taken: ' if outcome.sample else
-            f'stop {outcome.number} gave no sample: ') + sample_summary(outcome.result))
+            f'stop {outcome.number} gave no sample: ') + sample_summary(outcome.result)
+            + self._remark(outcome))
         self.on_outcome(outcome)
 
     def _put(self, outcome: Outcome) -> None:
@@ -174,10 +175,15 @@ class LiveSamples:
             self.store_trouble = ''
             self._put(outcome)
         again_text = ' again, as the robot has not moved since' if again else ''
-        text = f'sample {outcome.number} taken{again_text}: {sample_summary(sample)}'
+        text = (f'sample {outcome.number} taken{again_text}: {sample_summary(sample)}'
+                f'{self._remark(outcome)}')
         self._told(True, outcome.number, text)
         self.on_outcome(outcome)
         return text
+
+    def _remark(self, outcome: Outcome) -> str:
+        """Return what else is to be said of a new sample, after a semicolon."""
+        return ''
 
     def _told(self, accepted: bool, number: int, text: str) -> None:
         self.attempt = Attempt(accepted, number, text)
