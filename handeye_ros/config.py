@@ -40,6 +40,18 @@ class ProfileConfig:
     range_sign: int = _key(
         1, '1 if the range grows away from the sensor, -1 if it grows towards it.',
         choices=(1, -1), minimum=-1, maximum=1)
+    rows: str = _key(
+        'auto', 'What the rows of a message (its height) are: points of one profile, or profiles; '
+        'auto: profiles where each runs along the whole line.',
+        choices=('auto', 'points', 'profiles'))
+    period: float = _key(
+        0.0, 'Time between the profiles of one message (s); 0: unknown, and only those messages '
+        'are used during which the robot stood still.', minimum=0.0, maximum=60.0)
+    stamp: str = _key('first', 'Which profile of a message its stamp belongs to.',
+                      choices=('first', 'middle', 'last'))
+    invalid: tuple[float, ...] = _key(
+        (), 'Ranges that mean no return, in the unit of the message, such as 0 or -327.68.',
+        minimum=-1e9, maximum=1e9, length=(0, 1, 2, 3, 4))
 
 
 @dataclass(frozen=True)

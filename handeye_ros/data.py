@@ -47,7 +47,8 @@ class RawProfile:
 
     fetch: gives the serialised message from where it lies; convert: makes a profile of it as a
     configuration reads it, or raises UnusableMessageError; config: that of its topic; held: bytes
-    of memory that it takes, 0 where it lies in a file.
+    of memory that it takes, 0 where it lies in a file. rows: profiles that are in it. reach: it
+    was taken within so long before and after its stamp (ns).
     """
 
     stamp: int
@@ -56,6 +57,8 @@ class RawProfile:
     convert: Callable[[bytes, ProfileConfig], Profile]
     config: ProfileConfig
     held: int = 0
+    rows: int = 1
+    reach: tuple[int, int] = (0, 0)
 
     def read(self, config: ProfileConfig | None = None) -> Profile:
         """Return the profile, with the stamp given here; raises UnusableMessageError."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from handeye_ros import methods, se3
 from handeye_ros.config import Config, flipped_range
-from handeye_ros.data import AnyProfile, Feature, Profile, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Feature, Profile, RawProfile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.sampling import station_features
@@ -67,13 +67,22 @@ class Outcome:
 
 def stop_of(station: Station, profiles: Sequence[AnyProfile], config: Config) -> Stop:
     """Return the stop of a station; profiles: all that may belong to its time, in order."""
-    inside = profiles[bisect_left(profiles, station.start, key=_stamp):
-                      bisect_right(profiles, station.end, key=_stamp)]
+    inside = [p for p in profiles[bisect_left(profiles, station.start, key=_stamp):
+                                  bisect_right(profiles, station.end, key=_stamp)]
+              if _surely_inside(p, station)]
     first, last = settled(station.start, station.end, config)
     used = evenly([p for p in inside if first <= p.stamp <= last])
     around = evenly([p for p in inside if not first <= p.stamp <= last])
     seen = Seen(station.poses, tuple(sorted([*used, *around], key=_stamp)))
     return Stop(station.began, lambda _: seen)
+
+
+def _surely_inside(profile: AnyProfile, station: Station) -> bool:
+    """Tell whether a profile was taken during a station, also where only about its stamp."""
+    if not isinstance(profile, RawProfile):
+        return True
+    before, after = profile.reach
+    return profile.stamp - before >= station.start and profile.stamp + after <= station.end
 
 
 def settled(start: int, end: int, config: Config) -> tuple[int, int]:

@@ -133,6 +133,23 @@ def _cloud(data: bytes) -> Cloud:
                  memoryview(data)[start:start + length], start)
 
 
+def row(data: bytes, index: int, stamp: int) -> bytes:
+    """Return the message of one row of a serialised cloud, with a stamp; raises MessageError."""
+    whole = cloud(data)
+    order = byte_order(data, 'PointCloud2')
+    size = whole.width * whole.point_step
+    begin = index * (whole.row_step or size)
+    if index >= whole.height or begin + size > len(whole.data):
+        raise MessageError('PointCloud2', f'damaged message: it has no row {index}')
+    _, end = header(data, 'PointCloud2')
+    height = _aligned(end, 4)
+    return b''.join((
+        data[:ENCAPSULATION], struct.pack(f'{order}iI', *divmod(stamp, 1_000_000_000)),
+        data[ENCAPSULATION + 8:height], _NUMBERS[order].pack(1),
+        data[height + 4:whole.data_start - 8], _NUMBERS[order].pack(size),
+        _NUMBERS[order].pack(size), whole.data[begin:begin + size], b'\0'))
+
+
 def _field(data: bytes, position: int, order: str) -> tuple[Field, int]:
     """Return the field of a point that starts at a position, and where the next one starts."""
     position = _aligned(position, 4)

@@ -4,14 +4,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from handeye_ros.config import Config
-from handeye_ros.data import Profile, TimedPose
+from handeye_ros.data import Profile, RawProfile, TimedPose
 from handeye_ros.ros.bags import cdr
 from handeye_ros.ros.bags.bag import read_poses
+from handeye_ros.ros.bags.batches import rows_of, split
 from handeye_ros.ros.bags.contents import CLOUD, Contents, full_name
 from handeye_ros.ros.bags.messages import returns_from_cloud
+from handeye_ros.ros.bags.profile_reader import profile_from_cdr
 from handeye_ros.ros.bags.storage import messages
 from handeye_ros.ros.errors import AllMalformedError, MessageError, NoTopicError, TopicTypeError
 
@@ -40,7 +43,7 @@ class Flow:
         for raw, _ in messages(self.path, contents, (topic,)):
             count += 1
             try:
-                yield returns_from_cloud(cdr.cloud(raw.data), self.config.profile)
+                yield from self._of_message(raw.data)
             except MessageError as error:
                 reasons[str(error)] += 1
         self.warnings += [w for w in contents.warnings if w not in self.warnings]
@@ -50,6 +53,21 @@ class Flow:
         if lost:
             self.warnings.append(f'{lost} of {count} messages on {topic} were left out; the '
                                  f'most frequent reason: {reasons.most_common(1)[0][0]}')
+
+    def _of_message(self, data: bytes) -> Iterator[Profile]:
+        """Yield the profiles of one message; where there are several, the robot may move."""
+        config, cloud = self.config.profile, cdr.cloud(data)
+        rows = rows_of(cloud, config)
+        if rows == 1:
+            yield returns_from_cloud(cloud, config)
+            return
+        if not config.period:
+            raise MessageError('PointCloud2', f'it holds {rows} profiles, and nobody knows when '
+                               'each was taken: set profile.period')
+        whole = RawProfile(cloud.header.stamp, '', partial(bytes, data), profile_from_cdr, config,
+                           rows=rows)
+        for one in split(whole, None, config):
+            yield returns_from_cloud(cdr.cloud(one.fetch()), config)
 
 
 def flow(path: Path, config: Config) -> Flow:

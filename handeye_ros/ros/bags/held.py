@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any, overload, Protocol, TypeVar
 
 from handeye_ros.data import RawProfile, TimedPose
+from handeye_ros.ros.bags.batches import split
 from handeye_ros.ros.bags.contents import Given
 from handeye_ros.ros.bags.messages import pose_numbers
 import numpy as np
@@ -43,10 +44,13 @@ class Profiles:
         return self._items[-1].stamp
 
     def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> tuple[RawProfile, ...]:
-        """Return profiles in an order, with stamps."""
-        items = [self._items[index] for index in order]
-        return tuple(item if item.stamp == stamp else replace(item, stamp=stamp)
-                     for item, stamp in zip(items, stamps, strict=True))
+        """Return profiles in an order, with stamps: one for each row of their messages."""
+        found: list[RawProfile] = []
+        for index, stamp, before in zip(order, stamps, (None, *stamps), strict=False):
+            item = self._items[index]
+            item = item if item.stamp == stamp else replace(item, stamp=stamp)
+            found += split(item, before, item.config)
+        return tuple(found)
 
 
 class PoseTable(Sequence[TimedPose]):

@@ -56,7 +56,7 @@ def profile_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
                       (along, across))
     if int(msg.width) * int(msg.height) == 0:
         return profile
-    columns = (_column(msg, along), _column(msg, across), _beside(msg, config))
+    columns = (_column(msg, along), _ranges(msg, config), _beside(msg, config))
     points = np.column_stack(columns) * UNITS[config.unit]
     require_unit(points, config.unit)
     plain = (along[-1], across[-1], _third(config))
@@ -80,7 +80,7 @@ def returns_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
     if int(msg.width) * int(msg.height) == 0:
         return profile
     names = {str(field.name) for field in msg.fields}
-    columns = [_column(msg, along), _column(msg, across),
+    columns = [_column(msg, along), _ranges(msg, config),
                *([_column(msg, _third(config))] if _third(config) in names else [])]
     points = np.stack(columns) * UNITS[config.unit]
     kept = returns(points.T)
@@ -97,7 +97,7 @@ def require_layout(msg: Any, config: ProfileConfig) -> None:
     """Refuse a sensor_msgs/PointCloud2 whose points do not lie in its data (MessageError)."""
     if int(msg.width) * int(msg.height):
         for axis in config.axes:
-            _view(msg, axis[-1])
+            view_of(msg, axis[-1])
 
 
 def frame_name(frame_id: str) -> str:
@@ -118,14 +118,25 @@ def _beside(msg: Any, config: ProfileConfig) -> Array:
         return np.full(int(msg.width) * int(msg.height), np.nan)
 
 
+def _ranges(msg: Any, config: ProfileConfig) -> Array:
+    """Return the ranges of a cloud (n,), NaN where they are values that mean no return."""
+    name = config.axes[1]
+    values = _column(msg, name)
+    for value in config.invalid:
+        # as the driver has it: in its type, before the sign of the axis
+        invalid = np.isclose(values, -value if name[0] == '-' else value, rtol=1e-6, atol=0.0)
+        values[invalid] = np.nan
+    return values
+
+
 def _column(msg: Any, name: str) -> Array:
     """Return a field of a cloud, such as a signed axis (n,), as float64 as it is sent."""
     with np.errstate(invalid='ignore'):  # a signalling NaN is a NaN
-        values = _view(msg, name.removeprefix('-')).astype(np.float64).ravel()
+        values = view_of(msg, name.removeprefix('-')).astype(np.float64).ravel()
     return -values if name[0] == '-' else values
 
 
-def _view(msg: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
+def view_of(msg: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
     """Return a field of a cloud (height, width), as it lies in its data."""
     field = _field(msg, name)
     kind = DATATYPES.get(int(field.datatype))

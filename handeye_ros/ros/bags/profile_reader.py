@@ -14,6 +14,7 @@ from functools import partial
 from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Profile, RawProfile
 from handeye_ros.ros.bags import cdr
+from handeye_ros.ros.bags.batches import rows_of
 from handeye_ros.ros.bags.messages import (
     frame_name,
     profile_from_cloud,
@@ -37,7 +38,8 @@ class ProfileReader:
     def __init__(self, config: ProfileConfig) -> None:
         """Start with none; config: how the clouds are to be read."""
         self.config = config
-        self._layouts: dict[bytes, int] = {}  # the size of what follows, by what tells it
+        # the size of what follows, and the rows of profiles, by what tells them
+        self._layouts: dict[bytes, tuple[int, int]] = {}
         self._described = 0  # bytes that the last message took to describe its data
         self._probed = -PROBE
         self._trusted = False
@@ -49,25 +51,32 @@ class ProfileReader:
         fetch: gives the message again; without it, it is kept. Raises MessageError.
         """
         head, end = cdr.header(data, 'PointCloud2')
-        self._require_layout(data, end)
+        rows = self._rows(data, end)
         profile = RawProfile(stamp_of(head), frame_name(head.frame_id),
                              fetch or partial(bytes, data), profile_from_cdr, self.config,
-                             0 if fetch else len(data))
+                             0 if fetch else len(data), rows)
         if not self._trusted or abs(profile.stamp - self._probed) >= PROBE:
-            self._probe(data, profile.stamp)
+            self._probe(data if rows == 1 else cdr.row(data, 0, profile.stamp), profile.stamp)
         return profile
 
-    def _require_layout(self, data: bytes, end: int) -> None:
-        """Refuse what is no cloud; end: of the header. Drivers describe the same all the time."""
-        known = self._layouts.get(data[:2] + data[end:end + self._described])
-        if known is not None and known <= len(data) - end:
-            return
+    def _rows(self, data: bytes, end: int) -> int:
+        """
+        Return how many profiles a message holds; raises MessageError for what is no cloud.
+
+        end: of the header. Drivers describe the same all the time.
+        """
+        size, rows = self._layouts.get(data[:2] + data[end:end + self._described], (0, 0))
+        if rows and size <= len(data) - end:
+            return rows
         cloud = cdr.cloud(data)
         require_layout(cloud, self.config)
         self._described = cloud.data_start - end
-        if len(self._layouts) < MOST_LAYOUTS:
+        rows = rows_of(cloud, self.config)
+        told = cloud.height == 1 or self.config.rows != 'auto'  # else by what the points are
+        if told and len(self._layouts) < MOST_LAYOUTS:
             key = data[:2] + data[end:cloud.data_start]
-            self._layouts[key] = self._described + len(cloud.data)
+            self._layouts[key] = self._described + len(cloud.data), rows
+        return rows
 
     def _probe(self, data: bytes, stamp: int) -> None:
         """Refuse points that cannot be those of a profile."""

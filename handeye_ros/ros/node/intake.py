@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from geometry_msgs.msg import PoseStamped
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError
+from handeye_ros.ros.bags.batches import split
 from handeye_ros.ros.bags.contents import CLOUD, POSE
 from handeye_ros.ros.bags.messages import pose_from_cdr
 from handeye_ros.ros.bags.profile_reader import ProfileReader
@@ -78,6 +79,7 @@ class Intake:
         config = live.config
         self._tracker = FlangeTracker(config.robot_base_frame, config.robot_effector_frame)
         self._reader = ProfileReader(config.profile)
+        self._before: int | None = None  # the stamp of the last message of profiles
         self._listen(PointCloud2, config.profile_topic, self._on_profile, STREAM)
         if config.pose_source == 'topic':
             self._listen(PoseStamped, config.pose_topic, self._on_pose, STREAM)
@@ -147,7 +149,10 @@ class Intake:
             self._reader = ProfileReader(config.profile)
         profile = self._stamped(self._reader.take(data))
         offset = round(config.time_offset * 1e9)
-        self._live.add_profile(replace(profile, stamp=profile.stamp + offset))
+        message = replace(profile, stamp=profile.stamp + offset)
+        for one in split(message, self._before, config.profile):
+            self._live.add_profile(one)
+        self._before = message.stamp
 
     def _on_pose(self, data: bytes) -> None:
         self._live.add_poses([self._stamped(pose_from_cdr(data))])
