@@ -17,8 +17,10 @@ import sys
 from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array, Calibration, Quality
-from handeye_ros.measure.routine import Nominal, Routine
+from handeye_ros.measure.routine import Nominal, Routine, Seen
 from handeye_ros.measure.routines import ROUTINES
+from handeye_ros.measure.tooth_gauge import seen_in_pass
+from handeye_ros.measure.track import Track
 from handeye_ros.measure.verification import Verification
 from handeye_ros.measure.verify import seen_in, verify
 from handeye_ros.simulate import gauges
@@ -32,7 +34,7 @@ NOISE = NoiseConfig(sensor=SensorModel().noise, robot_translation=ROBOT.repeatab
                     robot_rotation=ROBOT.repeatability[1])
 SCENES = {'line': gauges.line, 'plane': gauges.plane, 'point': gauges.fixed_point,
           'sphere': gauges.sphere, 'ball_bar': gauges.ball_bar, 'step': gauges.step_block,
-          'square': gauges.square}
+          'square': gauges.square, 'tooth': gauges.tooth}
 RADIUS = 0.02
 
 
@@ -49,11 +51,17 @@ def covariance(rng: np.random.Generator) -> Array:
     return np.asarray(C * np.outer(size, size))
 
 
+def scanned(made: gauges.Measured, config: Config) -> list[Seen]:
+    """Return what a scan in passes gives the routine of the gauge."""
+    return [seen_in_pass(part.profiles, Track(part.poses, 0.5), config) for part in made.passes]
+
+
 def run(routine: Routine, found: Calibration, made: gauges.Measured) -> Verification:
     radius = RADIUS if routine.target == 'sphere' else 0.0
     aim = gauges.AIM if routine.name == 'point' else 0.0
     config = Config(noise=NOISE)
-    bags = [seen_in(routine, samples, found, config) for samples in made.bags]
+    bags = (scanned(made, config) if made.passes else
+            [seen_in(routine, samples, found, config) for samples in made.bags])
     return verify(routine, bags, found, config,
                   Nominal(made.lengths, radius, made.reference, aim))
 

@@ -10,13 +10,14 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
 from handeye_ros.measure import verification
-from handeye_ros.measure.errors import TooFewSeenError, WrongCountError
+from handeye_ros.measure.errors import NoTeethError, TooFewSeenError, WrongCountError
 from handeye_ros.measure.routine import Nominal
 from handeye_ros.measure.routines import ROUTINES
 from handeye_ros.measure.verify import seen_in, settings_for, Tolerances, verify
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.simulate import gauges, simulate
+from handeye_ros.simulate.measuring import measuring_cell
 from handeye_ros.simulate.scenarios import SCENARIOS
 import numpy as np
 import pytest
@@ -139,6 +140,42 @@ def test_results_are_plain_values():
     assert read['verdict'] == 'pass'
     assert [q['nominal'] for q in read['quantities']] == list(made.lengths)
     assert read == verification.values(told)
+
+
+def test_a_cell_is_calibrated_verified_and_measures_a_gauge(tmp_path):
+    cell = measuring_cell(np.random.default_rng(0), columns=640)
+    for name, recording in cell.recordings.items():
+        bag_write.write(tmp_path / name, recording.profiles, recording.poses)
+    passes = sorted(name for name in cell.recordings if name.startswith('pass_'))
+    run = handeye('solve', 'plate', '--out', 'cal', cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    known = ('--calibration', 'cal/calibration.yaml', '--out', 'v.yaml')
+    run = handeye('verify', 'ball_bar', 'ball_1', 'ball_2', *known, '--radius', cell.ball_radius,
+                  '--length', cell.bar, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    told = yaml.safe_load((tmp_path / 'v.yaml').read_text())
+    assert told['verdict'] == 'pass'
+    assert abs(told['quantities'][2]['value'] - cell.bar) < 1e-4
+    run = handeye('verify', 'tooth', *passes, *known, '--length', cell.gauge.pitch, '--length',
+                  cell.gauge.height, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    told = yaml.safe_load((tmp_path / 'v.yaml').read_text())
+    assert told['verdict'] == 'pass'
+    pitch, height = (quantity['value'] for quantity in told['quantities'])
+    assert abs(pitch - cell.gauge.pitch) < 2e-5
+    assert abs(height - cell.gauge.height) < 2e-5
+
+
+@pytest.mark.parametrize('lengths', [(0.004, 0.02), (0.0152, 0.005), (0.015, 0.0055)])
+def test_teeth_of_another_gauge_never_pass(lengths):
+    made, found = measured('tooth')
+    config = Config(noise=bench.NOISE)
+    try:
+        told = verify(ROUTINES['tooth'], bench.scanned(made, config), found, config,
+                      Nominal(lengths))
+    except NoTeethError:
+        return
+    assert told.verdict == 'fail'
 
 
 def test_the_verb_on_rendered_profiles(tmp_path):

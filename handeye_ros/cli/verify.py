@@ -1,4 +1,5 @@
 """The verb that lets a calibration prove itself on something known."""
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Optional, TYPE_CHECKING
@@ -11,8 +12,8 @@ import typer
 
 if TYPE_CHECKING:
     from handeye_ros.config import Config
-    from handeye_ros.data import Calibration
-    from handeye_ros.measure.routine import Nominal, Routine
+    from handeye_ros.data import Calibration, Sample
+    from handeye_ros.measure.routine import Nominal, Routine, Seen
     from handeye_ros.measure.verification import Verification
     from handeye_ros.measure.verify import Tolerances
 
@@ -21,8 +22,10 @@ Name = Annotated[str, typer.Argument(metavar='ROUTINE', help='See docs/measure.m
 Bags = Annotated[list[Path], typer.Argument(
     metavar='BAG...', help='Recordings with stops, one of each face or ball, in their order.')]
 Lengths = Annotated[list[float], typer.Option(
-    '--length', metavar='L', help='Nominal length, or height over the first face (m); once for '
-    'each.')]
+    '--length', metavar='L', help='Nominal length, or height over the first face (m), once for '
+    'each; of teeth pitch and height.')]
+Flank = Annotated[float, typer.Option(
+    min=0.0, help="Horizontal way of a tooth's flank (m); 0: a quarter of the pitch.")]
 Radius = Annotated[float, typer.Option(min=0.0, help='Radius of the balls (m).')]
 Reference = Annotated[Point, typer.Option(
     metavar='X Y Z', help='The point as a tip of the robot touched it (m, base).')]
@@ -45,6 +48,7 @@ def verify(
     radius: Radius = 0.0,
     reference: Reference = None,
     aim: Aim = 0.0,
+    flank: Flank = 0.0,
     tolerance: Tolerance = 3e-4,
     angle_tolerance: AngleTolerance = 0.1,
     out: Out = None,
@@ -62,7 +66,7 @@ def verify(
         raise UnknownNameError('routine', name, list(ROUTINES))
     found, settings = calibrated(calibration, config, assignments)
     result = _verified(ROUTINES[name], bags, found, settings,
-                       Nominal(tuple(length), radius, tuple(reference or ()), aim),
+                       Nominal(tuple(length), radius, tuple(reference or ()), aim, flank),
                        Tolerances(tolerance, math.radians(angle_tolerance)))
     show(verification.table(result))
     if out:
@@ -76,18 +80,41 @@ def verify(
 def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
               config: 'Config', nominal: 'Nominal', tolerances: 'Tolerances') -> 'Verification':
     from handeye_ros import pipeline
+    from handeye_ros.measure.routine import TEETH
     from handeye_ros.measure.verify import seen_in, settings_for, verify
     settings = settings_for(routine, config, nominal, len(bags))
-    used = {report.stamp for report in calibration.samples if report.used}
+    scanned = routine.target == TEETH
     seen, reason = [], ''
     for bag in bags:
+        if scanned:
+            seen.append(_pass(bag, settings))
+            continue
         recording = read_bag(bag, settings)
         with doing('finding the stations'):
             session = pipeline.gather(recording.profiles, recording.poses, settings)
-        if any(sample.stamp in used for sample in session.samples):
-            warn(f'{bag} holds stations that the calibration was made of: they agree with it too '
-                 'well; measure at others')
+        _warn_of_used(bag, calibration, session.samples)
         reason = reason or next((reject.reason for reject in session.rejects), '')
         seen.append(seen_in(routine, session.samples, calibration, settings))
     result = verify(routine, seen, calibration, settings, nominal, tolerances, reason)
     return replace(result, inputs=tuple(map(str, bags)))
+
+
+def _pass(bag: Path, config: 'Config') -> 'Seen':
+    """Return what was seen while the robot moved."""
+    from handeye_ros.measure.tooth_gauge import seen_in_pass
+    from handeye_ros.measure.track import Track
+    from handeye_ros.ros.bags.flow import flow
+    with doing('reading the recording'):
+        source = flow(bag, config)
+        track = Track(source.poses, config.sampling.max_pose_gap)
+        seen = seen_in_pass(list(source.profiles()), track, config)
+    for warning in source.warnings:
+        warn(warning)
+    return seen
+
+
+def _warn_of_used(bag: Path, calibration: 'Calibration', samples: 'Sequence[Sample]') -> None:
+    used = {report.stamp for report in calibration.samples if report.used}
+    if any(sample.stamp in used for sample in samples):
+        warn(f'{bag} holds stations that the calibration was made of: they agree with it too '
+             'well; measure at others')

@@ -131,3 +131,12 @@ class NoAnswerError(DataError):
 
     def __init__(self, verdict: str, reasons: Sequence[str]) -> None:
         super().__init__(f'{verdict}: ' + '; '.join(reasons))
+
+
+class NoTeethError(DataError):
+    """Points that are not those of the gauge; share: of them that are."""
+
+    def __init__(self, pitch: float, height: float, share: float) -> None:
+        super().__init__(f'only {share:.0%} of the points lie on teeth of pitch {mm(pitch)} and '
+                         f'height {mm(height)}: give both (--length PITCH --length HEIGHT), and '
+                         'scan the gauge alone')

@@ -15,7 +15,7 @@ from typing import TypeAlias
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
 from handeye_ros.estimation.method import Observations
-from handeye_ros.measure.routine import Seen, Shape
+from handeye_ros.measure.routine import groups_of, Seen, Shape
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg
@@ -158,7 +158,7 @@ def _expected_rms(J: Array, K: Array, A: Array, root: Array, blocks: Blocks, unk
 
 def _factors(obs: Observations, seen: Seen, X: Array, by_p: Array, noise: NoiseConfig,
              aim: float) -> Blocks:
-    """Return rows and Cholesky factor of the covariance of the distances of each station."""
+    """Return rows and Cholesky factor of the covariance of the distances of each group."""
     R = seen.poses[obs.station, :3, :3]
     by_point = np.einsum('mi,mij,jk->mk', by_p, R, X[:3, [0, 2]])
     by_feature = np.einsum('mi,mij->mj', by_point, obs.noise)
@@ -166,7 +166,8 @@ def _factors(obs: Observations, seen: Seen, X: Array, by_p: Array, noise: NoiseC
     by_pose = np.hstack([by_p, np.cross(from_flange, by_p)])
     sigma = np.repeat([np.hypot(noise.robot_translation, aim), noise.robot_rotation], 3)
     blocks = []
-    for rows in np.split(np.arange(len(obs)), np.flatnonzero(np.diff(obs.station)) + 1):
+    group = groups_of(seen)[obs.station]
+    for rows in np.split(np.arange(len(obs)), np.flatnonzero(np.diff(group)) + 1):
         shared = obs.source[rows, None] == obs.source[rows]
         S = (by_feature[rows] @ by_feature[rows].T) * shared
         pose = by_pose[rows] * sigma

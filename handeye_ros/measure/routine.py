@@ -9,6 +9,7 @@ from handeye_ros.estimation.method import Observations
 import numpy as np
 from numpy.typing import NDArray
 
+TEETH = 'teeth'  # the target of a routine that takes points while the robot moves
 BAGS = 10  # the kind of a condition is BAGS * the number of its bag + what it is of
 
 
@@ -18,11 +19,13 @@ class Seen:
     What the stations of one bag saw.
 
     poses: (n, 4, 4) of what carries the sensor in what carries the target; observations: points
-    of the sensor plane with their noise, kind: what they are of.
+    of the sensor plane with their noise, kind: what they are of. groups: (n,) which poses share
+    their error, ascending; each has its own where there are none.
     """
 
     poses: Array
     observations: Observations
+    groups: NDArray[np.intp] | None = None
 
 
 @dataclass(frozen=True)
@@ -32,13 +35,14 @@ class Nominal:
 
     lengths: of the ball bar, heights of the steps, or pitch and height of the teeth; radius: of
     the spheres (0: unknown); reference: the touched point; aim: 1 sigma of how exactly the laser
-    was put to the point.
+    was put to the point; flank: horizontal way of a tooth's flank (0: unknown).
     """
 
     lengths: tuple[float, ...] = ()
     radius: float = 0.0
     reference: tuple[float, ...] = ()
     aim: float = 0.0
+    flank: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +65,11 @@ class Routine:
     """
     A way to verify a calibration.
 
-    says: what it measures. target: the target.type whose features the stations give. bags: how
-    many, least and most. lengths: of Nominal, how many for so many bags, -1 where any will do.
-    observe(samples, poses (n, 4, 4), X): the conditions of one bag; shape(points (m, 3), kind
-    (m,), nominal): what is fitted. names(count): name and unit of each value.
+    says: what it measures. target: the target.type whose features the stations give, or TEETH
+    where points are taken while the robot moves. bags: how many, least and most; lengths: of
+    Nominal, how many for so many bags. observe(samples, poses (n, 4, 4), X): the conditions of
+    one bag; shape(seen, points (m, 3), nominal): what is fitted, and what takes part.
+    names(count): name and unit of each value.
     """
 
     name: str
@@ -72,17 +77,24 @@ class Routine:
     target: str
     bags: tuple[int, int]
     observe: Callable[[Sequence[Sample], Array, Array], Observations]
-    shape: Callable[[Array, NDArray[np.intp], Nominal], Shape]
+    shape: Callable[[Seen, Array, Nominal], tuple[Seen, Shape]]
     names: Callable[[int], tuple[tuple[str, str], ...]]
     lengths: Callable[[int], int] = lambda bags: 0
 
 
+def groups_of(seen: Seen) -> NDArray[np.intp]:
+    """Return for each pose (n,) the group that shares its error."""
+    return np.arange(len(seen.poses)) if seen.groups is None else seen.groups
+
+
 def stacked(seen: Sequence[Seen]) -> Seen:
     """Return several bags as one, the number of the bag in the kind."""
-    first = np.concatenate([[0], np.cumsum([len(s.poses) for s in seen])])
+    first = np.cumsum([0, *(len(s.poses) for s in seen)])
+    groups = np.cumsum([0, *(1 + groups_of(s).max(initial=-1) for s in seen)])
     obs = [s.observations for s in seen]
     return Seen(np.concatenate([s.poses for s in seen]), Observations(
         np.concatenate([o.station + n for o, n in zip(obs, first[:-1], strict=True)]),
         np.concatenate([o.points for o in obs]),
         np.concatenate([o.kind + BAGS * k for k, o in enumerate(obs)]),
-        np.concatenate([o.noise for o in obs]), np.concatenate([o.source for o in obs])))
+        np.concatenate([o.noise for o in obs]), np.concatenate([o.source for o in obs])),
+        np.concatenate([groups_of(s) + n for s, n in zip(seen, groups[:-1], strict=True)]))

@@ -1,13 +1,13 @@
 """The routines that verify a calibration, by name."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from handeye_ros import se3
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Sample
 from handeye_ros.estimation.method import Observations
-from handeye_ros.measure import shapes
-from handeye_ros.measure.routine import Routine
+from handeye_ros.measure import shapes, tooth_gauge
+from handeye_ros.measure.routine import Nominal, Routine, Seen, Shape, TEETH
 from handeye_ros.methods.common import add_face, edge_noise, ObservationRows
 import numpy as np
 
@@ -85,6 +85,20 @@ def _common(p: Array, station: Array, line: bool) -> list[int]:
     return [int(k) for k in chosen]
 
 
+def whole(shape: Callable[[Array, shapes.Kinds, Nominal], Shape]
+          ) -> Callable[[Seen, Array, Nominal], tuple[Seen, Shape]]:
+    """Return how a shape is fitted in which all observations take part."""
+    def fitted(seen: Seen, p: Array, nominal: Nominal) -> tuple[Seen, Shape]:
+        return seen, shape(p, seen.observations.kind, nominal)
+
+    return fitted
+
+
+def no_samples(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
+    """Return nothing: what is seen while the robot moves is no sample."""
+    return ObservationRows().observations()
+
+
 def _nothing(count: int) -> tuple[tuple[str, str], ...]:
     return ()
 
@@ -103,18 +117,21 @@ def _balls(count: int) -> tuple[tuple[str, str], ...]:
 
 ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
     Routine('line', 'distances of edge points from a straight edge', 'line', (1, 1), edge,
-            shapes.line, _nothing),
+            whole(shapes.line), _nothing),
     Routine('plane', 'distances of points from a flat face', 'plane', (1, 1), faces,
-            shapes.free_planes, _nothing),
+            whole(shapes.free_planes), _nothing),
     Routine('point', 'one point seen from everywhere: scatter, and bias of a touched one', 'line',
-            (1, 1), corner, shapes.point,
+            (1, 1), corner, whole(shapes.point),
             lambda count: (('x', 'm'), ('y', 'm'), ('z', 'm'))),
-    Routine('sphere', 'radius of a ball', 'sphere', (1, 1), arcs, shapes.spheres, _balls),
-    Routine('ball_bar', 'distance of two balls', 'sphere', (2, 2), arcs, shapes.spheres, _balls,
-            lambda bags: bags - 1),
+    Routine('sphere', 'radius of a ball', 'sphere', (1, 1), arcs, whole(shapes.spheres), _balls),
+    Routine('ball_bar', 'distance of two balls', 'sphere', (2, 2), arcs, whole(shapes.spheres),
+            _balls, lambda bags: bags - 1),
     Routine('step', 'heights of parallel faces over the first', 'plane', (2, 9), faces,
-            shapes.parallel_planes, _heights, lambda bags: bags - 1),
+            whole(shapes.parallel_planes), _heights, lambda bags: bags - 1),
     Routine('square', 'angle between two faces, and their flatness', 'plane', (2, 2), faces,
-            shapes.free_planes, lambda count: (('angle between the faces', 'rad'),)),
+            whole(shapes.free_planes), lambda count: (('angle between the faces', 'rad'),)),
+    Routine('tooth', 'pitch and height of a tooth gauge, scanned in passes', TEETH, (2, 20),
+            no_samples, tooth_gauge.fitted, lambda count: (('pitch', 'm'), ('height', 'm')),
+            lambda bags: 2),
 )}
 """What `handeye verify` knows."""

@@ -1,7 +1,6 @@
 """The shapes that routines fit, each by the distances of points from it."""
 from __future__ import annotations
 
-from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.measure.routine import BAGS, Nominal, Shape
 import numpy as np
@@ -112,37 +111,3 @@ def sphere_through(p: Array) -> Array:
     A = np.column_stack([2 * centred, np.ones(len(p))])
     x = np.linalg.lstsq(A, (centred ** 2).sum(axis=1), rcond=None)[0]
     return np.append(x[:3] + middle, np.sqrt(max(x[3] + x[:3] @ x[:3], 1e-12)))
-
-
-TOP, VALLEY, RISING, FALLING = 0, 1, 2, 3
-
-
-def teeth(p: Array, kind: Kinds, nominal: Nominal, frame: Array, tooth: Kinds) -> Shape:
-    """
-    Return a gauge of equal teeth; kinds TOP, VALLEY, and the flanks RISING and FALLING.
-
-    frame: (4, 4) of the gauge in the base, x along the row, z out of the teeth; tooth: (m,) which
-    one a flank belongs to. values: pitch, height.
-    """
-    pitch, height = nominal.lengths
-    T_gauge_base = se3.inverse(frame)
-    start = np.zeros(9)
-
-    def distance(p: Array, kind: Kinds, q: Array) -> Array:
-        moved = se3.apply(T_gauge_base, p)
-        R = se3.exp_rotation(q[:3])
-        x, _, z = (moved @ R.T + [q[3], 0.0, q[4]]).T
-        what, lean = kind % BAGS, q[8] + LEAN
-        # a flank: x = place -+ lean * (z - height / 2), seen square to it
-        side = np.where(what == RISING, -1.0, 1.0)
-        place = (pitch + q[5]) * tooth + side * (pitch / 4 + q[7])
-        flank = side * (x - place) + lean * (z - height / 2)
-        flank = flank / np.hypot(1.0, lean)
-        return np.asarray(np.where(what == TOP, z - height - q[6],
-                                   np.where(what == VALLEY, z, flank)))
-
-    return Shape(start, distance, lambda q: np.array([pitch + q[5], height + q[6]]),
-                 (pitch, height))
-
-
-LEAN = 0.3  # start value: how far a flank leans, as a tangent

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+import math
 from typing import Any
 
 from handeye_ros import __version__
@@ -39,7 +40,8 @@ class Scatter:
     """
     Distances of the measured points from the fitted shape (m).
 
-    expected: below this RMS lie 95 % of verifications whose uncertainty is as stated; p: the share
+    expected: below this RMS lie 95 % of verifications whose uncertainty is as stated (not a
+    number where there are very many points); p: the share
     of them whose points disagree at least as much.
     """
 
@@ -95,7 +97,7 @@ def yaml_text(found: Verification) -> str:
 
 def shown(value: float | None, unit: str) -> str:
     """Return a value for a person: millimetres, or degrees."""
-    if value is None:
+    if value is None or math.isnan(value):
         return ''
     return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{value * DEGREES:.4f} degrees'
 

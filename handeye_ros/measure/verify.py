@@ -9,7 +9,7 @@ from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import mm
 from handeye_ros.measure.errors import TooFewSeenError, WrongCountError
 from handeye_ros.measure.fixed_fit import fit, FixedFit, points_in_base
-from handeye_ros.measure.routine import Nominal, Routine, Seen, stacked
+from handeye_ros.measure.routine import Nominal, Routine, Seen, stacked, TEETH
 from handeye_ros.measure.verification import Quantity, Scatter, Verification
 from handeye_ros.results.outcome import mounted, sensor_axes
 import numpy as np
@@ -52,7 +52,7 @@ def verify(routine: Routine, bags: Sequence[Seen], calibration: Calibration, con
         raise TooFewSeenError(stations, LEAST_STATIONS * len(bags), reason)
     X = calibration.T_flange_sensor @ sensor_axes(config)
     p = points_in_base(seen, X)
-    shape = routine.shape(p, seen.observations.kind, nominal)
+    seen, shape = routine.shape(seen, p, nominal)
     found = fit(seen, X, calibration.covariance, config.noise, shape, nominal.aim)
     quantities = _quantities(routine, found, shape.nominals)
     tolerances = tolerances or Tolerances()
@@ -88,6 +88,8 @@ def settings_for(routine: Routine, config: Config, nominal: Nominal, bags: int) 
     if len(nominal.lengths) != lengths:
         raise WrongCountError(routine.name, 'lengths (--length)', len(nominal.lengths),
                               str(lengths))
+    if routine.target == TEETH:
+        return config
     return with_values(config, {'target.type': routine.target, 'target.radius': nominal.radius,
                                 'method': 'auto'}, routine.name)
 

@@ -11,14 +11,23 @@ from dataclasses import dataclass, replace
 from handeye_ros import se3
 from handeye_ros.data import Array, EdgePoint, FaceLine, Sample
 from handeye_ros.simulate import cell as cells
-from handeye_ros.simulate.scenario import PlateTarget, RobotModel, Scenario, SphereTarget
+from handeye_ros.simulate.scenario import (
+    PlateTarget,
+    RobotModel,
+    Scenario,
+    SensorModel,
+    SphereTarget,
+)
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.simulate.stations import Stops
+from handeye_ros.simulate.tooth import Gauge, Pass, scan_gauge
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 TILT = np.deg2rad(40)  # of the sensor over faces
+PLAIN = SensorModel(columns=320, rate=5.0, rim_bias=0.0, mixed=0.0, lost=0.0, lost_at_edge=0.0,
+                    outliers=0.0)
 AIM = 5e-5  # m: how exactly the laser is put to a point
 
 
@@ -27,13 +36,15 @@ class Measured:
     """
     The samples of each bag, T_flange_sensor (4, 4), and what is true of the artefact.
 
-    lengths: of the ball bar, or heights of the steps; reference: the true point (3,) in the base.
+    lengths: of the ball bar, heights of the steps, or pitch and height of the teeth; reference:
+    the true point (3,) in the base; passes: of a scan, where there are no samples.
     """
 
     bags: tuple[tuple[Sample, ...], ...]
     T_flange_sensor: Array
     lengths: tuple[float, ...] = ()
     reference: tuple[float, ...] = ()
+    passes: tuple[Pass, ...] = ()
 
 
 def sensor_on_flange(rng: np.random.Generator) -> Array:
@@ -144,3 +155,11 @@ def fixed_point(rng: np.random.Generator, count: int = 12, aim: float = AIM,
         face = FaceLine(points[k] - [5e-3, 0], np.array([1.0, 0.0]), 3e-3, float(std))
         samples.append(Sample(k * 2_000_000_000, pose, (face, edge)))
     return Measured((tuple(samples),), X, reference=tuple(map(float, T_base_target[:3, 3])))
+
+
+def tooth(rng: np.random.Generator, sensor: SensorModel = PLAIN, robot: RobotModel | None = None
+          ) -> Measured:
+    """Return a gauge of teeth, scanned; sensor: without other faults than noise if not given."""
+    gauge, X = Gauge(), sensor_on_flange(rng)
+    passes = scan_gauge(gauge, X, somewhere(rng), sensor, robot or RobotModel(), rng)
+    return Measured((), X, (gauge.pitch, gauge.height), passes=passes)

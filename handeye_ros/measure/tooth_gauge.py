@@ -1,0 +1,210 @@
+"""
+A gauge of equal teeth in scanned points: where it lies, and which point is of which face.
+
+The direction of the row is that across which the heights agree best; the phase is that at which
+the nominal teeth fit best. Points near a corner, and points of no face, take no part.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Profile
+from handeye_ros.estimation.method import Observations
+from handeye_ros.measure.errors import NoTeethError
+from handeye_ros.measure.routine import BAGS, Nominal, Seen, Shape
+from handeye_ros.measure.shapes import Kinds
+from handeye_ros.measure.track import Track
+import numpy as np
+from numpy.typing import NDArray
+
+TOP, VALLEY, RISING, FALLING = 0, 1, 2, 3
+PROFILES, POINTS = 12, 80  # of a pass that are used, and of each of them
+CORNER = 0.12  # of the height beside a corner that is not used
+FAR = 0.15  # of the height: a point further from all faces is of none
+BIN = 0.05  # of the pitch
+CUT = 4.0  # sigmas of the points of a face
+LEAST_SHARE = 0.2  # of the points that must be of the gauge
+ROUNDS = 6
+
+
+def seen_in_pass(profiles: Sequence[Profile], track: Track, config: Config) -> Seen:
+    """
+    Return some points of the profiles of a pass, all with their own pose.
+
+    The robot's error is taken to be one for the whole pass.
+    """
+    offset = round(config.time_offset * 1e9)
+    T, known = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
+    T = se3.inverse(T) if config.calibration_type == 'eye_on_base' else T
+    used = [p for p, is_known in zip(profiles, known, strict=True) if is_known]
+    chosen = np.unique(np.linspace(0, max(len(used) - 1, 0), PROFILES).astype(int))[:len(used)]
+    points, station = [], []
+    for k, index in enumerate(chosen):
+        valid = used[index].points[np.isfinite(used[index].points).all(axis=1)]
+        rows = np.unique(np.linspace(0, max(len(valid) - 1, 0), POINTS).astype(int))[:len(valid)]
+        points.append(valid[rows])
+        station.append(np.full(len(rows), k))
+    count = sum(map(len, station))
+    L = np.zeros((count, 2, 2))
+    L[:, 1, 0] = config.noise.sensor
+    obs = Observations(np.concatenate([np.empty(0, np.intp), *station]).astype(np.intp),
+                       np.concatenate([np.empty((0, 2)), *points]),
+                       np.zeros(count, np.intp), L, np.arange(count))
+    return Seen(T[chosen], obs, np.zeros(len(chosen), dtype=np.intp))
+
+
+def fitted(seen: Seen, p: Array, nominal: Nominal) -> tuple[Seen, Shape]:
+    """
+    Return the points (m, 3) that are of the gauge, with their faces, and its shape.
+
+    Raises NoTeethError.
+    """
+    pitch, height = nominal.lengths
+    flank = nominal.flank or pitch / 4
+    frame = _frame(p, pitch, height, flank)
+    q = np.zeros(9)
+    q[8] = flank / height
+    for _ in range(ROUNDS):
+        kind, tooth, kept = _faces(_local(p, frame, q), pitch, height, q)
+        if kept.mean() < LEAST_SHARE:
+            raise NoTeethError(pitch, height, float(kept.mean()))
+        shape = _shape(frame, pitch, height, tooth[kept], q)
+        q = _improved(shape, p[kept], kind[kept], q)
+    obs = seen.observations
+    kept, scale = _cleaned(shape.distance(p[kept], kind[kept], q), kept, obs.kind // BAGS, kind,
+                           tooth, abs(q[8]))
+    chosen = obs.select(kept)
+    noise = np.zeros_like(chosen.noise)
+    noise[:, 1, 0] = np.maximum(chosen.noise[:, 1, 0], scale)
+    chosen = replace(chosen, noise=noise, kind=kind[kept] + chosen.kind // BAGS * BAGS)
+    return replace(seen, observations=chosen), _shape(frame, pitch, height, tooth[kept], q)
+
+
+def _cleaned(distances: Array, kept: NDArray[np.bool_], bag: Kinds, kind: Kinds,
+             tooth: NDArray[np.intp], lean: float) -> tuple[NDArray[np.bool_], Array]:
+    """
+    Return which points (m,) are no outliers of their pass and face, and their range noise (k,).
+
+    distances: of those that are kept so far. A sensor sees steep faces worse than it states, so
+    the noise is that which the points of a pass show about their own mean.
+    """
+    rows = np.flatnonzero(kept)
+    names, group = np.unique(np.stack([bag, kind, tooth], axis=1)[rows], axis=0,
+                             return_inverse=True)
+    group = group.reshape(-1)  # numpy 2.0 alone returns it as a column
+    good, noise = np.zeros(len(rows), dtype=bool), np.zeros(len(rows))
+    for k, (_, face, _) in enumerate(names):
+        of = np.flatnonzero(group == k)
+        off = distances[of] - np.median(distances[of])
+        near = np.abs(off) <= CUT * 1.4826 * np.median(np.abs(off))
+        by_range = 1.0 if face in (TOP, VALLEY) else lean / np.hypot(1.0, lean)
+        count = int(near.sum())
+        # about a mean and a slope of their own
+        scatter = off[near].std() * np.sqrt(count / max(count - 2, 1))
+        good[of[near]], noise[of] = True, scatter / by_range
+    clean = np.zeros_like(kept)
+    clean[rows[good]] = True
+    return clean, noise[good]
+
+
+def _local(p: Array, frame: Array, q: Array) -> Array:
+    """Return points in the gauge (m, 3), moved by the first five unknowns."""
+    moved = se3.apply(se3.inverse(frame), p)
+    return np.asarray(moved @ se3.exp_rotation(q[:3]).T + [q[3], 0.0, q[4]])
+
+
+def _shape(frame: Array, pitch: float, height: float, tooth: NDArray[np.intp], start: Array
+           ) -> Shape:
+    """
+    Return the teeth as a shape; tooth: (m,) which one a point of a flank belongs to.
+
+    Unknown: rotation, x and z of the gauge, what pitch and height have more than nominal, by how
+    much the flanks lie further out, and how far they lean (horizontal way per height).
+    """
+    def distance(p: Array, kind: Kinds, q: Array) -> Array:
+        x, _, z = _local(p, frame, q).T
+        what = kind % BAGS
+        side = np.where(what == RISING, -1.0, 1.0)
+        out = side * (x - (pitch + q[5]) * tooth) - (pitch / 4 + q[7])
+        flank = (out + q[8] * (z - height / 2)) / np.hypot(1.0, q[8])
+        return np.asarray(np.where(what == TOP, z - height - q[6],
+                                   np.where(what == VALLEY, z, flank)))
+
+    return Shape(start, distance, lambda q: np.array([pitch + q[5], height + q[6]]),
+                 (pitch, height))
+
+
+def _improved(shape: Shape, p: Array, kind: Kinds, q: Array) -> Array:
+    """Return the unknowns after a step of Gauss and Newton with equal weights."""
+    J = np.stack([(shape.distance(p, kind, q + d) - shape.distance(p, kind, q - d)) / 2e-7
+                  for d in 1e-7 * np.eye(len(q))], axis=1)
+    step = np.linalg.lstsq(J, -shape.distance(p, kind, q), rcond=1e-9)[0]
+    return np.asarray(q + step)
+
+
+def _faces(local: Array, pitch: float, height: float, q: Array
+           ) -> tuple[Kinds, NDArray[np.intp], NDArray[np.bool_]]:
+    """Return face and tooth of each point, and which are clearly of one."""
+    x, z = local[:, 0], local[:, 2]
+    tooth = np.round(x / (pitch + q[5])).astype(np.intp)
+    u = x - (pitch + q[5]) * tooth
+    lean, middle, margin = abs(q[8]), pitch / 4 + q[7], CORNER * height
+    out = np.abs(u) - middle  # past the middle of the flank
+    reach = lean * height / 2
+    on_top, below = out < -reach - margin, out > reach + margin
+    on_flank = np.abs(z - height / 2) < height / 2 - margin
+    kind = np.where(on_top, TOP, np.where(below, VALLEY, np.where(u < 0, RISING, FALLING)))
+    away = np.where(on_top, z - height, np.where(below, z, out + lean * (z - height / 2)))
+    kept = (on_top | below | on_flank & (np.abs(out) < reach + margin)) & (
+        np.abs(away) < FAR * height)
+    return kind.astype(np.intp), tooth, kept
+
+
+def _frame(p: Array, pitch: float, height: float, flank: float) -> Array:
+    """
+    Return the gauge in the base (4, 4), roughly.
+
+    Which way it is up does not matter: teeth and gaps have the same pitch and height.
+    """
+    middle = p.mean(axis=0)
+    z = np.linalg.svd((p - middle)[::max(len(p) // 3000, 1)], full_matrices=False)[2][2]
+    side = np.cross(z, [1.0, 0, 0] if abs(z[0]) < 0.7 else [0, 1.0, 0])
+    side /= np.linalg.norm(side)
+    flat = np.column_stack([side, np.cross(z, side), z])
+    local = (p - middle) @ flat
+
+    def spread(turn: float) -> float:
+        return _unevenness(local, turn, BIN * pitch)
+
+    turns = np.deg2rad(np.arange(0.0, 180.0, 2.0))
+    turn = min(turns, key=spread)
+    for size in (0.5, 0.1):
+        turn = min(turn + np.deg2rad(size * np.arange(-5, 6)), key=spread)
+    R = flat @ np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0],
+                         [0, 0, 1]])
+    local = (p - middle) @ R
+    low, high = np.quantile(local[:, 2], [0.02, 0.98])
+    local[:, 2] += height / 2 - (low + high) / 2
+    phases = np.linspace(0, pitch, 120, endpoint=False)
+    away = [np.median(np.abs(local[:, 2] - _height(local[:, 0] - v, pitch, height, flank)))
+            for v in phases]
+    shift = np.array([phases[int(np.argmin(away))], 0.0, (low + high) / 2 - height / 2])
+    return se3.transform(R, middle + R @ shift)
+
+
+def _unevenness(local: Array, turn: float, size: float) -> float:
+    """Return the variance of the heights within strips across a direction."""
+    x = local[:, 0] * np.cos(turn) + local[:, 1] * np.sin(turn)
+    strip = np.floor((x - x.min()) / size).astype(int)
+    count = np.bincount(strip)
+    mean = np.bincount(strip, local[:, 2]) / np.maximum(count, 1)
+    return float(((local[:, 2] - mean[strip]) ** 2).mean())
+
+
+def _height(x: Array, pitch: float, height: float, flank: float) -> Array:
+    """Return the height of nominal teeth at x."""
+    out = np.abs((x + pitch / 2) % pitch - pitch / 2) - pitch / 4
+    return np.asarray(np.clip(0.5 - out / flank, 0.0, 1.0) * height)
