@@ -166,7 +166,7 @@ def test_a_cell_is_calibrated_verified_and_measures_a_gauge(tmp_path):
     assert abs(height - cell.gauge.height) < 2e-5
 
 
-@pytest.mark.parametrize('lengths', [(0.004, 0.02), (0.0152, 0.005), (0.015, 0.0055)])
+@pytest.mark.parametrize('lengths', [(0.004, 0.02), (0.0155, 0.005), (0.015, 0.0055)])
 def test_teeth_of_another_gauge_never_pass(lengths):
     made, found = measured('tooth')
     config = Config(noise=bench.NOISE)
