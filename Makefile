@@ -20,7 +20,7 @@ export OPENBLAS_NUM_THREADS := 1
 # What the ROS wheels set for a process of theirs must not reach another environment's.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo test test-oldest test-newest tf2_msgs lint figures clean
+.PHONY: demo test test-oldest test-newest tf2_msgs lint figures docs clean
 
 demo:
 	@tools/environment.sh .venv ros
@@ -59,6 +59,14 @@ figures:
 	.venv/bin/python tools/draw_targets.py
 	.venv/bin/python tools/draw_demo.py
 	.venv/bin/python tools/make_reference.py
+	.venv/bin/python tools/draw_plans.py
+	.venv/bin/python tools/draw_tutorial.py
+
+# The pages of docs/ as a site; a link that leads nowhere is an error.
+docs:
+	@tools/environment.sh .venv docs
+	.venv/bin/mkdocs build --quiet --strict --site-dir out/site
+	@echo "wrote $(CURDIR)/out/site/index.html"
 
 # Results (out/) are a user's, and stay.
 clean:

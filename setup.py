@@ -28,10 +28,11 @@ setup(
         'test': ['hypothesis', 'opencv-python-headless<5', 'plyfile', 'pypcd4', 'pytest>=7.4',
                  'pytest-instafail', 'pytest-rerunfailures', 'pytest-timeout', 'pytest-xdist',
                  'selenium', 'urdf-parser-py'],
+        'docs': ['mkdocs'],
         'dev': ['colcon-common-extensions', 'flake8', 'flake8-blind-except', 'flake8-builtins',
                 'flake8-class-newline', 'flake8-comprehensions', 'flake8-deprecated',
                 'flake8-docstrings', 'flake8-import-order', 'flake8-quotes', 'foxglove-sdk',
-                'mypy', 'ruff', 'types-PyYAML'],
+                'mkdocs', 'mypy', 'ruff', 'types-PyYAML'],
     },
     entry_points={
         'console_scripts': [

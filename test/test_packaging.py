@@ -23,7 +23,7 @@ pytestmark = pytest.mark.ros
 
 NAME = 'handeye_ros'
 ROOT = Path(__file__).parents[1]
-EXECUTABLES = {'calibrate', 'handeye', 'replay'}
+EXECUTABLES = {'calibrate', 'handeye', 'publish', 'replay'}
 
 
 def environment() -> dict[str, str]:
@@ -86,7 +86,7 @@ def test_the_package_is_found_through_the_ament_index(
     assert module.is_relative_to(workspace / 'install')
 
 
-@pytest.mark.parametrize('folder', ['launch', 'config'])
+@pytest.mark.parametrize('folder', ['launch', 'config', 'rviz', 'foxglove'])
 def test_launch_and_config_files_are_installed(workspace: Path, folder: str) -> None:
     expected = {file.name: file.read_bytes() for file in (ROOT / folder).glob('*.*')}
     assert expected

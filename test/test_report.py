@@ -204,3 +204,10 @@ def test_a_calibration_from_files_has_a_report_too(calibration: Calibration) -> 
 def test_wrong_input_is_refused(tmp_path: Path) -> None:
     assert_refused(handeye('report', 'none.yaml', cwd=tmp_path), 2, 'none.yaml cannot be used')
     assert not list(tmp_path.iterdir())
+
+
+def test_a_calibration_that_says_little_of_itself_has_a_report_too(calibration: Calibration
+                                                                   ) -> None:
+    bare = replace(calibration, provenance={}, samples=(), target={})
+    text = pages.html(bare, Evidence())
+    assert 'no inputs are told' in text and 'at an unknown time' in text

@@ -23,7 +23,7 @@ class Verbs(TyperGroup):
             raise typer.Exit(INTERRUPTED) from None
 
 
-app = typer.Typer(cls=Verbs, add_completion=False, no_args_is_help=True, rich_markup_mode=None,
+app = typer.Typer(cls=Verbs, no_args_is_help=True, rich_markup_mode=None,
                   pretty_exceptions_enable=False)
 
 

@@ -14,6 +14,7 @@ from handeye_ros.results.exports import easy_handeye2, plain, ros
 from handeye_ros.results.exports.format import Format
 
 YAML = 'yaml'
+REPORT = 'report.html'
 HISTORY = 'history'  # the folder of former results, each in a folder named after its time
 
 FORMATS = {
@@ -64,7 +65,7 @@ def save_all(calibration: Calibration, folder: Path, formats: Sequence[str] = (Y
     calibration = calibration_file.dated(calibration)
     texts = {form.file_name(calibration): form.text(calibration) for form in wanted.values()}
     folder = folder.expanduser().absolute()
-    ours = {form.file_name(calibration) for form in FORMATS.values()}
+    ours = {form.file_name(calibration) for form in FORMATS.values()} | {REPORT}
     former = set_aside(folder, sorted(ours), set(texts))
     for name, text in texts.items():
         calibration_file.write_whole(folder / name, text)

@@ -17,7 +17,7 @@ from handeye_ros import config as configuration
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
 from handeye_ros.results import calibration_file, table
-from handeye_ros.results.exports import ros
+from handeye_ros.results.exports import REPORT, ros
 from handeye_ros.results.exports.plain import matrix
 from handeye_ros.results.report import figures
 from handeye_ros.results.report.evidence import config_of, Evidence, Look
@@ -27,7 +27,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 import numpy as np
 
-NAME = 'report.html'
+NAME = REPORT
 
 
 def write(calibration: Calibration, evidence: Evidence, path: Path) -> Path:
