@@ -299,8 +299,8 @@ def test_a_best_effort_robot_is_heard_and_a_wrong_type_told(
         client.until(lambda: client.state()['poses'] != '0', 'a pose is counted')
         client.until(lambda: (
             '(it carries geometry_msgs/msg/PointStamped, expected sensor_msgs/msg/PointCloud2; '
-            'sensor_msgs/msg/PointCloud2 is on /profile)') in client.state()['message'],
-            'it says what is there')
+            'sensor_msgs/msg/PointCloud2 is on /profile: set profile_topic)')
+            in client.state()['message'], 'it says what is there')
 
 
 @pytest.mark.parametrize('module', ['node.main', 'replay'])

@@ -6,9 +6,20 @@ from rclpy.node import Node
 LISTED = 5
 
 
-def elsewhere(node: Node, topic: str, wanted: str) -> str:
+HINTS = {
+    'geometry_msgs/msg/Pose': ', as a Pose has no time',
+    'geometry_msgs/msg/PoseWithCovarianceStamped': ', without the covariance',
+    'geometry_msgs/msg/TransformStamped': ' (or set pose_source to tf)',
+    'sensor_msgs/msg/LaserScan': ': let the driver publish its points',
+    'sensor_msgs/msg/PointCloud': ', its successor',
+}
+
+
+def elsewhere(node: Node, key: str, topic: str, wanted: str) -> str:
     """
     Return why nothing of the wanted type is heard on a topic, as far as the others show it.
+
+    key: of the configuration that names the topic.
 
     Empty where a publisher of the type is there.
     """
@@ -16,10 +27,11 @@ def elsewhere(node: Node, topic: str, wanted: str) -> str:
     types = {info.topic_type for info in node.get_publishers_info_by_topic(name)}
     if wanted in types:
         return ''
-    why = (f'it carries {", ".join(sorted(types))}, expected {wanted}' if types else
+    hints = ''.join(HINTS.get(kind, '') for kind in sorted(types))
+    why = (f'it carries {", ".join(sorted(types))}, expected {wanted}{hints}' if types else
            f'nobody publishes {name}')
     others = _topics_of(node, wanted)
-    return why + (f'; {wanted} is on {", ".join(others[:LISTED])}' if others else '')
+    return why + (f'; {wanted} is on {", ".join(others[:LISTED])}: set {key}' if others else '')
 
 
 def _topics_of(node: Node, wanted: str) -> list[str]:

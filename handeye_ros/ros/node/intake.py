@@ -98,9 +98,9 @@ class Intake:
         """Return why no messages of a kind (profile, pose) come in, or an empty string."""
         config = self._live.config
         if kind == 'profile':
-            return elsewhere(self._node, config.profile_topic, CLOUD)
+            return elsewhere(self._node, 'profile_topic', config.profile_topic, CLOUD)
         if config.pose_source == 'topic':
-            return elsewhere(self._node, config.pose_topic, POSE)
+            return elsewhere(self._node, 'pose_topic', config.pose_topic, POSE)
         return self._tracker.missing()
 
     def restart(self) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+import errno
 import os
 import signal
 import sys
@@ -50,17 +51,26 @@ def refused(arguments: Sequence[str]) -> int | None:
 
 
 def main() -> int:
-    """Run the executable `calibrate`."""
+    """Run the executable `calibrate`; a device that takes no output ends it without traceback."""
     code = 0
-    with suppress(KeyboardInterrupt, OSError):  # OSError: a full device takes no output
+    with suppress(KeyboardInterrupt):
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-        known = refused(own_arguments(sys.argv[1:]))
-        if known is not None:
-            return known
+        try:
+            code = _run()
+        except OSError as error:
+            if error.errno != errno.ENOSPC:
+                raise
+            code = 1
+    return code if flushed() else code or 1
+
+
+def _run() -> int:
+    code = refused(own_arguments(sys.argv[1:]))
+    if code is None:
         from handeye_ros.ros.executable import exit_code
         from handeye_ros.ros.node.node import run
         code = exit_code(run)
-    return code if flushed() else code or 1
+    return code
 
 
 def flushed() -> bool:
