@@ -84,6 +84,26 @@ def test_edges_on_one_line_with_the_face_on_both_sides_stay() -> None:
     assert not rejects and [edges(s) for s in kept] == [edges(s) for s in samples]
 
 
+@pytest.mark.parametrize('scatter', [2e-5, 5e-5, 2e-4])
+@pytest.mark.parametrize('kind', ['gap', 'open'])
+def test_edges_that_a_programme_brings_to_one_place_stay(kind: str, scatter: float) -> None:
+    # no table: the face ends in nothing, and at the border of the view where the driver is silent
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        samples = []
+        for stamp, z in enumerate(rng.uniform(0.155, 0.195, 16)):
+            edge = np.array([rng.normal(0.001, scatter), z])
+            slope = rng.uniform(-0.4, 0.4)
+            reach = (HALF * z - edge[0]) / (1 - HALF * slope)
+            border = edge + reach * np.array([1.0, slope]) + rng.normal(0, 1e-5, 2)
+            kinds = (kind, 'open' if kind == 'open' else '')
+            samples.append(face_between(stamp, edge, border, kinds))
+        kept, rejects = without_border_ends(samples)
+        assert not rejects and len(kept) == len(samples)
+        for before, after in zip(samples, kept, strict=True):
+            assert edges(after) == edges(before)[:1]
+
+
 def test_few_ends_are_left_alone() -> None:
     samples = recording(count=2)
     assert without_border_ends(samples) == (samples, [])

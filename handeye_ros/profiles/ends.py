@@ -26,6 +26,7 @@ FLAT_SIGMAS = 3.0  # below the face line, up to which its points are on it
 STEEPEST_BEND = 1.5  # slope of a bent end from where it leaves the face line
 BEND_SHARE = 0.75  # of a bend's depth that the edge is set back by, and
 BEND_DOUBT = 0.15  # 1 sigma of that share: rounded and bevelled edges differ
+LOST_DOUBT = 0.17  # 1 sigma of what lost points do to an edge, in columns
 LAST_POINTS = 3  # that tell how deep the end lies
 MOST_STRAY = 2  # points between two levels that only straddle the edge
 MOST_MIXED = 16  # points between two levels: a wider transition is a surface
@@ -169,7 +170,8 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, points: A
     depth = min(depth, STEEPEST_BEND * (last - flat) + FLAT_SIGMAS * segment.noise)
     mixed, width = _transition(end, int(plate[-1]), ground, points)
     place = last + (step * (1 + mixed) / 2 if not width else pitch * width)
-    std = np.sqrt(pitch ** 2 * (1 + min(mixed, 2)) ** 2 / 12 + (BEND_DOUBT * depth) ** 2
+    std = np.sqrt(pitch ** 2 * ((1 + min(mixed, 2)) ** 2 / 12 + LOST_DOUBT ** 2)
+                  + (BEND_DOUBT * depth) ** 2
                   + (RAMP_DOUBT * pitch * 2 * width) ** 2)
     return edge_point(end, frame, place - BEND_SHARE * depth, float(std), points, kind, bevel)
 

@@ -23,7 +23,7 @@ from handeye_ros.profiles.ends import (
     WALL_LEAN,
 )
 from handeye_ros.profiles.errors import FeatureError
-from handeye_ros.profiles.lines import face_line
+from handeye_ros.profiles.lines import face_line, on_line, white_std
 from handeye_ros.profiles.segment import Segment, straight_segments
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,8 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
         raise FeatureError('no edge of a face in the profile: the face ends only at the border '
                            'of the field of view or at something nearer')
     face, edges, _ = max(with_edges, key=_preference)
-    return (face_line(face, points), *edges)
+    line = face_line(face, points)
+    return (line, *(on_line(edge, line, line.std / white_std(face)) for edge in edges))
 
 
 def plane_features(points: Array, config: Config) -> tuple[FaceLine]:

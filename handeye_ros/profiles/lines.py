@@ -2,8 +2,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from handeye_ros.data import Array, FaceLine
+from handeye_ros.data import Array, EdgePoint, FaceLine
 from handeye_ros.profiles.segment import Segment
 from handeye_ros.profiles.shares import means, variance_of_means
 import numpy as np
@@ -23,6 +24,24 @@ def face_line(segment: Segment, points: Array) -> FaceLine:
     centre = np.array([x.mean(), segment.height(x.mean())])
     return _line(centre, segment.slope, float(x.std() * length), blocks,
                  (segment.noise / length) ** 2 / count.mean())
+
+
+def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoint:
+    """
+    Return an edge as certain across the line as the line is there.
+
+    correlated: how many times more than for white noise the line is uncertain; a corner of two
+    lines is so too.
+    """
+    away = float((edge.point - line.centre) @ line.direction) / line.spread
+    across = line.std * (1 + away ** 2) ** 0.5
+    std = edge.std * (max(correlated, 1.0) if edge.kind == 'roof' else 1.0)
+    return replace(edge, std=float(std), std_across=float(across))
+
+
+def white_std(segment: Segment) -> float:
+    """Return 1 sigma of the offset of a segment's line, were its noise white."""
+    return float(segment.noise / np.hypot(1.0, segment.slope) / len(segment.straight) ** 0.5)
 
 
 def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatter: float

@@ -10,6 +10,7 @@ from __future__ import annotations
 from handeye_ros.data import Array
 import numpy as np
 
+FEWEST_BLOCKS = 6
 SURELY_MORE = 1.7  # times the variance of white noise: what chance seldom makes
 
 
@@ -28,8 +29,16 @@ def variance_of_means(blocks: Array, white: float) -> float:
     white: what it would be if the residuals were white noise; it holds unless the blocks surely
     scatter more.
     """
-    if len(blocks) < 6:
+    if len(blocks) < FEWEST_BLOCKS:
         return white
+    seen = _variance(blocks)
+    if seen <= SURELY_MORE * white:
+        return white
+    # speckle that is wider than a block makes two neighbours alike
+    pairs = blocks[:len(blocks) // 2 * 2].reshape(-1, 2).mean(axis=1)
+    return max(seen, 2 * _variance(pairs)) if len(pairs) >= FEWEST_BLOCKS else seen
+
+
+def _variance(blocks: Array) -> float:
     second = blocks[:-2] - 2 * blocks[1:-1] + blocks[2:]
-    seen = float(second @ second) / (6 * len(second))
-    return seen if seen > SURELY_MORE * white else white
+    return float(second @ second) / (6 * len(second))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature, Profile
 from handeye_ros.profiles.arcs import normal_points
 from handeye_ros.profiles.errors import DisagreeingProfilesError, FeatureError
-from handeye_ros.profiles.lines import combined_line
+from handeye_ros.profiles.lines import combined_line, on_line
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,11 +52,12 @@ def combine(found: Sequence[tuple[Feature, ...]]) -> tuple[Feature, ...]:
     if arcs:
         return (_combined_arc(arcs),)
     edges = [f for features in found for f in features if isinstance(f, EdgePoint)]
-    combined: list[Feature] = [_combined_line(same) for same in _by_place(found)]
+    lines = [_combined_line(same) for same in _by_place(found)]
+    combined: list[Feature] = list(lines)
     for sign in (-1.0, 1.0):
         same = [e for e in edges if np.sign(e.direction[0]) == sign]
         if 2 * len(same) > len(found):
-            combined.append(_combined_edge(same))
+            combined.append(on_line(_combined_edge(same), lines[0]))
     if edges and not any(isinstance(f, EdgePoint) for f in combined):
         places = np.array([edge.point for edge in edges])
         raise DisagreeingProfilesError('where the edge is',
@@ -101,8 +102,8 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     # a robot that stands still repeats the rounding to a column, and mixed and lost points pull
     # the edge inwards in every profile: that does not average out
     std = np.hypot(single, scatter / min(np.sqrt(n), 2.0))
-    return EdgePoint(points[good].mean(axis=0), direction, float(std), expected / np.sqrt(n),
-                     kind, float(np.median([e.bevel for e in edges])))
+    return EdgePoint(points[good].mean(axis=0), direction, float(std), expected, kind,
+                     float(np.median([e.bevel for e in edges])))
 
 
 def _agreeing(values: Array, times: float, least: float, what: str) -> NDArray[np.bool_]:

@@ -18,6 +18,7 @@ OPEN_KINDS = ('gap', 'open')  # ends with nothing behind them
 TOLERANCE = 2e-4
 FEWEST_ENDS = 5
 SHARE_OF_ENDS = 0.3
+SHARE_LEFT = 0.5  # of the samples with ends at a border keep an edge
 MOST_ENDS = 60  # that span the lines tried
 
 
@@ -26,7 +27,7 @@ def without_border_ends(samples: Sequence[Sample]) -> tuple[list[Sample], list[R
     ends = np.array([end.point for s in samples for end in _open_ends(s)])
     if len(ends) < FEWEST_ENDS:
         return list(samples), []
-    lines = border_lines(ends.reshape(-1, 2), _seen(samples))
+    lines = _believed(border_lines(ends.reshape(-1, 2), _seen(samples)), ends, samples)
     kept, rejects = [], []
     for sample in samples:
         at_border = [end for end in _open_ends(sample) if _on_any(end.point, lines)]
@@ -39,6 +40,45 @@ def without_border_ends(samples: Sequence[Sample]) -> tuple[list[Sample], list[R
         else:
             kept.append(sample)
     return kept, rejects
+
+
+def _believed(lines: Array, ends: Array, samples: Sequence[Sample]) -> Array:
+    """
+    Return those of the lines (k, 3) that are no edges of the target.
+
+    A programme that brings an edge to the same place of the field of view every time makes a
+    line too. But most stations show an edge beside a border, and the ends at a border scatter
+    less: the straightest lines are believed first, as long as their samples keep an edge.
+    """
+    found: Array = np.empty((0, 3))
+    for group in sorted(_groups(lines, ends), key=lambda group: _scatter(group, ends)):
+        tried = np.concatenate([found, group])
+        on = [s for s in samples if any(_on_any(end.point, group) for end in _open_ends(s))]
+        left = sum(any(isinstance(f, EdgePoint) and not (
+            f.kind in OPEN_KINDS and _on_any(f.point, tried)) for f in s.features) for s in on)
+        if left >= SHARE_LEFT * len(on):
+            found = tried
+    return found
+
+
+def _groups(lines: Array, ends: Array) -> list[Array]:
+    """Return lines (k, 3) parted into those that share most of the ends on them."""
+    on, groups = _near(ends, lines), []
+    while on.shape[1]:
+        best = int(np.argmax(on.sum(axis=0)))
+        shared = (on & on[:, best:best + 1]).sum(axis=0)
+        alike = 2 * shared > on.sum(axis=0)
+        alike[best] = True
+        groups.append(lines[alike])
+        on, lines = on[:, ~alike], lines[~alike]
+    return groups
+
+
+def _scatter(group: Array, ends: Array) -> float:
+    """Return how far the ends on a group of lines are from their best line (RMS)."""
+    members = ends[_near(ends, group).any(axis=1)]
+    smallest = np.linalg.svd(members - members.mean(axis=0), compute_uv=False)[-1]
+    return float(smallest / len(members) ** 0.5)
 
 
 def _open_ends(sample: Sample) -> list[EdgePoint]:
