@@ -13,7 +13,7 @@ from ros_helpers import Client, running_node  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
-ROW = re.compile(r'^\| (subscribes|publishes|service) \| `([^`]+)`[^|]*\| ([\w/]+) \|', re.M)
+ROW = re.compile(r'^\| (subscribes|publishes|service) \| `([^`]+)`[^|]*\| ([\w/]+)[^|]*\|', re.M)
 
 
 def listed() -> set[tuple[str, str, str]]:
