@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from itertools import accumulate
 import math
 from pathlib import Path
 import re
@@ -18,6 +19,7 @@ import yaml
 
 SIGNED_AXES = ('x', 'y', 'z', '-x', '-y', '-z')
 SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'shell', 'easy_handeye2', 'matrix', 'json')
+DEEPEST = 100  # nesting of brackets in a YAML file
 UNNAMED_FRAME = 'sensor'  # what the frame of profiles without a frame_id is called
 NODE = 'handeye'  # the name of the node, and of its section in parameter files
 EVERY_NODES = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
@@ -382,12 +384,26 @@ def load(path: Path, config: Config | None = None) -> Config:
     Raises InputError.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding='utf-8'))
+        content = yaml_content(path.read_text(encoding='utf-8'))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f'cannot read the configuration {path}: {error}') from error
     except yaml.YAMLError as error:
         raise InputError(f'{path} is not valid YAML: {error}') from error
     return with_values(config or Config(), _node_values(content, path), str(path))
+
+
+def yaml_content(text: str) -> Any:
+    """Return what a YAML text holds, of plain values alone; raises yaml.YAMLError."""
+    # the parser takes seconds for what nobody writes, before it gives up
+    depths = accumulate(1 if c in '[{' else -1 for c in re.findall(r'[\[{}\]]', text))
+    if max(depths, default=0) > DEEPEST:
+        raise yaml.YAMLError('it is nested too deeply')
+    try:
+        return yaml.safe_load(text)
+    except ValueError as error:  # a date or a number that is none
+        raise yaml.YAMLError(str(error)) from error
+    except RecursionError as error:
+        raise yaml.YAMLError('it is nested too deeply') from error
 
 
 def _node_values(content: Any, path: Path) -> dict[str, Any]:
@@ -435,7 +451,7 @@ def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
         if not equals:
             raise InputError(f'"{text}" is not of the form key=value')
         try:
-            parsed = yaml.safe_load(value)
+            parsed = yaml_content(value)
         except yaml.YAMLError as error:
             raise InputError(f'the value in "{text}" is not valid YAML') from error
         config = with_values(config, {key.strip(): parsed}, '--set')

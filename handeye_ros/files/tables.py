@@ -14,6 +14,7 @@ import re
 from typing import Any
 
 from handeye_ros import se3
+from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
 from handeye_ros.errors import nearest
 from handeye_ros.files.errors import TableError
@@ -140,7 +141,7 @@ def _csv(path: Path) -> tuple[list[str], list[list[str]]]:
 
 def _yaml(path: Path) -> tuple[list[str], list[list[Any]]]:
     try:
-        content = yaml.safe_load(path.read_text(encoding='utf-8'))
+        content = yaml_content(path.read_text(encoding='utf-8'))
     except (OSError, ValueError, yaml.YAMLError) as error:  # ValueError: a date that is none
         raise TableError(path, f'cannot be read: {error}') from error
     header, rows = (content.get(key) if isinstance(content, dict) else None

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros import __version__, se3
-from handeye_ros.config import Config
+from handeye_ros.config import Config, yaml_content
 from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.errors import BadValueError, UnwritableError
 from handeye_ros.results.errors import CalibrationFileError
@@ -142,7 +142,7 @@ def file_of(path: Path) -> Path:
 def read_calibration(path: Path) -> Calibration:
     """Return the calibration in a file; raises CalibrationFileError."""
     try:
-        content = yaml.safe_load(path.read_text(encoding='utf-8'))
+        content = yaml_content(path.read_text(encoding='utf-8'))
     except OSError as error:
         raise CalibrationFileError(path, error.strerror or str(error)) from error
     except (UnicodeDecodeError, yaml.YAMLError, ValueError) as error:

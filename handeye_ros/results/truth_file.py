@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros import __version__
+from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
 from handeye_ros.results.calibration_file import transform_from, transform_values
 from handeye_ros.results.errors import CalibrationFileError
@@ -65,7 +66,7 @@ def true_transform(bag: Path) -> Array | None:
     if not path.is_file():
         return None
     try:
-        content = yaml.safe_load(path.read_text(encoding='utf-8'))
+        content = yaml_content(path.read_text(encoding='utf-8'))
         values = content['T_flange_sensor']
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError) as error:
         raise CalibrationFileError(path, 'it holds no T_flange_sensor') from error

@@ -7,6 +7,7 @@ import re
 import tempfile
 import weakref
 
+from handeye_ros.config import yaml_content
 from handeye_ros.errors import BagError
 from handeye_ros.ros.bags.contents import Contents, full_name, Given, Raw, ZSTD
 from handeye_ros.ros.bags.mcap_file import McapFile
@@ -79,7 +80,7 @@ def _files(path: Path, contents: Contents) -> list[Path]:
     if not there:
         raise BagError(path, 'is not a bag: the folder holds no .mcap or .db3 file')
     try:
-        content = yaml.safe_load((path / 'metadata.yaml').read_text(encoding='utf-8'))
+        content = yaml_content((path / 'metadata.yaml').read_text(encoding='utf-8'))
         names = [Path(p).name for p in content['rosbag2_bagfile_information'][
             'relative_file_paths']]
     except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError):

@@ -14,12 +14,10 @@ from functools import cache
 import os
 from pathlib import Path
 import re
-import struct
 from typing import Any
 
 from handeye_ros.errors import BagError
 from handeye_ros.ros.bags.contents import Raw
-from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import get_typestore, Stores
@@ -65,7 +63,7 @@ def read_file(path: Path, topics: Sequence[str] = ()) -> tuple[dict[str, str], l
     """
     try:
         with path.open('rb') as stream:
-            reader = make_reader(stream)
+            reader = make_reader(stream, validate_crcs=True)
             summary = reader.get_summary()
             if summary is None:
                 raise BagError(path, 'is cut off')
@@ -75,7 +73,9 @@ def read_file(path: Path, topics: Sequence[str] = ()) -> tuple[dict[str, str], l
                         for _, channel, message in reader.iter_messages(topics or None)]
     except OSError as error:
         raise BagError(path, f'cannot be read: {error.strerror or error}') from error
-    except (McapError, KeyError, struct.error) as error:
+    except BagError:
+        raise
+    except Exception as error:  # damaged bytes lead parsers to errors of all kinds
         raise BagError(path, f'is damaged: {error}') from error
     return types, messages
 

@@ -88,7 +88,7 @@ def event_of(configuration: str, outcome: str, path: object) -> Event:
 def _content(text: str, path: object) -> Mapping[str, Any]:
     try:
         content = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise SessionError(path, f'holds a record that is no JSON ({error})') from error
     form = content.get('format') if isinstance(content, dict) else None
     number = str(form).removeprefix(FORMAT)
@@ -108,8 +108,10 @@ def string_cdr(text: str) -> bytes:
 
 def string_of(data: bytes) -> str:
     """Return the text of a serialised std_msgs/String."""
+    if len(data) < 8:
+        return ''
     (length,) = struct.unpack_from('<I', data, 4)
-    return data[8:8 + length - 1].decode()
+    return data[8:8 + length - 1].decode(errors='replace')
 
 
 def pose_cdr(pose: TimedPose) -> bytes:
