@@ -5,11 +5,11 @@ One file per group of verbs; importing it here makes its verbs known.
 """
 import sys
 
-from handeye_ros.cli import calibrate, measure, recordings, results, seam, session, verify
+from handeye_ros.cli import calibrate, check, measure, recordings, results, seam, session, verify
 from handeye_ros.cli.app import app
 
-__all__ = ['app', 'calibrate', 'main', 'measure', 'recordings', 'results', 'seam', 'session',
-           'verify']
+__all__ = ['app', 'calibrate', 'check', 'main', 'measure', 'recordings', 'results', 'seam',
+           'session', 'verify']
 
 
 def main() -> None:

@@ -140,3 +140,28 @@ class NoTeethError(DataError):
         super().__init__(f'only {share:.0%} of the points lie on teeth of pitch {mm(pitch)} and '
                          f'height {mm(height)}: give both (--length PITCH --length HEIGHT), and '
                          'scan the gauge alone')
+
+
+class NoCheckError(InputError):
+    """A calibration of which the target cannot be recognised."""
+
+    def __init__(self, method: str, known: Sequence[str]) -> None:
+        super().__init__(f'the calibration (method {method}) does not tell where a target is that '
+                         f'could be checked; those of {", ".join(known)} do: make such a '
+                         'calibration, or measure something known with "handeye verify"')
+
+
+class NothingToCheckError(InputError):
+    """A check without what it needs."""
+
+    def __init__(self) -> None:
+        super().__init__('say what to check: "handeye check BAG... --against calibration.yaml", '
+                         'or --folder DIR for the trend of many calibrations')
+
+
+class NoTrendError(DataError):
+    """A folder with too few calibrations to compare."""
+
+    def __init__(self, folder: object, count: int) -> None:
+        super().__init__(f'{folder} holds {count} readable calibration.yaml, and a trend needs '
+                         'two (one with --against)')

@@ -43,7 +43,8 @@ class FixedFit:
     as the distances, and the values with a nominal, show it; shift (6, 6): mean square of the
     displacement that it makes of the points. region: (v - nominal)' cov^-1 (v - nominal), of
     freedom values. implied: largest displacement of a point by that error of the calibration
-    which the distances suggest (m), and implied_noise: what noise alone makes of it.
+    which the distances suggest (m), and implied_noise: what noise alone makes of it; error (6,):
+    that error, p_error: the p of the distances with it.
     """
 
     values: Array
@@ -58,6 +59,8 @@ class FixedFit:
     freedom: int
     implied: float
     implied_noise: float
+    error: Array
+    p_error: float
 
 
 def points_in_base(seen: Seen, X: Array) -> Array:
@@ -128,16 +131,18 @@ def _told(shape: Shape, q: Array, distances: Array, J: Array, G: Array, C: Array
                     *_implied(A, rest, by_X, freedom))
 
 
-def _implied(A: Array, rest: Array, by_X: Array, freedom: int) -> tuple[float, float]:
-    """Return the largest displacement of a point by the likeliest error, and that of noise."""
+def _implied(A: Array, rest: Array, by_X: Array, freedom: int
+             ) -> tuple[float, float, Array, float]:
+    """Return how far the likeliest error moves a point, the same of noise, the error, its p."""
     inverse = np.linalg.pinv(A.T @ A, rcond=1e-12, hermitian=True)
-    error = inverse @ A.T @ rest
-    left = rest - A @ error
-    scale = max(float(left @ left) / max(freedom - 6, 1), 1.0)
+    error = np.asarray(inverse @ A.T @ rest, dtype=float)
+    left, fewer = rest - A @ error, max(freedom - 6, 1)
+    scale = max(float(left @ left) / fewer, 1.0)
     moved = np.linalg.norm(by_X @ error, axis=1)
     by_noise = np.einsum('mik,kl,mil->m', by_X, inverse, by_X, optimize=True)
     worst = int(np.argmax(moved))
-    return float(moved[worst]), float(np.sqrt(scale * by_noise[worst]))
+    return (float(moved[worst]), float(np.sqrt(scale * by_noise[worst])), error,
+            float(chi2.sf(left @ left, fewer)))
 
 
 def _expected_rms(J: Array, K: Array, A: Array, root: Array, blocks: Blocks, unknowns: int

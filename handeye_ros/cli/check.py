@@ -1,0 +1,78 @@
+"""The verb that tells whether a calibration still holds, and how several went through time."""
+from pathlib import Path
+from typing import Annotated, Optional, TYPE_CHECKING
+
+from handeye_ros.cli.app import app
+from handeye_ros.cli.common import Assignments, doing, NoPath, read_bag, show, warn
+from handeye_ros.cli.measure import calibrated, MeasureConfig
+import typer
+
+if TYPE_CHECKING:
+    from handeye_ros.measure.check import Check
+
+SomeBags = Annotated[Optional[list[Path]], typer.Argument(  # noqa: UP045 - see common.py
+    metavar='[BAG]...', help='Short recordings of the same target, the oldest first.')]
+Against = Annotated[NoPath, typer.Option(
+    metavar='FILE', help='The calibration.yaml that is to be checked.')]
+Folder = Annotated[NoPath, typer.Option(
+    metavar='DIR', help='Tell how the calibrations below this folder went through time.')]
+Picture = Annotated[NoPath, typer.Option(
+    metavar='FILE', help='Draw the trend of the folder (needs matplotlib).')]
+Out = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the checks as YAML too.')]
+
+
+@app.command()
+def check(
+    bags: SomeBags = None,
+    against: Against = None,
+    config: MeasureConfig = None,
+    assignments: Assignments = [],  # noqa: B006 - never changed
+    folder: Folder = None,
+    picture: Picture = None,
+    out: Out = None,
+) -> None:
+    """Tell whether a calibration still holds: what moved, by how much, since when."""
+    from handeye_ros.measure.errors import NothingToCheckError
+    if not (bags and against or folder):
+        raise NothingToCheckError
+    if bags and against:
+        _check_bags(bags, against, config, assignments, out)
+    if folder:
+        _tell_trend(folder, against, picture)
+
+
+def _check_bags(bags: list[Path], against: Path, config: Path | None, assignments: list[str],
+                out: Path | None) -> None:
+    from handeye_ros import pipeline
+    from handeye_ros.measure import check as checking
+    from handeye_ros.results.calibration_file import write_whole
+    import yaml
+    calibration, settings = calibrated(against, config, assignments)
+    checks: list[tuple[str, Check]] = []
+    for bag in bags:
+        recording = read_bag(bag, settings)
+        with doing('finding the stations'):
+            session = pipeline.gather(recording.profiles, recording.poses, settings)
+        reason = next((reject.reason for reject in session.rejects), '')
+        found = checking.check(session.samples, calibration, settings, reason)
+        checks.append((str(bag), found))
+        typer.echo(f'{bag} ({found.stations} stations): {found.verdict.upper()}: '
+                   f'{found.sentence}')
+    changed = [name for name, found in checks if found.verdict != 'unchanged']
+    if changed and len(checks) > 1:
+        typer.echo(f'since {changed[0]}')
+    if out:
+        write_whole(out, yaml.safe_dump(checking.values(checks, str(against)), sort_keys=False))
+
+
+def _tell_trend(folder: Path, against: Path | None, picture: Path | None) -> None:
+    from handeye_ros.measure import trend
+    from handeye_ros.results.calibration_file import read_calibration
+    entries, warnings = trend.trend(folder, read_calibration(against) if against else None)
+    for warning in warnings:
+        warn(warning)
+    show(trend.table(entries))
+    typer.echo(trend.since_when(entries))
+    if picture:
+        trend.draw(entries, picture)
+        typer.echo(f'wrote {picture.absolute()}')

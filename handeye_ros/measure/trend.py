@@ -1,0 +1,114 @@
+"""How the calibrations of a folder went through time: each against the first and the last one."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from handeye_ros import se3
+from handeye_ros.data import Array, Calibration
+from handeye_ros.measure.errors import NoTrendError
+from handeye_ros.measure.pictures import figure, save
+from handeye_ros.results.calibration_file import read_calibration
+from handeye_ros.results.errors import CalibrationFileError
+import numpy as np
+from rich.table import Table
+from scipy.stats import chi2
+
+SUSPICIOUS = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """
+    One calibration of a trend.
+
+    difference: (6,) to the first, std: (6,) of it, by both covariances; p_first, p_before: how
+    often chance alone makes such a difference to the first, and to the one before.
+    """
+
+    path: Path
+    created: str
+    difference: Array
+    std: Array
+    p_first: float
+    p_before: float
+
+
+def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], list[str]]:
+    """
+    Return the calibrations below a folder by time, and a warning for each file left out.
+
+    first: what they are compared with, the oldest if not given. Raises NoTrendError.
+    """
+    found, warnings = [], []
+    for path in sorted(folder.rglob('calibration.yaml')):
+        try:
+            calibration = read_calibration(path)
+        except CalibrationFileError as error:
+            warnings.append(str(error))
+            continue
+        found.append((str(calibration.provenance.get('created', '')), path, calibration))
+    found.sort(key=lambda item: (item[0], str(item[1])))
+    if len(found) < 2 - (first is not None):
+        raise NoTrendError(folder, len(found))
+    reference = first or found[0][2]
+    entries, before = [], reference
+    for created, path, calibration in found:
+        difference, C = between(calibration, reference)
+        entries.append(Entry(path, created, difference, np.sqrt(np.diag(C)),
+                             _p(difference, C), _p(*between(calibration, before))))
+        before = calibration
+    return entries, warnings
+
+
+def between(a: Calibration, b: Calibration) -> tuple[Array, Array]:
+    """Return by how much a differs from b (6,), and its covariance; zero for one and the same."""
+    difference = se3.difference(a.T_flange_sensor, b.T_flange_sensor)
+    return difference, a.covariance + b.covariance
+
+
+def _p(difference: Array, C: Array) -> float:
+    return float(chi2.sf(difference @ np.linalg.solve(C, difference), 6))
+
+
+def table(entries: Sequence[Entry]) -> Table:
+    """Return the trend as a table."""
+    made = Table(title='differences from the first', title_justify='left')
+    for column in ('created', 'x [mm]', 'y [mm]', 'z [mm]', 'rotation [degrees]',
+                   'p to the first', 'p to the one before', ''):
+        made.add_column(column, justify='right')
+    for e in entries:
+        note = 'CHANGED' if e.p_before < SUSPICIOUS else ''
+        made.add_row(e.created, *(f'{v * 1e3:.3f}' for v in e.difference[:3]),
+                     f'{np.degrees(np.linalg.norm(e.difference[3:])):.4f}', f'{e.p_first:.3g}',
+                     f'{e.p_before:.3g}', note)
+    return made
+
+
+def since_when(entries: Sequence[Entry]) -> str:
+    """Return a sentence on the first that differs from the one before it."""
+    for e in entries:
+        if e.p_before < SUSPICIOUS:
+            return f'the calibration changed between {e.created or e.path} and the one before it'
+    return 'no calibration differs from the one before by more than their uncertainties explain'
+
+
+def draw(entries: Sequence[Entry], path: Path) -> None:
+    """Write a picture of the trend; raises NoMatplotlibError, UnwritableError."""
+    drawing, axes = figure(2, 1)
+    at = np.arange(len(entries))
+    difference = np.array([e.difference for e in entries])
+    std = np.array([e.std for e in entries])
+    for ax, part, scale, unit in ((axes[0], slice(0, 3), 1e3, 'mm'),
+                                  (axes[1], slice(3, 6), 180 / np.pi, 'degrees')):
+        for k, name in enumerate('xyz'):
+            ax.errorbar(at + 0.05 * (k - 1), scale * difference[:, part][:, k],
+                        2 * scale * std[:, part][:, k], fmt='o-', capsize=3,
+                        label=name if unit == 'mm' else f'about {name}')
+        ax.set_ylabel(f'difference [{unit}], 2 sigma')
+        ax.axhline(0, color='0.7', linewidth=0.8)
+        ax.legend(fontsize=8)
+    axes[1].set_xticks(at, [e.created[:16] or e.path.parent.name for e in entries],
+                       rotation=20, ha='right', fontsize=8)
+    save(drawing, path)
