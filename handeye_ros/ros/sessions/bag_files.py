@@ -52,23 +52,32 @@ def write_file(path: Path, messages: Sequence[Raw], types: dict[str, str]) -> Ba
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise
-    return described(path.name, messages)
+    return _described(path.name, messages)
 
 
-def read_file(path: Path, topics: Sequence[str] = ()) -> tuple[dict[str, str], list[Raw]]:
-    """
-    Return the types by topic and the messages (of these topics, or all) of a file.
+@dataclass(frozen=True)
+class Content:
+    """What is in a file: what metadata.yaml tells of it, types by topic, and messages."""
 
-    Raises BagError.
-    """
+    file: BagFile
+    types: dict[str, str]
+    messages: list[Raw]
+
+
+def read_file(path: Path, topics: Sequence[str] = ()) -> Content:
+    """Return a file with its messages, of these topics or all; raises BagError."""
     try:
         with path.open('rb') as stream:
             reader = make_reader(stream, validate_crcs=True)
             summary = reader.get_summary()
-            if summary is None:
+            if summary is None or summary.statistics is None:
                 raise BagError(path, 'is cut off')
+            topic_of = {channel.id: channel.topic for channel in summary.channels.values()}
             types = {channel.topic: summary.schemas[channel.schema_id].name
                      for channel in summary.channels.values()}
+            told = summary.statistics
+            counts = {topic_of[number]: count
+                      for number, count in told.channel_message_counts.items()}
             messages = [Raw(channel.topic, message.log_time, message.data)
                         for _, channel, message in reader.iter_messages(topics or None)]
     except OSError as error:
@@ -77,10 +86,11 @@ def read_file(path: Path, topics: Sequence[str] = ()) -> tuple[dict[str, str], l
         raise
     except Exception as error:  # damaged bytes lead parsers to errors of all kinds
         raise BagError(path, f'is damaged: {error}') from error
-    return types, messages
+    file = BagFile(path.name, told.message_start_time, told.message_end_time, counts)
+    return Content(file, types, messages)
 
 
-def described(name: str, messages: Iterable[Raw]) -> BagFile:
+def _described(name: str, messages: Iterable[Raw]) -> BagFile:
     """Return what metadata.yaml tells of a file with these messages."""
     times, counts = [], dict[str, int]()
     for message in messages:

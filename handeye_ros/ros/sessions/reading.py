@@ -14,7 +14,7 @@ from handeye_ros.ros.bags.contents import CLOUD, POSE, Raw
 from handeye_ros.ros.bags.messages import pose_from_cdr
 from handeye_ros.ros.bags.profile_reader import ProfileReader
 from handeye_ros.ros.errors import MessageError, SessionError
-from handeye_ros.ros.sessions.bag_files import BagFile, described, files_of, read_file
+from handeye_ros.ros.sessions.bag_files import BagFile, files_of, read_file
 from handeye_ros.ros.sessions.records import (
     CONFIGURATION,
     Event,
@@ -54,9 +54,9 @@ class Stored:
     def session(self, config: Config) -> Session:
         """Return the session, to be solved or to go on with."""
         session = Session(config)
-        frames = [seen.frame_id for _, stop in self.stops.values()
-                  for seen in stop.load(config).profiles[:1]]
-        session.restore(list(self.outcomes(config)), self.numbers, frames[0] if frames else '')
+        frames = (profile.frame_id for _, stop in self.stops.values()
+                  for profile in stop.load(config).profiles)
+        session.restore(list(self.outcomes(config)), self.numbers, next(frames, ''))
         return session
 
 
@@ -64,7 +64,7 @@ def is_session(path: Path) -> bool:
     """Tell whether a folder holds a session."""
     try:
         files = files_of(path) if path.is_dir() else []
-        return bool(files) and OUTCOME in read_file(files[0], (OUTCOME,))[0]
+        return bool(files) and OUTCOME in read_file(files[0], (OUTCOME,)).types
     except (OSError, BagError):
         return False
 
@@ -85,17 +85,17 @@ def read_session(path: Path) -> Stored:
     if not is_session(path):
         raise SessionError(path, 'is no session: expected a folder that the node made')
     stops: dict[int, tuple[Event, Stop]] = {}
-    described_files, types, numbers, config = [], dict[str, str](), 0, Config()
+    told, types, numbers, config = [], dict[str, str](), 0, Config()
     for file in files_of(path):
-        topics, messages = read_file(file)
-        event, types = _event(messages, file), types | topics
-        described_files.append(described(file.name, messages))
+        content = read_file(file, (CONFIGURATION, OUTCOME))
+        event, types = _event(content.messages, file), types | content.types
+        told.append(content.file)
         config, numbers = event.config, max(numbers, event.number)
         if event.kind == STOP:
             stops[event.number] = event, Stop(event.began, partial(load, file))
         elif event.kind == REMOVED:
             stops.pop(event.number, None)
-    return Stored(path, config, stops, numbers, tuple(described_files), types)
+    return Stored(path, config, stops, numbers, tuple(told), types)
 
 
 def _event(messages: Sequence[Raw], file: Path) -> Event:
@@ -108,15 +108,16 @@ def _event(messages: Sequence[Raw], file: Path) -> Event:
 
 def load(file: Path, config: Config) -> Seen:
     """Return what was seen at a stop, from its file; raises BagError."""
-    types, messages = read_file(file)
+    content = read_file(file)
     # the time of receipt is the stamp that a profile had: a driver may send none
     offset = round(config.time_offset * 1e9)
     reader = ProfileReader(config.profile)
     poses, profiles = [], []
-    for raw in messages:
-        if types[raw.topic] == POSE:
+    for raw in content.messages:
+        kind = content.types[raw.topic]
+        if kind == POSE:
             poses.append(pose_from_cdr(raw.data))
-        elif types[raw.topic] == CLOUD:
+        elif kind == CLOUD:
             with suppress(MessageError):  # other settings may not understand it
                 profiles.append(replace(reader.take(raw.data), stamp=raw.log_time + offset))
     return Seen(tuple(poses), tuple(profiles))
