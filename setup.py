@@ -1,13 +1,15 @@
 from glob import glob
+import xml.etree.ElementTree as ElementTree
 
 from setuptools import find_packages, setup
 
 NAME = 'handeye_ros'
+VERSION = ElementTree.parse('package.xml').findtext('version')  # the one place where it stands
 FOLDERS = ('launch', 'config', 'rviz', 'foxglove')
 
 setup(
     name=NAME,
-    version='0.1.0',
+    version=VERSION,
     description='Hand-eye calibration of laser line profilers, offline and as a ROS 2 node',
     license='Apache-2.0',
     maintainer='The handeye_ros developers',
@@ -32,7 +34,7 @@ setup(
         'dev': ['colcon-common-extensions', 'flake8', 'flake8-blind-except', 'flake8-builtins',
                 'flake8-class-newline', 'flake8-comprehensions', 'flake8-deprecated',
                 'flake8-docstrings', 'flake8-import-order', 'flake8-quotes', 'foxglove-sdk',
-                'mkdocs', 'mypy', 'ruff', 'types-PyYAML'],
+                'mkdocs', 'mypy', 'ruff', 'types-PyYAML', 'wheel'],
     },
     entry_points={
         'console_scripts': [

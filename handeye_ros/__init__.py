@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from handeye_ros.results.calibration_file import read_calibration, write_calibration
     from handeye_ros.ros.bags.bag import read as read_bag
 
-__version__ = '0.1.0'
-
 __all__ = [
     'calibrate', 'Calibration', 'Config', 'DataError', 'gather', 'HandeyeError', 'InputError',
     'load_config', 'Profile', 'read_bag', 'read_calibration', 'Reject', 'Sample', 'solve',
@@ -38,7 +36,17 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == '__version__':  # it stands in package.xml, and comes here by the installation
+        return _version()
     for home, names in _HOMES.items():
         if name in names:
             return getattr(import_module(f'{__name__}.{home}'), names[name])
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+    try:
+        return version(__name__)
+    except PackageNotFoundError:
+        return 'unknown'

@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import sysconfig
 import xml.etree.ElementTree as ElementTree
 
 import handeye_ros
@@ -136,3 +137,65 @@ def test_the_console_script_stands_beside_python() -> None:
 def test_the_version_is_the_same_everywhere() -> None:
     manifest = ElementTree.parse(ROOT / 'package.xml')
     assert manifest.findtext('version') == version(NAME) == handeye_ros.__version__
+
+
+def built(code: str, folder: Path, cwd: Path) -> Path:
+    """Return what a call of setuptools makes in a folder."""
+    run = subprocess.run(
+        [sys.executable, '-c', f'import setuptools.build_meta as build; print(build.{code})',
+         str(folder)], cwd=cwd, env=environment(), capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    return folder / run.stdout.splitlines()[-1]
+
+
+@pytest.fixture(scope='module')
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a wheel that is built from the sdist, with nothing else at hand."""
+    folder = tmp_path_factory.mktemp('dist')
+    copy_sources(folder / 'clone')
+    sdist = built('build_sdist(__import__("sys").argv[1])', folder, folder / 'clone')
+    shutil.unpack_archive(sdist, folder / 'unpacked')
+    (source,) = (folder / 'unpacked').iterdir()
+    return built('build_wheel(__import__("sys").argv[1])', folder, source)
+
+
+def test_a_clean_environment_gets_all_that_users_need(wheel: Path, tmp_path: Path) -> None:
+    venv = tmp_path / 'venv'
+    subprocess.run([sys.executable, '-m', 'venv', '--without-pip', venv], check=True)
+    subprocess.run([sys.executable, '-m', 'pip', '--python', venv, 'install', '--quiet',
+                    '--no-deps', '--no-index', wheel], env=environment(), check=True)
+    for folder in ('launch', 'config', 'rviz', 'foxglove'):
+        expected = {file.name for file in (ROOT / folder).glob('*.*')}
+        installed = venv / 'share' / NAME / folder
+        assert expected and {file.name for file in installed.glob('*.*')} == expected
+    # what it depends on comes from here; a .pth file in a folder of PYTHONPATH is not read, so
+    # the package itself does not
+    kept = {**environment(), 'PYTHONPATH': sysconfig.get_path('purelib')}
+    handeye = venv / 'bin' / 'handeye'
+    for arguments in (['solve', ROOT / 'bags' / 'plate', '--config',
+                       venv / 'share' / NAME / 'config' / 'plate.yaml', '--out', 'out'],
+                      ['export', 'out', '--format', 'urdf'], ['report', 'out'], ['--version']):
+        run = subprocess.run([handeye, *arguments], cwd=tmp_path, env=kept, capture_output=True,
+                             text=True, check=False)
+        assert run.returncode == 0, run.stderr
+    assert run.stdout == f'{NAME} {version(NAME)}\n'
+    assert (tmp_path / 'out' / 'report.html').stat().st_size > 100_000
+    code = f'import {NAME}; print({NAME}.__file__)'
+    where = subprocess.run([venv / 'bin' / 'python', '-c', code], cwd=tmp_path, env=kept,
+                           capture_output=True, text=True, check=True)
+    assert Path(where.stdout.strip()).is_relative_to(venv)
+
+
+@pytest.mark.skipif(sys.prefix == sys.base_prefix, reason='not in a virtual environment')
+def test_the_shell_completes_the_verbs(tmp_path: Path) -> None:
+    pytest.importorskip('shellingham', reason='needs shellingham')
+    script = Path(sys.executable).parent / 'handeye'
+    kept = {**environment(), 'HOME': str(tmp_path), 'SHELL': '/bin/bash'}
+    run = subprocess.run(['bash', '-c', f'{script} --install-completion; exit $?'], env=kept,
+                         capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert (tmp_path / '.bash_completions' / 'handeye.sh').is_file()
+    asked = {**kept, 'COMP_WORDS': 'handeye exp', 'COMP_CWORD': '1',
+             '_HANDEYE_COMPLETE': 'complete_bash'}
+    run = subprocess.run([script], env=asked, capture_output=True, text=True, check=False)
+    assert run.stdout.split() == ['export']
