@@ -11,7 +11,8 @@ degrees); the other goes anywhere within guidance.reach, guidance.tilt and guida
 the same first pose. Where the sensor shows no target both try again, and that counts nothing.
 A row per target: the median number of stations, and its quartiles, until points mapped over
 x +-20 mm, range 160-190 mm are off by less than 0.1 mm at two stations running, and until their
-stated 1 sigma is less; sessions that never got there count as the most, and are told.
+stated 1 sigma is less; sessions that never got there count as the most, and are told. Counts go
+to stderr as they come.
 """
 from __future__ import annotations
 
@@ -19,6 +20,7 @@ import argparse
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 import math
+import sys
 import time
 
 from handeye_ros import config as configs
@@ -227,13 +229,14 @@ def main() -> None:
         medians = {}
         for operator in MOST:
             start = time.perf_counter()
-            counts = np.array([session(world(target, ROBOTS[arguments.robot], seed), operator)
-                               for seed in range(arguments.first,
-                                                 arguments.first + arguments.seeds)])
+            counts = []
+            for seed in range(arguments.first, arguments.first + arguments.seeds):
+                counts.append(session(world(target, ROBOTS[arguments.robot], seed), operator))
+                print(target, operator, seed, *counts[-1], file=sys.stderr, flush=True)
             low, medians[operator], high = np.percentile(counts, (25, 50, 75), axis=0)
             told = [f'{m:.0f} ({a:.0f}-{b:.0f})' for m, a, b in zip(
                 medians[operator], low, high, strict=True)]
-            never = '/'.join(map(str, (counts == MOST[operator]).sum(axis=0)))
+            never = '/'.join(map(str, (np.array(counts) == MOST[operator]).sum(axis=0)))
             print(f'{target:8} {operator:8} {told[0]:>20} {told[1]:>20} {never:>8} '
                   f'{time.perf_counter() - start:6.0f}', flush=True)
         ratio = medians['advice'] / medians['random']

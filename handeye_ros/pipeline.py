@@ -22,11 +22,12 @@ from handeye_ros.checks.motion import (
 )
 from handeye_ros.checks.shape import believable_shape, require_one_scale
 from handeye_ros.config import Config, flipped_range
-from handeye_ros.data import AnyProfile, Calibration, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus, consensus, settle, SUBSETS
 from handeye_ros.estimation.solve import Solution
+from handeye_ros.guidance import advice
 from handeye_ros.results.outcome import describe_calibration, mounted
 from handeye_ros.results.report.evidence import Evidence, judged
 from handeye_ros.sampling.all_edges import judged_together
@@ -112,6 +113,22 @@ def evidence(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config:
     except DataError as error:
         return Evidence(seen, refusal=str(error))
     return judged(seen, used, solution, found)
+
+
+def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None) -> advice.Advice:
+    """
+    Return what to do next after samples, in the order of their stamps.
+
+    seen: points (n, 2) of profiles, from which the field of view is learnt.
+    """
+    solution, trouble = None, ''
+    ordered, _ = judged_together(samples)
+    if len(ordered) >= methods.of(config).minimum:
+        try:
+            solution = estimate(ordered, (), config)[1]
+        except DataError as error:
+            trouble = str(error)
+    return advice.advise(samples, config, solution, trouble, seen)
 
 
 def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Config

@@ -63,6 +63,18 @@ def seen_points(sample: Sample) -> Array:
     return np.array(points).reshape(-1, 2)
 
 
+def tangents() -> Array:
+    """Return the directions (d, 2) in which a view ends."""
+    turn = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
+    return np.column_stack([np.cos(turn), np.sin(turn)])
+
+
+def extremes(points: Array) -> Array:
+    """Return the few of points (n, 2), rows with NaN left out, that a view is learnt from."""
+    finite = points[np.isfinite(points).all(axis=1)]
+    return finite[np.unique((finite @ tangents().T).argmax(axis=0))] if len(finite) else finite
+
+
 def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
     """
     Return the view that holds the features of samples and points seen (n, 2) of profiles.
@@ -70,9 +82,7 @@ def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
     There must be one sample, or one point, at least.
     """
     found = [seen_points(sample) for sample in samples]
-    found += [] if seen is None else [seen[np.isfinite(seen).all(axis=1)]]
-    points = np.concatenate(found)
-    turn = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
-    normals = np.column_stack([np.cos(turn), np.sin(turn)])
+    points = np.concatenate([*found, *([] if seen is None else [extremes(seen)])])
+    normals = tangents()
     return View(normals, (points @ normals.T).max(axis=0), points.min(axis=0),
                 points.max(axis=0))

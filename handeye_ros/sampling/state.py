@@ -119,13 +119,46 @@ class CalibrationState:
 
 
 @dataclass(frozen=True)
+class SigmaState:
+    """One direction's 1 sigma and its limit, in a unit: m or rad."""
+
+    name: str
+    std: float
+    limit: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class GuidanceState:
+    """
+    What is advised next.
+
+    text: all of it; sentences: the same one by one; enough: whether to stop, why: the reason;
+    sigmas: of each direction, last that of mapped points, empty before there is an answer;
+    translation, rotation: the flange in the base at the pose that helps most (quaternion
+    x y z w), None before the sensor is roughly known; expected: 1 sigma of mapped points with
+    it (m).
+    """
+
+    text: str
+    sentences: tuple[str, ...]
+    enough: bool
+    why: str
+    sigmas: tuple[SigmaState, ...] = ()
+    translation: tuple[float, ...] | None = None
+    rotation: tuple[float, ...] | None = None
+    expected: float | None = None
+
+
+@dataclass(frozen=True)
 class State:
     """
     A session at one moment.
 
     samples: in the order of their numbers; worst: the numbers of the samples that have a
     left-out residual, worst first; review: why there are no residuals yet, empty where there
-    are; attempt: the last one, None before; guidance: what is advised next, if anything.
+    are; attempt: the last one, None before; guidance: what is advised next, None before the
+    first sample.
     """
 
     name: str
@@ -138,7 +171,7 @@ class State:
     review: str
     attempt: Attempt | None
     calibration: CalibrationState
-    guidance: Any = None
+    guidance: GuidanceState | None = None
 
     @property
     def taken(self) -> int:

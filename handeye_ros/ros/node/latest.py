@@ -18,11 +18,16 @@ KEPT = 100  # messages of a kind: the one of the two streams may be late
 
 @dataclass(frozen=True, eq=False)
 class Current:
-    """What the sensor sees: points (n, 2) and features in its plane; T_base_flange (4, 4)."""
+    """
+    What the sensor sees: points (n, 2) and features in its plane; T_base_flange (4, 4).
+
+    reason: why there are no features, empty where there are.
+    """
 
     T_base_flange: Array
     points: Array
     features: tuple[Feature, ...]
+    reason: str = ''
 
 
 class Latest:
@@ -60,7 +65,6 @@ class Latest:
             return None
         (T,) = interpolate(poses, [profile.stamp])
         try:
-            features = methods.of(config).extract(profile.points, config)
-        except FeatureError:
-            features = ()
-        return Current(T, profile.points, features)
+            return Current(T, profile.points, methods.of(config).extract(profile.points, config))
+        except FeatureError as error:
+            return Current(T, profile.points, (), str(error))

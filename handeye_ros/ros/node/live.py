@@ -11,14 +11,16 @@ import threading
 
 from handeye_ros import pipeline
 from handeye_ros.config import Config
-from handeye_ros.data import Calibration
+from handeye_ros.data import Calibration, Sample
 from handeye_ros.errors import DataError, HandeyeError
+from handeye_ros.guidance.advice import Advice
+from handeye_ros.guidance.view import extremes
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.results.errors import NothingToSaveError
 from handeye_ros.ros.node.answer import Answer
 from handeye_ros.ros.node.live_samples import LiveSamples
 from handeye_ros.ros.node.place import Place
-from handeye_ros.ros.node.settings import changes_answer
+from handeye_ros.ros.node.settings import changes_advice, changes_answer
 from handeye_ros.ros.node.store import Store
 from handeye_ros.sampling.crossing import flat_crossing
 from handeye_ros.sampling.errors import ClearedError
@@ -26,6 +28,7 @@ from handeye_ros.sampling.review import Review, review
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome
 from handeye_ros.sampling.wording import calibration_summary
+import numpy as np
 
 
 class LiveSession(LiveSamples):
@@ -38,6 +41,8 @@ class LiveSession(LiveSamples):
         self.answer = Answer()
         self.review: Review | None = None
         self.no_review = ''
+        self.advice = pipeline.advise((), config)
+        self._seen = np.zeros((0, 2))  # points of profiles, at the ends of the view
         self._reviewed: tuple[Outcome, ...] | None = None
         self._asked = self._due = False  # for an answer, ever; and again, as settings changed
 
@@ -82,6 +87,8 @@ class LiveSession(LiveSamples):
                 self.review, self.no_review, self._reviewed = found, '', outcomes
             except DataError as error:
                 self.review, self.no_review, self._reviewed = None, str(error), outcomes
+            self.advice = self._advise([o.sample for o, use in zip(outcomes, included, strict=True)
+                                        if use and o.sample], config)
         self.on_change()
 
     def _remark(self, outcome: Outcome) -> str:
@@ -91,6 +98,13 @@ class LiveSession(LiveSamples):
             return ''
         text = flat_crossing(outcome.sample, known.solution, self.config)
         return f'; {text}' if text else ''
+
+    def _advise(self, samples: list[Sample], config: Config) -> Advice:
+        """Return what to do next; the view is learnt from the profiles of now, too."""
+        current = self.latest.current(config)
+        if current:
+            self._seen = extremes(np.concatenate([self._seen, current.points]))
+        return pipeline.advise(sorted(samples, key=lambda s: s.stamp), config, self._seen)
 
     # what is asked; each returns what to say
 
@@ -160,6 +174,8 @@ class LiveSession(LiveSamples):
         super().configure(config)
         if changes_answer(before, config):
             self._reviewed, self._due = None, self._asked
+        if changes_advice(before, config):
+            self._reviewed = None
         self._wake.set()
 
 

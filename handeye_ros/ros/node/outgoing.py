@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature, Sample
@@ -25,6 +25,15 @@ def transform_stamped(calibration: Calibration, stamp: Time) -> TransformStamped
     T = calibration.T_flange_sensor
     _set(msg.transform.translation, 'xyz', T[:3, 3])
     _set(msg.transform.rotation, 'xyzw', se3.quaternion(T))
+    return msg
+
+
+def pose_stamped(translation: Sequence[float], rotation: Sequence[float], frame_id: str,
+                 stamp: Time) -> PoseStamped:
+    """Return a pose (x y z, quaternion x y z w) in a frame."""
+    msg = PoseStamped(header=Header(stamp=stamp, frame_id=frame_id))
+    _set(msg.pose.position, 'xyz', translation)
+    _set(msg.pose.orientation, 'xyzw', rotation)
     return msg
 
 

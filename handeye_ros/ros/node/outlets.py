@@ -11,15 +11,20 @@ import json
 import threading
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from handeye_ros.data import Calibration
 from handeye_ros.ros.node.diagnostics import diagnostics
 from handeye_ros.ros.node.intake import TFMessage
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.node.outgoing import feature_cloud, LATCHED, transform_stamped
+from handeye_ros.ros.node.outgoing import (
+    feature_cloud,
+    LATCHED,
+    pose_stamped,
+    transform_stamped,
+)
 from handeye_ros.ros.node.scene import current_markers, Seen, session_markers
 from handeye_ros.ros.node.telling import state_of
-from handeye_ros.sampling.state import samples_message, State, status_message
+from handeye_ros.sampling.state import GuidanceState, samples_message, State, status_message
 from handeye_ros.sampling.stops import Outcome
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -37,7 +42,7 @@ class Outlets:
         self._shown: Calibration | None = None
         self._told: dict[str, str] = {}
         self._texts = {name: node.create_publisher(String, f'~/{name}', LATCHED)
-                       for name in ('samples', 'status')}
+                       for name in ('samples', 'status', 'guidance')}
         self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED)
         self._current = node.create_publisher(MarkerArray, '~/current', 1)
         self._features = node.create_publisher(PointCloud2, '~/features', 10)
@@ -45,6 +50,8 @@ class Outlets:
         if not TFMessage:
             node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
                                       '~/calibration only, not on /tf_static')
+        self._advised: GuidanceState | None = None
+        self._next_pose = node.create_publisher(PoseStamped, '~/next_pose', LATCHED)
         self._advertise_answer()
 
     def _advertise_answer(self) -> None:
@@ -59,6 +66,7 @@ class Outlets:
             self._say('samples', json.dumps(samples_message(state)))
             self._show_answer(self._live.calibration)
             self._say('status', json.dumps(status_message(state)))
+            self._show_guidance(state.guidance)
 
     def _say(self, name: str, text: str) -> None:
         if self._told.get(name) != text:
@@ -76,6 +84,20 @@ class Outlets:
             self._publish(calibration)
         self._shown = calibration
         self._draw()
+
+    def _show_guidance(self, guidance: GuidanceState | None) -> None:
+        """Publish what to do next, and the pose of it while there is one."""
+        if guidance is None or guidance == self._advised:
+            return
+        self._advised = guidance
+        self._say('guidance', guidance.text)
+        if guidance.translation is None or guidance.rotation is None:
+            self._node.destroy_publisher(self._next_pose)
+            self._next_pose = self._node.create_publisher(PoseStamped, '~/next_pose', LATCHED)
+        else:
+            self._next_pose.publish(pose_stamped(
+                guidance.translation, guidance.rotation, self._live.config.robot_base_frame,
+                self._node.get_clock().now().to_msg()))
 
     def _withdraw(self) -> None:
         for publisher in filter(None, (self._calibration, self._tf_static)):

@@ -21,6 +21,11 @@ def changes_answer(before: Config, after: Config) -> bool:
     return _changes(before, after, OF_ANSWER)
 
 
+def changes_advice(before: Config, after: Config) -> bool:
+    """Tell whether other poses are advised."""
+    return _changes(before, after, ('guidance.',))
+
+
 def _changes(before: Config, after: Config, keys: tuple[str, ...]) -> bool:
     old, new = flatten(before), flatten(after)
     return any(old[key] != new[key] for key in new if key.startswith(keys))

@@ -5,14 +5,17 @@ from collections.abc import Callable
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.guidance.advice import Advice
 from handeye_ros.results import calibration_file
 from handeye_ros.ros.node.live import LiveSession, stamps_of
 from handeye_ros.sampling.review import Agreement
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.state import (
+    GuidanceState,
     MotionState,
     SampleState,
     SessionState,
+    SigmaState,
     State,
     StreamState,
 )
@@ -41,7 +44,19 @@ def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '') -> State:
         SessionState(live.path, config.sampling.mode, live.working,
                      _trouble(live, session), session.warnings),
         samples, tuple(sample.number for sample in worst), live.no_review, live.attempt,
-        live.answer.state(stamps_of(session)))
+        live.answer.state(stamps_of(session)), _guidance(live.advice))
+
+
+def _guidance(advice: Advice | None) -> GuidanceState | None:
+    """Return an advice as plain values."""
+    if advice is None:
+        return None
+    pose = advice.next
+    sigmas = tuple(SigmaState(s.name, s.std, s.limit, s.unit) for s in advice.sigmas)
+    return GuidanceState(
+        advice.text, advice.sentences, advice.enough, advice.why, sigmas,
+        _plain(pose.T_base_flange[:3, 3]) if pose else None,
+        _plain(se3.quaternion(pose.T_base_flange)) if pose else None, pose.std if pose else None)
 
 
 def _agreements(live: LiveSession) -> dict[int, Agreement]:
