@@ -16,15 +16,15 @@ setup(
     maintainer_email='maintainers@handeye-ros.example.org',
     python_requires='>=3.11',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'results/report/assets/*']},
+    package_data={NAME: ['py.typed', 'results/report/assets/*', 'ros/page/assets/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         *((f'share/{NAME}/{folder}', sorted(glob(f'{folder}/*.*'))) for folder in FOLDERS),
     ],
     zip_safe=False,
-    install_requires=['numpy>=1.26', 'scipy>=1.11', 'PyYAML', 'jinja2', 'matplotlib', 'mcap',
-                      'rosbags', 'rich', 'typer'],
+    install_requires=['aiohttp', 'numpy>=1.26', 'scipy>=1.11', 'PyYAML', 'jinja2', 'matplotlib',
+                      'mcap', 'rosbags', 'rich', 'typer'],
     extras_require={
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': ['hypothesis', 'opencv-python-headless<5', 'plyfile', 'pypcd4', 'pytest>=7.4',

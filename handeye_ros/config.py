@@ -205,6 +205,16 @@ class GuidanceConfig:
 
 
 @dataclass(frozen=True)
+class PageConfig:
+    """The page for a browser at the cell."""
+
+    port: int = _key(0, 'Port of the page for a browser; 0: no page.', minimum=0, maximum=65535)
+    address: str = _key('127.0.0.1', 'Address that the page is served on: 127.0.0.1 for this '
+                        'machine alone, 0.0.0.0 for all that can reach it; these need the token '
+                        'that is printed at the start.')
+
+
+@dataclass(frozen=True)
 class Config:
     """Everything a user can set."""
 
@@ -238,6 +248,7 @@ class Config:
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     save: SaveConfig = field(default_factory=SaveConfig)
     guidance: GuidanceConfig = field(default_factory=GuidanceConfig)
+    page: PageConfig = field(default_factory=PageConfig)
 
 
 @dataclass(frozen=True)

@@ -99,3 +99,19 @@ class SessionError(InputError):
 
     def __init__(self, path: object, reason: str) -> None:
         super().__init__(f'{path} {reason}')
+
+
+class PageError(InputError):
+    """The page for a browser cannot be served; the node goes on without it."""
+
+    @classmethod
+    def address(cls, address: str) -> PageError:
+        """Return the error for an address that is none."""
+        return cls(f'page.address is "{address}", expected an IP address such as 127.0.0.1 or '
+                   '0.0.0.0: there is no page')
+
+    @classmethod
+    def port(cls, address: str, port: int, why: str) -> PageError:
+        """Return the error for a port that cannot be had."""
+        return cls(f'there is no page: {address}:{port} cannot be served ({why}); set page.port '
+                   'to another one, or to 0 for no page')

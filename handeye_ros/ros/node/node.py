@@ -17,6 +17,7 @@ from handeye_ros.ros.node.nag import Nag
 from handeye_ros.ros.node.outlets import Outlets
 from handeye_ros.ros.node.place import Place
 from handeye_ros.ros.node.telling import state_of
+from handeye_ros.ros.page.buttons import serve
 from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.state import State
 from handeye_ros.sampling.stops import Outcome
@@ -66,6 +67,13 @@ class HandeyeNode(Node):
         self.get_logger().info(
             f'waiting for profiles on {config.profile_topic}, poses '
             + (f'on {config.pose_topic}' if config.pose_source == 'topic' else 'from /tf'))
+        self._page = serve(self)
+
+    def destroy_node(self) -> None:
+        """End the page, too."""
+        if self._page:
+            self._page.stop()
+        super().destroy_node()
 
     @property
     def is_busy(self) -> bool:

@@ -23,7 +23,7 @@ from rclpy.parameter import Parameter as RosParameter
 
 # What the node subscribes to, or tells others, from its start on.
 FIXED = ('robot_base_frame', 'robot_effector_frame', 'pose_source', 'pose_topic',
-         'profile_topic', 'session')
+         'profile_topic', 'session', 'page.port', 'page.address')
 # Keys that serve only targets that are solved from files.
 FILES_ONLY = ('tracker.', 'sensor_frame')
 

@@ -1,0 +1,1 @@
+"""The page for a browser at the cell: what the node tells, and its services as buttons."""

@@ -1,0 +1,237 @@
+"""
+Serves the page: static files, a stream of events, and one request for each button.
+
+aiohttp runs in a thread and a loop of its own. What is told is gathered by another thread, at
+most RATE times a second and only while somebody looks; what is asked waits in a short queue. So
+no request, and no slow reader, holds up the node.
+"""
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib import resources
+import json
+import threading
+from typing import Any
+
+from aiohttp import web
+from handeye_ros.errors import HandeyeError
+from handeye_ros.ros.errors import PageError
+from handeye_ros.ros.page.guard import Guard
+
+RATE = 5.0  # events a second, at most
+MOST_CLIENTS = 8
+MOST_CONNECTIONS = 64
+MOST_WAITING = 4  # requests of one kind
+LARGEST_BODY = 1024  # bytes
+PATIENCE = 10.0  # s for a client to take an event, for the server to start
+KINDS = {'.html': 'text/html', '.css': 'text/css', '.js': 'text/javascript'}
+HEADERS = {
+    'Content-Security-Policy': "default-src 'self'; img-src 'self' data:; "
+                               "frame-ancestors 'none'; base-uri 'none'",
+    'X-Content-Type-Options': 'nosniff', 'Referrer-Policy': 'no-referrer',
+    'Cache-Control': 'no-store'}
+
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+Act = Callable[[Mapping[str, Any]], tuple[bool, str]]
+
+
+@dataclass(frozen=True)
+class Source:
+    """
+    What the page shows and does.
+
+    tell: plain values, gathered when called; acts: the buttons by name, each called with the
+    values of its request, returns whether it succeeded and what to say; slow: those that may
+    take long, and keep none of the others waiting.
+    """
+
+    tell: Callable[[], Mapping[str, Any]]
+    acts: Mapping[str, Act]
+    slow: frozenset[str] = frozenset()
+
+
+class PageServer:
+    """A running page; stop ends it."""
+
+    def __init__(self, source: Source, address: str, port: int) -> None:
+        """Start to serve; raises PageError."""
+        try:
+            self.guard = Guard(address, port)
+        except ValueError as error:
+            raise PageError.address(address) from error
+        self._source, self._address, self._port = source, address, port
+        self._clients = 0
+        self._waiting = dict.fromkeys((True, False), 0)
+        self._pools = {slow: ThreadPoolExecutor(1, 'page') for slow in (True, False)}
+        self._teller = ThreadPoolExecutor(1, 'page')
+        self._told = ''
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name='page', daemon=True)
+        self._thread.start()
+        try:
+            asyncio.run_coroutine_threadsafe(self._start(), self._loop).result(PATIENCE)
+        except OSError as error:
+            self._end_loop()
+            raise PageError.port(address, port, error.strerror or str(error)) from error
+
+    @property
+    def url(self) -> str:
+        """Return the full address, with the token where one is needed."""
+        name = f'[{self._address}]' if ':' in self._address else self._address
+        return f'http://{name}:{self._port}/' + (f'?token={self.guard.token}'
+                                                 if self.guard.token else '')
+
+    async def _start(self) -> None:
+        self._changed = asyncio.Condition()
+        app = web.Application(middlewares=[self._guarded], client_max_size=LARGEST_BODY)
+        app.router.add_get('/', self._index)
+        app.router.add_get('/events', self._events)
+        app.router.add_get('/{name}', self._file)
+        app.router.add_post('/act/{name}', self._act)
+        self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=15.0)
+        await self._runner.setup()
+        self._server = await self._loop.create_server(self._protocol, self._address, self._port)
+        self._telling = self._loop.create_task(self._tell())
+
+    def _protocol(self) -> asyncio.BaseProtocol:
+        """Return what serves a new connection: nothing where there are too many."""
+        server = self._runner.server
+        assert server is not None
+        return server() if len(server.connections) < MOST_CONNECTIONS else _Refused()
+
+    def stop(self) -> None:
+        """End all connections, and the thread."""
+        with suppress(TimeoutError):
+            asyncio.run_coroutine_threadsafe(self._stop(), self._loop).result(PATIENCE)
+        self._end_loop()
+
+    async def _stop(self) -> None:
+        self._telling.cancel()
+        self._server.close()
+        await self._runner.cleanup()
+
+    def _end_loop(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(PATIENCE)
+        for pool in (self._teller, *self._pools.values()):
+            pool.shutdown(wait=False, cancel_futures=True)
+
+    # what is told
+
+    async def _tell(self) -> None:
+        """Gather what is told while somebody looks."""
+        while True:
+            if self._clients:
+                self._told = await self._loop.run_in_executor(self._teller, self._text)
+                async with self._changed:
+                    self._changed.notify_all()
+            await asyncio.sleep(1 / RATE)
+
+    def _text(self) -> str:
+        try:
+            return json.dumps(plain(self._source.tell()), allow_nan=False)
+        except HandeyeError as error:
+            return json.dumps({'error': str(error)})
+
+    async def _events(self, request: web.Request) -> web.StreamResponse:
+        if self._clients >= MOST_CLIENTS:
+            return _sentence(503, f'{MOST_CLIENTS} browsers look at this page: close one')
+        response = web.StreamResponse(headers=HEADERS | {'Content-Type': 'text/event-stream'})
+        self._clients += 1
+        try:
+            await response.prepare(request)
+            while True:
+                async with self._changed:
+                    await self._changed.wait()
+                await asyncio.wait_for(response.write(f'data: {self._told}\n\n'.encode()),
+                                       PATIENCE)
+        except (TimeoutError, ConnectionError):
+            return response
+        finally:
+            self._clients -= 1
+
+    # what is asked
+
+    @web.middleware
+    async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        given = request.query.get('token') or request.cookies.get(self.guard.cookie, '')
+        refusal = self.guard.refusal(request.headers, given)
+        if refusal:
+            return _sentence(refusal.status, refusal.text)
+        try:
+            return await handler(request)
+        except web.HTTPException as error:
+            return _sentence(error.status, error.reason.lower())
+
+    async def _index(self, request: web.Request) -> web.StreamResponse:
+        if 'token' in request.query:
+            response = web.Response(status=303, headers=HEADERS | {'Location': '/'})
+            response.set_cookie(self.guard.cookie, self.guard.token, httponly=True,
+                                samesite='Strict')
+            return response
+        return _static('index.html')
+
+    async def _file(self, request: web.Request) -> web.StreamResponse:
+        name = request.match_info['name']
+        return _static(name) if name in ('page.css', 'page.js', 'scene.js') else _sentence(
+            404, 'there is no such page')
+
+    async def _act(self, request: web.Request) -> web.StreamResponse:
+        act = self._source.acts.get(request.match_info['name'])
+        if act is None:
+            return _sentence(404, 'there is no such button')
+        if request.content_type != 'application/json':
+            return _sentence(415, 'expected application/json')
+        values = _object(await request.text())
+        if values is None:
+            return _sentence(400, 'expected a JSON object')
+        slow = request.match_info['name'] in self._source.slow
+        if self._waiting[slow] >= MOST_WAITING:
+            return _sentence(429, 'busy: wait for the answer of what was asked before')
+        self._waiting[slow] += 1
+        try:
+            success, text = await self._loop.run_in_executor(self._pools[slow], act, values)
+        finally:
+            self._waiting[slow] -= 1
+        return web.json_response({'success': success, 'message': text}, headers=HEADERS)
+
+
+class _Refused(asyncio.Protocol):
+    """Closes a connection at once."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        transport.close()
+
+
+def _sentence(status: int, text: str) -> web.Response:
+    return web.json_response({'success': False, 'message': text}, status=status, headers=HEADERS)
+
+
+def _static(name: str) -> web.Response:
+    text = resources.files(__package__).joinpath('assets', name).read_text(encoding='utf-8')
+    kind = KINDS[name[name.rindex('.'):]]
+    return web.Response(text=text, content_type=kind, charset='utf-8', headers=HEADERS)
+
+
+def _object(text: str) -> dict[str, Any] | None:
+    """Return what a JSON text holds if that is an object."""
+    try:
+        found = json.loads(text or '{}')
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def plain(value: Any) -> Any:
+    """Return plain values without infinities and NaN, which JSON does not know."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if abs(value) < float('inf') else None
+    return value

@@ -1,0 +1,138 @@
+"""The page, in a real browser, of the real node fed by a bag; and what it refuses."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import math
+from pathlib import Path
+import socket
+import time
+from typing import Any
+
+from browser import chromium, complaints
+from command import PATIENCE
+from handeye_ros import se3
+from handeye_ros.results.calibration_file import read_calibration
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='needs rclpy')
+pytest.importorskip('aiohttp', reason='needs aiohttp')
+from ros_helpers import Client, ROOT, run_module, running_node  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+BAG, CONFIG = ROOT / 'bags' / 'plate', ROOT / 'config' / 'plate.yaml'
+SMALLEST_TARGET = 44  # px, for gloves
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(('127.0.0.1', 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def opened(tmp_path: Path, client: Client, width: int) -> Iterator[Any]:
+    """Give a browser that looks at a node which was fed the bag."""
+    port = free_port()
+    with chromium(width, 900) as browser, running_node(
+            tmp_path, '--params-file', str(CONFIG), '-p', f'page.port:={port}'):
+        client.connect()
+        browser.get(f'http://127.0.0.1:{port}/')
+        assert run_module('replay', str(BAG), '--rate', '10').returncode == 0
+        wait(browser, "document.querySelectorAll('#samples li').length >= 17", 'all samples')
+        yield browser
+
+
+def wait(browser: Any, condition: str, what: str) -> None:
+    end = time.monotonic() + PATIENCE
+    while not browser.execute_script(f'return {condition}'):
+        assert time.monotonic() < end, f'waited in vain for {what}'
+
+
+def words(browser: Any, name: str) -> str:
+    return str(browser.execute_script('return document.getElementById(arguments[0]).textContent',
+                                      name))
+
+
+def press(browser: Any, selector: str, message: str) -> str:
+    """Click, and return what the page then says."""
+    browser.execute_script("document.getElementById('message').textContent = ''; "
+                           'shown.message = undefined')
+    button = browser.find_element('css selector', selector)
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
+    button.click()
+    wait(browser, f"document.getElementById('message').textContent.includes({message!r})",
+         f'"{message}", not "{words(browser, "message")}"')
+    return words(browser, 'message')
+
+
+def test_a_calibration_by_clicking(tmp_path: Path, client: Client) -> None:
+    with opened(tmp_path, client, 1280) as browser:
+        press(browser, '#take', 'sample')
+        press(browser, '[data-sample="5"]', 'sample 5 is left out')
+        wait(browser, "document.querySelectorAll('#samples .out').length === 1", 'its line')
+        assert 'x, y, z = ' in press(browser, '#compute', 'laser in flange')
+        saved = press(browser, '#save', 'wrote ')
+        path = tmp_path / 'plate' / 'calibration.yaml'
+        assert str(path) in saved
+        wait(browser, "document.getElementById('answer-x')", 'the figures')
+        found = read_calibration(path)
+        told = [words(browser, f'answer-{axis}') for axis in 'xyz']
+        assert told == [f'{1e3 * v:.3f}' for v in found.T_flange_sensor[:3, 3]]
+        told = [words(browser, f'answer-{name}') for name in ('roll', 'pitch', 'yaw')]
+        assert told == [f'{math.degrees(v):.4f}' for v in se3.rpy(found.T_flange_sensor)]
+        assert words(browser, 'answer-residual') == f'{1e3 * found.quality.residual_rms:.3f}'
+        assert words(browser, 'answer-used') == str(found.quality.samples_used)
+        std = browser.execute_script("return document.getElementById('answer-z')"
+                                     '.nextElementSibling.textContent')
+        assert std == f'{1e3 * np.sqrt(found.covariance[2, 2]):.3f}'
+        press(browser, '[data-sample="5"]', 'sample 5 is back')
+        wait(browser, "document.getElementById('answer-state').textContent.startsWith('outdated')",
+             'the answer is told to be outdated')
+        lines = "document.querySelectorAll('#samples li').length"
+        count = browser.execute_script(f'return {lines}')
+        press(browser, '#undo', 'removed sample')
+        wait(browser, f'{lines} === {count - 1}', 'one sample less')
+        cleared(browser)
+        assert complaints(browser) == []
+    assert 'Traceback' not in (tmp_path / 'node.log').read_text()
+
+
+def cleared(browser: Any) -> None:
+    """Clear: it asks twice, and no is no."""
+    count = browser.execute_script("return document.querySelectorAll('#samples li').length")
+    browser.find_element('id', 'clear').click()
+    browser.find_element('id', 'yes').click()
+    wait(browser, "document.getElementById('question').textContent.startsWith('Really?')",
+         'the second question')
+    browser.find_element('id', 'no').click()
+    assert browser.execute_script(
+        "return document.querySelectorAll('#samples li').length") == count
+    browser.find_element('id', 'clear').click()
+    browser.find_element('id', 'yes').click()
+    press(browser, '#yes', 'removed; bags and clocks may start again')
+    wait(browser, "document.querySelectorAll('#samples li').length === 0", 'no samples')
+
+
+@pytest.mark.parametrize('width', [390, 1280])
+def test_it_is_readable_and_fits_gloves(tmp_path: Path, client: Client, width: int) -> None:
+    with opened(tmp_path, client, width) as browser:
+        wait(browser, "document.querySelectorAll('#sigmas meter').length > 6", 'the sigmas')
+        browser.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', {
+            'width': width, 'height': 900, 'deviceScaleFactor': 1, 'mobile': width < 500})
+        assert browser.execute_script('return document.documentElement.scrollWidth') <= width
+        small = browser.execute_script(
+            "return [...document.querySelectorAll('button')].filter(b => b.offsetParent)"
+            '.map(b => b.getBoundingClientRect())'
+            f'.filter(r => r.width < {SMALLEST_TARGET} || r.height < {SMALLEST_TARGET}).length')
+        assert small == 0
+        # what the canvases show is not empty
+        for name in ('profile', 'scene'):
+            assert browser.execute_script(
+                f"const c = document.getElementById('{name}'); return c.getContext('2d')"
+                '.getImageData(0, 0, c.width, c.height).data.some(v => v)')
+        assert 'points in view are known to' in words(browser, 'advice')
+        assert words(browser, 'link') == 'a sample is taken at every stop'
+        assert complaints(browser) == []
