@@ -1,11 +1,11 @@
 """
 Kills a running session at random moments, and counts what is lost of what was acknowledged.
 
-    .venv/bin/python bench/kills.py                  a process with the node's session, 200 times
-    .venv/bin/python bench/kills.py --node           the node itself, over ROS
+    .venv/bin/python bench/kills.py
 
-After each SIGKILL the session has to be readable, by handeye and by stock readers of rosbag2 and
-mcap, hold every sample that was acknowledged and not removed, and go on.
+The process runs the session of the node, fed directly instead of over ROS; test/test_cell.py kills
+the node itself. After each SIGKILL the session has to be readable, by handeye and by stock
+readers of rosbag2 and mcap, hold every sample that was acknowledged and not removed, and go on.
 """
 from __future__ import annotations
 
@@ -163,14 +163,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument('--count', type=int, default=200)
     parser.add_argument('--seed', type=int, default=0)
-    parser.add_argument('--node', action='store_true', help='kill the node, over ROS')
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
-        if options.node:
-            from kills_node import run_node
-            run_node(options.count, options.seed, Path(folder))
-        else:
-            run(options.count, options.seed, Path(folder))
+        run(options.count, options.seed, Path(folder))
 
 
 if __name__ == '__main__':
