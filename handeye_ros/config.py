@@ -74,7 +74,7 @@ class TargetConfig:
                            minimum=0.0, maximum=0.1)
     edge_angle_std: float = _key(3e-4, '1 sigma of the angle between the edges of the plate '
                                  '(rad).', minimum=0.0, maximum=0.1)
-    setback_std: float = _key(2e-4, '1 sigma of how far the seen end of a face lies inside its '
+    setback_std: float = _key(3e-5, '1 sigma of how far the seen end of a face lies inside its '
                               'sharp edge: deburring, smoothing (m).', minimum=0.0, maximum=0.01)
     edge_angle_free: bool = _key(False, 'Estimate the angle between the edges of the plate '
                                  'instead of taking it as a right angle.')

@@ -158,7 +158,7 @@ def test_many_places_are_spanned_by_some() -> None:
 
 def test_a_distortion_is_no_motion_of_the_plane() -> None:
     points = np.random.default_rng(0).uniform([-0.02, 0.15], [0.02, 0.2], (300, 2))
-    fields = bending(points)
+    fields = bending(points, 2)
     x, z = (points - points.mean(axis=0)).T
     for motion in (np.stack([x * 0 + 1, x * 0], 1), np.stack([x * 0, x * 0 + 1], 1),
                    np.stack([z, -x], 1)):
@@ -171,7 +171,7 @@ def test_every_doubt_has_a_prior_and_what_is_certain_is_none() -> None:
     solution = solved(made.problem)
     names = [d.name for d in doubts(
         solution.problem, solution.estimate, linearise(solution.problem, solution.estimate))]
-    assert {'scale', 'robot_position', 'robot_rotation', 'distortion', 'flatness',
+    assert {'scale', 'robot_position', 'robot_rotation', 'distortion_1', 'flatness_2',
             'edge_angle'} <= set(names)
     certain = solved(cell('plate', 0).problem)
     assert not doubts(certain.problem, certain.estimate, certain.linear)

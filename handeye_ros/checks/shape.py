@@ -115,9 +115,8 @@ def found_doubts(solution: Solution) -> dict[str, Any]:
             told |= {f'{name}_{ENDS[int(end) - 1]}': value,
                      f'{name}_{ENDS[int(end) - 1]}_std': std}
     for name in ('robot_position', 'robot_rotation', 'distortion', 'flatness'):
-        for doubt in solution.doubts:
-            if doubt.name == name:
-                told |= {f'{name}_error': doubt.std}
+        parts = [d.std for d in solution.doubts if d.name.startswith(name)]
+        told |= {f'{name}_error': math.hypot(*parts)} if parts else {}
     return told
 
 

@@ -17,6 +17,10 @@ from handeye_ros.estimation.problem import Linear, points_in_base, Problem
 from handeye_ros.estimation.weights import TURN_LENGTH
 import numpy as np
 
+# Share of the RMS of each degree of the polynomials: the first of them are the largest.
+DISTORTION = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
+FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}
+
 
 @dataclass(frozen=True, eq=False)
 class Doubt:
@@ -95,10 +99,10 @@ def _robot(problem: Problem, linear: Linear) -> Iterator[Doubt]:
 
 def _sensor(problem: Problem, linear: Linear) -> Iterator[Doubt]:
     std = problem.config.noise.distortion
-    if std:
-        field = bending(problem.observations.points)  # (m, 2, k)
-        columns = np.einsum('mi,mik->mk', linear.by_point, field) * std
-        yield Doubt('distortion', columns, std)
+    for degree, share in DISTORTION.items():
+        field = bending(problem.observations.points, degree)  # (m, 2, k)
+        columns = np.einsum('mi,mik->mk', linear.by_point, field) * (std * share)
+        yield Doubt(f'distortion_{degree}', columns, std * share)
 
 
 def _faces(problem: Problem, estimate: Estimate) -> Iterator[Doubt]:
@@ -106,7 +110,8 @@ def _faces(problem: Problem, estimate: Estimate) -> Iterator[Doubt]:
     if not std:
         return
     p = points_in_base(problem, estimate.X)
-    columns = [bent_faces(p, problem.observations.kind == i)
-               for i, name in enumerate(kinds) if name.startswith('face')]
-    if columns:
-        yield Doubt('flatness', np.hstack(columns) * std, std)
+    for degree, share in FLATNESS.items():
+        columns = [bent_faces(p, problem.observations.kind == i, degree)
+                   for i, name in enumerate(kinds) if name.startswith('face')]
+        if columns:
+            yield Doubt(f'flatness_{degree}', np.hstack(columns) * (std * share), std * share)

@@ -12,19 +12,17 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-ALIKE_POSITION = 0.4  # poses this far apart (m), or turned this far (rad), share half the error
-ALIKE_ROTATION = 0.7
+ALIKE_POSITION = 0.6  # poses this far apart (m), or turned this far (rad), share half the error
+ALIKE_ROTATION = 1.0
 SAME_PLACE = 0.01  # of these lengths: nearer poses err alike
 MOST_PLACES = 24  # that span the robot's error
-DEGREE = 4  # of the polynomials
 
 
-def polynomials(u: Array, v: Array, lowest: int) -> Array:
-    """Return products (m, k) of Legendre polynomials of coordinates (m,), of RMS 1 over both."""
-    norm = np.sqrt(2 * np.arange(DEGREE + 1) + 1)
-    a, b = (legendre.legvander(_normalised(w), DEGREE) * norm for w in (u, v))
-    return np.column_stack([a[:, i] * b[:, j] for i in range(DEGREE + 1)
-                            for j in range(DEGREE + 1 - i) if i + j >= lowest])
+def polynomials(u: Array, v: Array, degree: int) -> Array:
+    """Return products (m, degree + 1) of Legendre polynomials of u and v (m,), each of RMS 1."""
+    norm = np.sqrt(2 * np.arange(degree + 1) + 1)
+    a, b = (legendre.legvander(_normalised(w), degree) * norm for w in (u, v))
+    return np.column_stack([a[:, i] * b[:, degree - i] for i in range(degree + 1)])
 
 
 def _normalised(w: Array) -> Array:
@@ -40,16 +38,16 @@ def without(columns: Array, absorbed: Array) -> Array:
     return np.asarray(columns - absorbed @ (inverse @ (absorbed.T @ columns)))
 
 
-def bending(points: Array) -> Array:
+def bending(points: Array, degree: int) -> Array:
     """
     Return fields (m, 2, k) over points (m, 2) of the sensor plane, together of RMS 1 each way.
 
-    No motion of the plane in itself is in them.
+    degree: of the polynomials. No motion of the plane in itself is in them.
     """
     m = len(points)
     x, z = (points - points.mean(axis=0)).T
     one, none = np.ones(m), np.zeros(m)
-    terms = polynomials(x, z, 1)
+    terms = polynomials(x, z, degree)
     zero = np.zeros_like(terms)
     fields = np.block([[terms, zero], [zero, terms]])
     rigid = np.block([[one[:, None], none[:, None], z[:, None]],
@@ -58,18 +56,18 @@ def bending(points: Array) -> Array:
     return np.stack([fields[:m], fields[m:]], axis=1)
 
 
-def bent_faces(p: Array, here: NDArray[np.bool_]) -> Array:
+def bent_faces(p: Array, here: NDArray[np.bool_], degree: int) -> Array:
     """Return heights (m, k), together of RMS 1, over a face with the points p (m, 3) here (m,)."""
     points = p[here]
-    terms = np.zeros((len(p), 0))
-    if len(points) > 3:
-        centred = points - points.mean(axis=0)
-        _, axes = np.linalg.eigh(centred.T @ centred)
-        u, v = centred @ axes[:, 2], centred @ axes[:, 1]
-        some = polynomials(u, v, 2)
-        terms = np.zeros((len(p), some.shape[1]))
-        flat = np.column_stack([np.ones(len(u)), u, v])
-        terms[here] = without(some, flat) / some.shape[1] ** 0.5
+    if len(points) <= 3:
+        return np.zeros((len(p), 0))
+    centred = points - points.mean(axis=0)
+    _, axes = np.linalg.eigh(centred.T @ centred)
+    u, v = centred @ axes[:, 2], centred @ axes[:, 1]
+    some = polynomials(u, v, degree)
+    terms = np.zeros((len(p), some.shape[1]))
+    flat = np.column_stack([np.ones(len(u)), u, v])
+    terms[here] = without(some, flat) / some.shape[1] ** 0.5
     return terms
 
 

@@ -34,8 +34,9 @@ CONVERGED = 1e-3  # step in sigmas
 DIVERGED = 4.0  # of a step over the smallest before
 BELIEF = 1.0  # in the configured size of a doubt, in degrees of freedom
 BELIEF_NOISE = 4.0  # in the configured noise
-CAUTION = 2.0  # degrees of freedom by which a size is known less well than it is estimated
+CAUTION = 3.0  # degrees of freedom by which a size is known less well than it is estimated
 SMALLEST, LARGEST = 1e-4, 1e8
+MOST = 400.0  # of doubts but of the target's stated measures: 20 times as large
 
 
 def settled(problem: Problem, start: Estimate) -> Solution:
@@ -48,7 +49,6 @@ def settled(problem: Problem, start: Estimate) -> Solution:
     system, least = _System.of(problem, start, noise, nothing), np.inf
     best = system
     for _ in range(ROUNDS):
-        system = replace(system, noise=system.sized())
         x, covariance = system.solved()
         size = float(np.abs(x[:system.u] / np.sqrt(np.diag(covariance)[:system.u])).max())
         if size > DIVERGED * least:
@@ -57,6 +57,7 @@ def settled(problem: Problem, start: Estimate) -> Solution:
         estimate, deviation = system.moved(x)
         noise = system.with_noise(x, covariance)
         system = _System.of(problem, estimate, noise, deviation)
+        system = replace(system, noise=system.sized())
         if size < CONVERGED:
             break
     return system.solution()
@@ -125,6 +126,7 @@ class _System:
         if not self.doubts:
             return noise
         M, c = self._reduced()
+        largest = np.array([MOST if d.parameter is None else LARGEST for d in self.doubts])
         for _ in range(STEPS):
             s = system.scales()[self.u:]
             C = inverse(M * np.outer(s, s) + np.eye(len(s)))
@@ -134,7 +136,7 @@ class _System:
             before = np.array([noise.doubts.get(d.name, 1.0) for d in self.doubts])
             after = (before * form * (1 + CAUTION / (known + CAUTION + 1)) + BELIEF) / (
                 known + BELIEF)
-            after = np.clip(after, SMALLEST, LARGEST)
+            after = np.clip(after, SMALLEST, largest)
             noise = replace(noise, doubts={d.name: float(v) for d, v in zip(
                 self.doubts, after, strict=True)})
             system = replace(self, noise=noise)
