@@ -28,9 +28,11 @@ from handeye_ros.estimation.weights import (
 import numpy as np
 from numpy.typing import NDArray
 
-ROUNDS, STEPS = 6, 10  # of linearising, and of estimating sizes in each
+ROUNDS, STEPS = 10, 10  # of linearising, and of estimating sizes in each
 SETTLED = 0.03  # relative change of a variance that changes no answer
-CONVERGED = 1e-3  # step in sigmas
+SETTLED_NOISE = 0.1
+ASKED = 300  # stations that at most are asked for the noise
+CONVERGED = 1e-2  # step in sigmas
 DIVERGED = 4.0  # of a step over the smallest before
 BELIEF = 1.0  # in the configured size of a doubt, in degrees of freedom
 BELIEF_NOISE = 4.0  # in the configured noise
@@ -55,10 +57,10 @@ def settled(problem: Problem, start: Estimate) -> Solution:
             return best.solution()
         best, least = system, min(size, least)
         estimate, deviation = system.moved(x)
-        noise = system.with_noise(x, covariance)
+        noise, before = system.with_noise(x, covariance), system.noise.factors
         system = _System.of(problem, estimate, noise, deviation)
         system = replace(system, noise=system.sized())
-        if size < CONVERGED:
+        if size < CONVERGED and np.abs(np.log(noise.factors / before)).max() < SETTLED_NOISE:
             break
     return system.solution()
 
@@ -157,7 +159,9 @@ class _System:
         s = self.scales()
         residuals, A = self.r + self.A @ (s * x), self.A * s
         sums = np.zeros((3, 2))
-        for rows in groups(self.problem.observations.station):
+        every = -(-len(self.problem.poses) // ASKED)
+        for group in groups(self.problem.observations.station):
+            rows = group[::every]
             V = self.noise.factors[:, None, None, None] * covariances(
                 self.problem, self.linear, rows)
             root = inverse_roots(V.sum(axis=0))

@@ -30,6 +30,7 @@ LOST_EDGE = 8.0  # squared residual of a station that shows an edge which lies o
 SCALE = 3.0  # the same, in squared residuals that the believed share stays below
 DOUBTFUL = 16.0  # squared residual, in variances, that a clean recording stays below
 MOST_FREEDOM = 6  # of a station's residuals: a pose has no more
+BATCH = 50  # one of so many stations is dropped at a time
 FALSE_ALARM = 1e-3  # of a good recording losing one station
 LARGEST_VARIANCE = 1.0  # m^2 or rad^2: more is no answer at all
 NEAR = 1e-3  # step length in sigmas that ends a round of annealing
@@ -198,17 +199,17 @@ def without_outliers(trial: Trial) -> Consensus:
 
 def settle(agreed: Consensus, minimum: int) -> Consensus:
     """Return the consensus with all doubts in its solution; what then does not fit is dropped."""
-    used, dropped, total = agreed.used, dict(agreed.dropped), len(agreed.used)
-    total += len(dropped)
-    part, estimate = agreed.solution.problem, agreed.solution.estimate
+    used, dropped, part = agreed.used, dict(agreed.dropped), agreed.solution.problem
+    total, estimate = len(used) + len(dropped), agreed.solution.estimate
     while True:
         solution = settled(part, estimate)
         mean_square, freedom = _mean_squares(solution)
         probability = chi2_distribution.sf(mean_square * freedom, freedom)
-        worst = int(np.argmin(probability))
-        if probability[worst] > FALSE_ALARM / total or len(used) <= minimum:
+        worst = np.argsort(probability)[:max(1, min(len(used) // BATCH, len(used) - minimum))]
+        worst = worst[probability[worst] < FALSE_ALARM / total]
+        if not len(worst) or len(used) <= minimum:
             return replace(agreed, solution=solution, used=used, dropped=dropped)
-        dropped[int(used[worst])] = float(mean_square[worst])
+        dropped |= {int(used[k]): float(mean_square[k]) for k in worst}
         used = np.delete(used, worst)
         part = part.subset(np.delete(np.arange(len(part.poses)), worst))
 
