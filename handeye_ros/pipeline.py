@@ -93,6 +93,7 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     rejects = [*rejects, *at_border]
     agreed, solution = estimate(ordered, rejects, config)
     require_certain(solution, config)
+    require_judged(agreed)
     calibration = describe_calibration(ordered, rejects, agreed, solution, config, frame_id)
     if not calibration.quality.holdout_rms <= config.limits.residual:
         raise LeftOutError(calibration.quality.holdout_rms, config.limits.residual)
@@ -149,10 +150,8 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     if agreed.doubtful:
         agreed = believable_shape(problem, consensus(problem, rng, SUBSETS), rng)
     require_consistent(problem, agreed, rng)
-    require_judged(agreed)
     require_only_answer(problem, agreed, rng)
     agreed = settle(agreed, method.minimum)
-    require_judged(agreed)
     require_one_scale(agreed.solution)
     return agreed, agreed.solution
 

@@ -53,7 +53,7 @@ def settled(problem: Problem, start: Estimate) -> Solution:
     for _ in range(ROUNDS):
         x, covariance = system.solved()
         size = float(np.abs(x[:system.u] / np.sqrt(np.diag(covariance)[:system.u])).max())
-        if size > DIVERGED * least:
+        if size > DIVERGED * max(least, 1.0):
             return best.solution()
         best, least = system, min(size, least)
         estimate, deviation = system.moved(x)
@@ -62,7 +62,8 @@ def settled(problem: Problem, start: Estimate) -> Solution:
         system = replace(system, noise=system.sized())
         if size < CONVERGED and np.abs(np.log(noise.factors / before)).max() < SETTLED_NOISE:
             break
-    return system.solution()
+    estimate, deviation = system.moved(system.solved()[0])
+    return _System.of(problem, estimate, system.noise, deviation).solution()
 
 
 def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
