@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 SMALLEST_STD = 1e-9  # of a feature without any noise, which would weigh infinitely (m)
 DISTORTION_LENGTH = 0.01  # over which the error of a sensor's field is alike (m)
 TURN_LENGTH = 0.4  # over which an error of the robot's joints turns as much as it shifts (m)
+LOCAL = 0.6  # of the distortion, which differs from station to station: speckle, and waves
 ROUNDING = 1e-12  # keeps a covariance invertible that one pose error rules
 
 
@@ -77,6 +78,8 @@ def covariances(problem: Problem, linear: Linear, rows: NDArray[np.intp]) -> Arr
     edge = (obs.end[rows] > 0)[:, :, None] * np.ones(rows.shape[1])
     feature = (H @ np.swapaxes(H, 1, 2)) * _shared(obs.source[rows]) + (
         SMALLEST_STD ** 2 * np.eye(rows.shape[1]))
+    feature = feature + _distortion(obs.points[rows], linear.by_point[rows],
+                                    LOCAL * noise.distortion)
     G = linear.by_pose[rows] * np.repeat([noise.robot_translation, noise.robot_rotation], 3)
     return np.array([feature * (1 - edge), feature * edge, G @ np.swapaxes(G, 1, 2)])
 
