@@ -57,6 +57,7 @@ figures:
 	@tools/environment.sh .venv ros,test,dev
 	.venv/bin/python tools/draw_architecture.py
 	.venv/bin/python tools/draw_targets.py
+	.venv/bin/python tools/draw_routines.py
 	.venv/bin/python tools/draw_demo.py
 	.venv/bin/python tools/make_reference.py
 	.venv/bin/python tools/draw_plans.py

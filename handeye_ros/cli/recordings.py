@@ -23,7 +23,8 @@ def replay(
 
 def _scenarios() -> list[str]:
     from handeye_ros.simulate import FAULTS, FILE_SCENES, SCENARIOS
-    return [*SCENARIOS, *FILE_SCENES, *FAULTS]
+    from handeye_ros.simulate.measuring import MEASURING_CELL
+    return [*SCENARIOS, *FILE_SCENES, *FAULTS, MEASURING_CELL]
 
 
 def _print_scenarios(wanted: bool) -> None:

@@ -15,6 +15,7 @@ import yaml
 
 if TYPE_CHECKING:
     from handeye_ros.simulate import Measured, Simulated
+    from handeye_ros.simulate.measuring import MeasuringCell
 
 NAME = 'truth.yaml'
 
@@ -36,6 +37,13 @@ def measured_truth_values(made: Measured, name: str, seed: int) -> dict[str, Any
     """Return what truth.yaml holds beside files of measured values; name: of the scene."""
     return {**_values(name, seed, made.T_flange_sensor), 'noise': _plain(dict(made.noise)),
             'settings': _plain(dict(made.settings))}
+
+
+def cell_truth_values(cell: MeasuringCell, name: str, seed: int) -> dict[str, Any]:
+    """Return what truth.yaml holds beside the recordings of a cell that measures."""
+    return {**_values(name, seed, cell.T_flange_sensor),
+            'artefacts': {'ball_radius': cell.ball_radius, 'bar': cell.bar,
+                          'gauge': _plain(asdict(cell.gauge))}}
 
 
 def _values(name: str, seed: int, T_flange_sensor: Array) -> dict[str, Any]:

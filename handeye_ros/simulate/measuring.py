@@ -21,6 +21,7 @@ from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.simulate.tooth import Gauge, Pass, scan_gauge
 import numpy as np
 
+MEASURING_CELL = 'measuring_cell'  # what `handeye simulate` calls it
 BALL = SphereTarget(0.02, table=None, clutter=False)
 BAR = 0.2
 STOP = 0.6  # s of a stop at a ball
