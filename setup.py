@@ -42,6 +42,7 @@ setup(
             'calibrate = handeye_ros.ros.node.main:main',
             'publish = handeye_ros.ros.publish:main',
             'replay = handeye_ros.ros.replay:main',
+            'scan = handeye_ros.ros.scan:main',
         ],
     },
 )

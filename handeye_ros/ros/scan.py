@@ -1,0 +1,166 @@
+"""
+Publishes what the laser sees as points in the base: what `ros2 run handeye_ros scan` runs.
+
+usage: ros2 run handeye_ros scan CALIBRATION [--set KEY=VALUE]... [--range NEAR FAR]
+           [--incidence DEGREES] [--voxel EDGE] [--std] [--ros-args ...]
+
+CALIBRATION is a calibration.yaml, or the folder that holds one; its settings (topics, unit,
+frames) are used, and --set changes them. The points are published on ~/points, in the base, a
+cloud for the profiles of every 50 ms, each profile where its own stamp plus time_offset says; one
+waits for the pose after it. The number of what was dropped is logged.
+"""
+from __future__ import annotations
+
+import argparse
+from collections import deque
+from collections.abc import Sequence
+import math
+from pathlib import Path
+import sys
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from handeye_ros.config import Config, with_assignments
+from handeye_ros.data import Calibration, Profile, TimedPose
+from handeye_ros.errors import DataError, NoRosError
+from handeye_ros.measure.cloud_files import Points
+from handeye_ros.measure.scan import Scanner, ScanOptions
+from handeye_ros.measure.settings import settings_of
+from handeye_ros.measure.track import Track
+from handeye_ros.results.calibration_file import file_of, read_calibration
+from handeye_ros.ros.bags.messages import pose_from_stamped, returns_from_cloud
+from handeye_ros.ros.bags.transforms import FlangeTracker
+from handeye_ros.ros.errors import MessageError, TopicsError
+from handeye_ros.ros.executable import exit_code, RCLError, ros
+from handeye_ros.ros.node.intake import TFMessage
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.utilities import remove_ros_args
+from sensor_msgs.msg import PointCloud2, PointField
+
+PERIOD = 0.05  # s between two clouds
+KEPT_POSES = 2000  # that profiles may still need: 20 s of 100 Hz
+KEPT_PROFILES = 4000  # that wait for a pose; the oldest go first
+STREAM = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+THROTTLE = 5.0  # s between two warnings of a kind
+
+
+class ScanNode(Node):
+    """Takes profiles and poses, and publishes points."""
+
+    def __init__(self, calibration: Calibration, config: Config, options: ScanOptions) -> None:
+        """Subscribe; raises NoRosError where the poses are transforms and tf2_msgs is missing."""
+        super().__init__('handeye_scan')
+        self._config = config
+        self._scanner = Scanner(calibration, config, options)
+        self._offset = round(config.time_offset * 1e9)
+        self._profiles: deque[Profile] = deque(maxlen=KEPT_PROFILES)
+        self._poses: deque[TimedPose] = deque(maxlen=KEPT_POSES)
+        self._dropped = 0
+        self._tracker = FlangeTracker(config.robot_base_frame, config.robot_effector_frame)
+        self._points = self.create_publisher(PointCloud2, '~/points', 10)
+        self.create_subscription(PointCloud2, config.profile_topic, self._on_profile, STREAM)
+        self._listen_to_poses()
+        self.create_timer(PERIOD, self._tell)
+
+    def _listen_to_poses(self) -> None:
+        if self._config.pose_source == 'topic':
+            self.create_subscription(PoseStamped, self._config.pose_topic, self._on_pose, STREAM)
+        elif not TFMessage:
+            raise NoRosError('scan with pose_source tf', 'tf2_msgs')
+        else:
+            for topic, qos in (('/tf_static', LATCHED_TREE), ('/tf', STREAM)):
+                self.create_subscription(
+                    TFMessage, topic, lambda msg, static=topic != '/tf': self._on_transforms(
+                        msg, static), qos)
+
+    def _on_profile(self, msg: PointCloud2) -> None:
+        try:
+            self._profiles.append(returns_from_cloud(msg, self._config.profile))
+        except MessageError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+
+    def _on_pose(self, msg: PoseStamped) -> None:
+        try:
+            self._poses.append(pose_from_stamped(msg))
+        except MessageError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+
+    def _on_transforms(self, msg: Any, static: bool) -> None:
+        try:
+            self._poses.extend(self._tracker.add(msg.transforms, static))
+        except MessageError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+
+    def _tell(self) -> None:
+        """Publish the points of the profiles that the poses have passed."""
+        if not self._poses:
+            return
+        latest = self._poses[-1].stamp
+        ready = [p for p in self._profiles if p.stamp + self._offset <= latest]
+        if not ready:
+            return
+        for profile in ready:
+            self._profiles.remove(profile)
+        try:
+            track = Track(list(self._poses), self._config.sampling.max_pose_gap)
+        except DataError as error:  # the clock was set back
+            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+            self._poses.clear()
+            return
+        points = self._scanner.points(ready, track)
+        lost = self._scanner.count.without_pose
+        if lost > self._dropped:
+            self._dropped = lost
+            self.get_logger().warning(f'{lost} profiles without a pose before and after them were '
+                                      'dropped so far', throttle_duration_sec=THROTTLE)
+        if len(points):
+            self._points.publish(_cloud(points, self._scanner.frame, ready[-1].stamp))
+
+
+def _cloud(points: Points, frame: str, stamp: int) -> PointCloud2:
+    names = points.dtype.names or ()
+    cloud = PointCloud2(
+        height=1, width=len(points), is_bigendian=False, is_dense=True,
+        point_step=points.dtype.itemsize, row_step=points.nbytes,
+        fields=[PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
+                for k, name in enumerate(names)])
+    cloud.header.frame_id = frame
+    cloud.header.stamp.sec, cloud.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+    cloud.data.frombytes(points.tobytes())
+    return cloud
+
+
+def scan(path: Path, assignments: Sequence[str], options: ScanOptions) -> None:
+    """Publish until Ctrl-C; raises InputError for a calibration that cannot be read."""
+    calibration = read_calibration(file_of(path))
+    config = with_assignments(settings_of(calibration), assignments)
+    with ros():
+        try:
+            node = ScanNode(calibration, config, options)
+        except RCLError as error:
+            raise TopicsError(str(error)) from error
+        rclpy.spin(node)
+
+
+def main() -> None:
+    """Run the executable."""
+    parser = argparse.ArgumentParser(prog='scan', description=(__doc__ or '').splitlines()[1])
+    parser.add_argument('calibration', type=Path)
+    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE')
+    parser.add_argument('--range', nargs=2, type=float, default=(-math.inf, math.inf),
+                        metavar=('NEAR', 'FAR'))
+    parser.add_argument('--incidence', type=float, default=90.0, metavar='DEGREES')
+    parser.add_argument('--voxel', type=float, default=0.0, metavar='EDGE')
+    parser.add_argument('--std', action='store_true')
+    given = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    nearest, farthest = given.range
+    options = ScanOptions(nearest, farthest, math.radians(given.incidence), given.voxel,
+                          given.std)
+    sys.exit(exit_code(lambda: scan(given.calibration, given.set, options)))
+
+
+if __name__ == '__main__':
+    main()
