@@ -1,0 +1,56 @@
+#!/usr/bin/env python3
+"""Writes config/handeye.policy.xml from a running node: .venv/bin/python tools/make_policy.py."""
+from __future__ import annotations
+
+from pathlib import Path
+import subprocess
+import sys
+import time
+from typing import Any
+from xml.etree import ElementTree as ET
+
+POLICY = Path(__file__).parents[1] / 'config' / 'handeye.policy.xml'
+NODE = 'handeye'
+
+
+def used(observer: Any) -> dict[tuple[str, str], list[str]]:
+    """Return the names of what the node publishes, subscribes and serves, as a node sees it."""
+    ask = {('topics', 'publish'): observer.get_publisher_names_and_types_by_node,
+           ('topics', 'subscribe'): observer.get_subscriber_names_and_types_by_node,
+           ('services', 'reply'): observer.get_service_names_and_types_by_node}
+    return {kind: sorted(name.replace(f'/{NODE}/', '~/') for name, _ in names(NODE, '/'))
+            for kind, names in ask.items()}
+
+
+def policy(found: dict[tuple[str, str], list[str]]) -> str:
+    """Return the text of an SROS2 policy that allows that and nothing else."""
+    root = ET.Element('policy', version='0.2.0')
+    enclave = ET.SubElement(ET.SubElement(root, 'enclaves'), 'enclave', path=f'/{NODE}')
+    profile = ET.SubElement(ET.SubElement(enclave, 'profiles'), 'profile', ns='/', node=NODE)
+    for (group, right), names in found.items():
+        section = ET.SubElement(profile, group, {right: 'ALLOW'})
+        for name in names:
+            ET.SubElement(section, group.removesuffix('s')).text = name
+    ET.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
+
+
+def main() -> None:
+    """Start the node, look at it, and write the policy."""
+    import rclpy
+    from rclpy.node import Node
+    rclpy.init()
+    observer = Node('observer')
+    with subprocess.Popen([sys.executable, '-m', 'handeye_ros.ros.node']) as process:
+        try:
+            while not observer.count_publishers(f'/{NODE}/calibration'):
+                time.sleep(0.1)
+            time.sleep(2.0)
+            POLICY.write_text(policy(used(observer)), encoding='utf-8')
+        finally:
+            process.terminate()
+    rclpy.shutdown()
+
+
+if __name__ == '__main__':
+    main()
