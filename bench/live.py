@@ -59,7 +59,7 @@ except BaseException:
 """
 
 
-def publish(rate: float, seconds: float, stops: bool) -> None:
+def publish(rate: float, seconds: float, cycle: float) -> None:
     """Publish as a driver and a robot do; print how many profiles were sent."""
     from geometry_msgs.msg import PoseStamped
     import rclpy
@@ -83,7 +83,7 @@ def publish(rate: float, seconds: float, stops: bool) -> None:
             sent += 1
         while posed < now * 1e-9 * POSES:
             stamp = start + round(posed * 1e9 / POSES)
-            poses.publish(serialised(pose(stamp, posed / POSES, stops), LAYOUTS['xyz'], 'm'))
+            poses.publish(serialised(pose(stamp, posed / POSES, cycle), LAYOUTS['xyz'], 'm'))
             posed += 1
         time.sleep(max(0.0, (sent + 1) / rate - (time.time_ns() - start) * 1e-9))
     print(sent, flush=True)
@@ -104,12 +104,12 @@ def stamped(message: bytes, stamp: int) -> bytes:
     return message[:4] + struct.pack('<iI', *divmod(stamp, 1_000_000_000)) + message[12:]
 
 
-def pose(stamp: int, t: float, stops: bool) -> TimedPose:
-    """Return where the robot is at time t (s)."""
+def pose(stamp: int, t: float, cycle: float) -> TimedPose:
+    """Return where the robot is at time t (s): it stands for two thirds of a cycle, if any."""
     way = 0.3 * t
-    if stops:
-        number, inside = divmod(t, 1.5)
-        way = 0.01 * (number + max(0.0, inside - 1.0) / 0.5)
+    if cycle:
+        number, inside = divmod(t / cycle, 1.0)
+        way = 0.01 * (number + max(0.0, inside - 2 / 3) * 3)
     turn = np.array([np.sin(way), np.cos(1.7 * way), np.sin(2.3 * way), 4.0])
     return TimedPose(stamp, np.array([0.5, way, 0.3]), turn / np.linalg.norm(turn))
 
@@ -183,7 +183,7 @@ def run(kind: str, rate: float, options: argparse.Namespace, watcher: Watcher
         watcher.wait(3.0, False)
         arguments = ['--publish', str(rate), '--seconds', str(options.seconds)]
         before, _ = usage(process.pid)
-        arguments += ['--stops'] if options.stops else []
+        arguments += ['--stops', '--cycle', str(options.cycle)] if options.stops else []
         with subprocess.Popen([sys.executable, HERE, *arguments], stdout=subprocess.PIPE,
                               text=True) as driver:
             while driver.poll() is None and process.poll() is None:
@@ -201,10 +201,11 @@ def main() -> None:
     parser.add_argument('--rates', type=float, nargs='+', default=[1000, 2000, 3000, 4000])
     parser.add_argument('--seconds', type=float, default=10.0)
     parser.add_argument('--stops', action='store_true')
+    parser.add_argument('--cycle', type=float, default=1.5, help='s from stop to stop')
     parser.add_argument('--publish', type=float, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.publish:
-        publish(options.publish, options.seconds, options.stops)
+        publish(options.publish, options.seconds, options.cycle if options.stops else 0.0)
         return
     watcher = Watcher()
     for rate in options.rates:

@@ -4,7 +4,7 @@ The node for hours: memory, losses, and how soon services answer.
 
 usage: python bench/soak.py [--minutes 60] [--rate 1000]
 
-Publishes profiles and the poses of a robot that stops each 1.5 s, and calls one service after the
+Publishes profiles and the poses of a robot that stops each 6 s, and calls one service after the
 other (take, remove, compute, save, set a parameter) meanwhile. Prints each minute what came and
 was lost, the resident memory and the slowest answer of each service; in the end the slope of the
 memory behind the first fifth of the time. Needs ROS, on a domain of its own (ROS_DOMAIN_ID).
@@ -31,6 +31,7 @@ from std_srvs.srv import Trigger
 LIVE = runpy.run_path(str(Path(__file__).with_name('live.py')))
 SERVICES = ('take_sample', 'remove_last_sample', 'compute_calibration', 'save_calibration')
 PAUSE = 0.5  # s between two calls
+CYCLE = 6.0  # s from stop to stop
 
 
 class User:
@@ -72,8 +73,8 @@ def soak(minutes: float, rate: float) -> None:
     with tempfile.TemporaryDirectory() as folder, LIVE['listener']('node', folder) as (node, _):
         watcher.wait(5.0, False)
         driver = subprocess.Popen(
-            [sys.executable, LIVE['HERE'], '--publish', str(rate), '--seconds',
-             str(60 * minutes), '--stops'], stdout=subprocess.PIPE, text=True)
+            [sys.executable, LIVE['HERE'], '--publish', str(rate), '--seconds', str(60 * minutes),
+             '--stops', '--cycle', str(CYCLE)], stdout=subprocess.PIPE, text=True)
         told = 1
         while driver.poll() is None and node.poll() is None:
             watcher.wait(PAUSE, False)

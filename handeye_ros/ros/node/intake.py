@@ -42,6 +42,7 @@ STREAM = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 PAUSE = 2e-3  # s between two looks at what has come
+MOST_AT_ONCE = 200  # messages of one topic, before it is the turn of the next
 
 THROTTLE = 5.0  # s between two warnings of a kind
 
@@ -75,7 +76,7 @@ class Intake:
         self._node = node
         self._live = live
         self._group = Apart()
-        self._drains: list[Callable[[], None]] = []
+        self._drains: list[Callable[[], int]] = []
         config = live.config
         self._tracker = FlangeTracker(config.robot_base_frame, config.robot_effector_frame)
         self._reader = ProfileReader(config.profile)
@@ -124,14 +125,19 @@ class Intake:
         """Take what waits, again and again, until the node ends."""
         with suppress(InvalidHandle):
             while self._node.context.ok():
-                for drain in self._drains:
-                    drain()
-                time.sleep(PAUSE)
+                counts = [drain() for drain in self._drains]
+                if max(counts) < MOST_AT_ONCE:
+                    time.sleep(PAUSE)
 
-    def _drain(self, handle: Any, kind: Any, raw: bool, take: Callable[[Any], None]) -> None:
+    def _drain(self, handle: Any, kind: Any, raw: bool, take: Callable[[Any], None]) -> int:
+        """Take what waits, but not so much that other topics wait for it; return how much."""
         with handle:
-            while taken := handle.take_message(kind, raw):
+            for count in range(MOST_AT_ONCE):
+                taken = handle.take_message(kind, raw)
+                if not taken:
+                    return count
                 self._understood(kind, take, taken[0])
+        return MOST_AT_ONCE
 
     def _understood(self, kind: Any, take: Callable[[Any], None], msg: Any) -> None:
         try:
