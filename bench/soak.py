@@ -48,6 +48,11 @@ class User:
         self._clients['set_parameters'] = self._node.create_client(
             SetParameters, '/handeye/set_parameters')
 
+    def wait(self) -> None:
+        """Wait until all services are there."""
+        for client in self._clients.values():
+            assert client.wait_for_service(60.0), f'{client.srv_name} is not there'
+
     def call(self) -> None:
         """Call the next service, and wait for its answer."""
         names = list(self._clients)
@@ -71,7 +76,7 @@ def soak(minutes: float, rate: float) -> None:
     watcher, begin = LIVE['Watcher'](), time.monotonic()
     user, memory = User(watcher), []
     with tempfile.TemporaryDirectory() as folder, LIVE['listener']('node', folder) as (node, _):
-        watcher.wait(5.0, False)
+        user.wait()
         driver = subprocess.Popen(
             [sys.executable, LIVE['HERE'], '--publish', str(rate), '--seconds', str(60 * minutes),
              '--stops', '--cycle', str(CYCLE)], stdout=subprocess.PIPE, text=True)
