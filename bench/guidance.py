@@ -12,7 +12,8 @@ the same first pose. Where the sensor shows no target both try again, and that c
 A row per target: the median number of stations, and its quartiles, until points mapped over
 x +-20 mm, range 160-190 mm are off by less than 0.1 mm at two stations running, and until their
 stated 1 sigma is less; sessions that never got there count as the most, and are told. Counts go
-to stderr as they come.
+to stderr as they come. The samples of the other operator are solved at every second station only,
+and counted as one less.
 """
 from __future__ import annotations
 
@@ -124,7 +125,9 @@ def world(target: str, robot: tuple[float, float], seed: int) -> World:
                    robot=replace(made.robot, repeatability=robot))
     rng = np.random.default_rng(seed)
     _, truth = simulate_samples(made, rng)
-    new = World(made, configs.with_values(Config(), settings(made), 'bench'), rng,
+    # a robot without the smooth error that is believed in by default
+    believed = settings(made) | {'noise.robot_smooth': 0.0}
+    new = World(made, configs.with_values(Config(), believed, 'bench'), rng,
                 truth.T_flange_sensor, truth.T_base_target)
     nearer = 0.2 if made.scene == 'sphere' else 0.0  # of the view's depth: its top is seen
     middle = (new.view.low + new.view.high) / 2 - [0, nearer * new.view.size[1]]
@@ -190,18 +193,19 @@ def session(cell: World, operator: str) -> tuple[int, int]:
     """Return the number of stations until the error, and the stated sigma, are as wanted."""
     method, most = methods.of(cell.config), MOST[operator]
     by_error, by_sigma, running = most, most, 0
+    every = 1 if operator == 'advice' else 2
     while len(cell.samples) < most and most in (by_error, by_sigma):
         solution = None
-        if len(cell.samples) >= method.minimum:
+        if len(cell.samples) >= method.minimum and len(cell.samples) % every == 0:
             solution = solved(cell)
-        count = len(cell.samples)
+        count = len(cell.samples) + 1 - every
         if solution is not None:
             known = mapping(solution.estimate.X, FIELD)
             off = mapped_point_error(solution.estimate.X, cell.T_flange_sensor)
             running = running + 1 if off < WANTED else 0
             if running == 2:
-                by_error = min(by_error, count - 1)
-            if known.std(solution.stated[:6, :6]) < WANTED:
+                by_error = min(by_error, count - every)
+            if known.std(solution.covariance[:6, :6]) < WANTED:
                 by_sigma = min(by_sigma, count)
         insist(cell, advised(cell, solution) if operator == 'advice' else lambda: anywhere(cell))
     return by_error, by_sigma

@@ -209,8 +209,8 @@ def test_nothing_yet() -> None:
 
 def test_a_sensor_that_is_not_roughly_known_is_not_aimed(made: tuple[Cell, Solution]) -> None:
     found, solution = made
-    vague = replace(solution, stated=solution.stated + np.diag(
-        [ROUGHLY_KNOWN ** 2 * 2] * len(solution.stated)))
+    vague = replace(solution, covariance=solution.covariance + np.diag(
+        [ROUGHLY_KNOWN ** 2 * 2] * len(solution.covariance)))
     told = advise(found.samples, found.config, vague)
     assert told.next is None and told.move is not None
 

@@ -147,13 +147,9 @@ def propose(search: Search, config: Config) -> Proposal | None:
     part = search.refined(found, rng)
     best = part.best()
     T = part.poses[best]
-    solution = search.solution
-    # what independent noise hides of the stated uncertainty stays
-    now = search.mapping.variance(solution.covariance[:6, :6])
-    surplus = float(search.mapping.variance(_stated(solution)) - now)
     in_hand = config.calibration_type == 'eye_in_hand'
     return Proposal(T if in_hand else se3.inverse(T), part.places[best],
-                    float(np.sqrt(max(part.variance[best] + surplus, 0.0))))
+                    float(np.sqrt(part.variance[best])))
 
 
 def _judged(sigmas: Sequence[Sigma], std: float, proposal: Proposal | None) -> tuple[bool, str]:

@@ -112,7 +112,8 @@ class Search:
         if not len(batch.poses):
             return np.zeros((0, 1, len(batch.columns)))
         linear = linearise(batch, self.solution.estimate)
-        rows = whitening(batch, linear, self.solution.noise)(linear.jacobian[:, batch.columns])
+        noise = replace(self.solution.noise, lumped=True)  # doubts: errors of each station here
+        rows = whitening(batch, linear, noise)(linear.jacobian[:, batch.columns])
         return rows.reshape(len(batch.poses), -1, rows.shape[1])
 
 
