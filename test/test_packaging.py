@@ -95,6 +95,14 @@ def test_launch_and_config_files_are_installed(workspace: Path, folder: str) -> 
     assert installed == expected
 
 
+@pytest.mark.parametrize('folder', ['ros/page/assets', 'results/report/assets'])
+def test_what_pages_are_made_of_is_installed(workspace: Path, folder: str) -> None:
+    expected = {file.name for file in (ROOT / NAME / folder).iterdir()}
+    assert expected
+    (found,) = (workspace / 'install').glob(f'**/site-packages/{NAME}/{folder}')
+    assert {file.name for file in found.iterdir()} == expected
+
+
 def test_the_executables_run_in_this_environment(workspace: Path) -> None:
     folder = executable(workspace, '')
     assert {file.name for file in folder.iterdir()} == EXECUTABLES
