@@ -76,7 +76,8 @@ class Frame:
 def frame_of(end: End, points: Array, near: int) -> Frame:
     """Return the frame of a face's end; near: -1 where the range grows away from the sensor."""
     segment, x = end.segment, points[end.row, 0]
-    outward = np.sign(x - points[segment.rows, 0].mean())
+    middle = points[segment.rows[len(segment.rows) // 2], 0]
+    outward = -1.0 if x < middle else 1.0
     length = np.hypot(1.0, segment.slope)
     along = outward * np.array([1.0, segment.slope]) / length
     below = -near * np.array([-segment.slope, 1.0]) / length
@@ -173,7 +174,7 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, points: A
     std = np.sqrt(pitch ** 2 * ((1 + min(mixed, 2)) ** 2 / 12 + LOST_DOUBT ** 2)
                   + (BEND_DOUBT * depth) ** 2
                   + (RAMP_DOUBT * pitch * 2 * width) ** 2)
-    return edge_point(end, frame, place - BEND_SHARE * depth, float(std), points, kind, bevel)
+    return edge_point(frame, place - BEND_SHARE * depth, float(std), kind, bevel)
 
 
 def _transition(end: End, last: int, ground: Segment | None, points: Array
@@ -204,12 +205,10 @@ def _transition(end: End, last: int, ground: Segment | None, points: Array
     return mixed, float(columns[after - 1] + part * (columns[after] - columns[after - 1]))
 
 
-def edge_point(end: End, frame: Frame, place: float, std: float, points: Array, kind: str,
-               bevel: float = 0.0) -> EdgePoint:
-    """Return the edge at a place along the face from its last point on."""
-    point = frame.origin + place * frame.along
-    across = std_at(end.segment, float(point[0]), points) / np.hypot(1.0, end.segment.slope)
-    return EdgePoint(point, frame.along, std, float(across), kind, bevel)
+def edge_point(frame: Frame, place: float, std: float, kind: str, bevel: float = 0.0
+               ) -> EdgePoint:
+    """Return the edge at a place along the face from its last point on, its line exact."""
+    return EdgePoint(frame.origin + place * frame.along, frame.along, std, 0.0, kind, bevel)
 
 
 def std_at(segment: Segment, x: float, points: Array) -> float:

@@ -110,7 +110,7 @@ def _edge(end: End, segments: Sequence[Segment], points: Array, near: int
         return kind, None
     wall = wall_edge(end, rows, points, near, column)
     if wall:
-        return 'roof', edge_point(end, frame_of(end, points, near), *wall, points, 'roof')
+        return 'roof', edge_point(frame_of(end, points, near), *wall, 'roof')
     ground = other if kind == 'step' else None
     kind = 'shadow' if ground and _foot_hidden(end, rows, ground, points) else kind
     return kind, end_edge(end, rows, ground, points, near, column, kind)
@@ -176,8 +176,8 @@ def _roof_crossing(end: End, other: Segment, rows: NDArray[np.intp], points: Arr
 
 def _column(segment: Segment, points: Array) -> float:
     """Return the distance between neighbouring columns on a segment, along x."""
-    x = points[segment.rows, 0]
-    return float(np.median(np.abs(np.diff(x) / np.diff(segment.rows))))
+    x = points[[segment.first, segment.last], 0]
+    return float(abs(x[1] - x[0])) / (segment.last - segment.first)
 
 
 def _roof_edge(end: End, other: Segment, points: Array, near: int) -> EdgePoint:
@@ -191,4 +191,4 @@ def _roof_edge(end: End, other: Segment, points: Array, near: int) -> EdgePoint:
     std = float(offset_std / abs(a.slope - b.slope) * length)
     frame = frame_of(end, points, near)
     place = (x - frame.origin[0]) * np.sign(frame.along[0]) * length
-    return edge_point(end, frame, float(place), std, points, 'roof')
+    return edge_point(frame, float(place), std, 'roof')

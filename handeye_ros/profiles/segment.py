@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 
 MAX_LINES = 5
 HYPOTHESES = 48  # pairs of points tried per span and search for a line
+SPANS = np.array([3, 8, 20])  # of the pairs, parts of the profile
 SEARCH_POINTS = 256  # points that vote for a hypothesis
+FIRST_VOTERS = 64  # of these that vote first, and
+BEST_HYPOTHESES = 24  # how many hypotheses all of them vote on
 FOREIGN_POINTS = 5  # this many points of something else between two of a line part it
 STRAY_GAP = 2  # an end point this far from its neighbour is on the line by chance
 INLIER_SIGMAS = 4.0
@@ -24,7 +27,7 @@ MOST_NOISE = 30.0  # times the configured noise: more is no surface
 BEND_POINTS = 5  # at an end, whose mean tells whether it is bent
 BEND_SIGMAS = 3.0
 LARGEST_BEND = 6  # a bent end has at most one part in so many of the points
-NARROWEST = 1e-6  # spread along the laser line of points that make a line (m)
+NARROWEST = 1e-6  # part of the laser line that points of a line lie on (m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +62,8 @@ def noise_level(z: Array, configured: float) -> float:
     if len(z) < 8:
         return configured
     second = np.abs(z[:-2] - 2 * z[1:-1] + z[2:])
-    level = float(np.quantile(second, 0.2)) / 0.2533 / 6 ** 0.5
+    rank = len(second) // 5
+    level = float(np.partition(second, rank)[rank]) / 0.2533 / 6 ** 0.5
     return float(np.clip(level, configured / 3, MOST_NOISE * configured))
 
 
@@ -83,7 +87,7 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
         owner[free[inliers]] = line
     pieces = [piece for line in range(owner.max() + 1)
               for piece in _pieces(np.flatnonzero(owner == line), owner)
-              if len(piece) >= min_points and x[piece].std() > NARROWEST]
+              if len(piece) >= min_points and np.ptp(x[piece]) > NARROWEST]
     segments = [_segment(rows[piece], points, noise / 3) for piece in pieces]
     return sorted(segments, key=lambda s: s.first)
 
@@ -97,38 +101,49 @@ def _dominant_line(x: Array, z: Array, tolerance: float, min_points: int
     slope, offset = _hypotheses(x, z)
     if not len(slope):
         return None
-    residuals = np.abs(z[::step] - offset[:, None] - slope[:, None] * x[::step])
-    best = int(np.argmax((residuals < 2 * tolerance).sum(axis=1)))
-    a, b = offset[best], slope[best]
+    voters = np.stack([x[::step], z[::step]])
+    if voters.shape[1] > 2 * FIRST_VOTERS:
+        some = voters[:, ::voters.shape[1] // FIRST_VOTERS]
+        best = np.argsort(-_votes(slope, offset, some, 2 * tolerance))[:BEST_HYPOTHESES]
+        slope, offset = slope[best], offset[best]
+    chosen = int(np.argmax(_votes(slope, offset, voters, 2 * tolerance)))
+    a, b = offset[chosen], slope[chosen]
     for width in (2.0, 1.5, 1.0, 1.0):
         inliers = np.abs(z - a - b * x) < width * tolerance
-        if inliers.sum() < min_points:
+        if np.count_nonzero(inliers) < min_points:
             return None
         a, b = _fit(x[inliers], z[inliers])
     return np.asarray(np.abs(z - a - b * x) < tolerance)
 
 
+def _votes(slope: Array, offset: Array, points: Array, tolerance: float) -> NDArray[np.intp]:
+    """Return how many of the points (2, n) lie on each of the lines (k,)."""
+    away = np.multiply.outer(slope, points[0])
+    away += offset[:, None]
+    away -= points[1]
+    return np.asarray(np.count_nonzero(np.abs(away, out=away) < tolerance, axis=1))
+
+
 def _hypotheses(x: Array, z: Array) -> tuple[Array, Array]:
     """Return slopes and offsets (k,) of lines through pairs of points, evenly spread."""
-    slopes, offsets = [], []
-    for span in {max(len(x) // parts, 2) for parts in (3, 8, 20)}:
-        first = np.unique(np.linspace(0, len(x) - 1 - span, HYPOTHESES).astype(int))
-        dx = x[first + span] - x[first]
-        apart = np.abs(dx) > NARROWEST
-        first = first[apart]
-        slope = (z[first + span] - z[first]) / dx[apart]
-        slopes.append(slope)
-        offsets.append(z[first] - slope * x[first])
-    return np.concatenate(slopes), np.concatenate(offsets)
+    span = np.maximum(len(x) // SPANS, 2)[:, None]
+    first = np.arange(HYPOTHESES) * (len(x) - 1 - span) // (HYPOTHESES - 1)
+    second = (first + span).ravel()
+    first = first.ravel()
+    dx = x[second] - x[first]
+    apart = np.abs(dx) > NARROWEST
+    first, second = first[apart], second[apart]
+    slope = (z[second] - z[first]) / dx[apart]
+    return slope, z[first] - slope * x[first]
 
 
 def _fit(x: Array, z: Array) -> tuple[float, float]:
     """Return offset and slope of the least-squares line."""
-    mean_x, mean_z = x.mean(), z.mean()
+    mean_x, mean_z = float(np.add.reduce(x)) / len(x), float(np.add.reduce(z)) / len(z)
     dx = x - mean_x
     spread = float(dx @ dx)
     slope = float(dx @ (z - mean_z)) / spread if spread > 0 else 0.0
-    return float(mean_z - slope * mean_x), slope
+    return mean_z - slope * mean_x, slope
 
 
 def _pieces(members: NDArray[np.intp], owner: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
