@@ -26,7 +26,7 @@ from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.method import Estimate, UNUSED
 from handeye_ros.estimation.problem import points_in_base, Problem
-from handeye_ros.estimation.robust import consensus
+from handeye_ros.estimation.robust import consensus, SUBSETS
 from handeye_ros.estimation.solve import evaluate, least_squares
 from handeye_ros.estimation.weights import Noise
 from handeye_ros.results.outcome import mounted
@@ -142,7 +142,7 @@ def trial(target: str, seed: int) -> tuple[float, float, str]:
     best = from_truth(problem, truth)
     start = time.process_time()
     try:
-        found = consensus(problem, np.random.default_rng(0))
+        found = consensus(problem, np.random.default_rng(0), SUBSETS)
     except HandeyeError as error:
         return np.inf, time.process_time() - start, type(error).__name__
     seconds = time.process_time() - start

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from handeye_ros import methods
-from handeye_ros.checks.conventions import require_no_slip
+from handeye_ros.checks.conventions import require_no_slip, require_range_sign
 from handeye_ros.checks.errors import LeftOutError
 from handeye_ros.checks.frames import require_own_frame
 from handeye_ros.checks.misfit import require_consistent
@@ -140,16 +140,15 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     Raises DataError when the samples cannot be solved or contradict each other.
     """
     method = methods.of(config)
+    require_range_sign([*ordered, *rejects], config)
     require_samples(ordered, rejects, method)
     poses = mounted(ordered, config)
     require_rotations(poses, config, method.one_axis)
     problem = Problem(method, poses, method.observe(ordered), config)
     rng = np.random.default_rng(SEED)
-    agreed = believable_shape(problem, consensus(problem, rng), rng)
-    require_no_slip(problem, agreed, flipped(ordered, problem), rng)
-    if agreed.doubtful:
-        agreed = believable_shape(problem, consensus(problem, rng, SUBSETS), rng)
-    require_consistent(problem, agreed, rng)
+    agreed = believable_shape(problem, consensus(problem, rng, SUBSETS), rng)
+    require_no_slip(problem, agreed, flipped(ordered, problem))
+    require_consistent(problem, agreed)
     require_only_answer(problem, agreed, rng)
     agreed = settle(agreed, method.minimum)
     require_one_scale(agreed.solution)

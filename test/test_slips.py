@@ -6,13 +6,15 @@ from dataclasses import replace
 
 from cells import Cell, cell, recorded
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.conventions import orientations_scatter, SLIPS
+from handeye_ros.checks.conventions import orientations_scatter
 from handeye_ros.checks.errors import (
+    CalibrationTypeError,
     ContradictingStationsError,
     InconsistentError,
     ScatteredOrientationsError,
     SlipError,
 )
+from handeye_ros.checks.slips import SLIPS
 from handeye_ros.config import with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
@@ -75,6 +77,25 @@ def extrinsic_for_intrinsic(T: Array) -> Array:
     return se3.transform(Rotation.from_euler('xyz', angles).as_matrix(), T[:, :3, 3])
 
 
+def angles_in_order(order: list[int]) -> Callable[[Array], Array]:
+    def change(T: Array) -> Array:
+        angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')[:, order]
+        return se3.transform(Rotation.from_euler('xyz', angles).as_matrix(), T[:, :3, 3])
+    return change
+
+
+def vectors_as_angles(T: Array) -> Array:
+    """Read rotation vectors as roll, pitch, yaw."""
+    vectors = Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
+    return se3.transform(Rotation.from_euler('xyz', vectors).as_matrix(), T[:, :3, 3])
+
+
+def angles_as_vectors(T: Array) -> Array:
+    """Read roll, pitch, yaw as rotation vectors."""
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
+    return se3.transform(Rotation.from_rotvec(angles).as_matrix(), T[:, :3, 3])
+
+
 def scaled(factor: float) -> Callable[[Array], Array]:
     return lambda T: se3.transform(T[:, :3, :3], T[:, :3, 3] * factor)
 
@@ -82,10 +103,15 @@ def scaled(factor: float) -> Callable[[Array], Array]:
 @pytest.mark.parametrize(('change', 'words'), [
     (scaled(1e3), 'positions in millimetres'), (scaled(1e-3), 'a thousand times larger'),
     (transposed, 'transposed rotations'), (small_angles, 'angles in radians'),
-    (extrinsic_for_intrinsic, 'intrinsic Euler angles')],
-    ids=['mm', 'km', 'transposed', 'radians', 'extrinsic'])
-def test_further_slips_are_named(change: Callable[[Array], Array], words: str) -> None:
-    made = cell('plate', 1)
+    (extrinsic_for_intrinsic, 'intrinsic Euler angles'),
+    (angles_in_order([2, 1, 0]), 'roll and yaw exchanged'),
+    (angles_in_order([1, 0, 2]), 'roll and pitch exchanged'),
+    (angles_in_order([0, 2, 1]), 'pitch and yaw exchanged'),
+    (vectors_as_angles, 'with rotation vectors'), (angles_as_vectors, 'with roll, pitch, yaw')],
+    ids=['mm', 'km', 'transposed', 'radians', 'extrinsic', 'ypr', 'pry', 'ryp', 'vectors', 'rpy'])
+@pytest.mark.parametrize('seed', [1])
+def test_further_slips_are_named(change: Callable[[Array], Array], words: str, seed: int) -> None:
+    made = cell('plate', seed)
     with pytest.raises(DataError) as caught:
         pipeline.solve(with_poses(made, change), [], made.config, 'laser')
     assert words in str(caught.value)
@@ -104,11 +130,12 @@ def test_undoing_gives_poses_back(name: str) -> None:
     """Every undo is a map of rigid transforms, and none is the identity."""
     rng = np.random.default_rng(3)
     T = se3.from_quaternion(rng.normal(size=(8, 3)), rng.normal(size=(8, 4)))
-    undone = SLIPS[name][0](T)
+    undone = SLIPS[name].undo(T)
     R = undone[:, :3, :3]
     assert np.allclose(R @ np.swapaxes(R, 1, 2), np.eye(3)) and np.allclose(np.linalg.det(R), 1)
     assert not np.allclose(undone, T)
-    assert SLIPS[name][1][0].islower() and not SLIPS[name][1].endswith('.')
+    assert SLIPS[name].advice[0].islower() or SLIPS[name].advice.startswith('K')
+    assert not SLIPS[name].advice.endswith('.')
 
 
 @pytest.mark.parametrize(('slip', 'undo'), [
@@ -117,7 +144,7 @@ def test_undoing_gives_poses_back(name: str) -> None:
 def test_undoing_undoes(slip: str, undo: str) -> None:
     rng = np.random.default_rng(4)
     T = se3.from_quaternion(rng.normal(size=(20, 3)), rng.normal(size=(20, 4)))
-    back = SLIPS[undo][0](simulated(slip)(T))
+    back = SLIPS[undo].undo(simulated(slip)(T))
     assert np.allclose(back, T, atol=1e-9)
 
 
@@ -136,12 +163,14 @@ def test_a_robot_worse_than_told_is_no_slip(name: str) -> None:
         assert pipeline.solve(made.samples, [], made.config, 'laser')
 
 
-def test_the_wrong_calibration_type_is_told_as_inverse_poses_or_refused() -> None:
-    made = cell('eye_on_base')
-    config = with_values(made.config, {'calibration_type': 'eye_in_hand'}, 'test')
-    with pytest.raises(DataError) as caught:
+@pytest.mark.parametrize('target', ['plate', 'sphere', 'line', 'plane'])
+@pytest.mark.parametrize('right', ['eye_in_hand', 'eye_on_base'])
+def test_the_wrong_calibration_type_names_the_key(target: str, right: str) -> None:
+    wrong = 'eye_on_base' if right == 'eye_in_hand' else 'eye_in_hand'
+    made = cell(replace(SCENARIOS[target], calibration_type=right), 1)
+    config = with_values(made.config, {'calibration_type': wrong}, 'test')
+    with pytest.raises(CalibrationTypeError, match=f'with calibration_type {right} the resid'):
         pipeline.solve(made.samples, [], config, 'laser')
-    assert 'inverse' in str(caught.value)
 
 
 def test_poses_of_another_recording_are_refused_with_both_figures() -> None:

@@ -1,16 +1,21 @@
 """
-The usual slips with pose conventions, tried out when an answer does not fit.
+The usual slips with conventions, tried out when an answer does not fit.
 
-Each is a map of poses (n, 4, 4) to what they would be had the slip been made on the way here;
-the one that makes the samples agree names the mistake.
+The one that makes the samples agree names the mistake.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from handeye_ros import se3
-from handeye_ros.checks.errors import RangeSignError, ScatteredOrientationsError, SlipError
+from handeye_ros.checks.errors import (
+    CalibrationTypeError,
+    CountedWrongWayError,
+    RangeSignError,
+    ScatteredOrientationsError,
+    SlipError,
+)
 from handeye_ros.checks.misfit import (
     dropped_share,
     LARGEST_DROPPED_SHARE,
@@ -18,106 +23,85 @@ from handeye_ros.checks.misfit import (
     residual_rms,
     SUSPICIOUS,
 )
-from handeye_ros.data import Array
-from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.robust import Consensus, consensus
+from handeye_ros.checks.slips import INVERSE, SLIPS
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Reject, Sample
+from handeye_ros.estimation.problem import points_in_base, Problem
+from handeye_ros.estimation.quick import quick_consensus
+from handeye_ros.estimation.robust import Consensus
+from handeye_ros.profiles.range_sign import range_sign_evidence
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_distribution
 
 DOUBTFUL = 3.0  # variance factor from which the other sign of the range is tried
 BELIEVABLE = 4.0  # that a slip must lead to
+FLIPPED_SHARE = 0.4  # of the residual that may be left with the range counted the other way
 CHANCE = 1e-5  # of naming a slip where there is none
 SCATTERED = 0.6  # mean of the cosines to the best direction, below which there is none
 
 
-def _inverse(T: Array) -> Array:
-    return se3.inverse(T)
+def require_range_sign(stations: Sequence[Sample | Reject], config: Config) -> None:
+    """Raise CountedWrongWayError where the profiles alone show that the range is."""
+    hint = range_sign_evidence(stations).hint(config)
+    if hint:
+        raise CountedWrongWayError(hint)
 
 
-def _wxyz(T: Array) -> Array:
-    """Undo x y z w having been filled in the order w x y z."""
-    w, x, y, z = np.moveaxis(Rotation.from_matrix(T[:, :3, :3]).as_quat(), -1, 0)
-    return se3.from_quaternion(T[:, :3, 3], np.column_stack([x, y, z, w]))
-
-
-def _millimetres(T: Array) -> Array:
-    return se3.transform(T[:, :3, :3], T[:, :3, 3] / 1e3)
-
-
-def _metres_as_millimetres(T: Array) -> Array:
-    return se3.transform(T[:, :3, :3], T[:, :3, 3] * 1e3)
-
-
-def _intrinsic(T: Array) -> Array:
-    """Undo extrinsic x y z angles having been composed as intrinsic ones."""
-    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('XYZ')
-    return se3.transform(Rotation.from_euler('xyz', angles).as_matrix(), T[:, :3, 3])
-
-
-def _extrinsic(T: Array) -> Array:
-    """Undo intrinsic X Y Z angles having been composed as extrinsic ones."""
-    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
-    return se3.transform(Rotation.from_euler('XYZ', angles).as_matrix(), T[:, :3, 3])
-
-
-def _radians_as_degrees(T: Array) -> Array:
-    """Undo roll, pitch, yaw in radians having been read as degrees."""
-    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
-    return se3.transform(Rotation.from_euler('xyz', np.degrees(angles)).as_matrix(), T[:, :3, 3])
-
-
-def _rotation_inverted(T: Array) -> Array:
-    return se3.transform(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3])
-
-
-SLIPS: dict[str, tuple[Callable[[Array], Array], str]] = {
-    'inverse poses': (_inverse, 'publish the pose of the flange in the base '
-                      '(p_base = T p_flange), not its inverse'),
-    'quaternions read as w x y z': (_wxyz, 'fill x, y, z, w of the message by name, not in the '
-                                    'order w x y z'),
-    'positions in millimetres': (_millimetres, 'publish positions in metres'),
-    'positions a thousand times larger': (_metres_as_millimetres, 'publish positions in metres: '
-                                          'these were divided by 1000 once too often'),
-    'extrinsic Euler angles': (_intrinsic, 'the angles were composed as intrinsic x-y-z; '
-                               'compose them as extrinsic x-y-z (Rz Ry Rx)'),
-    'intrinsic Euler angles': (_extrinsic, 'the angles were composed as extrinsic x-y-z; '
-                               'compose them as intrinsic x-y-z (Rx Ry Rz)'),
-    'angles in radians': (_radians_as_degrees, 'the angles are radians but were converted as '
-                          'degrees; convert them once only'),
-    'transposed rotations': (_rotation_inverted, 'publish the rotation of the flange in the '
-                             'base, not its transpose'),
-}
-
-
-def require_no_slip(problem: Problem, agreed: Consensus, flipped: Problem | None,
-                    rng: np.random.Generator) -> None:
+def require_no_slip(problem: Problem, agreed: Consensus, flipped: Problem | None) -> None:
     """
     Refuse an answer that a slip in the conventions explains better.
 
     flipped: the problem with the range counted the other way, if it can be posed.
 
-    Raises RangeSignError, SlipError or ScatteredOrientationsError.
+    Raises RangeSignError, CalibrationTypeError, SlipError or ScatteredOrientationsError.
     """
     misfit = misfit_of(problem, agreed)
     if not misfit.hopeless and misfit.variance_factor < DOUBTFUL:
         return
-    rms = misfit.rms
-    other = _tried(flipped, rng) if flipped else None
-    if flipped and other and _explains(flipped, other, agreed):
-        raise RangeSignError(flipped.config.profile.range_sign, rms, residual_rms(other.solution))
+    other = quick_consensus(flipped) if flipped else None
+    if flipped and other and _explains(flipped, other, agreed) and (
+            residual_rms(other.solution) < FLIPPED_SHARE * misfit.rms):
+        raise RangeSignError(flipped.config.profile.range_sign, misfit.rms,
+                             residual_rms(other.solution))
     if not misfit.hopeless and misfit.variance_factor < SUSPICIOUS:
         return
-    tried = {name: _tried(replace(problem, poses=undo(problem.poses)), rng)
-             for name, (undo, _) in SLIPS.items()}
-    good = {name: better for name, better in tried.items()
-            if better and _explains(problem, better, agreed)}
+    tried = [(name, quick_consensus(_undone(problem, undo))) for name, slip in SLIPS.items()
+             for undo in (slip.undo, slip.other) if undo]
+    good = [(name, better) for name, better in tried
+            if better and _explains(problem, better, agreed)]
     if good:
-        name = min(good, key=lambda key: good[key].solution.variance_factor)
-        raise SlipError(name, rms, residual_rms(good[name].solution), SLIPS[name][1])
+        name, better = min(good, key=lambda pair: pair[1].solution.variance_factor)
+        raise _slip_error(name, better, misfit.rms)
     if misfit.hopeless and orientations_scatter(problem.poses):
-        raise ScatteredOrientationsError(rms)
+        raise ScatteredOrientationsError(misfit.rms)
+
+
+def _slip_error(name: str, better: Consensus, before: float) -> SlipError | CalibrationTypeError:
+    """Return the error that names a slip, given what the samples agree on without it."""
+    after = residual_rms(better.solution)
+    on_base = better.solution.problem.config.calibration_type == 'eye_on_base'
+    if name == INVERSE and _mounted_on_base(better) != on_base:
+        return CalibrationTypeError('eye_in_hand' if on_base else 'eye_on_base', before, after)
+    return SlipError(name, before, after, SLIPS[name].advice)
+
+
+def _mounted_on_base(agreed: Consensus) -> bool:
+    """
+    Return whether the sensor seems to be fixed to the base, and not to the flange.
+
+    What it sees is nearer to the flange than to the base, whichever of them it is fixed to.
+    """
+    problem, X = agreed.solution.problem, agreed.solution.estimate.X
+    seen = problem.observations.points @ X[:3, [0, 2]].T + X[:3, 3]
+    other = points_in_base(problem, X)
+    return bool(np.linalg.norm(seen, axis=1).mean() > np.linalg.norm(other, axis=1).mean())
+
+
+def _undone(problem: Problem, undo: Callable[[Array], Array]) -> Problem:
+    """Return the problem with the poses as they would be without a slip."""
+    if problem.config.calibration_type == 'eye_on_base':
+        return replace(problem, poses=se3.inverse(undo(se3.inverse(problem.poses))))
+    return replace(problem, poses=undo(problem.poses))
 
 
 def orientations_scatter(poses: Array) -> bool:
@@ -127,13 +111,6 @@ def orientations_scatter(poses: Array) -> bool:
     A sensor that sees its target does keep to a side; wrapped angles are as good as random.
     """
     return float(np.linalg.norm(poses[:, :3, :3].mean(axis=0), 2)) < SCATTERED
-
-
-def _tried(problem: Problem, rng: np.random.Generator) -> Consensus | None:
-    try:
-        return consensus(problem, rng)
-    except (HandeyeError, np.linalg.LinAlgError):
-        return None
 
 
 def _explains(problem: Problem, better: Consensus, agreed: Consensus) -> bool:

@@ -150,6 +150,26 @@ class RangeSignError(DataError):
                          f'residual falls from {mm(before)} to {mm(after)}: set it so')
 
 
+class CountedWrongWayError(DataError):
+    """A range that the profiles themselves show to be counted the wrong way."""
+
+    def __init__(self, hint: str) -> None:
+        super().__init__(f'the profiles do not show the target as set: {hint}; or target.type, '
+                         'if it is another')
+
+
+class CalibrationTypeError(DataError):
+    """A sensor that is fixed elsewhere than configured."""
+
+    def __init__(self, other: str, before: float, after: float) -> None:
+        where, on = ('beside the robot', 'flange') if other == 'eye_on_base' else (
+            'on the flange', 'base')
+        super().__init__(f'the samples do not fit, but with calibration_type {other} the residual '
+                         f'falls from {mm(before)} to {mm(after)}: set it so if the sensor is '
+                         f'fixed {where} and the target in the frame of the {on}; otherwise '
+                         'the poses are published inverted')
+
+
 class ScaleError(DataError):
     """Lengths of robot and sensor that differ."""
 

@@ -48,7 +48,7 @@ def misfit_of(problem: Problem, agreed: Consensus) -> Misfit:
                   problem.config.limits)
 
 
-def require_consistent(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> None:
+def require_consistent(problem: Problem, agreed: Consensus) -> None:
     """
     Refuse an answer that samples or poses contradict.
 
@@ -57,7 +57,7 @@ def require_consistent(problem: Problem, agreed: Consensus, rng: np.random.Gener
     """
     misfit = misfit_of(problem, agreed)
     if misfit.hopeless:
-        require_unmoved(problem, agreed, rng)
+        require_unmoved(problem, agreed)
     if misfit.hopeless or misfit.variance_factor > SUSPICIOUS:
         require_not_only_scale(agreed.solution)
     if misfit.rms > misfit.limits.residual:

@@ -7,9 +7,9 @@ from handeye_ros import se3
 from handeye_ros.checks.errors import MovedError
 from handeye_ros.checks.motion import mount_frame, target_frame
 from handeye_ros.data import Array
-from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.robust import Consensus, consensus
+from handeye_ros.estimation.quick import quick_consensus
+from handeye_ros.estimation.robust import Consensus
 import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
@@ -33,7 +33,7 @@ class Move:
     sensor: Array | None
 
 
-def find_move(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> Move | None:
+def find_move(problem: Problem, agreed: Consensus) -> Move | None:
     """
     Return the move that explains why the stations, in order of time, contradict each other.
 
@@ -42,7 +42,7 @@ def find_move(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> 
     n, fewest = len(problem.poses), problem.method.minimum
     places = np.unique(np.linspace(fewest, n - fewest, MOST_PLACES).round().astype(int))
     found = [(both, int(place)) for place in places if n >= 2 * fewest
-             and (both := _parts(problem, int(place), rng))]
+             and (both := _parts(problem, int(place)))]
     if not found:
         return None
     both, place = min(found, key=lambda pair: (_dropped(pair[0]), _variance(pair[0])))
@@ -53,15 +53,13 @@ def find_move(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> 
     return Move(place, _sensor_move(*both))
 
 
-def _parts(problem: Problem, place: int, rng: np.random.Generator
-           ) -> tuple[Consensus, Consensus] | None:
+def _parts(problem: Problem, place: int) -> tuple[Consensus, Consensus] | None:
     """Return what the stations before and from a place on agree on, None unless they do."""
     every = np.arange(len(problem.poses))
     parts = []
     for stations in (every[:place], every[place:]):
-        try:
-            part = consensus(problem.subset(stations), rng)
-        except (HandeyeError, np.linalg.LinAlgError):
+        part = quick_consensus(problem.subset(stations))
+        if part is None:
             return None
         solution = part.solution
         if (len(part.dropped) > LARGEST_DROPPED_SHARE * len(stations)
@@ -99,9 +97,9 @@ def _sensor_move(before: Consensus, after: Consensus) -> Array | None:
     return se3.inverse(first.estimate.X) @ second.estimate.X
 
 
-def require_unmoved(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> None:
+def require_unmoved(problem: Problem, agreed: Consensus) -> None:
     """Raise MovedError when two parts of the recording fit, each by itself."""
-    move, total = find_move(problem, agreed, rng), len(problem.poses)
+    move, total = find_move(problem, agreed), len(problem.poses)
     if move is None:
         return
     if move.sensor is None:

@@ -14,14 +14,9 @@ from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.robust import (
-    Consensus,
-    guesses,
-    refined,
-    subset_starts,
-    without_outliers,
-)
+from handeye_ros.estimation.robust import Consensus, subset_starts, without_outliers
 from handeye_ros.estimation.solve import redundancy, Solution, station_ranks, station_squares
+from handeye_ros.estimation.trial import guesses, refined
 import numpy as np
 from scipy.stats import chi2
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 FACE = 0  # the kind of a condition on a face, in every method that has them
 SOURCES = 64  # of one feature at most
 GUESS_STATIONS = 40  # more add time to a guess, nothing else
+FINER = 4  # times as many directions tried, and candidates refined, when the first do not do
 
 
 @dataclass

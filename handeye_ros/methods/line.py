@@ -32,6 +32,7 @@ from handeye_ros.methods.common import (
     collect,
     edge_noise,
     FACE,
+    FINER,
     GUESS_STATIONS,
     hemisphere,
     nearest_transform,
@@ -112,8 +113,9 @@ def guess(observations: Observations, poses: Array, config: Config, rng: np.rand
     alone = replace(config, target=replace(config.target, use_face=False))
     problem = Problem(LINE, poses, observations, alone)
     problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
-    for parts in (_same_side(problem), _other_choices(problem)):
-        found = (e for part in parts for e in best_of(part, linear_candidates(part)))
+    for parts, finer in ((_same_side, 1), (_other_choices, 1), (_same_side, FINER)):
+        found = (e for part in parts(problem)
+                 for e in best_of(part, linear_candidates(part, finer)))
         for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
             yield _with_face(observations, poses, e) if config.target.use_face else e
 
@@ -201,25 +203,25 @@ def _away(p: Array, target: Array) -> Array:
     return np.asarray(np.linalg.norm(((p - T[:3, 3]) @ T[:3, :3])[:, 1:], axis=1))
 
 
-def linear_candidates(problem: Problem) -> list[Estimate]:
+def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:
     """
     Return the best of the linear solutions over a sweep of the line's direction.
 
-    For a known direction d, (I - d d') (R (x r1 + z r3 + t) + a - c) = 0 is linear in r1, r3, t
-    and the two coordinates of c across d.
+    finer: so many times the usual number. For a known direction d, (I - d d') (R (x r1 + z r3
+    + t) + a - c) = 0 is linear in r1, r3, t and the two coordinates of c across d.
     """
     obs = problem.observations
     obs = obs.select(obs.kind == EDGE_Y)
     R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
     a_mean = problem.poses[:, :3, 3].mean(axis=0)
-    frames = _frames(hemisphere(DIRECTIONS))
+    frames = _frames(hemisphere(DIRECTIONS * finer))
     across = frames[:, :, 1:]
     nR = np.einsum('kji,mjl->kmil', across, R)
     u, v = obs.points.T[:, None, :, None, None]
     offset = np.broadcast_to(-np.eye(2), (*nR.shape[:3], 2))
     A = np.concatenate([u * nR, v * nR, nR, offset], axis=3).reshape(len(across), -1, 11)
     b = -np.einsum('kji,mj->kmi', across, a - a_mean).reshape(len(across), -1)
-    best, x = best_linear(A, b, CANDIDATES)
+    best, x = best_linear(A, b, CANDIDATES * finer)
     return [_estimate(x[k], frames[k], a_mean) for k in best]
 
 

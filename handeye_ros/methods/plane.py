@@ -5,7 +5,7 @@ Frame of the target: any point of the plane as origin, z its normal, towards the
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from handeye_ros import se3
@@ -25,6 +25,7 @@ from handeye_ros.methods.common import (
     add_face,
     best_linear,
     collect,
+    FINER,
     GUESS_STATIONS,
     hemisphere,
     nearest_transform,
@@ -71,28 +72,30 @@ def free(config: Config) -> NDArray[np.bool_]:
 
 
 def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
-          ) -> list[Estimate]:
-    """Return estimates from nothing, best first."""
+          ) -> Iterator[Estimate]:
+    """Yield estimates from nothing, best first; from a finer sweep when these do not do."""
     problem = Problem(PLANE, poses, observations, config)
     problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
-    return best_of(problem, linear_candidates(problem))
+    for finer in (1, FINER):
+        yield from best_of(problem, linear_candidates(problem, finer))
 
 
-def linear_candidates(problem: Problem) -> list[Estimate]:
+def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:
     """
     Return the best of the linear solutions over a sweep of plane normals.
 
-    For a known normal n, n . (R (x r1 + z r3 + t) + a) = d is linear in r1, r3, t, d.
+    finer: so many times the usual number. For a known normal n, n . (R (x r1 + z r3 + t) + a) = d
+    is linear in r1, r3, t, d.
     """
     obs = problem.observations
     R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
     a_mean = problem.poses[:, :3, 3].mean(axis=0)
-    normals = hemisphere(NORMALS)
+    normals = hemisphere(NORMALS * finer)
     nR = np.einsum('kj,mji->kmi', normals, R)
     u, v = obs.points.T[:, None, :, None]
     A = np.concatenate([u * nR, v * nR, nR, -np.ones_like(nR[:, :, :1])], axis=2)
     b = -np.einsum('kj,mj->km', normals, a - a_mean)
-    best, x = best_linear(A, b, CANDIDATES)
+    best, x = best_linear(A, b, CANDIDATES * finer)
     return [_estimate(x[k], normals[k], a_mean) for k in best]
 
 

@@ -6,7 +6,7 @@ the sensor plane that the centre lies on nor any other sign is asked for.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +22,13 @@ from handeye_ros.estimation.method import (
 )
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.solve import best_of
-from handeye_ros.methods.common import collect, GUESS_STATIONS, ObservationRows, some_stations
+from handeye_ros.methods.common import (
+    collect,
+    FINER,
+    GUESS_STATIONS,
+    ObservationRows,
+    some_stations,
+)
 from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.circles import fit_circle
 import numpy as np
@@ -73,19 +79,20 @@ def tolerances(config: Config) -> Array:
 
 
 def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
-          ) -> list[Estimate]:
+          ) -> Iterator[Estimate]:
     """
-    Return estimates from nothing, best first: every rotation is tried, and refined.
+    Yield estimates from nothing, best first: every rotation is tried, and refined.
 
     For a given rotation the centre's projections onto the sensor plane are linear in the
     remaining unknowns, whatever the side of the plane that the centre lies on.
     """
     chosen = some_stations(len(poses), GUESS_STATIONS, rng)
     problem = Problem(SPHERE, poses, observations, config).subset(chosen)
-    return best_of(problem, _candidates(problem, config.target.radius))
+    for finer in (1, FINER):
+        yield from best_of(problem, _candidates(problem, config.target.radius, finer))
 
 
-def _candidates(problem: Problem, radius: float) -> list[Estimate]:
+def _candidates(problem: Problem, radius: float, finer: int) -> list[Estimate]:
     """Return the best linear solutions over a sweep of rotations of the sensor."""
     obs = problem.observations
     circles = np.array([fit_circle(obs.points[obs.station == i])
@@ -94,7 +101,7 @@ def _candidates(problem: Problem, radius: float) -> list[Estimate]:
     height = np.sqrt(np.maximum(radius ** 2 - circles[:, 2] ** 2, 0.0))
     R, a = problem.poses[:, :3, :3], problem.poses[:, :3, 3]
     a_mean = a.mean(axis=0)
-    R_sensor = rotations(ROTATIONS)
+    R_sensor = rotations(ROTATIONS * finer)
     # rows of the sensor's axes in base, (rotation, station, axis, 3)
     axes = np.einsum('kji,nlj->knil', R_sensor, R)
     plane = axes[:, :, [0, 2]]
@@ -107,7 +114,7 @@ def _candidates(problem: Problem, radius: float) -> list[Estimate]:
     rms = np.sqrt(((np.einsum('kij,kj->ki', A, x) - b) ** 2).mean(axis=1))
     y = np.einsum('knl,knl->kn', axes[:, :, 1], x[:, None, :3] - (a - a_mean))
     t_y, rms_y = _side(y, height)
-    best = np.argsort(np.hypot(rms, rms_y))[:CANDIDATES]
+    best = np.argsort(np.hypot(rms, rms_y))[:CANDIDATES * finer]
     return [Estimate(se3.transform(R_sensor[i], R_sensor[i] @ [x[i, 3], t_y[i], x[i, 4]]),
                      np.append(a_mean + x[i, :3], radius)) for i in best]
 

@@ -1,0 +1,141 @@
+"""
+One start, refined while stations that do not fit lose their say, and how well it does.
+
+The refinement is a graduated non-convexity (Yang et al. 2020, RA-L 5:1127) over whole stations.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from handeye_ros.data import Array
+from handeye_ros.estimation.method import Estimate, UNUSED
+from handeye_ros.estimation.problem import linearise, points_in_base, Problem
+from handeye_ros.estimation.solve import evaluate, least_squares
+from handeye_ros.estimation.weights import Noise, whitening
+import numpy as np
+
+BELIEVED_SHARE = 0.65  # of the stations that a good answer must explain
+LOST_SHARE = 0.1  # of the stations far from an estimate, from which another is looked for
+FAR, FAR_RATIO = 5e-3, 5.0  # residual (m; over the largest of an answer) of a hopeless start
+MAX_ANNEALINGS = 40
+SMALLEST_SCALE = 9.0  # squared residual, in variances, at which a station begins to be doubted
+LOST_EDGE = 8.0  # squared residual of a station that shows an edge which lies on none of ours
+SCALE = 3.0  # the same, in squared residuals that the believed share stays below
+DOUBTFUL = 16.0  # squared residual, in variances, that a clean recording stays below
+LARGEST_VARIANCE = 1.0  # m^2 or rad^2: more is no answer at all
+NEAR = 1e-3  # step length in sigmas that ends a round of annealing
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """
+    A robustly refined estimate and the squared residuals (n,) of all stations.
+
+    problem: with its observations labelled as they fit. hollow: whether it has no use for
+    some observations, and the rest leave a direction free.
+    """
+
+    problem: Problem
+    estimate: Estimate
+    squares: Array
+    hollow: bool
+
+    @property
+    def spread(self) -> float:
+        """Return the squared residual that the believed share of stations stays below."""
+        return float(np.quantile(self.squares, BELIEVED_SHARE))
+
+    @property
+    def misfit(self) -> float:
+        """Return the spread, large where too much was thrown away: less always fits better."""
+        return max(self.spread, 2 * DOUBTFUL) if self.hollow else self.spread
+
+    @property
+    def loss(self) -> float:
+        """
+        Return how poorly all stations are explained, whatever the size of their noise.
+
+        Those that are not explained at all count too: less always fits better.
+        """
+        loss = float(np.log1p(self.squares).mean())
+        return max(loss, float(np.log1p(2 * DOUBTFUL))) if self.hollow else loss
+
+    @property
+    def settled(self) -> bool:
+        """Return whether nearly all stations are explained, so that no other need be tried."""
+        return self.misfit <= DOUBTFUL and self.doubtful_share <= LOST_SHARE
+
+    @property
+    def doubtful_share(self) -> float:
+        """Return the share of stations far from the estimate."""
+        return float((self.squares > DOUBTFUL * max(1.0, self.spread)).mean())
+
+
+def guesses(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+    """Return estimates to start from, best first, made when they are asked for."""
+    return iter(problem.method.guess(problem.observations, problem.poses, problem.config, rng))
+
+
+def refined(problem: Problem, estimate: Estimate) -> Trial:
+    """Return the trial that graduated non-convexity leads to from an estimate."""
+    whole, problem = problem, relabelled(problem, estimate)
+    squares = _squares(problem, estimate)
+    control, before = float(squares.max()), np.inf
+    for _ in range(MAX_ANNEALINGS):
+        spread = float(np.quantile(squares, BELIEVED_SHARE))
+        scale = max(SMALLEST_SCALE, SCALE * spread)
+        if control <= scale and spread > 0.99 * before:
+            break
+        width = max(control, scale)
+        weights = (width / (width + squares)) ** 2
+        estimate = least_squares(problem, estimate, Noise(), weights, iterations=4,
+                                 converged=NEAR)
+        problem = relabelled(whole, estimate)
+        squares, before, control = _squares(problem, estimate), spread, control / 2
+    squares = _with_lost_edges(whole, problem, squares)
+    return Trial(problem, estimate, squares, _hollow(whole, problem, estimate))
+
+
+def _hollow(whole: Problem, labelled: Problem, estimate: Estimate) -> bool:
+    """Return whether observations were lost in labelling, and with them a direction."""
+    if len(labelled.observations.kind) == len(whole.observations.kind):
+        return False
+    solution = evaluate(labelled, estimate, Noise())
+    return float(np.linalg.eigvalsh(solution.covariance)[-1]) > LARGEST_VARIANCE
+
+
+def relabelled(problem: Problem, estimate: Estimate) -> Problem:
+    """Return the problem with its observations as they fit an estimate, the unfit left out."""
+    p = points_in_base(problem, estimate.X)
+    labelled = problem.method.relabel(problem.observations, p, estimate.target, problem.config)
+    return replace(problem, observations=labelled.select(labelled.kind != UNUSED))
+
+
+def _squares(problem: Problem, estimate: Estimate) -> Array:
+    """Return the mean squared whitened residual (n,) of each station."""
+    linear = linearise(problem, estimate)
+    r = whitening(problem, linear, Noise())(linear.residuals)
+    station, n = problem.observations.station, len(problem.poses)
+    count = np.bincount(station, minlength=n)
+    return np.bincount(station, r ** 2, minlength=n) / np.maximum(count, 1)
+
+
+def _with_lost_edges(whole: Problem, labelled: Problem, squares: Array) -> Array:
+    """Return squares (n,) in which an edge that a station shows and that is not used counts."""
+    names = [i for i, name in enumerate(whole.method.kinds) if name in whole.method.edges]
+    shows, uses = (np.zeros(len(squares), dtype=bool) for _ in range(2))
+    for problem, has in ((whole, shows), (labelled, uses)):
+        obs = problem.observations
+        has[obs.station[np.isin(obs.kind, names)]] = True
+    return np.where(shows & ~uses, np.maximum(squares, LOST_EDGE), squares)
+
+
+def far(problem: Problem, estimate: Estimate) -> bool:
+    """Return whether most stations are too far from an estimate for it to become a good one."""
+    labelled = relabelled(problem, estimate)
+    station, n = labelled.observations.station, len(problem.poses)
+    count = np.bincount(station, minlength=n)
+    squares = np.bincount(station, linearise(labelled, estimate).residuals ** 2, minlength=n)
+    typical = np.quantile((squares / np.maximum(count, 1))[count > 0], BELIEVED_SHARE)
+    return bool(np.sqrt(typical) > max(FAR, FAR_RATIO * problem.config.limits.residual))
