@@ -16,6 +16,7 @@ KEYS = {'name': 'name', 'profile_topic': 'profile_topic', 'pose_topic': 'pose_to
         'effector_frame': 'robot_effector_frame', 'output_dir': 'output_dir',
         'session': 'session'}
 OTHERS = {
+    'page': ('', 'port of the page of the session, such as 8080; empty: as the file says'),
     'namespace': ('', 'namespace of all that is started'),
     'bag': ('', 'a recording to replay: a rosbag2 folder, or an .mcap or .db3 file'),
     'rate': ('1.0', 'speed of the replay; 1: as recorded'),
@@ -24,7 +25,8 @@ OTHERS = {
 }
 RECORDED = ('/profile', '/flange_pose')  # in a bag; in a namespace, both sides move into it
 # by RViz, whose layout names them without a namespace
-SHOWN = ('/handeye/markers', '/handeye/current', '/handeye/features', '/profile')
+SHOWN = ('/handeye/markers', '/handeye/current', '/handeye/features', '/handeye/next_pose',
+         '/profile')
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -50,6 +52,8 @@ def nodes(context: LaunchContext) -> list[Node]:
         return LaunchConfiguration(name).perform(context)
 
     set_here = {key: given(name) for name, key in KEYS.items() if given(name)}
+    if given('page'):
+        set_here['page.port'] = int(given('page'))
     namespace = given('namespace')
     recorded = [(topic, topic.lstrip('/')) for topic in RECORDED] if given('bag') else []
     found = [
@@ -62,7 +66,8 @@ def nodes(context: LaunchContext) -> list[Node]:
         # it waits until the node subscribes
         found.append(Node(package='handeye_ros', executable='replay', name='replay',
                           output='screen', namespace=namespace,
-                          arguments=[given('bag'), '--rate', given('rate')],
+                          # a node that starts on a busy machine takes its time to subscribe
+                          arguments=[given('bag'), '--rate', given('rate'), '--timeout', '30'],
                           remappings=recorded))
     if given('rviz') == 'true':
         found.append(Node(package='rviz2', executable='rviz2', name='rviz2',

@@ -68,7 +68,7 @@ def offered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]
 
 def test_rviz_shows_what_is_published(offered: dict[str, Any]) -> None:
     shown = [display for display in displays() if 'Topic' in display]
-    assert len(shown) >= 4
+    assert len(shown) >= 5
     for display in shown:
         topic, kind = display['Topic'], display['Class'].removeprefix('rviz_default_plugins/')
         assert offered['topics'].get(topic['Value']) == [TYPES[kind]], topic['Value']
