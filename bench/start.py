@@ -102,7 +102,9 @@ def cell(target: str, seed: int) -> tuple[Problem, Estimate]:
     sign = int(view.signs[1])
     config = with_values(Config(), settings(scenario) | {'profile.range_sign': sign}, 'bench')
     X, T = view.mount(truth.T_flange_sensor), truth.T_base_target
-    state = {'line': T.ravel(), 'plane': T.ravel(), 'plate': np.append(T.ravel(), np.pi / 2),
+    size = getattr(scenario.target, 'size', (0.0, 0.0))
+    plate = np.concatenate([T.ravel(), size, [np.pi / 2]])
+    state = {'line': T.ravel(), 'plane': T.ravel(), 'plate': plate,
              'sphere': np.append(T[:3, 3], getattr(scenario.target, 'radius', 0.0))}[target]
     return posed(samples, config), Estimate(X, state)
 
