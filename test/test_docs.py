@@ -58,6 +58,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp('clone')
     for name in ('bags', 'config'):
         (made / name).symlink_to(ROOT / name)
+    assert handeye('solve', 'bags/plate', '--config', 'config/plate.yaml', '--out', '.',
+                   cwd=made).returncode == 0
     for target, file in (('points', 'points.csv'), ('hand_eye', 'poses.csv')):
         assert handeye('simulate', target, target, cwd=made).returncode == 0
         (made / file).symlink_to(made / target / file)

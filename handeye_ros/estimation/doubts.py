@@ -6,7 +6,7 @@ unit variance; how large they really were is estimated (see mixed).
 """
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from handeye_ros import se3
@@ -80,21 +80,46 @@ def _setbacks(problem: Problem, linear: Linear) -> Iterator[Doubt]:
 
 
 def _robot(problem: Problem, linear: Linear) -> Iterator[Doubt]:
-    noise, station = problem.config.noise, problem.observations.station
-    poses = problem.poses
+    station = problem.observations.station
+    for name, modes, std in _robot_modes(problem):
+        columns = np.einsum('ma,mak->mk', linear.by_pose, modes[station], optimize=True)
+        yield Doubt(name, columns * std, std)
+
+
+def _robot_modes(problem: Problem) -> Iterator[tuple[str, Array, float]]:
+    """Yield the ways (n, 6, k) in which the poses may err together, each of unit size."""
+    noise, poses = problem.config.noise, problem.poses
     if problem.config.calibration_type != 'eye_in_hand':
         poses = se3.inverse(poses)
-    moved = (poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0))[station]
-    by_scale = (linear.by_pose[:, :3] * moved).sum(axis=1)
-    yield Doubt('scale', -by_scale[:, None] * noise.robot_scale, noise.robot_scale)
+    by_scale = np.zeros((len(poses), 6, 1))
+    by_scale[:, :3, 0] = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
+    yield 'scale', by_scale, noise.robot_scale
     if not noise.robot_smooth:
         return
-    shared = process(places(poses))[station]  # (m, r)
-    for name, part, std in (
-            ('robot_position', slice(0, 3), noise.robot_smooth),
-            ('robot_rotation', slice(3, 6), noise.robot_smooth / TURN_LENGTH)):
-        columns = linear.by_pose[:, part, None] * shared[:, None, :] * std
-        yield Doubt(name, columns.reshape(len(station), -1), std)
+    shared = process(places(poses))  # (n, r)
+    for name, first, std in (('robot_position', 0, noise.robot_smooth),
+                             ('robot_rotation', 3, noise.robot_smooth / TURN_LENGTH)):
+        modes = np.zeros((len(poses), 6, 3, shared.shape[1]))
+        for axis in range(3):
+            modes[:, first + axis, axis] = shared
+        yield name, modes.reshape(len(poses), 6, -1), std
+
+
+def pose_errors(problem: Problem, found: Sequence[Doubt], values: Array) -> Array:
+    """
+    Return the errors (n, 6) of the poses that doubts found by so much stand for.
+
+    values: (q,) of the unknowns of all doubts, one after the other, in their present sigmas.
+    """
+    errors = np.zeros((len(problem.poses), 6))
+    modes = {name: part for name, part, _ in _robot_modes(problem)}
+    first = 0
+    for doubt in found:
+        last = first + doubt.columns.shape[1]
+        if doubt.name in modes:
+            errors += modes[doubt.name] @ values[first:last] * doubt.std
+        first = last
+    return errors
 
 
 def _sensor(problem: Problem, linear: Linear) -> Iterator[Doubt]:

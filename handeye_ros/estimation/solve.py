@@ -8,7 +8,7 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.algebra import covariance_of, inverse
-from handeye_ros.estimation.doubts import Doubt
+from handeye_ros.estimation.doubts import Doubt, pose_errors
 from handeye_ros.estimation.fields import places, spread
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import cost, Linear, linearise, Problem
@@ -216,10 +216,31 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
     return chi2, count
 
 
+def poses_of(solution: Solution, stations: NDArray[np.intp] | None = None) -> Array:
+    """
+    Return the poses (n, 4, 4) without the smooth error of the robot that was found.
+
+    stations: left out of finding it; to first order.
+    """
+    found = solution.doubtful
+    if stations is not None:
+        found = found + step_without(solution, stations)[solution.unknowns:]
+    errors = pose_errors(solution.problem, solution.doubts, found)
+    T = solution.problem.poses
+    return se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
+                         T[:, :3, 3] + errors[:, :3])
+
+
 def without(solution: Solution, stations: NDArray[np.intp]) -> Estimate:
     """Return the estimate from all stations but the given ones, to first order."""
+    step = step_without(solution, stations)[:solution.unknowns]
+    return move(solution.problem, solution.estimate, step)
+
+
+def step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
+    """Return by how much unknowns and doubts (u + q,) differ without the given stations."""
     left_out = np.isin(solution.problem.observations.station, stations)
-    J, r, u = solution.jacobian, solution.white, solution.unknowns
+    J, r = solution.jacobian, solution.white
     J_out, r_out = J[left_out], r[left_out]
     if len(r_out) < J.shape[1]:
         to_out = J_out @ solution.covariance
@@ -227,4 +248,4 @@ def without(solution: Solution, stations: NDArray[np.intp]) -> Estimate:
         step = to_out.T @ np.linalg.solve(inside, r_out)
     else:
         step = inverse(solution.information - J_out.T @ J_out) @ (J_out.T @ r_out)
-    return move(solution.problem, solution.estimate, np.asarray(step[:u]))
+    return np.asarray(step)

@@ -13,7 +13,7 @@ from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, Sample
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus
-from handeye_ros.estimation.solve import Solution, without
+from handeye_ros.estimation.solve import poses_of, Solution, without
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,7 +64,7 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
     reports = [*_used_reports(used, solution, measured), *_dropped_reports(samples, agreed),
                *(SampleReport(r.stamp, False, reason=r.reason) for r in rejects)]
     direction, std = weakest(solution, parent)
-    residuals = measured.residuals(problem, solution.estimate)
+    residuals = measured.residuals(problem, solution.estimate, poses_of(solution))
     quality = Quality(len(used), len(reports) - len(used), _rms(residuals),
                       _rms(left_out(solution, measured)), direction, std)
     return Calibration(
@@ -87,7 +87,7 @@ def describe_target(solution: Solution, config: Config) -> dict[str, Any]:
 def _used_reports(used: Sequence[Sample], solution: Solution, measured: Measured
                   ) -> list[SampleReport]:
     obs, method = solution.problem.observations, solution.problem.method
-    squares = measured.residuals(solution.problem, solution.estimate) ** 2
+    squares = measured.residuals(solution.problem, solution.estimate, poses_of(solution)) ** 2
     count = np.bincount(measured.station, minlength=len(used))
     rms = np.sqrt(np.bincount(measured.station, squares, minlength=len(used)) / np.maximum(
         count, 1))
@@ -114,8 +114,8 @@ def left_out(solution: Solution, measured: Measured) -> Array:
     for fold in range(folds):
         stations = np.arange(fold, n, folds)
         part = np.isin(measured.station, stations)
-        found[part] = measured.select(part).residuals(solution.problem,
-                                                      without(solution, stations))
+        found[part] = measured.select(part).residuals(
+            solution.problem, without(solution, stations), poses_of(solution, stations))
     return found
 
 
@@ -139,10 +139,15 @@ class Measured:
         """Return the points where keep (k,) is true."""
         return Measured(self.points[keep], self.kind[keep], self.station[keep])
 
-    def residuals(self, problem: Problem, estimate: Estimate) -> Array:
-        """Return the plain residuals, (k,) in metres, at an estimate."""
+    def residuals(self, problem: Problem, estimate: Estimate, poses: Array | None = None
+                  ) -> Array:
+        """
+        Return the plain residuals, (k,) in metres, at an estimate.
+
+        poses: (n, 4, 4) instead of the reported ones, such as without the robot's smooth error.
+        """
         in_mount = self.points @ estimate.X[:3, [0, 2]].T + estimate.X[:3, 3]
-        T = problem.poses[self.station]
+        T = (problem.poses if poses is None else poses)[self.station]
         p = np.einsum('kij,kj->ki', T[:, :3, :3], in_mount) + T[:, :3, 3]
         return problem.method.conditions(p, self.kind, estimate.target, problem.config).g
 
