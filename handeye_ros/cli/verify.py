@@ -1,8 +1,9 @@
 """The verb that lets a calibration prove itself on something known."""
 from collections.abc import Sequence
 from dataclasses import replace
+import math
 from pathlib import Path
-from typing import Annotated, Optional, TYPE_CHECKING
+from typing import Annotated, TYPE_CHECKING
 
 from handeye_ros.cli.app import app
 from handeye_ros.cli.common import Assignments, doing, NoPath, read_bag, show, warn
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from handeye_ros.measure.verification import Verification
     from handeye_ros.measure.verify import Tolerances
 
-Point = Optional[tuple[float, float, float]]  # noqa: UP045 - see common.py
+NOWHERE = (math.nan, math.nan, math.nan)  # the typer of Jazzy knows no tuple without a value
 Name = Annotated[str, typer.Argument(metavar='ROUTINE', help='See docs/measure.md.')]
 Bags = Annotated[list[Path], typer.Argument(
     metavar='BAG...', help='Recordings with stops, one of each face or ball, in their order.')]
@@ -27,7 +28,7 @@ Lengths = Annotated[list[float], typer.Option(
 Flank = Annotated[float, typer.Option(
     min=0.0, help="Horizontal way of a tooth's flank (m); 0: a quarter of the pitch.")]
 Radius = Annotated[float, typer.Option(min=0.0, help='Radius of the balls (m).')]
-Reference = Annotated[Point, typer.Option(
+Reference = Annotated[tuple[float, float, float], typer.Option(
     metavar='X Y Z', help='The point as a tip of the robot touched it (m, base).')]
 Aim = Annotated[float, typer.Option(
     min=0.0, help='How exactly the laser was put to the point, 1 sigma (m).')]
@@ -35,6 +36,10 @@ Tolerance = Annotated[float, typer.Option(min=1e-9, help='Largest error of a len
 AngleTolerance = Annotated[float, typer.Option(
     min=1e-9, help='Largest error of an angle (degrees).')]
 Out = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the result as YAML too.')]
+
+
+def _given(point: tuple[float, float, float]) -> tuple[float, ...]:
+    return () if any(map(math.isnan, point)) else point
 
 
 @app.command()
@@ -46,7 +51,7 @@ def verify(
     assignments: Assignments = [],  # noqa: B006 - never changed
     length: Lengths = [],  # noqa: B006 - never changed
     radius: Radius = 0.0,
-    reference: Reference = None,
+    reference: Reference = NOWHERE,
     aim: Aim = 0.0,
     flank: Flank = 0.0,
     tolerance: Tolerance = 3e-4,
@@ -66,7 +71,7 @@ def verify(
         raise UnknownNameError('routine', name, list(ROUTINES))
     found, settings = calibrated(calibration, config, assignments)
     result = _verified(ROUTINES[name], bags, found, settings,
-                       Nominal(tuple(length), radius, tuple(reference or ()), aim, flank),
+                       Nominal(tuple(length), radius, _given(reference), aim, flank),
                        Tolerances(tolerance, math.radians(angle_tolerance)))
     show(verification.table(result))
     if out:

@@ -92,7 +92,7 @@ def _robot_modes(problem: Problem) -> Iterator[tuple[str, Array, float]]:
     if problem.config.calibration_type != 'eye_in_hand':
         poses = se3.inverse(poses)
     by_scale = np.zeros((len(poses), 6, 1))
-    by_scale[:, :3, 0] = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
+    by_scale[:, :3, 0] = poses[:, :3, 3].mean(axis=0) - poses[:, :3, 3]
     yield 'scale', by_scale, noise.robot_scale
     if not noise.robot_smooth:
         return
