@@ -14,7 +14,7 @@ from handeye_ros.results.truth_errors import FIELD, field_points
 import numpy as np
 
 MANY_REJECTED = 1 / 3  # of the stops
-MUCH_WORSE = 2.0  # the left-out error than the residual
+MUCH_WORSE = 4.0  # the left-out error than the residual
 SAME = 0.1  # of a 1 sigma: as near lie two answers of the same recording
 
 
