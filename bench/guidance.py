@@ -5,7 +5,8 @@ How many stations the advice saves, against poses at random within the same limi
 usage: python bench/guidance.py [--seeds N] [--first S] [--targets plate,line,sphere] [--robot R]
 
 Per seed a new cell: rendered profiles (4 a stop), a robot whose repeatability is that of --robot
-(common: 0.05 mm and 0.02 degrees; fine: 0.02 mm and 0.004 degrees). One operator follows the
+(common: 0.05 mm and 0.02 degrees; fine: 0.02 mm and 0.004 degrees), and nothing systematic in
+it, nor believed in. One operator follows the
 advice, off by 3 mm and 2 degrees (1 sigma; the moves before the sensor is roughly known: by 4
 degrees); the other goes anywhere within guidance.reach, guidance.tilt and guidance.turn from
 the same first pose. Where the sensor shows no target both try again, and that counts nothing.
@@ -52,8 +53,12 @@ import numpy as np
 WANTED = 1e-4  # m: of mapped points
 FIELD = learn_view((), np.array([[-0.02, 0.16], [0.02, 0.16], [-0.02, 0.19], [0.02, 0.19]]))
 PROFILES = 4
+PATIENCE = 40  # tries near a pose that was advised
 MOST = {'advice': 30, 'random': 60}
 ROBOTS = {'common': (5e-5, math.radians(0.02)), 'fine': (2e-5, math.radians(0.004))}
+# What this cell does not have, and what is therefore not believed in.
+KNOWN = {'noise.robot_smooth': 0.0, 'noise.robot_scale': 0.0, 'noise.distortion': 0.0,
+         'noise.flatness': 0.0, 'target.radius_std': 1e-6}
 FACING = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # line along the edge frame's y
 
 
@@ -125,9 +130,7 @@ def world(target: str, robot: tuple[float, float], seed: int) -> World:
                    robot=replace(made.robot, repeatability=robot))
     rng = np.random.default_rng(seed)
     _, truth = simulate_samples(made, rng)
-    # a robot without the smooth error that is believed in by default
-    believed = settings(made) | {'noise.robot_smooth': 0.0}
-    new = World(made, configs.with_values(Config(), believed, 'bench'), rng,
+    new = World(made, configs.with_values(Config(), settings(made) | KNOWN, 'bench'), rng,
                 truth.T_flange_sensor, truth.T_base_target)
     nearer = 0.2 if made.scene == 'sphere' else 0.0  # of the view's depth: its top is seen
     middle = (new.view.low + new.view.high) / 2 - [0, nearer * new.view.size[1]]
@@ -169,14 +172,17 @@ def anywhere(cell: World) -> np.ndarray | None:
     return T if limits.allow(T[None], cell.T_flange_sensor)[0] else None
 
 
-def advised(cell: World, solution: Solution | None) -> Callable[[], np.ndarray]:
-    """Return what draws poses near the one that the advice asks for."""
+def advised(cell: World, solution: Solution | None) -> Callable[[], np.ndarray | None]:
+    """Return what draws poses near the one that the advice asks for, at last from anywhere."""
     told = advise(cell.samples, cell.config, solution, seen=np.array([
         [cell.view.low[0], cell.view.low[1]], cell.view.high]))
     rng, tries = cell.rng, iter(range(10**6))
 
-    def near() -> np.ndarray:
-        away = 1.0 + 0.3 * next(tries)  # who sees nothing jogs about until the target is there
+    def near() -> np.ndarray | None:
+        count = next(tries)
+        if count > PATIENCE:
+            return anywhere(cell)
+        away = min(1.0 + 0.2 * count, 2.5)  # who sees nothing jogs about
         shift = rng.normal(size=3) * 3e-3 * away
         if told.next:
             T = told.next.T_base_flange
@@ -230,21 +236,23 @@ def main() -> None:
     print(f'{"target":8} {"operator":8} {"error < 0.1 mm":>20} {"1 sigma < 0.1 mm":>20} '
           f'{"never":>8} {"s":>6}')
     for target in arguments.targets.split(','):
+        start = time.perf_counter()
+        counts: dict[str, list[tuple[int, int]]] = {operator: [] for operator in MOST}
+        for seed in range(arguments.first, arguments.first + arguments.seeds):
+            for operator, found in counts.items():
+                found.append(session(world(target, ROBOTS[arguments.robot], seed), operator))
+            print(target, seed, *(found[-1] for found in counts.values()), file=sys.stderr,
+                  flush=True)
         medians = {}
-        for operator in MOST:
-            start = time.perf_counter()
-            counts = []
-            for seed in range(arguments.first, arguments.first + arguments.seeds):
-                counts.append(session(world(target, ROBOTS[arguments.robot], seed), operator))
-                print(target, operator, seed, *counts[-1], file=sys.stderr, flush=True)
-            low, medians[operator], high = np.percentile(counts, (25, 50, 75), axis=0)
+        for operator, found in counts.items():
+            low, medians[operator], high = np.percentile(found, (25, 50, 75), axis=0)
             told = [f'{m:.0f} ({a:.0f}-{b:.0f})' for m, a, b in zip(
                 medians[operator], low, high, strict=True)]
-            never = '/'.join(map(str, (np.array(counts) == MOST[operator]).sum(axis=0)))
-            print(f'{target:8} {operator:8} {told[0]:>20} {told[1]:>20} {never:>8} '
-                  f'{time.perf_counter() - start:6.0f}', flush=True)
+            never = '/'.join(map(str, (np.array(found) >= MOST[operator]).sum(axis=0)))
+            print(f'{target:8} {operator:8} {told[0]:>20} {told[1]:>20} {never:>8}', flush=True)
         ratio = medians['advice'] / medians['random']
-        print(f'{target:8} {"ratio":8} {ratio[0]:20.2f} {ratio[1]:20.2f}', flush=True)
+        print(f'{target:8} {"ratio":8} {ratio[0]:20.2f} {ratio[1]:20.2f} '
+              f'{time.perf_counter() - start:15.0f}', flush=True)
 
 
 if __name__ == '__main__':
