@@ -23,6 +23,7 @@ from ros_helpers import (  # noqa: E402
     Client,
     LATCHED,
     pose_message,
+    replay,
     run_module,
     running_node,
     sphere_profile,
@@ -104,8 +105,7 @@ def test_a_late_joiner_is_not_told_an_old_answer(tmp_path: Path, client: Client)
     with running_node(tmp_path, '--params-file', str(config), '-r', '__ns:=/cell'):
         state = Told(client, '/cell/handeye/status')
         assert state.until(lambda told: True, 'a state is there')['state'] == 'none'
-        replay = run_module('replay', str(ROOT / 'bags' / 'sphere'), '--rate', '10')
-        assert replay.returncode == 0, replay.stderr
+        replay(ROOT / 'bags' / 'sphere')
         client.until(lambda: client._told and client._told[-1]['profiles'] == str(
             len(recording.profiles)), 'all is taken')
         call = ServiceCaller(client, '/cell/handeye/')

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 from geometry_msgs.msg import PoseStamped  # noqa: E402, I100
-from ros_helpers import Client, LATCHED, ROOT, run_module, running_node  # noqa: E402
+from ros_helpers import Client, LATCHED, replay, ROOT, running_node  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -29,7 +29,7 @@ def test_the_next_pose_and_the_words_for_it(tmp_path: Path, client: Client) -> N
         client.connect()
         client.until(lambda: texts, 'there is advice before the first sample')
         assert texts[0].data.startswith('Take the first sample: look squarely at the target')
-        run_module('replay', str(ROOT / 'bags' / 'plate'), '--rate', '10')
+        replay(ROOT / 'bags' / 'plate')
         client.until(lambda: poses, 'a pose is proposed')
         client.until(lambda: 'points in view are known to' in texts[-1].data.lower(),
                      'the words say how well it is known')

@@ -3,12 +3,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from threading import Event
 
 from cells import recorded
+from command import PATIENCE
 from handeye_ros import pipeline
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError
+from handeye_ros.ros.node.latest import Latest
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.place import Place
 from handeye_ros.ros.node.telling import state_of
@@ -206,3 +209,36 @@ def test_a_result_lies_below_the_namespace(monkeypatch, tmp_path: Path) -> None:
     assert Place().parent(config) == tmp_path / 'handeye_ros'
     assert Place('/cell1/left').parent(config) == tmp_path / 'handeye_ros' / 'cell1' / 'left'
     assert Place('/cell1').parent(replace(config, output_dir='/data')) == Path('/data')
+
+
+def test_stamps_that_come_again_give_no_error() -> None:
+    latest, config = Latest(), SPHERE.config
+    poses, profile = SPHERE.poses[:30], SPHERE.profiles[1]
+    latest.add_poses(poses[:1])
+    latest.add_profile(profile)
+    assert latest.current(config) is None
+    latest.add_poses([*poses[1:], *poses])
+    current = latest.current(config)
+    assert current is not None and len(current.points)
+    latest.clear()
+    assert latest.current(config) is None
+
+
+def test_work_that_fails_is_told_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    live, told, done = LiveSession(SPHERE.config, Place()), Event(), Event()
+    log: list[str] = []
+    judge_all = live.judge_all
+    live.on_failure = lambda text: (log.append(text), told.set())
+    live.on_change = done.set
+    monkeypatch.setattr(live, 'judge_all', lambda: 1 / 0)
+    live.start()
+    live._wake.set()
+    assert told.wait(PATIENCE) and 'ZeroDivisionError' in log[0]
+    assert "failed, which should not happen: ZeroDivisionError('division by zero')" in state_of(
+        live).session.trouble
+    monkeypatch.setattr(live, 'judge_all', judge_all)
+    live._wake.set()
+    assert done.wait(PATIENCE)
+    while live.failure:
+        done.wait(0.01)
+    assert state_of(live).session.trouble == ''

@@ -30,6 +30,7 @@ from ros_helpers import (  # noqa: E402
     LATCHED,
     pose_message,
     RELIABLE,
+    replay,
     ROOT,
     run_module,
     running_node,
@@ -66,8 +67,7 @@ def test_a_bag_through_the_node_gives_the_offline_result(
     client.node.create_subscription(MarkerArray, '/handeye/markers', markers.append, LATCHED)
     with running_node(tmp_path, '--params-file', str(config)):
         client.connect()
-        replay = run_module('replay', str(bag), '--rate', '10')
-        assert (replay.returncode, replay.stderr) == (0, '')
+        replay(bag)
         client.until_counted(profiles=len(recording.profiles), poses=len(recording.poses),
                              malformed=0)
         answer = client.call('compute_calibration')
@@ -161,8 +161,7 @@ def test_a_solve_loses_no_profiles(tmp_path: Path, client: Client) -> None:
     recording = read(ROOT / 'bags' / 'sphere', load(config))
     with running_node(tmp_path, '--params-file', str(config)):
         client.connect()
-        replay = run_module('replay', str(ROOT / 'bags' / 'sphere'), '--rate', '10')
-        assert replay.returncode == 0, replay.stderr
+        replay(ROOT / 'bags' / 'sphere')
         n, poses = len(recording.profiles), len(recording.poses)
         client.until_counted(profiles=n, poses=poses)
         later = recording.profiles[-1].stamp

@@ -18,7 +18,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('aiohttp', reason='needs aiohttp')
-from ros_helpers import Client, ROOT, run_module, running_node  # noqa: E402
+from ros_helpers import Client, replay, ROOT, running_node  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -40,7 +40,7 @@ def opened(tmp_path: Path, client: Client, width: int) -> Iterator[Any]:
             tmp_path, '--params-file', str(CONFIG), '-p', f'page.port:={port}'):
         client.connect()
         browser.get(f'http://127.0.0.1:{port}/')
-        assert run_module('replay', str(BAG), '--rate', '10').returncode == 0
+        replay(BAG)
         wait(browser, "document.querySelectorAll('#samples li').length >= 17", 'all samples')
         yield browser
 

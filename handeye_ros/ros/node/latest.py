@@ -49,13 +49,21 @@ class Latest:
         with self._lock:
             self._poses.extend(poses)
 
+    def clear(self) -> None:
+        """Forget them: time may start again."""
+        with self._lock:
+            self._profiles.clear()
+            self._poses.clear()
+
     def current(self, config: Config) -> Current | None:
         """Return the last profile that poses surround; None where there is none to use."""
         with self._lock:
-            profiles, poses = list(self._profiles), list(self._poses)
-        if not poses:
+            profiles = list(self._profiles)
+            # a recording that is played again, or two robots, repeat stamps: the last one counts
+            of_stamp = {pose.stamp: pose for pose in self._poses}
+        if len(of_stamp) < 2:
             return None
-        poses.sort(key=lambda pose: pose.stamp)
+        poses = sorted(of_stamp.values(), key=lambda pose: pose.stamp)
         inside = [p for p in profiles if poses[0].stamp <= p.stamp <= poses[-1].stamp]
         if not inside:
             return None

@@ -5,9 +5,11 @@ Knows no ROS. What the services do is here and in live_samples.py.
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 import threading
+import traceback
 
 from handeye_ros import pipeline
 from handeye_ros.config import Config
@@ -32,7 +34,12 @@ import numpy as np
 
 
 class LiveSession(LiveSamples):
-    """The samples of a running node, what they say of each other, and the last answer."""
+    """
+    The samples of a running node, what they say of each other, and the last answer.
+
+    failure: of the last work of the thread, empty where it did it; on_failure: is told the
+    traceback.
+    """
 
     def __init__(self, config: Config, place: Place, store: Store | None = None) -> None:
         """Start without samples; raises BadValueError for a method that does not exist."""
@@ -45,6 +52,8 @@ class LiveSession(LiveSamples):
         self._seen = np.zeros((0, 2))  # points of profiles, at the ends of the view
         self._reviewed: tuple[Outcome, ...] | None = None
         self._asked = self._due = False  # for an answer, ever; and again, as settings changed
+        self.failure = ''
+        self.on_failure: Callable[[str], object] = lambda text: None
 
     @property
     def calibration(self) -> Calibration | None:
@@ -66,7 +75,13 @@ class LiveSession(LiveSamples):
         while True:
             self._wake.wait()
             self._wake.clear()
-            self.settle()
+            try:
+                self.settle()
+                self.failure = ''
+            except Exception as error:  # noqa: BLE001 - the next stop must be judged all the same
+                self.failure = ('the work on the samples failed, which should not happen: '
+                                f'{error!r}; see the log, and please report it')
+                self.on_failure(traceback.format_exc())
 
     def settle(self) -> None:
         """Judge the stops that are over, review all samples, solve again for other settings."""

@@ -206,6 +206,7 @@ class LiveSamples:
         """Forget all samples, and all that was received; raises InputError."""
         with self._work:
             kept = self._store.restart(self.config)
+            self.latest.clear()
             with self._lock:
                 self._stops.clear()
                 count = sum(o.sample is not None for o in self._session.outcomes)

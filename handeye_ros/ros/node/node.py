@@ -56,6 +56,7 @@ class HandeyeNode(Node):
         self.add_post_set_parameters_callback(self._apply_change)
         self.live.on_outcome = partial(self._quietly, self._on_outcome)
         self.live.on_change = partial(self._quietly, self._outlets.show)
+        self.live.on_failure = self.get_logger().error
         if stored:
             self.get_logger().info(self.live.restore(stored.session(config), stored.config))
         elif config.session:

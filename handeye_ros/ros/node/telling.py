@@ -97,7 +97,7 @@ def _motion(session: Session) -> MotionState:
 def _trouble(live: LiveSession, session: Session) -> str:
     """Return why what comes in now is of no use, and what to do; empty if it is."""
     found = (str(session.conflict or ''), late_sentence(session.late) if session.late else '',
-             live.arrivals.clocks, session.unasked, live.store_trouble)
+             live.arrivals.clocks, session.unasked, live.store_trouble, live.failure)
     return '; '.join(filter(None, found))
 
 
