@@ -18,6 +18,13 @@ from rich.text import Text
 LENGTHS = ('centre', 'point', 'radius', 'distance', 'size', 'setback')
 DIRECTIONS = ('normal', 'direction')
 ANGLES = ('angle',)
+# Sizes of smooth errors that the samples show: how they are told.
+FOUND = {
+    'robot_position_error': ('robot, smooth error', 1e3, 'mm'),
+    'robot_rotation_error': ('robot, smooth turn', math.degrees(1), 'degrees'),
+    'distortion_error': ('sensor, bent field', 1e3, 'mm'),
+    'flatness_error': ('target, flatness', 1e3, 'mm'),
+}
 
 
 def table(calibration: Calibration) -> RenderableType:
@@ -112,9 +119,12 @@ def _target_values(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             q = np.array([value['rotation'][axis] for axis in 'xyzw'])
             angles = se3.rpy(se3.from_quaternion(np.zeros(3), q))
             yield f'{name}, rpy', ' '.join(f'{math.degrees(a):.4f}' for a in angles) + ' degrees'
+        elif key in FOUND:
+            label, factor, unit = FOUND[key]
+            yield label, f'{value * factor:.4f} {unit} (1 sigma, found and allowed for)'
         elif key.startswith(LENGTHS) and not key.endswith('_std'):
             values = value.values() if isinstance(value, Mapping) else np.atleast_1d(value)
-            yield name, _millimetres(values) + _sigma(std, 1e3)
+            yield name, _millimetres(values) + _sigma(std, 1e3, 3)
         elif key.endswith(ANGLES):
             yield name, f'{math.degrees(value):.4f} degrees' + _sigma(std, math.degrees(1))
         elif key == 'scale':
