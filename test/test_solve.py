@@ -7,6 +7,7 @@ from functools import lru_cache
 from cells import ANY_POSE, Cell, cell, exact_cell, problem, scenario_of, solved
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import TooUncertainError
+from handeye_ros.config import with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.method import Estimate, Method
 from handeye_ros.estimation.problem import linearise, Problem
@@ -18,7 +19,7 @@ from handeye_ros.estimation.solve import (
     station_statistic,
     without,
 )
-from handeye_ros.estimation.weights import groups, Noise
+from handeye_ros.estimation.weights import covariances, groups, Noise
 from handeye_ros.methods import METHODS
 from handeye_ros.results.outcome import measured_points
 import numpy as np
@@ -234,6 +235,18 @@ def test_the_covariance_is_symmetric_and_positive(name: str) -> None:
     C = pipeline.solve(made.samples, [], made.config, 'laser').covariance
     assert C.shape == (6, 6) and np.allclose(C, C.T, rtol=1e-12)
     assert np.linalg.eigvalsh(C).min() > 0
+
+
+@pytest.mark.parametrize('factors', [(1.0, 1.0, 1.0), (0.1, 1e4, 1e-4), (1e4, 0.1, 1e-4)])
+def test_the_noise_of_a_station_is_positive_whatever_its_size(
+        factors: tuple[float, float, float]) -> None:
+    solution = solution_of('plate')
+    doubtful = replace(solution.problem, config=with_values(
+        solution.problem.config, {'noise.distortion': 2e-5}, 'a test'))
+    for rows in groups(doubtful.observations.station):
+        noise = np.tensordot(factors, covariances(doubtful, solution.linear, rows), 1)
+        assert np.array_equal(noise, np.swapaxes(noise, 1, 2))
+        assert np.linalg.eigvalsh(noise).min() > 0
 
 
 def trials(name: str) -> int:

@@ -75,13 +75,15 @@ def covariances(problem: Problem, linear: Linear, rows: NDArray[np.intp]) -> Arr
     """Return covariances, (3, stations, c, c), of the residuals: of features, edges, poses."""
     obs, noise = problem.observations, problem.config.noise
     H = linear.by_feature[rows]
-    edge = (obs.end[rows] > 0)[:, :, None] * np.ones(rows.shape[1])
+    # no covariance between edges and the rest, so that any factors keep the sum positive
+    edge, rest = (row[:, :, None] & row[:, None, :] for row in (
+        obs.end[rows] > 0, obs.end[rows] == 0))
     feature = (H @ np.swapaxes(H, 1, 2)) * _shared(obs.source[rows]) + (
         SMALLEST_STD ** 2 * np.eye(rows.shape[1]))
     feature = feature + _distortion(obs.points[rows], linear.by_point[rows],
                                     LOCAL * noise.distortion)
     G = linear.by_pose[rows] * np.repeat([noise.robot_translation, noise.robot_rotation], 3)
-    return np.array([feature * (1 - edge), feature * edge, G @ np.swapaxes(G, 1, 2)])
+    return np.array([feature * rest, feature * edge, G @ np.swapaxes(G, 1, 2)])
 
 
 def lumped(problem: Problem, linear: Linear, rows: NDArray[np.intp]) -> Array:
