@@ -11,11 +11,11 @@ from dataclasses import replace
 from handeye_ros import methods
 from handeye_ros.checks.conventions import require_no_slip, require_range_sign
 from handeye_ros.checks.errors import LeftOutError
+from handeye_ros.checks.explained import require_edges
 from handeye_ros.checks.frames import require_own_frame
 from handeye_ros.checks.misfit import require_consistent
 from handeye_ros.checks.motion import (
     require_certain,
-    require_edges,
     require_judged,
     require_only_answer,
     require_rotations,
@@ -95,7 +95,7 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     agreed, solution = estimate(ordered, rejects, config)
     require_certain(solution, config)
     require_judged(agreed)
-    require_edges(solution)
+    require_edges(agreed)
     calibration = describe_calibration(ordered, rejects, agreed, solution, config, frame_id)
     if not calibration.quality.holdout_rms <= config.limits.residual:
         raise LeftOutError(calibration.quality.holdout_rms, config.limits.residual)

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 from handeye_ros import config as configs
 from handeye_ros import pipeline, se3
+from handeye_ros.checks.errors import LostEdgesError
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
@@ -30,7 +31,7 @@ def solved(scenario: Scenario, seed: int, scale: float = 1.0, **changes: object
         se3.difference(found.T_flange_sensor, truth.T_flange_sensor)[:3]))
 
 
-@pytest.mark.parametrize('degrees', [88.0, 89.5])
+@pytest.mark.parametrize('degrees', [87.0, 88.0, 89.0, 89.5, 91.0, 92.0, 93.0])
 def test_a_plate_that_is_not_square_is_measured_and_named(degrees: float) -> None:
     target = PlateTarget(edge_angle=np.radians(degrees))
     found, error = solved(replace(SCENARIOS['plate'], target=target), 0)
@@ -38,8 +39,47 @@ def test_a_plate_that_is_not_square_is_measured_and_named(degrees: float) -> Non
         found.target['edge_angle_std'])
     assert f'{np.degrees(found.target["edge_angle"]):.3f}' in found.target['note']
     assert 'not the configured 90.000' in found.target['note']
-    assert found.quality.samples_used >= 16
+    assert found.quality.samples_used >= 17
+    assert sum(sample.edge == '' for sample in found.samples) <= 1
     assert error < 1.5e-4
+
+
+@pytest.mark.parametrize('off', [0.6e-3, 2e-3, -5e-3])
+def test_a_plate_of_another_size_is_told(off: float) -> None:
+    length, width = SCENARIOS['plate'].target.size
+    scenario = replace(SCENARIOS['plate'], wrong_edges=8)
+    found, error = solved(scenario, 0, target__size=[length + off, width])
+    assert f'{1e3 * (length + off):.1f}' in found.target['note']
+    assert '200.0' in found.target['note'] and error < 1.5e-4
+
+
+def test_a_size_given_the_other_way_round_is_the_same_plate() -> None:
+    length, width = SCENARIOS['plate'].target.size
+    for size in ([length, width], [width, length]):
+        for seed in range(3):
+            found, error = solved(replace(SCENARIOS['plate'], wrong_edges=8), seed,
+                                  target__size=size)
+            assert {sample.edge for sample in found.samples} == {'p', 'q', 'p_far', 'q_far'}
+            assert 'note' not in found.target and error < 2e-4
+
+
+def test_edges_that_are_none_of_the_plate_are_told() -> None:
+    found, error = solved(replace(SCENARIOS['plate'], wrong_edges=4), 0)
+    assert 'the edges of 4 of the 18 samples' in found.target['note'] and error < 1.5e-4
+
+
+@pytest.mark.parametrize('seed', [0, 5])
+def test_faces_alone_do_not_answer_for_edges_that_fit_nowhere(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    samples, _ = simulate_samples(SCENARIOS['plate'], rng)
+    bent = []
+    for face, edge, sample in ((*s.features, s) for s in samples):
+        shift = 8e-3 * rng.choice([-1.0, 1.0]) * rng.uniform(0.4, 1) * (rng.random() < 0.6)
+        moved = replace(edge, point=edge.point + shift * edge.direction)
+        bent.append(replace(sample, features=(face, moved)))
+    config = configs.with_values(Config(), settings(SCENARIOS['plate']), 'the test')
+    with pytest.raises(LostEdgesError, match='no answer that leaves out so many'):
+        pipeline.solve(bent, (), config, 'laser')
 
 
 @pytest.mark.parametrize('seed', range(4))

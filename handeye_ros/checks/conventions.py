@@ -17,7 +17,6 @@ from handeye_ros.checks.errors import (
     SlipError,
 )
 from handeye_ros.checks.misfit import (
-    dropped_share,
     LARGEST_DROPPED_SHARE,
     misfit_of,
     residual_rms,
@@ -119,14 +118,14 @@ def _explains(problem: Problem, better: Consensus, agreed: Consensus) -> bool:
 
     By an F-test: few stations fit many things by chance.
     """
-    if dropped_share(problem, better) > LARGEST_DROPPED_SHARE or (
+    if better.unexplained > LARGEST_DROPPED_SHARE or (
             better.solution.variance_factor > BELIEVABLE
-            or len(better.used) < 0.8 * len(agreed.used)):
+            or better.explained < 0.8 * agreed.explained):
         return False
     gain = agreed.solution.variance_factor / max(better.solution.variance_factor, 1.0)
     freedom = (agreed.solution.degrees_of_freedom, better.solution.degrees_of_freedom)
     if min(freedom) < 1:
         return False
-    more = len(better.used) - len(agreed.used)
+    more = better.explained - agreed.explained
     return gain > float(f_distribution.isf(CHANCE, *freedom)) or (
         gain > 0.1 and more > 0.3 * len(problem.poses))

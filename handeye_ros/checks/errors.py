@@ -40,6 +40,15 @@ class TooFewEdgesError(DataError):
                          '(target.type plane)')
 
 
+class LostEdgesError(DataError):
+    """Edges that are shown but are none of the target; lost: how many, and where."""
+
+    def __init__(self, lost: str) -> None:
+        super().__init__(f'{lost}; no answer that leaves out so many can be trusted: check '
+                         'target.size, that the edges are straight and the laser crosses no '
+                         'others, or calibrate from the plane alone (target.type plane)')
+
+
 class SensorFrameError(DataError):
     """The sensor's frame is called like one of the robot; key: the one that names it."""
 

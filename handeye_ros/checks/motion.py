@@ -11,7 +11,6 @@ from handeye_ros.checks.errors import (
     OneAxisError,
     OneOrientationError,
     TooFewConditionsError,
-    TooFewEdgesError,
     TooFewSamplesError,
     TooUncertainError,
     TwoAnswersError,
@@ -132,17 +131,6 @@ def require_certain(solution: Solution, config: Config) -> None:
         raise TooUncertainError.translation(name_direction(direction, frame), shift_std,
                                             limits.translation,
                                             missing_motion(solution.problem.poses, frame))
-
-
-def require_edges(solution: Solution) -> None:
-    """Raise TooFewEdgesError where a target with edges is seen by its faces alone."""
-    method, obs = solution.problem.method, solution.problem.observations
-    if not method.edges:
-        return
-    kinds = [i for i, name in enumerate(method.kinds) if name in method.edges]
-    seen = len(np.unique(obs.station[np.isin(obs.kind, kinds)]))
-    if seen < method.minimum:
-        raise TooFewEdgesError(method.name, seen, len(solution.problem.poses), method.minimum)
 
 
 def require_judged(agreed: Consensus) -> None:

@@ -17,7 +17,7 @@ from scipy.stats import f as f_distribution
 MOST_PLACES = 15  # at which a recording is parted to see
 BELIEVABLE = 4.0  # variance factor of both parts
 CHANCE = 1e-5  # of naming a move where there is none
-LARGEST_DROPPED_SHARE = 0.25  # of a part
+LARGEST_UNEXPLAINED_SHARE = 0.25  # of a part
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ def _parts(problem: Problem, place: int) -> tuple[Consensus, Consensus] | None:
         if part is None:
             return None
         solution = part.solution
-        if (len(part.dropped) > LARGEST_DROPPED_SHARE * len(stations)
+        if (part.unexplained > LARGEST_UNEXPLAINED_SHARE
                 or solution.variance_factor > BELIEVABLE or solution.degrees_of_freedom < 1):
             return None
         parts.append(part)

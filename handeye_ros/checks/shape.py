@@ -49,18 +49,19 @@ class Shape:
 def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> Consensus:
     """Return the consensus with the target's shape free if only that makes the stations agree."""
     config = problem.method.relax(problem.config)
-    doubtful = agreed.dropped or agreed.solution.variance_factor > DOUBTFUL
+    doubtful = (agreed.dropped or len(agreed.lost)
+                or agreed.solution.variance_factor > DOUBTFUL)
     if config is None or not doubtful:
         return agreed
     try:
         other = consensus(replace(problem, config=config), rng)
     except DataError:
         return agreed
-    stated = problem.method.configured(problem.config)
+    stated = float(problem.method.configured(problem.config)[-1])
     if abs(other.solution.estimate.target[-1] - stated) > LARGEST_CHANGE * stated:
         return agreed
-    gain = agreed.solution.variance_factor / max(other.solution.variance_factor, 1.0)
-    more = len(other.used) - len(agreed.used)
+    gain = max(agreed.solution.variance_factor, 1.0) / max(other.solution.variance_factor, 1.0)
+    more = other.explained - agreed.explained
     better = (gain > CONVINCING and more >= 0) or (more > 0.1 * len(problem.poses) and gain > 0.5)
     return other if better else agreed
 
@@ -74,9 +75,9 @@ def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
             i = doubt.parameter - len(labels)
             offset = _value(solution, doubt)
             yield Shape(doubt.name, float(target[i]) - offset, float(target[i]), std)
-    first = solution.problem.method.configured(config)
     free = solution.problem.columns[-1] - 6 == len(labels) - 1
     if stated[-1] and free:  # given up to make the stations agree
+        first = float(solution.problem.method.configured(config)[-1])
         std = float(solution.target_std[-1])
         if abs(target[-1] - first) > CONTRADICTION * math.hypot(std, float(stated[-1])):
             yield Shape(labels[-1], first, float(target[-1]), std)

@@ -90,7 +90,9 @@ class Method:
     tolerances(config): (k,) 1 sigma of those of the target's parameters that are stated with one,
     0 of all others.
     relax(config): the configuration with the target's shape (its last parameter) unknown, None
-    where it is; configured(config): its configured value.
+    where it is; configured(config): (k,) the stated values of those parameters that are stated.
+    elsewhere(observations of stations whose edges are none of the target's, points in base,
+    target, config): where these edges are, in words, '' where nothing is to be said.
     """
 
     name: str
@@ -110,7 +112,9 @@ class Method:
     one_axis: str = 'the position along it is free'
     tolerances: Callable[[Config], Array] = lambda config: np.zeros(0)
     relax: Callable[[Config], Config | None] = lambda config: None
-    configured: Callable[[Config], float] = lambda config: 0.0
+    configured: Callable[[Config], Array] = lambda config: np.zeros(0)
+    elsewhere: Callable[[Observations, Array, Array, Config], str] = (
+        lambda observations, p, target, config: '')
 
 
 def kind_unchanged(observations: Observations, points: Array, target: Array, config: Config

@@ -15,7 +15,7 @@ from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.mixed import settled
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.solve import evaluate, least_squares, Solution, station_statistic
-from handeye_ros.estimation.trial import DOUBTFUL, far, guesses, refined, Trial
+from handeye_ros.estimation.trial import DOUBTFUL, edge_lost, far, guesses, refined, Trial
 from handeye_ros.estimation.weights import Noise
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ SUBSETS = 20
 SUBSET_SIZE = 6
 SAME_LOSS, ENOUGH_AGREEING = 0.01, 4  # of answers from subsets, that end the search of them
 ENOUGH_FAR = 8  # subsets that lead nowhere, after which none will
-CONVINCING = 4.0  # squared residual of the believed share that ends the search of subsets
 MOST_FREEDOM = 6  # of a station's residuals: a pose has no more
 BATCH = 50  # one of so many stations is dropped at a time
 FALSE_ALARM = 1e-3  # of a good recording losing one station
@@ -33,11 +32,32 @@ FALSE_ALARM = 1e-3  # of a good recording losing one station
 
 @dataclass(frozen=True, eq=False)
 class Consensus:
-    """A solution from the stations used (ascending), and the squared residual of the rest."""
+    """
+    A solution from the stations used (ascending), and the squared residual of the rest.
 
+    whole: the problem with all stations and all that they show.
+    """
+
+    whole: Problem
     solution: Solution
     used: NDArray[np.intp]
     dropped: dict[int, float]
+
+    @property
+    def lost(self) -> NDArray[np.intp]:
+        """Return those of the stations used that show an edge of which no use is made."""
+        labelled = self.solution.problem
+        return self.used[edge_lost(self.whole.subset(self.used), labelled)]
+
+    @property
+    def explained(self) -> int:
+        """Return how many stations are used with all kinds of evidence that they show."""
+        return len(self.used) - len(self.lost)
+
+    @property
+    def unexplained(self) -> float:
+        """Return the share of stations that are not used, or not with all that they show."""
+        return 1 - self.explained / len(self.whole.poses)
 
 
 def consensus(problem: Problem, rng: np.random.Generator, subsets: int = 0) -> Consensus:
@@ -67,7 +87,7 @@ def _best_of_subsets(problem: Problem, best: Trial, subsets: int, rng: np.random
     """
     agreeing, near = 0, 0
     for count, start in enumerate(subset_starts(problem, subsets, rng)):
-        if (best.misfit < CONVINCING and best.settled or agreeing == ENOUGH_AGREEING
+        if (best.settled or agreeing == ENOUGH_AGREEING
                 or count == ENOUGH_FAR and not near):
             break
         if far(problem, start):
@@ -106,7 +126,7 @@ def without_outliers(trial: Trial) -> Consensus:
         worst = int(np.argmin(probability))
         enough = len(used) > minimum
         if probability[worst] > FALSE_ALARM / n or not enough:
-            return Consensus(solution, used, dropped)
+            return Consensus(trial.whole, solution, used, dropped)
         dropped[int(used[worst])] = float(mean_square[worst])
         used = np.delete(used, worst)
 

@@ -14,6 +14,7 @@ from handeye_ros.estimation.problem import linearise, points_in_base, Problem
 from handeye_ros.estimation.solve import evaluate, least_squares
 from handeye_ros.estimation.weights import Noise, whitening
 import numpy as np
+from numpy.typing import NDArray
 
 BELIEVED_SHARE = 0.65  # of the stations that a good answer must explain
 LOST_SHARE = 0.1  # of the stations far from an estimate, from which another is looked for
@@ -22,6 +23,7 @@ MAX_ANNEALINGS = 40
 SMALLEST_SCALE = 9.0  # squared residual, in variances, at which a station begins to be doubted
 LOST_EDGE = 8.0  # squared residual of a station that shows an edge which lies on none of ours
 SCALE = 3.0  # the same, in squared residuals that the believed share stays below
+CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good answer
 DOUBTFUL = 16.0  # squared residual, in variances, that a clean recording stays below
 LARGEST_VARIANCE = 1.0  # m^2 or rad^2: more is no answer at all
 NEAR = 1e-3  # step length in sigmas that ends a round of annealing
@@ -32,10 +34,11 @@ class Trial:
     """
     A robustly refined estimate and the squared residuals (n,) of all stations.
 
-    problem: with its observations labelled as they fit. hollow: whether it has no use for
-    some observations, and the rest leave a direction free.
+    problem: with its observations labelled as they fit, those of whole that do. hollow: whether
+    it has no use for some observations, and the rest leave a direction free.
     """
 
+    whole: Problem
     problem: Problem
     estimate: Estimate
     squares: Array
@@ -64,12 +67,13 @@ class Trial:
     @property
     def settled(self) -> bool:
         """Return whether nearly all stations are explained, so that no other need be tried."""
-        return self.misfit <= DOUBTFUL and self.doubtful_share <= LOST_SHARE
+        return self.misfit <= CONVINCING and self.doubtful_share <= LOST_SHARE
 
     @property
     def doubtful_share(self) -> float:
-        """Return the share of stations far from the estimate."""
-        return float((self.squares > DOUBTFUL * max(1.0, self.spread)).mean())
+        """Return the share of stations far from the estimate, or with an edge that is."""
+        far_off = self.squares > DOUBTFUL * max(1.0, self.spread)
+        return float((far_off | edge_lost(self.whole, self.problem)).mean())
 
 
 def guesses(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
@@ -93,8 +97,8 @@ def refined(problem: Problem, estimate: Estimate) -> Trial:
                                  converged=NEAR)
         problem = relabelled(whole, estimate)
         squares, before, control = _squares(problem, estimate), spread, control / 2
-    squares = _with_lost_edges(whole, problem, squares)
-    return Trial(problem, estimate, squares, _hollow(whole, problem, estimate))
+    squares = np.where(edge_lost(whole, problem), np.maximum(squares, LOST_EDGE), squares)
+    return Trial(whole, problem, estimate, squares, _hollow(whole, problem, estimate))
 
 
 def _hollow(whole: Problem, labelled: Problem, estimate: Estimate) -> bool:
@@ -121,14 +125,18 @@ def _squares(problem: Problem, estimate: Estimate) -> Array:
     return np.bincount(station, r ** 2, minlength=n) / np.maximum(count, 1)
 
 
-def _with_lost_edges(whole: Problem, labelled: Problem, squares: Array) -> Array:
-    """Return squares (n,) in which an edge that a station shows and that is not used counts."""
-    names = [i for i, name in enumerate(whole.method.kinds) if name in whole.method.edges]
-    shows, uses = (np.zeros(len(squares), dtype=bool) for _ in range(2))
-    for problem, has in ((whole, shows), (labelled, uses)):
-        obs = problem.observations
-        has[obs.station[np.isin(obs.kind, names)]] = True
-    return np.where(shows & ~uses, np.maximum(squares, LOST_EDGE), squares)
+def edge_lost(whole: Problem, labelled: Problem) -> NDArray[np.bool_]:
+    """Return which stations (n,) show an edge, none of which the labelled problem uses."""
+    return shows_edge(whole) & ~shows_edge(labelled)
+
+
+def shows_edge(problem: Problem) -> NDArray[np.bool_]:
+    """Return which stations (n,) of a problem have an edge among their observations."""
+    method, obs = problem.method, problem.observations
+    names = [i for i, name in enumerate(method.kinds) if name in method.edges]
+    shows = np.zeros(len(problem.poses), dtype=bool)
+    shows[obs.station[np.isin(obs.kind, names)]] = True
+    return shows
 
 
 def far(problem: Problem, estimate: Estimate) -> bool:

@@ -24,15 +24,9 @@ from handeye_ros.estimation.method import (
     UNUSED,
 )
 from handeye_ros.estimation.problem import points_at
-from handeye_ros.methods.common import (
-    add_face,
-    collect,
-    edge_noise,
-    FACE,
-    ObservationRows,
-    some_stations,
-)
+from handeye_ros.methods.common import add_face, collect, edge_noise, FACE, ObservationRows
 from handeye_ros.methods.plane import guess as plane_guess
+from handeye_ros.methods.two_lines import turned, two_lines
 from handeye_ros.profiles.faces import face_features
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +39,6 @@ SIZE, ANGLE = slice(16, 18), 18  # of the target's state, after its pose
 GATE = 10.0  # an edge point this many times further from its edge than most is no edge of ours
 SMALLEST_GATE = 1e-3
 BELIEVED_SHARE = 0.3  # of the edge points that are surely on an edge of ours
-DIRECTIONS = 120  # tried for the edges in the plane, over a quarter turn
-VOTERS = 24  # edge points that take part in that search
 
 
 def observe(samples: Sequence[Sample]) -> Observations:
@@ -111,11 +103,7 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
     Only an edge that the face lies on the right side of, crossed steeply enough, can be it. One
     far from all is not used: where a face leaves the sensor's range, say, it ends too.
     """
-    rows = np.flatnonzero(observations.kind != FACE)
-    T = target[:16].reshape(4, 4)
-    flat = ((p - T[:3, 3]) @ T[:3, :3])[:, :2]
-    outward = flat[rows] - _face_centres(observations, flat, rows)
-    outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
+    rows, outward = _edge_points(observations, p, target)
     kinds = np.array([P, Q] + ([P_FAR, Q_FAR] if config.target.size else []))
     distance = np.array([np.abs(conditions(p[rows], np.full(len(rows), k), target, config).g)
                          for k in kinds])
@@ -125,6 +113,17 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
     kind = observations.kind.copy()
     kind[rows] = np.where(far > _gate(far), UNUSED, nearest)
     return replace(observations, kind=kind)
+
+
+def _edge_points(observations: Observations, p: Array, target: Array
+                 ) -> tuple[NDArray[np.intp], Array]:
+    """Return the rows (k,) of edge points, and the ways (k, 2) out of the face there."""
+    rows = np.flatnonzero(observations.kind != FACE)
+    T = target[:16].reshape(4, 4)
+    flat = ((p - T[:3, 3]) @ T[:3, :3])[:, :2]
+    outward = flat[rows] - _face_centres(observations, flat, rows)
+    outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
+    return rows, outward
 
 
 def _gate(distance: Array) -> float:
@@ -138,7 +137,10 @@ def guess(observations: Observations, poses: Array, config: Config, rng: np.rand
     """Return estimates from nothing: the plane first, then the two edges in it."""
     faces = observations.select(observations.kind == FACE)
     for plane in plane_guess(faces, poses, config, rng):
-        yield _with_edges(observations, poses, plane, config, rng)
+        estimate = _with_edges(observations, poses, plane, config, rng)
+        yield estimate
+        if config.target.size:  # whose edge p may run along either of the two
+            yield _turned_around_corner(estimate)
 
 
 def _with_edges(observations: Observations, poses: Array, plane: Estimate, config: Config,
@@ -152,6 +154,14 @@ def _with_edges(observations: Observations, poses: Array, plane: Estimate, confi
     inward = _face_centres(observations, flat, edge) - flat[edge]
     T_plane_target = _oriented(flat[edge] - corner, inward, corner, turn)
     return Estimate(plane.X, state(T_base_plane @ T_plane_target, config))
+
+
+def _turned_around_corner(estimate: Estimate) -> Estimate:
+    """Return the estimate with the same corner, taken for the one at the end of edge p."""
+    T, length = estimate.target[:16].reshape(4, 4), estimate.target[SIZE][0]
+    turned = se3.transform(np.array([[0, 1.0, 0], [-1.0, 0, 0], [0, 0, 1.0]]),
+                           np.array([0.0, length, 0.0]))
+    return Estimate(estimate.X, np.append((T @ turned).ravel(), estimate.target[16:]))
 
 
 def _facing_sensor(plane: Estimate, poses: Array, config: Config) -> Array:
@@ -175,7 +185,7 @@ def _oriented(points: Array, inward: Array, corner: Array, turn: float) -> Array
     """Return T_plane_target, of the four possible that with the face where x, y > 0."""
     best, best_votes = np.eye(4), -1
     for quarter in range(4):
-        R = _turned(turn + quarter * np.pi / 2)
+        R = turned(turn + quarter * np.pi / 2)
         local, to_face = points @ R, inward @ R
         off = np.abs(local).min(axis=1)  # points on neither line have no say
         on_p = np.abs(local[:, 1]) < np.abs(local[:, 0])
@@ -188,46 +198,6 @@ def _oriented(points: Array, inward: Array, corner: Array, turn: float) -> Array
     return best
 
 
-def two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
-    """
-    Return corner (2,) and direction (rad) of the best two perpendicular lines through points.
-
-    points: (m, 2). Every direction is tried, and every pair of points to put the lines through;
-    a point costs its distance to the nearer line, limited.
-    """
-    voters = points[some_stations(len(points), VOTERS, rng)]
-    angles = np.linspace(0.0, np.pi / 2, DIRECTIONS, endpoint=False)
-    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    u, v = c * voters[:, 0] + s * voters[:, 1], c * voters[:, 1] - s * voters[:, 0]
-    to_q = np.abs(u[:, :, None] - u[:, None, :])  # (angle, line through, point)
-    to_p = np.abs(v[:, :, None] - v[:, None, :])
-    limit = 0.03 * float(np.ptp(voters, axis=0).max() + 1e-9)
-    cost = np.minimum(to_q[:, :, None], to_p[:, None, :])
-    total = np.minimum(cost, limit).sum(axis=3)
-    k, i, j = np.unravel_index(int(np.argmin(total)), total.shape)
-    turn = float(angles[k])
-    return _fitted(points, _turned(turn) @ np.array([u[k, i], v[k, j]]), turn, limit)
-
-
-def _fitted(points: Array, corner: Array, turn: float, limit: float) -> tuple[Array, float]:
-    """Return corner and direction fitted to the points (m, 2) near either line."""
-    for reach in (limit, limit / 2, limit / 4):
-        x, y = ((points - corner) @ _turned(turn)).T
-        on_p, on_q = np.abs(y) < np.minimum(np.abs(x), reach), np.abs(x) < np.minimum(
-            np.abs(y), reach)
-        A = np.concatenate([
-            np.column_stack([np.zeros(on_p.sum()), np.ones(on_p.sum()), x[on_p]]),
-            np.column_stack([np.ones(on_q.sum()), np.zeros(on_q.sum()), -y[on_q]])])
-        step = np.linalg.lstsq(A, np.concatenate([y[on_p], x[on_q]]), rcond=None)[0]
-        corner, turn = corner + _turned(turn) @ step[:2], turn + float(step[2])
-    return corner, turn
-
-
-def _turned(turn: float) -> Array:
-    """Return the (2, 2) rotation by an angle."""
-    return np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-
-
 def relax(config: Config) -> Config | None:
     """Return the configuration with the edge angle unknown, None where it is."""
     if config.target.edge_angle_free:
@@ -235,9 +205,31 @@ def relax(config: Config) -> Config | None:
     return replace(config, target=replace(config.target, edge_angle_free=True))
 
 
-def right_angle(config: Config) -> float:
-    """Return the configured angle between the edges."""
-    return float(np.pi / 2)
+def configured(config: Config) -> Array:
+    """Return the configured lengths and the right angle between the edges, (9,)."""
+    return np.array([0.0] * 6 + [*(config.target.size or (0.0, 0.0)), np.pi / 2])
+
+
+def elsewhere(observations: Observations, p: Array, target: Array, config: Config) -> str:
+    """
+    Return how far from the opposite edge those lie that are none of the plate's.
+
+    observations, p: all that their stations show; where several agree, it is another edge.
+    """
+    rows, outward = _edge_points(observations, p, target)
+    size, found = config.target.size, []
+    for kind, axis, opposite in ((Q_FAR, 0, Q), (P_FAR, 1, P), (Q, 0, Q_FAR), (P, 1, P_FAR)):
+        if opposite in (P_FAR, Q_FAR) and not size:
+            continue
+        facing = outward @ OUTWARD[kind] > np.sin(config.sampling.min_crossing_angle)
+        away = np.abs(conditions(p, np.full(len(p), opposite), target, config).g[rows[facing]])
+        middle = float(np.median(away)) if len(away) else 0.0
+        count = int((np.abs(away - middle) < SMALLEST_GATE).sum())
+        if count > 1:
+            found.append(f'{count} of them {middle * 1e3:.1f} mm from {KINDS[opposite]}' + (
+                f', and not {size[axis] * 1e3:.1f} mm as target.size has it' if size else
+                ' (with target.size they could be used)'))
+    return '; '.join(found)
 
 
 def describe(target: Array, std: Array) -> dict[str, Any]:
@@ -251,4 +243,5 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 
 PLATE = Method('plate', KINDS, LABELS, face_features, observe, guess, conditions, retract, free,
                relabel, describe, observed_points, edges=KINDS[1:], minimum=6,
-               relax=relax, configured=right_angle, tolerances=tolerances)
+               relax=relax, configured=configured, tolerances=tolerances,
+               elsewhere=elsewhere)

@@ -153,9 +153,9 @@ def relax(config: Config) -> Config | None:
     return replace(config, target=replace(config.target, radius=0.0))
 
 
-def configured_radius(config: Config) -> float:
-    """Return the configured radius."""
-    return config.target.radius
+def configured(config: Config) -> Array:
+    """Return the configured radius, (4,)."""
+    return np.array([0.0] * 3 + [config.target.radius])
 
 
 def describe(target: Array, std: Array) -> dict[str, Any]:
@@ -166,4 +166,4 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 
 SPHERE = Method('sphere', ('arc',), ('x', 'y', 'z', 'radius'), arc_features, observe, guess,
                 conditions, retract, free, kind_unchanged, describe, arc_points, edges=(),
-                minimum=6, relax=relax, configured=configured_radius, tolerances=tolerances)
+                minimum=6, relax=relax, configured=configured, tolerances=tolerances)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import __version__, se3
+from handeye_ros.checks.explained import lost_edges
 from handeye_ros.checks.motion import mount_frame, weakest
 from handeye_ros.checks.shape import contradictions, found_doubts
 from handeye_ros.config import Config, flatten
@@ -71,16 +72,18 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
         config.name or config.target.type, problem.method.name, parent, frame_id or 'laser',
         solution.estimate.X @ se3.inverse(sensor_axes(config)),
         solution.covariance[:6, :6],
-        describe_target(solution, config), quality,
+        describe_target(agreed, config), quality,
         tuple(sorted(reports, key=lambda report: report.stamp)),
         {'version': __version__, 'config': flatten(config)})
 
 
-def describe_target(solution: Solution, config: Config) -> dict[str, Any]:
+def describe_target(agreed: Consensus, config: Config) -> dict[str, Any]:
     """Return what was estimated of the target, and of all else that was in doubt."""
+    solution = agreed.solution
     told = solution.problem.method.describe(solution.estimate.target, solution.target_std)
     told |= found_doubts(solution)
     notes = [shape.note for shape in contradictions(solution, config)]
+    notes += [lost] if (lost := lost_edges(agreed)) else []
     return told | ({'note': '; '.join(notes)} if notes else {})
 
 

@@ -1,0 +1,37 @@
+"""What of the evidence an answer explains: stations, and the edges that they show."""
+from __future__ import annotations
+
+from handeye_ros.checks.errors import LostEdgesError, TooFewEdgesError
+from handeye_ros.checks.misfit import LARGEST_DROPPED_SHARE
+from handeye_ros.estimation.problem import points_in_base
+from handeye_ros.estimation.robust import Consensus
+from handeye_ros.estimation.trial import shows_edge
+
+
+def require_edges(agreed: Consensus) -> None:
+    """
+    Refuse an answer that has no use for most edges that the stations show.
+
+    What fits without them says nothing of them. Raises TooFewEdgesError or LostEdgesError.
+    """
+    method = agreed.whole.method
+    if not method.edges:
+        return
+    used = int(shows_edge(agreed.solution.problem).sum())
+    if used < method.minimum:
+        raise TooFewEdgesError(method.name, used, len(agreed.used), method.minimum)
+    shown = int(shows_edge(agreed.whole).sum())
+    if shown - used > LARGEST_DROPPED_SHARE * shown:
+        raise LostEdgesError(lost_edges(agreed))
+
+
+def lost_edges(agreed: Consensus) -> str:
+    """Return which edges the answer has no use for, in words, '' where it uses all."""
+    if not len(agreed.lost):
+        return ''
+    shown = int(shows_edge(agreed.whole.subset(agreed.used)).sum())
+    part, estimate = agreed.whole.subset(agreed.lost), agreed.solution.estimate
+    where = part.method.elsewhere(part.observations, points_in_base(part, estimate.X),
+                                  estimate.target, part.config)
+    return (f'the edges of {len(agreed.lost)} of the {shown} samples that show one lie on none of '
+            'the target' + (f': {where}' if where else ''))
