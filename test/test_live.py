@@ -3,6 +3,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+import re
 from threading import Event
 
 from cells import recorded
@@ -11,11 +12,15 @@ from handeye_ros import pipeline
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError
+from handeye_ros.ros.node import live_samples
 from handeye_ros.ros.node.latest import Latest
 from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.ros.node.live_samples import MOST_STOPS
 from handeye_ros.ros.node.place import Place
 from handeye_ros.ros.node.telling import state_of
+from handeye_ros.sampling import stations
 from handeye_ros.sampling.state import samples_message, status_message
+from handeye_ros.sampling.stream import MOST_REASONS
 import numpy as np
 import pytest
 
@@ -242,3 +247,49 @@ def test_work_that_fails_is_told_and_the_next_is_done(monkeypatch: pytest.Monkey
     while live.failure:
         done.wait(0.01)
     assert state_of(live).session.trouble == ''
+
+
+def later(items, seconds: int):
+    return [replace(item, stamp=item.stamp + seconds * 10**9) for item in items]
+
+
+def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_samples, 'MOST_STOPS', 5)
+    live = LiveSession(SPHERE.config, Place())
+    for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
+        (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
+    live.settle()
+    state, newest = state_of(live), SPHERE.poses[-1].stamp - 15 * 10**9
+    assert state.taken == 5 and min(s.stamp for s in state.samples) > newest
+    assert any(re.match('left [1-9][0-9]* stops out, the oldest of more than 5', note)
+               for note in state.session.notes)
+
+
+def test_without_profiles_the_stops_that_wait_for_them_do_not_pile_up() -> None:
+    live = LiveSession(SPHERE.config, Place())
+    for lap in range(3):
+        for pose in later(SPHERE.poses, 1000 * lap):
+            live.add_poses([pose])
+    assert len(live.copied()._waiting) == MOST_STOPS
+    assert any('stops, the oldest that waited for profiles' in note
+               for note in state_of(live).session.notes)
+
+
+def test_poses_whose_stamps_hardly_go_on_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stations, 'MOST_POSES', 50)
+    for mode in ('still', 'manual'):
+        live = LiveSession(with_values(SPHERE.config, {'sampling.mode': mode}, 'test'), Place())
+        live.add_poses([replace(SPHERE.poses[0], stamp=10**18 + i) for i in range(1000)])
+        finder = live.copied()._finder
+        assert len(finder._run) <= 51 and len(finder._recent) <= 51
+        assert (finder._run[-1].stamp == 10**18 + 999) == (mode == 'manual')
+
+
+def test_frames_of_damaged_messages_are_told_apart_up_to_a_number() -> None:
+    live = LiveSession(SPHERE.config, Place())
+    for number in range(100):
+        live.add_profile(replace(SPHERE.profiles[number], frame_id=f'f{number}'))
+    dropped = [note for note in live.copied().warnings if 'dropped a profile of' in note]
+    assert len(dropped) == MOST_REASONS + 1
+    assert dropped[-1] == f'dropped a profile of some other frame ({99 - MOST_REASONS} times)'

@@ -4,7 +4,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 from handeye_ros import se3
-from handeye_ros.ros.bags.transforms import FlangeTracker
+from handeye_ros.ros.bags.transforms import FlangeTracker, MOST_FRAMES
 from handeye_ros.ros.errors import MessageError
 import numpy as np
 import pytest
@@ -117,3 +117,13 @@ def test_malformed_transform():
     other = message('base', 'camera', np.eye(4), 1)
     other.transform.rotation.w = 0.0
     assert len(tracker.add([other, message('base', 'flange', np.eye(4), 1)], static=False)) == 1
+
+
+def test_frames_without_end_are_refused_and_those_known_go_on():
+    tracker = FlangeTracker('base', 'flange')
+    tracker.add([message('base', 'flange', np.eye(4), 1)], static=False)
+    for number in range(MOST_FRAMES - 1):
+        tracker.add([message('base', f'f{number}', np.eye(4), 1)], static=False)
+    with pytest.raises(MessageError, match='one more than the 1000 that are followed'):
+        tracker.add([message('base', 'more', np.eye(4), 1)], static=False)
+    assert len(tracker.add([message('base', 'flange', np.eye(4), 2)], static=False)) == 1

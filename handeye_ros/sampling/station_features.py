@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature, Profile
 from handeye_ros.profiles.arcs import normal_points
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 LARGEST_DISAGREEMENT = 5e-4  # between profiles of a robot that stands still (m)
 LEAST_AGREEING = 0.6  # of the profiles of a stop
+MOST_RAW = 50_000  # points of an arc that are held for its residuals: 0.8 MB of a sample
 
 
 def of_station(profiles: Sequence[Profile], extract: Callable[[Array], tuple[Feature, ...]]
@@ -132,4 +134,6 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     if 2 * len(good) < len(arcs):
         raise DisagreeingProfilesError('where the sphere is',
                                        float(np.linalg.norm(np.ptp(centres, axis=0))))
-    return normal_points(np.concatenate([a.raw for a in good]))
+    arc = normal_points(np.concatenate([a.raw for a in good]))
+    rows = np.linspace(0, len(arc.raw) - 1, min(len(arc.raw), MOST_RAW)).astype(int)
+    return replace(arc, raw=arc.raw[rows])

@@ -14,6 +14,7 @@ import numpy as np
 NS = 1_000_000_000
 MOTION_TIME = 3 * NS // 10  # over which the speed of the robot is told
 MAX_STATION = 10 * NS  # more of one stop adds nothing but memory
+MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
 FOREVER = 2**63
 
 
@@ -62,20 +63,21 @@ class StationFinder:
     def __init__(self, sampling: SamplingConfig) -> None:
         """Start with no poses."""
         self.sampling = sampling
-        self._run: list[TimedPose] = []
+        self._run: deque[TimedPose] = deque()
         self._began = self._latest = -1
         self._recent: deque[TimedPose] = deque()
 
     def copied(self) -> StationFinder:
         """Return another that goes on from here by itself."""
         other = copy(self)
-        other._run, other._recent = list(self._run), deque(self._recent)
+        other._run, other._recent = deque(self._run), deque(self._recent)
         return other
 
     def add(self, pose: TimedPose) -> Station | None:
         """Take the next pose; return the station that it ends, if it ends one."""
         self._recent.append(pose)
-        while pose.stamp - self._recent[0].stamp > MOTION_TIME:
+        while (pose.stamp - self._recent[0].stamp > MOTION_TIME
+               or len(self._recent) > MOST_POSES):
             self._recent.popleft()
         continues = bool(self._run) and self._continues(pose)
         self._latest = pose.stamp
@@ -83,7 +85,7 @@ class StationFinder:
             self._extend(pose)
             return None
         ended = self._station(self._run)
-        self._run, self._began = [pose], pose.stamp
+        self._run, self._began = deque([pose]), pose.stamp
         return ended
 
     def current(self) -> Station | None:
@@ -108,11 +110,15 @@ class StationFinder:
 
     def _extend(self, pose: TimedPose) -> None:
         """Let a long stop use its first seconds, or its last when samples are asked for."""
-        if pose.stamp - self._run[0].stamp <= MAX_STATION:
+        if not self._is_full(pose):
             self._run.append(pose)
         elif not self.sampling.by_itself:
-            self._run = [p for p in self._run[1:] if pose.stamp - p.stamp <= MAX_STATION]
             self._run.append(pose)
+            while self._is_full(pose):
+                self._run.popleft()
+
+    def _is_full(self, pose: TimedPose) -> bool:
+        return (pose.stamp - self._run[0].stamp > MAX_STATION or len(self._run) > MOST_POSES)
 
     def _continues(self, pose: TimedPose) -> bool:
         first, limits = self._run[0], self.sampling
@@ -121,7 +127,7 @@ class StationFinder:
                     and _turned(first, pose) <= limits.still_rotation
                     and pose.stamp - self._latest <= limits.max_pose_gap * NS)
 
-    def _station(self, run: Sequence[TimedPose]) -> Station | None:
+    def _station(self, run: deque[TimedPose]) -> Station | None:
         still = bool(run) and run[-1].stamp - run[0].stamp >= self.sampling.still_time * NS
         return Station(tuple(run), self._began) if still else None
 

@@ -19,6 +19,7 @@ from handeye_ros.sampling.errors import TwoFramesError
 
 LARGEST_STEP = 1_000_000_000  # ns; what steps back by less was only reordered on its way
 
+MOST_REASONS = 10  # that are told apart: a damaged topic may give each message another frame
 FEW = 3  # messages with wrong stamps that a recording may hold, and
 FEW_SHARE = 0.05  # this share of many; more, and it is no longer known which ones are right
 
@@ -68,7 +69,8 @@ class Stream(Generic[Stamped]):
         self.frame = frame if self.frame is None else self.frame
         if frame != self.frame:
             self.conflict = TwoFramesError(self._kind, self.frame, frame)
-            self._dropped[f'of frame "{frame}"'] += 1
+            known = len(self._dropped) < MOST_REASONS or f'of frame "{frame}"' in self._dropped
+            self._dropped[f'of frame "{frame}"' if known else 'of some other frame'] += 1
             return []
         passed = self._judged_by(item)
         self.late = item.stamp <= max(self.latest, self._held.stamp if self._held else -1)

@@ -6,7 +6,7 @@ end, so they do not depend on how poses and profiles were interleaved on arrival
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from typing import Self
 
@@ -49,6 +49,7 @@ class Watch:
         self._profiles = KeptProfiles()
         self._taken: set[int] = set()  # when the stops began that were given
         self._passed_by = 0  # stops at which no sample was to be taken by itself
+        self._unseen = 0  # stops given up as no profiles came
         self._largest_position = 0.0
         self._beside = 0.0
         self._pose_stream: Stream[TimedPose] = Stream('pose')
@@ -73,7 +74,7 @@ class Watch:
         """Return what was dropped on the way, one sentence each."""
         notes = frame_notes(self._profile_stream.frame, self._beside, self._config)
         return (*self._pose_stream.warnings, *self._profile_stream.warnings,
-                *self._profiles.warnings, *notes)
+                *self._profiles.warnings, *self._given_up(), *notes)
 
     @property
     def frame_id(self) -> str:
@@ -128,6 +129,17 @@ class Watch:
     def add_profile(self, profile: AnyProfile) -> None:
         """Take a laser profile; one that cannot be used is dropped with a warning."""
         self._profiles.add(self._profile_stream.add(profile, profile.frame_id))
+
+    def keep_waiting(self, most: int) -> None:
+        """Give up the oldest of more stops than that wait for profiles; they are counted."""
+        excess = len(self._waiting) - most
+        if excess > 0:
+            self._unseen += excess
+            del self._waiting[:excess]
+
+    def _given_up(self) -> Iterator[str]:
+        if self._unseen:
+            yield f'gave up {self._unseen} stops, the oldest that waited for profiles'
 
     def passed(self) -> list[Stop]:
         """Return the stops that both streams have passed since the last call."""

@@ -25,6 +25,8 @@ import numpy as np
 
 PROBE = 200_000_000  # ns of the stamps between two profiles that are read at once
 MOST_LAYOUTS = 1000  # that are remembered: one for each number of points
+LONGEST_LAYOUT = 4000  # bytes of one
+OVERHEAD = 600  # bytes of what is held beside a message
 
 
 def profile_from_cdr(data: bytes, config: ProfileConfig) -> Profile:
@@ -54,7 +56,7 @@ class ProfileReader:
         rows = self._rows(data, end)
         profile = RawProfile(stamp_of(head), frame_name(head.frame_id),
                              fetch or partial(bytes, data), profile_from_cdr, self.config,
-                             0 if fetch else len(data), rows)
+                             0 if fetch else len(data) + OVERHEAD, rows)
         if not self._trusted or abs(profile.stamp - self._probed) >= PROBE:
             self._probe(data if rows == 1 else cdr.row(data, 0, profile.stamp), profile.stamp)
         return profile
@@ -73,7 +75,7 @@ class ProfileReader:
         self._described = cloud.data_start - end
         rows = rows_of(cloud, self.config)
         told = cloud.height == 1 or self.config.rows != 'auto'  # else by what the points are
-        if told and len(self._layouts) < MOST_LAYOUTS:
+        if told and len(self._layouts) < MOST_LAYOUTS and self._described < LONGEST_LAYOUT:
             key = data[:2] + data[end:cloud.data_start]
             self._layouts[key] = self._described + len(cloud.data), rows
         return rows

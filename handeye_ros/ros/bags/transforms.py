@@ -19,6 +19,7 @@ from handeye_ros.sampling.stations import interpolate
 from handeye_ros.sampling.stream import Stream
 import numpy as np
 
+MOST_FRAMES = 1000  # whose transforms are held
 KEPT = 1000  # transforms of a link: 10 s of a robot driver at 100 Hz
 
 
@@ -84,11 +85,14 @@ class FlangeTracker:
         """
         Take the transforms of one message; return the poses that can now be told.
 
-        Raises MessageError when all are malformed.
+        Raises MessageError when all are malformed, or of more frames than any robot has.
         """
         for transform, pose in well_formed(transforms):
             child, parent = _name(transform.child_frame_id), _name(pose.parent_frame)
             link = self._links.get(child)
+            if link is None and len(self._links) >= MOST_FRAMES:
+                raise MessageError('TransformStamped', f'it is of frame "{child}", one more than '
+                                   f'the {MOST_FRAMES} that are followed')
             if link is None or (link.parent, link.static) != (parent, static):
                 link = self._links[child] = Link(parent, static)
             link.add(pose)

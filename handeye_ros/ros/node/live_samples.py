@@ -25,6 +25,8 @@ from handeye_ros.sampling.state import Attempt
 from handeye_ros.sampling.stops import judged, Outcome, result_of, sample_of, Stop
 from handeye_ros.sampling.wording import count_of, sample_summary
 
+MOST_STOPS = 16  # that wait to be judged, of 9 MB at most with 1280 points a profile
+
 
 class LiveSamples:
     """
@@ -40,6 +42,7 @@ class LiveSamples:
         self._session = Session(config)
         self._store = store or NoStore()
         self._stops: deque[Stop] = deque()  # over, but not yet judged
+        self._skipped = 0  # of these, as too many waited
         self._wake = threading.Event()  # of a worker that calls settle
         self._cleared = 0  # how often
         self._stale = False  # whether the samples are to be extracted anew
@@ -87,8 +90,12 @@ class LiveSamples:
             self._put_off(self._session.passed())
 
     def _put_off(self, stops: Iterable[Stop]) -> None:
-        """Leave stops to the worker."""
+        """Leave stops to the worker, the newest where it cannot keep up."""
+        self._session.keep_waiting(MOST_STOPS)
         self._stops.extend(stops)
+        while len(self._stops) > MOST_STOPS:
+            self._stops.popleft()
+            self._skipped += 1
         if self._stops:
             self._wake.set()
 
@@ -98,6 +105,13 @@ class LiveSamples:
         """Return the session of this moment."""
         with self._lock:
             return self._session.copied()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return what was left out as the processor could not keep up, one sentence each."""
+        return (f'left {self._skipped} stops out, the oldest of more than {MOST_STOPS} that '
+                'waited to be judged: the processor cannot keep up; stop less often, or publish '
+                'fewer points',) if self._skipped else ()
 
     @property
     def path(self) -> str:

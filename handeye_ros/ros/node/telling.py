@@ -42,7 +42,7 @@ def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '') -> State:
         _stream(live, 'pose', config.pose_topic if by_topic else '/tf', '', obstacle),
         _motion(session),
         SessionState(live.path, config.sampling.mode, live.working,
-                     _trouble(live, session), session.warnings),
+                     _trouble(live, session), (*session.warnings, *live.warnings)),
         samples, tuple(sample.number for sample in worst), live.no_review, live.attempt,
         live.answer.state(stamps_of(session)), _guidance(live.advice))
 
