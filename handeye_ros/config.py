@@ -205,6 +205,32 @@ class GuidanceConfig:
 
 
 @dataclass(frozen=True)
+class VerifyConfig:
+    """What the node's verification measures, and what is known of it."""
+
+    routine: str = _key('', 'What ~/verify_start measures: line, plane, point, sphere, ball_bar, '
+                        'step, square or tooth; empty: nothing.')
+    calibration: str = _key('', 'File of the calibration that is verified; empty: the answer of '
+                            'the node.')
+    lengths: tuple[float, ...] = _key(
+        (), 'Nominal length of the ball bar, heights of the faces over the first, or pitch and '
+        'height of the teeth (m).', minimum=1e-6, maximum=10.0)
+    radius: float = _key(0.0, 'Nominal radius of the balls (m); 0: unknown.',
+                         minimum=0.0, maximum=10.0)
+    reference: tuple[float, ...] = _key(
+        (), 'The point as a tip of the robot touched it (m, base); empty: not touched.',
+        minimum=-50.0, maximum=50.0, length=(0, 3))
+    aim: float = _key(0.0, 'How exactly the laser is put to the point, 1 sigma (m).',
+                      minimum=0.0, maximum=0.1)
+    flank: float = _key(0.0, "Horizontal way of a tooth's flank (m); 0: a quarter of the pitch.",
+                        minimum=0.0, maximum=1.0)
+    tolerance: float = _key(3e-4, 'Largest error of a length that passes (m).',
+                            minimum=1e-9, maximum=1.0)
+    angle_tolerance: float = _key(1.7453e-3, 'Largest error of an angle that passes '
+                                  '(rad).', minimum=1e-9, maximum=1.0)
+
+
+@dataclass(frozen=True)
 class PageConfig:
     """The page for a browser at the cell."""
 
@@ -248,6 +274,7 @@ class Config:
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     save: SaveConfig = field(default_factory=SaveConfig)
     guidance: GuidanceConfig = field(default_factory=GuidanceConfig)
+    verify: VerifyConfig = field(default_factory=VerifyConfig)
     page: PageConfig = field(default_factory=PageConfig)
 
 

@@ -3,8 +3,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from handeye_ros.config import SamplingConfig
 from handeye_ros.data import Profile, TimedPose
 from handeye_ros.ros.bags.storage import scan
+from handeye_ros.sampling.stations import StationFinder
 from mcap.writer import CompressionType, IndexType, Writer
 import numpy as np
 
@@ -64,3 +66,20 @@ LAYOUTS_OF_MCAP = {
                       'use_summary_offsets': False},
     'without chunks': {'use_chunking': False},
 }
+
+
+def halves(recording, count):
+    """
+    Return profiles and poses of the first so many stops, and of the rest, of a bag or of both.
+
+    Cut in the middle of the way between two stops.
+    """
+    all_profiles, all_poses = (recording if isinstance(recording, tuple)
+                               else (recording.profiles, recording.poses))
+    finder, stations = StationFinder(SamplingConfig()), []
+    for pose in all_poses:
+        stations.append(finder.add(pose))
+    ends = [s for s in stations if s]
+    cut = ends[count - 1].end + 1
+    return tuple(tuple([item for item in items if (item.stamp > cut) == late]
+                       for items in (all_profiles, all_poses)) for late in (False, True))

@@ -3,43 +3,42 @@ from collections.abc import Sequence
 from dataclasses import replace
 import math
 from pathlib import Path
-from typing import Annotated, TYPE_CHECKING
+from typing import Annotated, Optional, TYPE_CHECKING
 
 from handeye_ros.cli.app import app
 from handeye_ros.cli.common import Assignments, doing, NoPath, read_bag, show, warn
 from handeye_ros.cli.measure import calibrated, CalibrationFile, MeasureConfig
-from handeye_ros.errors import UnknownNameError
 import typer
 
 if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.data import Calibration, Sample
-    from handeye_ros.measure.routine import Nominal, Routine, Seen
+    from handeye_ros.measure.routine import Routine, Seen
     from handeye_ros.measure.verification import Verification
-    from handeye_ros.measure.verify import Tolerances
 
 NOWHERE = (math.nan, math.nan, math.nan)  # the typer of Jazzy knows no tuple without a value
 Name = Annotated[str, typer.Argument(metavar='ROUTINE', help='See docs/measure.md.')]
 Bags = Annotated[list[Path], typer.Argument(
     metavar='BAG...', help='Recordings with stops, one of each face or ball, in their order.')]
+NoFloat = Optional[float]  # noqa: UP045 - the typer of Jazzy does not know `float | None`
 Lengths = Annotated[list[float], typer.Option(
     '--length', metavar='L', help='Nominal length, or height over the first face (m), once for '
     'each; of teeth pitch and height.')]
-Flank = Annotated[float, typer.Option(
+Flank = Annotated[NoFloat, typer.Option(
     min=0.0, help="Horizontal way of a tooth's flank (m); 0: a quarter of the pitch.")]
-Radius = Annotated[float, typer.Option(min=0.0, help='Radius of the balls (m).')]
+Radius = Annotated[NoFloat, typer.Option(min=0.0, help='Radius of the balls (m).')]
 Reference = Annotated[tuple[float, float, float], typer.Option(
     metavar='X Y Z', help='The point as a tip of the robot touched it (m, base).')]
-Aim = Annotated[float, typer.Option(
+Aim = Annotated[NoFloat, typer.Option(
     min=0.0, help='How exactly the laser was put to the point, 1 sigma (m).')]
-Tolerance = Annotated[float, typer.Option(min=1e-9, help='Largest error of a length (m).')]
-AngleTolerance = Annotated[float, typer.Option(
+Tolerance = Annotated[NoFloat, typer.Option(min=1e-9, help='Largest error of a length (m).')]
+AngleTolerance = Annotated[NoFloat, typer.Option(
     min=1e-9, help='Largest error of an angle (degrees).')]
 Out = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the result as YAML too.')]
 
 
-def _given(point: tuple[float, float, float]) -> tuple[float, ...]:
-    return () if any(map(math.isnan, point)) else point
+def _given(point: tuple[float, float, float]) -> tuple[float, ...] | None:
+    return None if any(map(math.isnan, point)) else point
 
 
 @app.command()
@@ -50,29 +49,28 @@ def verify(
     config: MeasureConfig = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
     length: Lengths = [],  # noqa: B006 - never changed
-    radius: Radius = 0.0,
+    radius: Radius = None,
     reference: Reference = NOWHERE,
-    aim: Aim = 0.0,
-    flank: Flank = 0.0,
-    tolerance: Tolerance = 3e-4,
-    angle_tolerance: AngleTolerance = 0.1,
+    aim: Aim = None,
+    flank: Flank = None,
+    tolerance: Tolerance = None,
+    angle_tolerance: AngleTolerance = None,
     out: Out = None,
 ) -> None:
     """Measure something known with a calibration: pass, fail, or why neither can be said."""
-    import math
-
+    from handeye_ros.config import with_values
     from handeye_ros.measure import verification
     from handeye_ros.measure.errors import NoAnswerError
-    from handeye_ros.measure.routine import Nominal
-    from handeye_ros.measure.routines import ROUTINES
-    from handeye_ros.measure.verify import Tolerances
+    from handeye_ros.measure.routines import routine_of
     from handeye_ros.results.calibration_file import write_whole
-    if name not in ROUTINES:
-        raise UnknownNameError('routine', name, list(ROUTINES))
+    routine = routine_of(name)
     found, settings = calibrated(calibration, config, assignments)
-    result = _verified(ROUTINES[name], bags, found, settings,
-                       Nominal(tuple(length), radius, _given(reference), aim, flank),
-                       Tolerances(tolerance, math.radians(angle_tolerance)))
+    given = {'lengths': length or None, 'radius': radius, 'reference': _given(reference),
+             'aim': aim, 'flank': flank, 'tolerance': tolerance,
+             'angle_tolerance': angle_tolerance and math.radians(angle_tolerance)}
+    settings = with_values(settings, {f'verify.{key}': value for key, value in given.items()
+                                      if value is not None}, 'the options')
+    result = _verified(routine, bags, found, settings)
     show(verification.table(result))
     if out:
         write_whole(out, verification.yaml_text(result))
@@ -83,10 +81,17 @@ def verify(
 
 
 def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
-              config: 'Config', nominal: 'Nominal', tolerances: 'Tolerances') -> 'Verification':
+              config: 'Config') -> 'Verification':
     from handeye_ros import pipeline
     from handeye_ros.measure.routine import TEETH
-    from handeye_ros.measure.verify import seen_in, settings_for, verify
+    from handeye_ros.measure.verify import (
+        nominal_of,
+        seen_in,
+        settings_for,
+        tolerances_of,
+        verify,
+    )
+    nominal = nominal_of(config)
     settings = settings_for(routine, config, nominal, len(bags))
     scanned = routine.target == TEETH
     seen, reason = [], ''
@@ -100,7 +105,8 @@ def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
         _warn_of_used(bag, calibration, session.samples)
         reason = reason or next((reject.reason for reject in session.rejects), '')
         seen.append(seen_in(routine, session.samples, calibration, settings))
-    result = verify(routine, seen, calibration, settings, nominal, tolerances, reason)
+    result = verify(routine, seen, calibration, settings, nominal, tolerances_of(config),
+                    reason)
     return replace(result, inputs=tuple(map(str, bags)))
 
 

@@ -133,6 +133,45 @@ class NoAnswerError(DataError):
         super().__init__(f'{verdict}: ' + '; '.join(reasons))
 
 
+class NoRoutineError(InputError):
+    """A verification without a routine."""
+
+    def __init__(self) -> None:
+        super().__init__('verify.routine is not set, so there is nothing to measure: set it to '
+                         'what stands under the sensor (docs/measure.md)')
+
+
+class NothingToVerifyError(DataError):
+    """A verification without a calibration."""
+
+    def __init__(self) -> None:
+        super().__init__('there is no calibration to verify: call ~/compute_calibration, or set '
+                         'verify.calibration to the file of one')
+
+
+class NotStartedError(DataError):
+    """The result of a verification that was not started."""
+
+    def __init__(self) -> None:
+        super().__init__('no verification was started: call ~/verify_start, stop at several '
+                         'places, and ask again')
+
+
+class UnusableStopError(DataError):
+    """A stop that a verification cannot use; reason: why."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f'the stop does not count for the verification: {reason}')
+
+
+class TooLongPassError(DataError):
+    """A pass of which not all poses could be kept; most: of them."""
+
+    def __init__(self, most: int) -> None:
+        super().__init__(f'a pass has more than {most} poses, and not all are kept: set '
+                         'verify.routine anew to start again, and scan in shorter passes')
+
+
 class NoTeethError(DataError):
     """Points that are not those of the gauge; share: of them that are."""
 

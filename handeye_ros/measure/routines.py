@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 
 from handeye_ros import se3
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Sample
+from handeye_ros.errors import UnknownNameError
 from handeye_ros.estimation.method import Observations
 from handeye_ros.measure import shapes, tooth_gauge
 from handeye_ros.measure.routine import Nominal, Routine, Seen, Shape, TEETH
@@ -135,3 +136,10 @@ ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
             lambda bags: 2),
 )}
 """What `handeye verify` knows."""
+
+
+def routine_of(name: str) -> Routine:
+    """Return the routine of a name; raises UnknownNameError."""
+    if name not in ROUTINES:
+        raise UnknownNameError('routine', name, list(ROUTINES))
+    return ROUTINES[name]

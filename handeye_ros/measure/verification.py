@@ -102,6 +102,21 @@ def shown(value: float | None, unit: str) -> str:
     return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{value * DEGREES:.4f} degrees'
 
 
+def sentence(found: Verification) -> str:
+    """Return a verification as one sentence: verdict, figures with units, reasons."""
+    told = [f'{q.name} {shown(q.value, q.unit)} ± {shown(q.std, q.unit)} (1 sigma, of it '
+            f'calibration {shown(q.from_calibration, q.unit)})'
+            + ('' if q.nominal is None else f', nominal {shown(q.nominal, q.unit)}, off by '
+               f'{shown(q.error, q.unit)}') for q in found.quantities]
+    s = found.scatter
+    told.append(f'distances from the fit: mean {shown(s.mean, "m")}, standard deviation '
+                f'{shown(s.std, "m")}, maximum {shown(s.maximum, "m")}, RMS {shown(s.rms, "m")}')
+    if not math.isnan(s.expected):
+        told[-1] += f' (95 % of such RMS lie below {shown(s.expected, "m")})'
+    return '; '.join((f'{found.routine}: {found.verdict.upper()}, {found.stations} stations',
+                      *found.reasons, *told))
+
+
 def table(found: Verification) -> Table:
     """Return what is told of a verification."""
     title = f'{found.routine}: {found.verdict.upper()}, {found.stations} stations'

@@ -4,7 +4,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from handeye_ros.config import Config, with_values
+from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import mm
 from handeye_ros.measure.errors import TooFewSeenError, WrongCountError
@@ -15,9 +15,7 @@ from handeye_ros.results.outcome import mounted, sensor_axes
 import numpy as np
 import scipy.linalg
 
-TOLERANCE = 3e-4  # m
 LEAST_STATIONS = 4  # of a bag
-ANGLE_TOLERANCE = np.deg2rad(0.1)
 NOTICED = 3e-4  # m: an error of the calibration that a verification must be able to notice
 SURE = 3.6  # sigmas: found with 95 % where false alarms are 5 %
 INCONSISTENT = 1e-3  # p of points that disagree
@@ -29,8 +27,8 @@ LEAST_OVER_NOISE = 1.8  # times what noise alone makes: an error that is implied
 class Tolerances:
     """What the errors may reach: of lengths (m) and of angles (rad)."""
 
-    length: float = TOLERANCE
-    angle: float = float(ANGLE_TOLERANCE)
+    length: float = VerifyConfig.tolerance
+    angle: float = VerifyConfig.angle_tolerance
 
     def of(self, unit: str) -> float:
         """Return that of a unit."""
@@ -86,12 +84,33 @@ def settings_for(routine: Routine, config: Config, nominal: Nominal, bags: int) 
         raise WrongCountError(routine.name, 'bags', bags, needed)
     lengths = routine.lengths(bags)
     if len(nominal.lengths) != lengths:
-        raise WrongCountError(routine.name, 'lengths (--length)', len(nominal.lengths),
-                              str(lengths))
+        raise WrongCountError(routine.name, 'lengths (--length, verify.lengths)',
+                              len(nominal.lengths), str(lengths))
     if routine.target == TEETH:
         return config
     return with_values(config, {'target.type': routine.target, 'target.radius': nominal.radius,
                                 'method': 'auto'}, routine.name)
+
+
+def parts_of(routine: Routine, nominal: Nominal) -> tuple[int, int]:
+    """Return how many bags fit the lengths, least and most; raises WrongCountError."""
+    least, most = routine.bags
+    fit = [n for n in range(least, most + 1) if routine.lengths(n) == len(nominal.lengths)]
+    if not fit:
+        raise WrongCountError(routine.name, 'lengths (--length, verify.lengths)',
+                              len(nominal.lengths), str(routine.lengths(least)))
+    return fit[0], fit[-1]
+
+
+def nominal_of(config: Config) -> Nominal:
+    """Return what the settings tell of the artefact."""
+    known = config.verify
+    return Nominal(known.lengths, known.radius, known.reference, known.aim, known.flank)
+
+
+def tolerances_of(config: Config) -> Tolerances:
+    """Return the tolerances of the settings."""
+    return Tolerances(config.verify.tolerance, config.verify.angle_tolerance)
 
 
 def _quantities(routine: Routine, found: FixedFit, nominals: tuple[float | None, ...]

@@ -191,6 +191,10 @@ class Watch:
             return None
         return self._stop(station)
 
+    def leave(self, stop: Stop) -> None:
+        """Let a stop count as taken: it is given no more."""
+        self._taken.add(stop.began)
+
     def require_stations(self) -> None:
         """
         Refuse a recording in which the robot never stood still.

@@ -1,4 +1,4 @@
-"""The node `handeye`: topics and services around a LiveSession."""
+"""The node `handeye`: topics and services around a session that goes on."""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from handeye_ros.ros.errors import TopicsError
 from handeye_ros.ros.executable import InvalidHandle, RCLError, ros
 from handeye_ros.ros.node import params
 from handeye_ros.ros.node.intake import Intake
-from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.ros.node.live_verify import LiveVerify
 from handeye_ros.ros.node.nag import Nag
 from handeye_ros.ros.node.outlets import Outlets
 from handeye_ros.ros.node.place import Place
@@ -47,7 +47,7 @@ class HandeyeNode(Node):
         super().__init__('handeye')
         config, stored = params.declare(self)
         place = Place(self.get_namespace())
-        self.live = LiveSession(config, place, SessionStore(place.folder, stored))
+        self.live = LiveVerify(config, place, SessionStore(place.folder, stored))
         self._outlets = Outlets(self, self.live)
         self._intake = Intake(self, self.live)
         self._nag = Nag(self.get_logger().warning)
@@ -90,7 +90,8 @@ class HandeyeNode(Node):
         quick, slow = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
         for group, service in ((quick, self.take_sample), (quick, self.remove_last_sample),
                                (quick, self.clear_samples), (slow, self.compute_calibration),
-                               (slow, self.save_calibration)):
+                               (slow, self.save_calibration), (quick, self.verify_start),
+                               (slow, self.verify_result)):
             self._offer(Trigger, service.__name__, partial(self._answer, service), group)
         self._offer(SetBool, 'auto_sample', self._auto_sample, quick)
         self.create_subscription(Empty, '~/take', self._on_take, 10, callback_group=quick)
@@ -162,6 +163,14 @@ class HandeyeNode(Node):
     def save_calibration(self) -> str:
         """Write the last answer."""
         return self.live.save()
+
+    def verify_start(self) -> str:
+        """Let the stops from now on verify the calibration."""
+        return self.live.verify_start()
+
+    def verify_result(self) -> str:
+        """Tell and write what they say of it."""
+        return self.live.verify_result()
 
     def ask(self, service: Callable[[], str]) -> tuple[bool, str]:
         """Return whether one of these succeeds, and the one sentence that tells so."""

@@ -1,0 +1,142 @@
+"""
+A verification while the robot moves: stop by stop, one part (face, ball, pass) after the other.
+
+Knows no ROS and no threads.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+from handeye_ros.config import Config
+from handeye_ros.data import AnyProfile, Calibration, Profile, Reject, Sample, TimedPose
+from handeye_ros.errors import UnusableMessageError
+from handeye_ros.measure.errors import NoRoutineError, TooLongPassError
+from handeye_ros.measure.routine import Routine, Seen, TEETH
+from handeye_ros.measure.routines import routine_of
+from handeye_ros.measure.tooth_gauge import seen_in_pass
+from handeye_ros.measure.track import Track
+from handeye_ros.measure.verification import Verification
+from handeye_ros.measure.verify import (
+    nominal_of,
+    parts_of,
+    seen_in,
+    settings_for,
+    tolerances_of,
+    verify,
+)
+from handeye_ros.sampling.stops import result_of, Stop
+
+MOST_PROFILES = 500  # of a pass that are kept, evenly spread
+MOST_POSES = 200_000  # of a pass
+
+
+@dataclass(eq=False)
+class Part:
+    """
+    What one face, ball or pass has shown so far.
+
+    stops: by when they began; profiles, poses: of a pass, every so manieth profile.
+    """
+
+    stops: dict[int, Sample | Reject] = field(default_factory=dict)
+    profiles: list[AnyProfile] = field(default_factory=list)
+    poses: list[TimedPose] = field(default_factory=list)
+    came: int = 0  # profiles, those that were not kept included
+    every: int = 1
+
+    @property
+    def samples(self) -> list[Sample]:
+        """Return the samples in the order of their stops."""
+        return [s for _, s in sorted(self.stops.items()) if isinstance(s, Sample)]
+
+    @property
+    def is_empty(self) -> bool:
+        """Tell whether nothing usable has come."""
+        return not self.samples and not self.profiles
+
+    def add_profile(self, profile: AnyProfile) -> None:
+        """Keep a profile of a pass, or not: what is kept stays spread evenly."""
+        if self.came % self.every == 0:
+            self.profiles.append(profile)
+        self.came += 1
+        if len(self.profiles) > 2 * MOST_PROFILES:
+            self.profiles, self.every = self.profiles[::2], 2 * self.every
+
+    def add_poses(self, poses: Iterable[TimedPose]) -> None:
+        """Keep poses of a pass, as far as there is room; see TooLongPassError."""
+        if len(self.poses) <= MOST_POSES:
+            self.poses.extend(poses)
+
+
+class Course:
+    """A verification that goes on."""
+
+    def __init__(self, config: Config) -> None:
+        """Begin the first part; raises NoRoutineError, UnknownNameError, WrongCountError."""
+        if not config.verify.routine:
+            raise NoRoutineError
+        self.routine: Routine = routine_of(config.verify.routine)
+        self._least, self._most = parts_of(self.routine, nominal_of(config))
+        self._settings(config)
+        self.parts = [Part()]
+
+    @property
+    def scans(self) -> bool:
+        """Tell whether points count that are seen while the robot moves, and no stops."""
+        return self.routine.target == TEETH
+
+    @property
+    def text(self) -> str:
+        """Return how far it is, in words."""
+        many = f', part {len(self.parts)}' if self._most > 1 else ''
+        if self._least == self._most and many:
+            many += f' of {self._most}'
+        part = self.parts[-1]
+        seen = (f'{part.came} profiles' if self.scans else
+                f'{len(part.samples)} usable stops of {len(part.stops)}')
+        return f'{self.routine.name}{many}: {seen}'
+
+    def go_on(self) -> bool:
+        """Begin the next part, if there is one and this one is not empty; tell whether."""
+        if self.parts[-1].is_empty or len(self.parts) >= self._most:
+            return False
+        self.parts.append(Part())
+        return True
+
+    @property
+    def is_full(self) -> bool:
+        """Tell whether the last part has begun and has shown something."""
+        return len(self.parts) >= self._most and not self.parts[-1].is_empty
+
+    def add(self, stop: Stop, config: Config) -> Sample | Reject:
+        """Return what a stop is to the routine, which counts."""
+        found = result_of(stop, self._settings(config))
+        self.parts[-1].stops[stop.began] = found
+        return found
+
+    def result(self, calibration: Calibration, config: Config) -> Verification:
+        """Return what has been found; raises TooFewSeenError, WrongCountError and DataError."""
+        settings = self._settings(config, len(self.parts))
+        bags = [self._scanned(part, settings) if self.scans else
+                seen_in(self.routine, part.samples, calibration, settings)
+                for part in self.parts]
+        reason = next((s.reason for part in self.parts for s in part.stops.values()
+                       if isinstance(s, Reject)), '')
+        return verify(self.routine, bags, calibration, settings, nominal_of(config),
+                      tolerances_of(config), reason)
+
+    def _settings(self, config: Config, parts: int = 0) -> Config:
+        return settings_for(self.routine, config, nominal_of(config), parts or self._least)
+
+    def _scanned(self, part: Part, config: Config) -> Seen:
+        if len(part.poses) > MOST_POSES:
+            raise TooLongPassError(MOST_POSES)
+        profiles: list[Profile] = []
+        for profile in part.profiles:
+            with suppress(UnusableMessageError):
+                profiles.append(profile.read(config.profile))
+        track = Track(part.poses, config.sampling.max_pose_gap)
+        # the stamps have time_offset in them
+        return seen_in_pass(profiles, track, replace(config, time_offset=0.0))

@@ -1,0 +1,148 @@
+"""A verification in a running session without ROS: what counts, what it says, what it writes."""
+from __future__ import annotations
+
+from pathlib import Path
+
+from handeye_ros import se3
+from handeye_ros.config import Config, load, with_values
+from handeye_ros.data import Calibration, Profile, Quality, TimedPose
+from handeye_ros.errors import DataError, HandeyeError
+from handeye_ros.measure import course as courses
+from handeye_ros.measure.errors import NoAnswerError
+from handeye_ros.measure.verification import FORMAT
+from handeye_ros.results.calibration_file import write_calibration
+from handeye_ros.results.truth_file import true_transform
+from handeye_ros.ros.bags.bag import read
+from handeye_ros.ros.node.live_verify import LiveVerify
+from handeye_ros.ros.node.place import Place
+from handeye_ros.ros.node.telling import state_of
+import numpy as np
+import pytest
+from recordings import halves
+import yaml
+
+ROOT = Path(__file__).parents[1]
+SPHERE = load(ROOT / 'config' / 'sphere.yaml')
+
+
+def running(tmp_path: Path, config: Config = SPHERE, **values: object) -> LiveVerify:
+    return LiveVerify(changed(config, output_dir=str(tmp_path), **values), Place())
+
+
+def changed(config: Config, **values: object) -> Config:
+    return with_values(config, {key.replace('__', '.'): v for key, v in values.items()}, 'test')
+
+
+def feed(live: LiveVerify, profiles, poses) -> None:
+    for item in sorted([*poses, *profiles], key=lambda item: item.stamp):
+        if isinstance(item, TimedPose):
+            live.add_poses([item])
+        else:
+            live.add_profile(item)
+    live.judge_all()
+
+
+@pytest.fixture(scope='module')
+def parts():
+    """Return a recording in two parts: for the calibration, and for its verification."""
+    return halves(read(ROOT / 'bags' / 'sphere', SPHERE), 8)
+
+
+@pytest.fixture(scope='module')
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Return files of calibrations: the truth of the recording, sure or not, and a wrong one."""
+    folder = tmp_path_factory.mktemp('calibrations')
+    T = true_transform(ROOT / 'bags' / 'sphere')
+    std = np.repeat([3e-5, 1.7e-4], 3)
+    found = {}
+    for name, off, times in (('right', np.zeros(6), 1.0), ('vague', np.zeros(6), 300.0),
+                             ('wrong', np.array([1e-3, 0, 0, 0, 9e-3, 0]), 1.0)):
+        found[name] = str(folder / f'{name}.yaml')
+        write_calibration(Calibration(
+            name, 'sphere', 'flange', 'laser', se3.perturb(T, off), np.diag((times * std) ** 2),
+            {}, Quality(0, 0, 0.0, 0.0, '', 0.0), ()), Path(found[name]))
+    return found
+
+
+def test_stops_after_the_start_verify_and_are_no_samples(tmp_path: Path, parts) -> None:
+    live = running(tmp_path, verify__routine='sphere', verify__radius=0.04)
+    feed(live, *parts[0])
+    live.compute()
+    before = [outcome.number for outcome in live.copied().outcomes]
+    assert live.verify_start().startswith('sphere: 0 usable stops of 0; move on')
+    assert 'stops are no samples' in ' '.join(state_of(live).session.notes)
+    feed(live, *parts[1])
+    text = live.verify_result()
+    assert text.startswith('sphere: PASS, 6 stations; radius ')
+    assert [outcome.number for outcome in live.copied().outcomes] == before
+    assert state_of(live).calibration.state == 'current'
+    written = tmp_path / 'sphere' / 'verification_sphere.yaml'
+    assert str(written) in text
+    told = yaml.safe_load(written.read_text())
+    assert (told['format'], told['verdict'], told['stations']) == (FORMAT, 'pass', 6)
+    assert told['inputs'] == ['/profile', '/flange_pose']
+    with pytest.raises(DataError, match='no verification was started'):
+        live.verify_result()
+    assert not state_of(live).session.notes
+
+
+def test_the_verdict_is_that_of_the_file_that_is_set(tmp_path: Path, parts, files) -> None:
+    live = running(tmp_path, verify__routine='sphere', verify__radius=0.04,
+                   verify__calibration=files['wrong'])
+    live.verify_start()
+    feed(live, *parts[1])
+    assert live.verify_result().startswith('sphere: FAIL, 6 stations; ')
+
+
+def test_refusals_in_words_and_what_goes_on_after_them(tmp_path: Path, parts, files) -> None:
+    live = running(tmp_path)
+
+    def refused(ask, *words: str) -> None:
+        with pytest.raises(HandeyeError) as told:
+            ask()
+        for word in words:
+            assert word in str(told.value)
+
+    def with_settings(**values: object) -> None:
+        live.configure(changed(live.config, **values))
+
+    refused(live.verify_result, 'no verification was started', 'call ~/verify_start')
+    refused(live.verify_start, 'verify.routine is not set')
+    with_settings(verify__routine='spere')
+    refused(live.verify_start, 'no routine "spere"', 'did you mean "sphere"')
+    with_settings(verify__routine='ball_bar')
+    refused(live.verify_start, 'ball_bar needs 1 lengths')
+    with_settings(verify__routine='sphere')
+    refused(live.verify_start, 'there is no calibration to verify')
+    with_settings(verify__calibration=str(tmp_path / 'none.yaml'))
+    refused(live.verify_start, 'none.yaml')
+    with_settings(verify__calibration=files['right'])
+    live.verify_start()
+    early, late = halves(parts[1], 2)
+    feed(live, *early)
+    refused(live.verify_result, '2 usable stations, fewer than 4')
+    feed(live, *late)
+    with_settings(verify__radius=0.04, verify__calibration=files['vague'])
+    with pytest.raises(NoAnswerError, match='undecided: the uncertainty of radius'):
+        live.verify_result()
+    with_settings(verify__calibration=files['right'])
+    assert live.verify_result().startswith('sphere: PASS, 6 stations')
+    assert not live.copied().outcomes
+
+
+def test_another_routine_ends_a_verification(tmp_path: Path, parts, files) -> None:
+    live = running(tmp_path, verify__routine='sphere', verify__calibration=files['right'])
+    live.verify_start()
+    live.configure(changed(live.config, verify__routine=''))
+    feed(live, *parts[1])
+    assert len(live.copied().outcomes) >= 5  # the robot stands in the sixth
+
+
+def test_of_a_long_pass_so_many_profiles_are_kept_evenly() -> None:
+    part = courses.Part()
+    for k in range(10 * courses.MOST_PROFILES):
+        part.add_profile(Profile(k, 'laser', np.zeros((2, 2))))
+    kept = np.array([p.stamp for p in part.profiles])
+    assert courses.MOST_PROFILES <= len(kept) <= 2 * courses.MOST_PROFILES
+    assert len(set(np.diff(kept))) == 1
+    assert kept[-1] > 9.9 * courses.MOST_PROFILES
