@@ -27,7 +27,7 @@ from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.method import Estimate, UNUSED
 from handeye_ros.estimation.problem import points_in_base, Problem
 from handeye_ros.estimation.robust import consensus, SUBSETS
-from handeye_ros.estimation.solve import evaluate, least_squares
+from handeye_ros.estimation.solve import evaluate, fitted
 from handeye_ros.estimation.weights import Noise
 from handeye_ros.results.outcome import mounted
 from handeye_ros.se3 import transform
@@ -134,7 +134,7 @@ def from_truth(problem: Problem, truth: Estimate) -> float:
     p = points_in_base(problem, truth.X)
     obs = problem.method.relabel(problem.observations, p, truth.target, problem.config)
     problem = replace(problem, observations=obs.select(obs.kind != UNUSED))
-    solution = evaluate(problem, least_squares(problem, truth, Noise()), Noise())
+    solution = evaluate(problem, fitted(problem, truth, Noise()), Noise())
     return float(solution.white @ solution.white)
 
 

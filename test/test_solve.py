@@ -9,17 +9,18 @@ from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import TooUncertainError
 from handeye_ros.config import with_values
 from handeye_ros.data import Array, Sample
+from handeye_ros.estimation.blocks import groups
 from handeye_ros.estimation.method import Estimate, Method
 from handeye_ros.estimation.problem import linearise, Problem
 from handeye_ros.estimation.solve import (
     evaluate,
-    least_squares,
+    fitted,
     move,
     Solution,
     station_statistic,
     without,
 )
-from handeye_ros.estimation.weights import covariances, groups, Noise
+from handeye_ros.estimation.weights import covariances, Noise
 from handeye_ros.methods import METHODS
 from handeye_ros.results.outcome import measured_points
 import numpy as np
@@ -301,7 +302,7 @@ def test_residuals_without_a_station_are_those_of_a_real_refit(name: str) -> Non
 
 def refit_without(solution: Solution, station: int) -> Estimate:
     others = np.setdiff1d(np.arange(len(solution.problem.poses)), [station])
-    return least_squares(solution.problem.subset(others), solution.estimate, Noise())
+    return fitted(solution.problem.subset(others), solution.estimate, Noise())
 
 
 @every_method
@@ -332,7 +333,7 @@ def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
     squares, own = [], []
     for station in range(len(ordered)):
         others = np.setdiff1d(np.arange(len(ordered)), [station])
-        refit = least_squares(solution.problem.subset(others), solution.estimate, solution.noise)
+        refit = fitted(solution.problem.subset(others), solution.estimate, solution.noise)
         mine = measured.select(measured.station == station)
         squares.append(mine.residuals(solution.problem, refit) ** 2)
         own.append(mine.residuals(solution.problem, solution.estimate) ** 2)

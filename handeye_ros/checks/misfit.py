@@ -7,10 +7,11 @@ from handeye_ros.checks.errors import ContradictingStationsError, InconsistentEr
 from handeye_ros.checks.moved import require_unmoved
 from handeye_ros.checks.shape import require_not_only_scale
 from handeye_ros.config import LimitsConfig
+from handeye_ros.estimation.blocks import groups
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.estimation.weights import covariances, groups, lumped
+from handeye_ros.estimation.weights import covariances, lumped
 import numpy as np
 
 SUSPICIOUS = 9.0  # variance factor from which something other than noise is looked for

@@ -6,9 +6,9 @@ from typing import Any, Protocol, TypeVar
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
+from handeye_ros.estimation import solve
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.solve import least_squares
 from handeye_ros.estimation.weights import Noise
 from handeye_ros.files.method import FileMethod
 from handeye_ros.files.outcome import plane_axes
@@ -100,7 +100,7 @@ class Stations:
         known = self.known
         part = known.problem.subset(fitted)
         given = _GivenTransform(part.method, part.poses, part.observations, part.config)
-        estimate = least_squares(given, Estimate(X, known.estimate.target), known.noise)
+        estimate = solve.fitted(given, Estimate(X, known.estimate.target), known.noise)
         points = measured_points(self.samples, known.problem)
         return points.select(np.isin(points.station, measured)).residuals(known.problem, estimate)
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.algebra import inverse
+from handeye_ros.estimation.blocks import groups
 from handeye_ros.estimation.doubts import Doubt, doubts
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Linear, linearise, Problem
 from handeye_ros.estimation.solve import move, Solution
 from handeye_ros.estimation.weights import (
     covariances,
-    groups,
     inverse_roots,
     Noise,
     Whitening,

@@ -11,23 +11,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
+from handeye_ros.estimation.blocks import shared_scale, unexplained
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.mixed import settled
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.solve import evaluate, least_squares, Solution, station_statistic
+from handeye_ros.estimation.solve import evaluate, fitted, Solution, station_statistic
 from handeye_ros.estimation.trial import DOUBTFUL, edge_lost, far, guesses, refined, Trial
 from handeye_ros.estimation.weights import Noise
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
 
 SUBSETS = 20
 SUBSET_SIZE = 6
 SAME_LOSS, ENOUGH_AGREEING = 0.01, 4  # of answers from subsets, that end the search of them
 ENOUGH_FAR = 8  # subsets that lead nowhere, after which none will
 MOST_FREEDOM = 6  # of a station's residuals: a pose has no more
-BATCH = 50  # one of so many stations is dropped at a time
-FALSE_ALARM = 1e-3  # of a good recording losing one station
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,16 +116,14 @@ def without_outliers(trial: Trial) -> Consensus:
     estimate = trial.estimate
     while True:
         part = trial.problem.subset(used)
-        estimate = least_squares(part, estimate, Noise())
+        estimate = fitted(part, estimate, Noise())
         solution = evaluate(part, estimate, Noise())
         mean_square, freedom = _mean_squares(solution)
-        scaled = mean_square / _scale(mean_square, freedom)
-        probability = chi2_distribution.sf(scaled * freedom, freedom)
-        worst = int(np.argmin(probability))
-        enough = len(used) > minimum
-        if probability[worst] > FALSE_ALARM / n or not enough:
+        scaled = mean_square / shared_scale(mean_square, freedom)
+        worst = unexplained(scaled, freedom, n, len(used) - minimum)[:1]
+        if not len(worst):
             return Consensus(trial.whole, solution, used, dropped)
-        dropped[int(used[worst])] = float(mean_square[worst])
+        dropped |= {int(used[k]): float(mean_square[k]) for k in worst}
         used = np.delete(used, worst)
 
 
@@ -138,10 +134,8 @@ def settle(agreed: Consensus, minimum: int) -> Consensus:
     while True:
         solution = settled(part, estimate)
         mean_square, freedom = _mean_squares(solution)
-        probability = chi2_distribution.sf(mean_square * freedom, freedom)
-        worst = np.argsort(probability)[:max(1, min(len(used) // BATCH, len(used) - minimum))]
-        worst = worst[probability[worst] < FALSE_ALARM / total]
-        if not len(worst) or len(used) <= minimum:
+        worst = unexplained(mean_square, freedom, total, len(used) - minimum)
+        if not len(worst):
             return replace(agreed, solution=solution, used=used, dropped=dropped)
         dropped |= {int(used[k]): float(mean_square[k]) for k in worst}
         used = np.delete(used, worst)
@@ -156,9 +150,3 @@ def _mean_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
     """
     statistic, count = station_statistic(solution)
     return statistic / np.maximum(count, 1), np.clip(count, 1, MOST_FREEDOM)
-
-
-def _scale(mean_square: Array, freedom: NDArray[np.intp]) -> float:
-    """Return the variance factor that most stations share, 1 where they fit as they should."""
-    typical = chi2_distribution.median(freedom) / freedom
-    return max(1.0, float(np.median(mean_square / typical)))

@@ -3,25 +3,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.algebra import covariance_of, inverse
+from handeye_ros.estimation import blocks
+from handeye_ros.estimation.algebra import covariance_of
 from handeye_ros.estimation.doubts import Doubt, pose_errors
 from handeye_ros.estimation.fields import places, spread
+from handeye_ros.estimation.least_squares import as_they_are, least_squares, Rows, System, White
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import cost, Linear, linearise, Problem
-from handeye_ros.estimation.weights import groups, Noise, Whitening, whitening
+from handeye_ros.estimation.weights import Noise, whitening
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_ITERATIONS = 50
-FIRST_DAMPING, DAMPING_FACTOR, MAX_DAMPINGS = 1e-4, 30.0, 8
 COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on after them
-CONVERGED = 1e-8  # step length in sigmas
-ROUNDING_OF_COST = 1e-9  # relative; whitened residuals are differences of large numbers
-NEAR = 1e-6  # that of a start (m)
+SOME_START = 1e-6  # step of the residuals that ends the way of a start among others (m)
 ASKED = 100  # stations, beyond which there are enough poses
 SAME = 1e-6  # relative singular value of what a station says twice
 FEW_STATIONS, MORE_STARTS = 12, 6  # with few stations there may be several answers
@@ -35,37 +33,24 @@ def move(problem: Problem, estimate: Estimate, step: Array) -> Estimate:
                     problem.method.retract(estimate.target, delta[6:]))
 
 
-def least_squares(problem: Problem, start: Estimate, noise: Noise | None = None,
-                  weights: Array | None = None, iterations: int = MAX_ITERATIONS,
-                  converged: float = CONVERGED) -> Estimate:
+def system(problem: Problem, noise: Noise | None) -> System[Estimate]:
     """
-    Return the estimate with the least squared whitened residuals (Levenberg-Marquardt).
+    Return what is to be made small; a station is a block.
 
-    noise: None for plain residuals, which is best far from the solution; weights: (n,) of the
-    stations' squared residuals; converged: a step that changes the residuals by less ends it.
+    noise: None for plain residuals, which is best far from the solution.
     """
-    columns, station = problem.columns, problem.observations.station
-    root = np.ones(len(station)) if weights is None else np.sqrt(weights)[station]
-    damping, estimate, linear = FIRST_DAMPING, start, linearise(problem, start)
-    for _ in range(iterations):
-        white = whitening(problem, linear, noise) if noise else Whitening((), ())
-        r = white(linear.residuals) * root
-        J = white(linear.jacobian[:, columns]) * root[:, None]
-        cost_now = float(r @ r)
-        for _attempt in range(MAX_DAMPINGS):
-            step = _damped_step(J, r, damping)
-            moved = move(problem, estimate, step)
-            moved_linear = linearise(problem, moved)
-            cost_moved = ((white(moved_linear.residuals) * root) ** 2).sum()
-            if cost_moved <= cost_now * (1 + ROUNDING_OF_COST):
-                break
-            damping *= DAMPING_FACTOR
-        else:
-            return estimate
-        estimate, linear, damping = moved, moved_linear, max(damping / DAMPING_FACTOR**2, 1e-15)
-        if np.linalg.norm(J @ step) < converged * (1.0 + np.linalg.norm(r)):
-            break
-    return estimate
+    def rows(estimate: Estimate) -> Rows:
+        linear = linearise(problem, estimate)
+
+        def white() -> White:
+            return whitening(problem, linear, noise) if noise else as_they_are
+        return Rows(linear.residuals, lambda: linear.jacobian[:, problem.columns], white)
+    return System(rows, partial(move, problem), problem.observations.station)
+
+
+def fitted(problem: Problem, start: Estimate, noise: Noise) -> Estimate:
+    """Return the estimate with the least squared whitened residuals."""
+    return least_squares(system(problem, noise), start)
 
 
 def best_of(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
@@ -74,22 +59,14 @@ def best_of(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
 
     Plain residuals decide: far from the solution they say more than whitened ones.
     """
-    survivors = list(starts)
+    survivors, plain = list(starts), system(problem, None)
     few = len(problem.poses) <= FEW_STATIONS
     for iterations, kept in COMPETITION:
         kept = max(kept, MORE_STARTS) if few else kept
-        survivors = [least_squares(problem, start, iterations=iterations, converged=NEAR)
+        survivors = [least_squares(plain, start, iterations=iterations, converged=SOME_START)
                      for start in survivors]
         survivors = sorted(survivors, key=lambda estimate: cost(problem, estimate))[:kept]
     return survivors
-
-
-def _damped_step(J: Array, r: Array, damping: float) -> Array:
-    """Return the step of Levenberg and Marquardt, its damping relative to each column."""
-    scale = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-    A = (J / scale).T @ (J / scale)
-    step = np.linalg.solve(A + damping * np.eye(len(A)), (J / scale).T @ r)
-    return np.asarray(-step / scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +149,7 @@ def station_ranks(solution: Solution) -> NDArray[np.intp]:
     ranks = np.zeros(len(solution.problem.poses), dtype=np.intp)
     J = solution.jacobian[:, :solution.unknowns]
     J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-    for rows in groups(station):
+    for rows in blocks.groups(station):
         s = np.linalg.svd(J[rows], compute_uv=False)
         ranks[station[rows[:, 0]]] = (s > SAME * s[:, :1]).sum(axis=1)
     return ranks
@@ -204,16 +181,10 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
     The deleted residual is that against the solution without the station, to first order;
     squared and whitened it is chi-squared distributed when the station is good.
     """
-    obs = solution.problem.observations
-    n = len(solution.problem.poses)
-    chi2, count = np.zeros(n), np.bincount(obs.station, minlength=n)
-    for rows in groups(obs.station):
-        r, J = solution.white[rows], solution.jacobian[rows]
-        H = J @ solution.covariance @ np.swapaxes(J, 1, 2)
-        deleted = np.linalg.solve(np.eye(H.shape[1]) - H + 1e-9 * np.eye(H.shape[1]),
-                                  r[..., None])
-        chi2[obs.station[rows[:, 0]]] = np.einsum('ni,nij->n', r, deleted)
-    return chi2, count
+    station, n = solution.problem.observations.station, len(solution.problem.poses)
+    left_out = blocks.deleted(solution.white, solution.jacobian, solution.covariance, station)
+    statistic = np.bincount(station, solution.white * left_out, minlength=n).astype(float)
+    return statistic, np.bincount(station, minlength=n)
 
 
 def poses_of(solution: Solution, stations: NDArray[np.intp] | None = None) -> Array:
@@ -239,13 +210,6 @@ def without(solution: Solution, stations: NDArray[np.intp]) -> Estimate:
 
 def step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
     """Return by how much unknowns and doubts (u + q,) differ without the given stations."""
-    left_out = np.isin(solution.problem.observations.station, stations)
-    J, r = solution.jacobian, solution.white
-    J_out, r_out = J[left_out], r[left_out]
-    if len(r_out) < J.shape[1]:
-        to_out = J_out @ solution.covariance
-        inside = (1 + 1e-9) * np.eye(len(r_out)) - to_out @ J_out.T
-        step = to_out.T @ np.linalg.solve(inside, r_out)
-    else:
-        step = inverse(solution.information - J_out.T @ J_out) @ (J_out.T @ r_out)
-    return np.asarray(step)
+    out = np.isin(solution.problem.observations.station, stations)
+    return blocks.step_without(solution.white, solution.jacobian, solution.covariance,
+                               solution.information, out)

@@ -1,32 +1,31 @@
-"""
-One start, refined while stations that do not fit lose their say, and how well it does.
-
-The refinement is a graduated non-convexity (Yang et al. 2020, RA-L 5:1127) over whole stations.
-"""
+"""One start, refined while stations that do not fit lose their say, and how well it does."""
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
+from handeye_ros.estimation.least_squares import (
+    ANNEALING_STEPS,
+    believed,
+    BELIEVED_SHARE,
+    graduated,
+    least_squares,
+    NEAR,
+)
 from handeye_ros.estimation.method import Estimate, UNUSED
 from handeye_ros.estimation.problem import linearise, points_in_base, Problem
-from handeye_ros.estimation.solve import evaluate, least_squares
+from handeye_ros.estimation.solve import evaluate, system
 from handeye_ros.estimation.weights import Noise, whitening
 import numpy as np
 from numpy.typing import NDArray
 
-BELIEVED_SHARE = 0.65  # of the stations that a good answer must explain
 LOST_SHARE = 0.1  # of the stations far from an estimate, from which another is looked for
 FAR, FAR_RATIO = 5e-3, 5.0  # residual (m; over the largest of an answer) of a hopeless start
-MAX_ANNEALINGS = 40
-SMALLEST_SCALE = 9.0  # squared residual, in variances, at which a station begins to be doubted
 LOST_EDGE = 8.0  # squared residual of a station that shows an edge which lies on none of ours
-SCALE = 3.0  # the same, in squared residuals that the believed share stays below
 CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good answer
 DOUBTFUL = 16.0  # squared residual, in variances, that a clean recording stays below
 LARGEST_VARIANCE = 1.0  # m^2 or rad^2: more is no answer at all
-NEAR = 1e-3  # step length in sigmas that ends a round of annealing
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +46,7 @@ class Trial:
     @property
     def spread(self) -> float:
         """Return the squared residual that the believed share of stations stays below."""
-        return float(np.quantile(self.squares, BELIEVED_SHARE))
+        return believed(self.squares)
 
     @property
     def misfit(self) -> float:
@@ -83,22 +82,17 @@ def guesses(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
 
 def refined(problem: Problem, estimate: Estimate) -> Trial:
     """Return the trial that graduated non-convexity leads to from an estimate."""
-    whole, problem = problem, relabelled(problem, estimate)
-    squares = _squares(problem, estimate)
-    control, before = float(squares.max()), np.inf
-    for _ in range(MAX_ANNEALINGS):
-        spread = float(np.quantile(squares, BELIEVED_SHARE))
-        scale = max(SMALLEST_SCALE, SCALE * spread)
-        if control <= scale and spread > 0.99 * before:
-            break
-        width = max(control, scale)
-        weights = (width / (width + squares)) ** 2
-        estimate = least_squares(problem, estimate, Noise(), weights, iterations=4,
-                                 converged=NEAR)
-        problem = relabelled(whole, estimate)
-        squares, before, control = _squares(problem, estimate), spread, control / 2
-    squares = np.where(edge_lost(whole, problem), np.maximum(squares, LOST_EDGE), squares)
-    return Trial(whole, problem, estimate, squares, _hollow(whole, problem, estimate))
+    def refit(trial: tuple[Problem, Estimate], weights: Array) -> tuple[Problem, Estimate]:
+        labelled, estimate = trial
+        estimate = least_squares(system(labelled, Noise()), estimate, weights, ANNEALING_STEPS,
+                                 NEAR)
+        return relabelled(problem, estimate), estimate
+
+    labelled, estimate = graduated((relabelled(problem, estimate), estimate),
+                                   lambda trial: _squares(*trial), refit)
+    squares = _squares(labelled, estimate)
+    squares = np.where(edge_lost(problem, labelled), np.maximum(squares, LOST_EDGE), squares)
+    return Trial(problem, labelled, estimate, squares, _hollow(problem, labelled, estimate))
 
 
 def _hollow(whole: Problem, labelled: Problem, estimate: Estimate) -> bool:

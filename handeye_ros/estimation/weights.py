@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from handeye_ros.data import Array
+from handeye_ros.estimation.blocks import groups
 from handeye_ros.estimation.problem import Linear, Problem
 import numpy as np
 from numpy.typing import NDArray
@@ -47,11 +48,7 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """
-    Per group of stations with equally many observations: their rows and inverse factors.
-
-    Without groups it leaves values as they are.
-    """
+    """Per group of stations with equally many observations: their rows and inverse factors."""
 
     rows: tuple[NDArray[np.intp], ...]
     factors: tuple[Array, ...]
@@ -63,12 +60,6 @@ class Whitening:
             flat = values[rows].reshape(*rows.shape, -1)
             white[rows] = (factor @ flat).reshape(values[rows].shape)
         return white
-
-
-def groups(station: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
-    """Return arrays (stations, count) of rows, one for each count of rows per station."""
-    _, first, count = np.unique(station, return_index=True, return_counts=True)
-    return tuple(first[count == c, None] + np.arange(c) for c in np.unique(count))
 
 
 def covariances(problem: Problem, linear: Linear, rows: NDArray[np.intp]) -> Array:

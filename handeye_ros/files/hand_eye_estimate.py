@@ -22,11 +22,11 @@ from handeye_ros.files.hand_eye_model import (
     derivatives,
     factors,
     MINIMUM,
-    model,
     noise_of,
     PoseNoise,
     residuals,
     State,
+    system,
 )
 from handeye_ros.files.tables import Table
 from handeye_ros.published.errors import TooFewError
@@ -174,7 +174,7 @@ def _with_noise(T: Array, T_camera_target: Array, start: State, noise: PoseNoise
                 eye_on_base: bool) -> tuple[Adjusted[State], PoseNoise]:
     """Return the adjusted state, and the noise that was given or that its residuals show."""
     def adjusted(state: State, noise: PoseNoise) -> Adjusted[State]:
-        return adjust(model(T, T_camera_target, noise, eye_on_base), state)
+        return adjust(system(T, T_camera_target, noise, eye_on_base), state, MINIMUM)
 
     if noise is not None:
         return adjusted(start, noise), noise

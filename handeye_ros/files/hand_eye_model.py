@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.adjust import Model
+from handeye_ros.estimation.least_squares import Rows, System, White
 import numpy as np
 
 MINIMUM = 3
@@ -71,17 +71,21 @@ def factors(T: Array, state: State, noise: PoseNoise, eye_on_base: bool) -> Arra
     return np.linalg.cholesky(G @ np.swapaxes(G, 1, 2) + np.diag(own ** 2))
 
 
-def model(T: Array, T_camera_target: Array, noise: PoseNoise, eye_on_base: bool
-          ) -> Model[State]:
-    """Return what is to be adjusted: X and Z, to the residuals of all poses."""
-    def blocks(state: State) -> tuple[Array, Array]:
-        inverse = np.linalg.inv(factors(T, state, noise, eye_on_base))
-        r = residuals(T, T_camera_target, state)
-        return (inverse @ r[..., None])[..., 0], inverse @ derivatives(T, state)[0]
+def system(T: Array, T_camera_target: Array, noise: PoseNoise, eye_on_base: bool
+           ) -> System[State]:
+    """Return what is to be adjusted: X and Z, to the residuals of all poses; each is a block."""
+    n = len(T)
+
+    def rows(state: State) -> Rows:
+        def white() -> White:
+            inverse = np.linalg.inv(factors(T, state, noise, eye_on_base))
+            return lambda values: (inverse @ values.reshape(n, 6, -1)).reshape(values.shape)
+        return Rows(residuals(T, T_camera_target, state).ravel(),
+                    lambda: derivatives(T, state)[0].reshape(6 * n, 12), white)
 
     def retract(state: State, step: Array) -> State:
         return se3.perturb(state[0], step[:6]), se3.perturb(state[1], step[6:])
-    return Model(blocks, retract, MINIMUM)
+    return System(rows, retract, np.repeat(np.arange(n), 6))
 
 
 def causes(T: Array, state: State, eye_on_base: bool) -> Array:

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.adjust import adjust, Adjusted, Model
+from handeye_ros.estimation.adjust import adjust, Adjusted
+from handeye_ros.estimation.least_squares import Rows, System
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.tables import Table
 from handeye_ros.published.errors import TooFewError
@@ -74,10 +75,10 @@ def solve(in_camera: Array, in_base: Array, noise: float | None = None,
     start = _start(in_camera, in_base, rng or np.random.default_rng(0))
     off = np.linalg.norm(se3.apply(start, in_camera) - in_base, axis=1)
     sigma = noise or max(float(np.median(off)), 1e-9)
-    fit = adjust(_model(in_camera, in_base, sigma), start)
+    fit = adjust(_system(in_camera, in_base, sigma), start, MINIMUM)
     if noise is None:
         sigma = max(sigma * fit.variance_factor ** 0.5, 1e-9)
-        fit = adjust(_model(in_camera, in_base, sigma), fit.state)
+        fit = adjust(_system(in_camera, in_base, sigma), fit.state, MINIMUM)
     rms = _rms(fit.residuals[fit.used] * sigma)
     _require_triangle(in_base[fit.used])
     _require_agreement(fit, len(in_base), rms)
@@ -90,12 +91,16 @@ def _rms(vectors: Array) -> float:
     return float(np.sqrt((vectors ** 2).sum(axis=1).mean()))
 
 
-def _model(in_camera: Array, in_base: Array, sigma: float) -> Model[Array]:
-    def blocks(T: Array) -> tuple[Array, Array]:
+def _system(in_camera: Array, in_base: Array, sigma: float) -> System[Array]:
+    """Return what is to be adjusted; a point is a block."""
+    def rows(T: Array) -> Rows:
         turned = in_camera @ T[:3, :3].T
-        J = np.concatenate([np.tile(np.eye(3), (len(turned), 1, 1)), -se3.skew(turned)], axis=2)
-        return (turned + T[:3, 3] - in_base) / sigma, J / sigma
-    return Model(blocks, se3.perturb, MINIMUM)
+
+        def jacobian() -> Array:
+            by_shift = np.tile(np.eye(3), (len(turned), 1, 1))
+            return np.concatenate([by_shift, -se3.skew(turned)], axis=2).reshape(-1, 6) / sigma
+        return Rows((turned + T[:3, 3] - in_base).ravel() / sigma, jacobian)
+    return System(rows, se3.perturb, np.repeat(np.arange(len(in_base)), 3))
 
 
 def fit_rigid(a: Array, b: Array) -> Array:

@@ -139,7 +139,8 @@ def _residuals(data: Session, X: Array, fitted: Index, measured: Index, config: 
     part = _subset(data, fitted)
     seen = part.seen(config)
     start = tracker_model.start(part.chain(config), seen)
-    fit = adjust(tracker_model.model(seen, given_X=True), State(start.T_tracker_2, X, start.rest))
+    fit = adjust(tracker_model.system(seen, given_X=True),
+                 State(start.T_tracker_2, X, start.rest), tracker_model.MINIMUM)
     distances, _ = tracker_model.distances(fit.state, data.seen(config))
     return distances[np.isin(tracker_model.sources(data.of), measured)]
 

@@ -98,7 +98,8 @@ def solve(tracker: jing2020.Tracker, sweep: Sweep, tracker_noise: float = 2e-5,
     _require_angles(tracker, chain.angles)
     _require_one_direction(chain)
     seen = Seen(tracker, sweep, tracker_noise)
-    fit = adjust(tracker_model.model(seen), tracker_model.start(chain, seen))
+    fit = adjust(tracker_model.system(seen), tracker_model.start(chain, seen),
+                 tracker_model.MINIMUM)
     _require_agreement(fit, seen)
     _require_certain(fit.covariance[6:12, 6:12])
     return _result(fit, seen)

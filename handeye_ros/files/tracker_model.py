@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.adjust import Model
+from handeye_ros.estimation.least_squares import Rows, System
 from handeye_ros.published import jing2020
 import numpy as np
 from numpy.typing import NDArray
@@ -93,8 +93,12 @@ def start(chain: jing2020.Result, seen: Seen) -> State:
     return State(T_tracker_2, chain.T_flange_sensor, rest)
 
 
-def model(seen: Seen, given_X: bool = False) -> Model[State]:
-    """Return what is to be adjusted: all 26 unknowns, or with X given the other 20."""
+def system(seen: Seen, given_X: bool = False) -> System[State]:
+    """
+    Return what is to be adjusted: all 26 unknowns, or with X given the other 20.
+
+    Each distance is a block.
+    """
     basis = np.eye(UNKNOWNS)
     basis = np.delete(basis, OF_X, axis=0) if given_X else basis
 
@@ -107,12 +111,14 @@ def model(seen: Seen, given_X: bool = False) -> Model[State]:
         r, sigma = distances(state, seen)
         return r / sigma
 
-    def blocks(state: State) -> tuple[Array, Array]:
+    def rows(state: State) -> Rows:
         r = white(state)
-        columns = [(white(retract(state, step)) - r) / STEP
-                   for step in STEP * np.eye(len(basis))]
-        return r[:, None], np.stack(columns, axis=1)[:, None]
-    return Model(blocks, retract, MINIMUM)
+
+        def jacobian() -> Array:
+            return np.stack([(white(retract(state, step)) - r) / STEP
+                             for step in STEP * np.eye(len(basis))], axis=1)
+        return Rows(r, jacobian)
+    return System(rows, retract, np.arange(len(parts(seen))))
 
 
 def distances(state: State, seen: Seen) -> tuple[Array, Array]:
