@@ -8,9 +8,10 @@ its last point before the drop, the bent end included.
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 from handeye_ros.data import Array, EdgePoint
-from handeye_ros.profiles.segment import Segment
+from handeye_ros.profiles.segment import returned, Segment
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,9 +79,9 @@ def frame_of(end: End, points: Array, near: int) -> Frame:
     segment, x = end.segment, points[end.row, 0]
     middle = points[segment.rows[len(segment.rows) // 2], 0]
     outward = -1.0 if x < middle else 1.0
-    length = np.hypot(1.0, segment.slope)
-    along = outward * np.array([1.0, segment.slope]) / length
-    below = -near * np.array([-segment.slope, 1.0]) / length
+    length = math.hypot(1.0, segment.slope)
+    along = np.array([outward / length, outward * segment.slope / length])
+    below = np.array([near * segment.slope / length, -near / length])
     return Frame(np.array([x, segment.height(x)]), along, below)
 
 
@@ -91,9 +92,9 @@ def tail(end: End, points: Array, near: int, column: float) -> NDArray[np.intp]:
     The surface turns away from the sensor, as steeply as light comes back from it at most; one
     wrong point does not end it. column: distance along x between neighbours on the segment.
     """
-    rows = end.row + end.outward * np.arange(TAIL_ROWS + 1)
-    rows = rows[(rows >= 0) & (rows < len(points))]
-    rows = rows[np.isfinite(points[rows]).all(axis=1)]
+    last = min(max(end.row + end.outward * TAIL_ROWS, 0), len(points) - 1)
+    rows = np.arange(end.row, last + end.outward, end.outward)
+    rows = rows[returned(points[rows])]
     found = _connected(rows, points, near, end.segment.noise, column)
     if found < len(rows) - 1:
         skipped = np.delete(rows, found)
@@ -106,13 +107,15 @@ def tail(end: End, points: Array, near: int, column: float) -> NDArray[np.intp]:
 def _connected(rows: NDArray[np.intp], points: Array, near: int, noise: float, column: float
                ) -> int:
     """Return how many of the rows follow each other on one surface that turns away."""
-    step = np.diff(points[rows], axis=0)
+    found = points[rows]
+    step = found[1:] - found[:-1]
     aside, drop = np.abs(step[:, 0]), -near * step[:, 1]
     slack = SLACK_SIGMAS * noise
     # a driver may leave lost points out: then the next row need not be near
     follows = ((drop < STEEPEST * aside + slack) & (drop > -slack)
-               & (np.abs(np.diff(rows)) <= MOST_LOST) & (aside < (MOST_LOST + 0.5) * column))
-    return int(np.argmin(follows)) + 1 if not follows.all() else len(rows)
+               & (np.abs(rows[1:] - rows[:-1]) <= MOST_LOST)
+               & (aside < (MOST_LOST + 0.5) * column))
+    return int(follows.argmin()) + 1 if not follows.all() else len(rows)
 
 
 def wall_edge(end: End, rows: NDArray[np.intp], points: Array, near: int, column: float

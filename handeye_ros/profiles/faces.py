@@ -52,12 +52,10 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
     segments = straight_segments(points, noise, min_points)
     if not segments:
         raise FeatureError(f'no straight face of {min_points} points or more in the profile')
-    candidates = [(s, *_edges(s, segments, points, near)) for s in segments]
-    with_edges = [candidate for candidate in candidates if candidate[1]]
-    if not with_edges:
+    face, edges = _preferred(segments, points, near)
+    if face is None:
         raise FeatureError('no edge of a face in the profile: the face ends only at the border '
                            'of the field of view or at something nearer')
-    face, edges, _ = max(with_edges, key=_preference)
     line = face_line(face, points)
     return (line, *(on_line(edge, line, line.std / white_std(face)) for edge in edges))
 
@@ -76,9 +74,24 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine]:
     return (face_line(max(segments, key=lambda s: len(s.rows)), points),)
 
 
-def _preference(candidate: tuple[Segment, list[EdgePoint], bool]) -> float:
+def _preferred(segments: Sequence[Segment], points: Array, near: int
+               ) -> tuple[Segment | None, list[EdgePoint]]:
+    """Return the segment that is most likely the face, and its edges; None without any edge."""
+    best = 0.0
+    found: tuple[Segment | None, list[EdgePoint]] = (None, [])
+    # the longest first: most of the others then cannot be preferred, whatever their edges are
+    for segment in sorted(segments, key=lambda s: -len(s.rows)):
+        if len(segment.rows) * SURE_EDGE < best:
+            break
+        edges, behind = _edges(segment, segments, points, near)
+        likely = _preference(segment, edges, behind) if edges else 0.0
+        if likely > best or (likely == best and found[0] and segment.first < found[0].first):
+            best, found = likely, (segment, edges)
+    return found
+
+
+def _preference(segment: Segment, edges: Sequence[EdgePoint], behind: bool) -> float:
     """Return how likely a segment is the face: its number of points, more for a sure edge."""
-    segment, edges, behind = candidate
     sure = any(edge.kind in ('step', 'shadow', 'roof') for edge in edges)
     return len(segment.rows) * (SURE_EDGE if sure else 1.0) * (BEHIND if behind else 1.0)
 
@@ -176,8 +189,8 @@ def _roof_crossing(end: End, other: Segment, rows: NDArray[np.intp], points: Arr
 
 def _column(segment: Segment, points: Array) -> float:
     """Return the distance between neighbouring columns on a segment, along x."""
-    x = points[[segment.first, segment.last], 0]
-    return float(abs(x[1] - x[0])) / (segment.last - segment.first)
+    return abs(float(points[segment.last, 0] - points[segment.first, 0])) / (
+        segment.last - segment.first)
 
 
 def _roof_edge(end: End, other: Segment, points: Array, near: int) -> EdgePoint:

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+import math
 from typing import Any
 
 from handeye_ros.data import Array
@@ -17,6 +20,7 @@ from numpy.typing import NDArray
 MAX_LINES = 5
 HYPOTHESES = 48  # pairs of points tried per span and search for a line
 SPANS = np.array([3, 8, 20])  # of the pairs, parts of the profile
+KEPT_PAIRS = 1000  # sizes of profiles whose pairs are remembered
 SEARCH_POINTS = 256  # points that vote for a hypothesis
 FIRST_VOTERS = 64  # of these that vote first, and
 BEST_HYPOTHESES = 24  # how many hypotheses all of them vote on
@@ -73,23 +77,29 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
 
     points: (n, 2); noise: configured range noise (1 sigma); min_points: fewest of a piece.
     """
-    rows = np.flatnonzero(np.isfinite(points).all(axis=1))
+    rows = returned(points)
     if len(rows) < min_points:
         return []
-    x, z = points[rows].T
+    x, z = points[rows, 0], points[rows, 1]
     tolerance = INLIER_SIGMAS * max(noise_level(z, noise), noise)
-    owner = np.full(len(rows), -1)
-    for line in range(MAX_LINES):
-        free = np.flatnonzero(owner < 0)
-        inliers = _dominant_line(x[free], z[free], tolerance, min_points)
+    segments, free, free_x, free_z = [], np.arange(len(rows)), x, z
+    for _ in range(MAX_LINES):
+        inliers = _dominant_line(free_x, free_z, tolerance, min_points)
         if inliers is None:
             break
-        owner[free[inliers]] = line
-    pieces = [piece for line in range(owner.max() + 1)
-              for piece in _pieces(np.flatnonzero(owner == line), owner)
-              if len(piece) >= min_points and np.ptp(x[piece]) > NARROWEST]
-    segments = [_segment(rows[piece], points, noise / 3) for piece in pieces]
+        segments += [
+            _segment(rows[piece], x[piece], z[piece], noise / 3)
+            for piece in _pieces(free[inliers])
+            if len(piece) >= min_points and float(x[piece].max() - x[piece].min()) > NARROWEST]
+        others = np.flatnonzero(~inliers)
+        free, free_x, free_z = free[others], free_x[others], free_z[others]
     return sorted(segments, key=lambda s: s.first)
+
+
+def returned(points: Array) -> NDArray[np.intp]:
+    """Return the rows of points (n, 2) that are finite."""
+    finite = np.isfinite(points)
+    return np.flatnonzero(finite[:, 0] & finite[:, 1])
 
 
 def _dominant_line(x: Array, z: Array, tolerance: float, min_points: int
@@ -107,34 +117,58 @@ def _dominant_line(x: Array, z: Array, tolerance: float, min_points: int
         best = np.argsort(-_votes(slope, offset, some, 2 * tolerance))[:BEST_HYPOTHESES]
         slope, offset = slope[best], offset[best]
     chosen = int(np.argmax(_votes(slope, offset, voters, 2 * tolerance)))
-    a, b = offset[chosen], slope[chosen]
+    return _refined(x, z, (float(offset[chosen]), float(slope[chosen])), tolerance, min_points)
+
+
+def _refined(x: Array, z: Array, line: tuple[float, float], tolerance: float, min_points: int
+             ) -> NDArray[np.bool_] | None:
+    """Return which points lie on a line, fitted again to these, None if these are too few."""
+    before, rows = 0.0, np.zeros(0, dtype=np.intp)
     for width in (2.0, 1.5, 1.0, 1.0):
-        inliers = np.abs(z - a - b * x) < width * tolerance
-        if np.count_nonzero(inliers) < min_points:
+        found = np.flatnonzero(_near(x, z, line, width * tolerance))
+        if len(found) < min_points:
             return None
-        a, b = _fit(x[inliers], z[inliers])
-    return np.asarray(np.abs(z - a - b * x) < tolerance)
+        if width == before and np.array_equal(found, rows):
+            break  # it would be fitted to the same points
+        line, before, rows = _fit(x[found], z[found]), width, found
+    return _near(x, z, line, tolerance)
+
+
+def _near(x: Array, z: Array, line: tuple[float, float], tolerance: float) -> NDArray[np.bool_]:
+    away = z - line[0]
+    away -= line[1] * x
+    return np.asarray(np.abs(away, out=away) < tolerance)
 
 
 def _votes(slope: Array, offset: Array, points: Array, tolerance: float) -> NDArray[np.intp]:
     """Return how many of the points (2, n) lie on each of the lines (k,)."""
-    away = np.multiply.outer(slope, points[0])
-    away += offset[:, None]
-    away -= points[1]
-    return np.asarray(np.count_nonzero(np.abs(away, out=away) < tolerance, axis=1))
+    # products of matrices are by far the quickest way to multiply, and to count
+    lines, voters = np.empty((len(slope), 3)), np.empty((3, points.shape[1]))
+    lines[:, 0], lines[:, 1], lines[:, 2] = slope, offset, -1.0
+    voters[0], voters[1], voters[2] = points[0], 1.0, points[1]
+    away = lines @ voters
+    near = np.abs(away, out=away) < tolerance
+    return np.asarray(near.astype(np.float32) @ np.ones(len(voters[0]), np.float32)
+                      ).astype(np.intp)
 
 
 def _hypotheses(x: Array, z: Array) -> tuple[Array, Array]:
     """Return slopes and offsets (k,) of lines through pairs of points, evenly spread."""
-    span = np.maximum(len(x) // SPANS, 2)[:, None]
-    first = np.arange(HYPOTHESES) * (len(x) - 1 - span) // (HYPOTHESES - 1)
-    second = (first + span).ravel()
-    first = first.ravel()
+    first, second = _pairs(len(x))
     dx = x[second] - x[first]
     apart = np.abs(dx) > NARROWEST
-    first, second = first[apart], second[apart]
-    slope = (z[second] - z[first]) / dx[apart]
+    if not apart.all():
+        first, second, dx = first[apart], second[apart], dx[apart]
+    slope = (z[second] - z[first]) / dx
     return slope, z[first] - slope * x[first]
+
+
+@lru_cache(KEPT_PAIRS)
+def _pairs(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first and the second points (k,) of pairs out of so many."""
+    span = np.maximum(size // SPANS, 2)[:, None]
+    first = np.arange(HYPOTHESES) * (size - 1 - span) // (HYPOTHESES - 1)
+    return first.ravel(), (first + span).ravel()
 
 
 def _fit(x: Array, z: Array) -> tuple[float, float]:
@@ -146,11 +180,11 @@ def _fit(x: Array, z: Array) -> tuple[float, float]:
     return mean_z - slope * mean_x, slope
 
 
-def _pieces(members: NDArray[np.intp], owner: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+def _pieces(members: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
     """Part the members of a line where points of something else lie between them."""
-    between = np.diff(members) - 1  # valid points that are not of this line
-    cuts = np.flatnonzero(between >= FOREIGN_POINTS) + 1
-    for piece in np.split(members, cuts):
+    cuts = np.flatnonzero(members[1:] - members[:-1] > FOREIGN_POINTS) + 1
+    for begin, end in pairwise([0, *cuts.tolist(), len(members)]):
+        piece = members[begin:end]
         first, last = 0, len(piece)
         while last - first > 2 and piece[first + 1] - piece[first] > STRAY_GAP:
             first += 1
@@ -159,9 +193,12 @@ def _pieces(members: NDArray[np.intp], owner: NDArray[np.intp]) -> Iterator[NDAr
         yield piece[first:last]
 
 
-def _segment(rows: NDArray[np.intp], points: Array, least_noise: float) -> Segment:
-    """Return the line through rows; a sensor that rounds may show no noise where there is some."""
-    x, z = points[rows].T
+def _segment(rows: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> Segment:
+    """
+    Return the line through the points x, z of rows.
+
+    least_noise: a sensor that rounds may show no noise where there is some.
+    """
     # the last points at an end are the worst: the line is fitted without them
     margin = min(max(2, len(rows) // 50), (len(rows) - 3) // 2)
     inner = slice(margin, len(rows) - margin)
@@ -178,12 +215,12 @@ def _segment(rows: NDArray[np.intp], points: Array, least_noise: float) -> Segme
 def _fit_with_noise(x: Array, z: Array) -> tuple[float, float, float]:
     offset, slope = _fit(x, z)
     residual = z - offset - slope * x
-    return offset, slope, float(np.sqrt(residual @ residual / max(len(residual) - 2, 1)))
+    return offset, slope, math.sqrt(residual @ residual / max(len(residual) - 2, 1))
 
 
 def _bent_end(residual: Array, noise: float) -> int:
     """Return how many residuals (n,) from the first on together say that the end is bent."""
     most = len(residual) // LARGEST_BEND // BEND_POINTS
-    means = residual[:most * BEND_POINTS].reshape(most, BEND_POINTS).mean(axis=1)
-    off = np.abs(means) > BEND_SIGMAS * noise / BEND_POINTS ** 0.5
-    return BEND_POINTS * (int(np.argmin(off)) if not off.all() else most)
+    sums = np.add.reduce(residual[:most * BEND_POINTS].reshape(most, BEND_POINTS), axis=1)
+    off = np.abs(sums / BEND_POINTS) > BEND_SIGMAS * noise / BEND_POINTS ** 0.5
+    return BEND_POINTS * (int(off.argmin()) if not off.all() else most)

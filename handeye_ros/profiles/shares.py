@@ -7,19 +7,31 @@ at; their second differences do not see the smooth shape below.
 """
 from __future__ import annotations
 
+from functools import lru_cache
+
 from handeye_ros.data import Array
 import numpy as np
+from numpy.typing import NDArray
 
+KEPT = 1000  # numbers of points whose shares are remembered
 FEWEST_BLOCKS = 6
 SURELY_MORE = 1.7  # times the variance of white noise: what chance seldom makes
 
 
-def means(values: Array, shares: int) -> tuple[Array, Array]:
+def means(values: Array, shares: int) -> tuple[Array, NDArray[np.intp]]:
     """Return means, (k, ...), of equal shares of values (n, ...), and the sizes (k,) of these."""
-    first = np.linspace(0, len(values), shares, endpoint=False).astype(int)
-    count = np.diff(np.append(first, len(values)))
+    first, count = _shares(len(values), shares)
     total = np.add.reduceat(values, first)
-    return total / count.reshape(-1, *[1] * (values.ndim - 1)), count
+    return total / (count if values.ndim == 1 else count[:, None]), count
+
+
+@lru_cache(KEPT)
+def _shares(size: int, shares: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return where equal shares of so many values begin, and their sizes; not to be changed."""
+    first = np.linspace(0, size, shares, endpoint=False).astype(int)
+    count = np.diff(np.append(first, size))
+    count.setflags(write=False)
+    return first, count
 
 
 def variance_of_means(blocks: Array, white: float) -> float:

@@ -1,0 +1,89 @@
+"""What is done quickly in profiles/ gives what the plain way of the same gives."""
+from __future__ import annotations
+
+from handeye_ros.profiles import arcs, circles, faces, segment, shares
+from handeye_ros.profiles.segment import Segment
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@given(SEEDS, st.integers(1, 200), st.integers(2, 300))
+def test_votes_for_lines(seed: int, lines: int, points: int) -> None:
+    rng = np.random.default_rng(seed)
+    slope, offset = rng.normal(size=lines), rng.normal(0.2, 0.02, lines)
+    x, z = rng.normal(0.0, 0.02, points), rng.normal(0.2, 0.02, points)
+    plain = np.abs(z - offset[:, None] - slope[:, None] * x) < 1e-2
+    np.testing.assert_array_equal(segment._votes(slope, offset, np.stack([x, z]), 1e-2),
+                                  plain.sum(axis=1))
+
+
+@given(SEEDS, st.integers(1, 100), st.integers(5, 300), st.sampled_from([1e-4, 1e-2]))
+def test_votes_for_circles(seed: int, count: int, n: int, tolerance: float) -> None:
+    rng = np.random.default_rng(seed)
+    # some circles are smaller than the tolerance
+    found = np.column_stack([rng.normal(0.0, 0.02, count), rng.normal(0.2, 0.02, count),
+                             rng.uniform(1e-3, 0.05, count)])
+    points = np.column_stack([rng.normal(0.0, 0.02, n), rng.normal(0.2, 0.02, n)])
+    away = np.linalg.norm(points - found[:, None, :2], axis=2) - found[:, 2:]
+    on = np.abs(away) < tolerance
+    np.testing.assert_array_equal(circles._on_circle(found, points, tolerance), on)
+    votes = on.sum(axis=1)
+    variance = np.array([points[row].var(axis=0).sum() if row.any() else 0.0 for row in on])
+    sagitta = 12 * variance / (8 * found[:, 2])
+    clear = np.abs(sagitta - circles.LEAST_SAGITTA * tolerance) > 1e-12
+    expected = np.where(sagitta > circles.LEAST_SAGITTA * tolerance, votes, 0)
+    np.testing.assert_array_equal(circles._votes(on, found, points, tolerance)[clear],
+                                  expected[clear])
+
+
+@given(SEEDS, st.integers(1, 400))
+def test_quantiles_and_shares(seed: int, n: int) -> None:
+    values = np.random.default_rng(seed).normal(size=n)
+    np.testing.assert_allclose(arcs._quantiles(values, (0.005, 0.995)),
+                               np.quantile(values, [0.005, 0.995]), rtol=0, atol=1e-15)
+    parts = min(n, 7)
+    got, size = shares.means(values, parts)
+    first = [*np.linspace(0, n, parts, endpoint=False).astype(int), n]
+    plain = [values[a:b].mean() for a, b in zip(first, first[1:], strict=False)]
+    np.testing.assert_allclose(got, plain, rtol=0, atol=1e-14)
+    assert size.sum() == n
+    with pytest.raises(ValueError):
+        size[0] = 1
+
+
+@given(SEEDS, st.sampled_from([2, 3]))
+def test_normal_equations(seed: int, n: int) -> None:
+    J = np.random.default_rng(seed).normal(size=(n, 50))
+    A, b = J @ J.T, J[:, 0].copy()
+    ridge = circles.TINY * np.trace(A) * np.eye(n)
+    np.testing.assert_allclose(circles._solved(A.copy(), b), np.linalg.solve(A + ridge, b),
+                               rtol=1e-12)
+
+
+@given(SEEDS, st.integers(1, 5))
+def test_the_preferred_face_is_that_of_all(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    lengths = rng.integers(20, 60, count)
+    ends = np.cumsum(lengths)
+    pieces = [Segment(int(b - n), int(b - 1), np.arange(b - n, b), 0.0, 0.0, 1e-5,
+                      np.arange(b - n, b)) for b, n in zip(ends, lengths, strict=True)]
+    kinds = [list(rng.choice(['step', 'gap'], rng.integers(0, 3))) for _ in pieces]
+    behind = rng.random(count) < 0.3
+    told = {id(p): ([Kind(k) for k in ks], bool(b))
+            for p, ks, b in zip(pieces, kinds, behind, strict=True)}
+    asked = [p for p in pieces if told[id(p)][0]]
+    best = max(asked, key=lambda p: faces._preference(p, *told[id(p)]), default=None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(faces, '_edges', lambda p, *_: told[id(p)])
+        assert faces._preferred(pieces, np.zeros((int(ends[-1]), 2)), -1)[0] is best
+
+
+class Kind:
+    """An edge of which only its kind is asked for."""
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
