@@ -16,6 +16,7 @@ from handeye_ros.simulate import cell as cells
 from handeye_ros.simulate import gauges, simulate
 from handeye_ros.simulate.scenario import RobotModel
 from handeye_ros.simulate.scenarios import SCENARIOS
+from handeye_ros.simulate.scenes import SCENES
 import numpy as np
 import pytest
 import yaml
@@ -50,7 +51,8 @@ def recording(kind, seed, moved=None, robot=ROBOT):
         scenario = replace(scenario, target=replace(scenario.target, radius=0.02, table=None,
                                                     clutter=False))
     scenario = replace(scenario, stations=(COUNTS[kind], 0), robot=robot, tilt=np.deg2rad(40))
-    samples = gauges.stations(scenario, X, T if moved is None else T @ moved, rng)
+    samples = gauges.stations(scenario, X, T if moved is None else T @ moved,
+                              SCENES[scenario.scene].stops(scenario, rng), rng)
     X_told = se3.perturb(X, STD * rng.normal(size=6))
     return samples, calibration(X_told, kind, described(kind, T))
 

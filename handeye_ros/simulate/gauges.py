@@ -1,12 +1,15 @@
 """
-What a calibrated robot measures for its verification, sample by sample, with known truth.
+What a calibrated robot measures for its verification, with known truth.
 
 Every routine has an artefact; its stations are those of the simulated targets, drawn for each of
-its bags, with the sensor and the robot the same throughout.
+its bags, with the sensor and the robot the same throughout. They are given as samples, or as
+recordings of rendered profiles: `take` is stations (of this file) or measuring.rendered.
 """
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.data import Array, EdgePoint, FaceLine, Sample
@@ -20,7 +23,7 @@ from handeye_ros.simulate.scenario import (
 )
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
-from handeye_ros.simulate.stations import Stops
+from handeye_ros.simulate.stations import lift, Stops, tilts
 from handeye_ros.simulate.tooth import Gauge, Pass, scan_gauge
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,6 +32,10 @@ TILT = np.deg2rad(40)  # of the sensor over faces
 PLAIN = SensorModel(columns=320, rate=5.0, rim_bias=0.0, mixed=0.0, lost=0.0, lost_at_edge=0.0,
                     outliers=0.0)
 AIM = 5e-5  # m: how exactly the laser is put to a point
+INTO_CORNER = np.array([[1, 1, 0], [1, -1, 0], [0, 0, -2 ** 0.5]]).T / 2 ** 0.5  # T_target_sensor
+
+Taken: TypeAlias = tuple[Sample, ...] | Pass
+Take: TypeAlias = Callable[[Scenario, Array, Array, Stops, np.random.Generator], Taken]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +44,7 @@ class Measured:
     The samples of each bag, T_flange_sensor (4, 4), and what is true of the artefact.
 
     lengths: of the ball bar, heights of the steps, or pitch and height of the teeth; reference:
-    the true point (3,) in the base; passes: of a scan, where there are no samples.
+    the true point (3,) in the base; passes: recordings, where there are no samples.
     """
 
     bags: tuple[tuple[Sample, ...], ...]
@@ -59,39 +66,45 @@ def somewhere(rng: np.random.Generator) -> Array:
     return se3.transform(turn.as_matrix(), rng.uniform([0.5, -0.3, 0.0], [0.9, 0.3, 0.4]))
 
 
-def stations(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array,
+def stations(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
              rng: np.random.Generator) -> tuple[Sample, ...]:
-    """Return the samples of the stops of a scenario, at a target that stands there."""
-    scene = SCENES[scenario.scene]
-    stops = scene.stops(scenario, rng)
-    features = scene.features(scenario, stops, rng)
+    """Return the samples of stops at a target that stands there."""
+    features = SCENES[scenario.scene].features(scenario, stops, rng)
     T = T_base_target @ stops.T_target_sensor @ se3.inverse(T_flange_sensor)
     reported = cells.perturbed(T, cells.robot_error(scenario.robot, T, rng))
     return tuple(Sample(k * 2_000_000_000, T_k, f, scenario.profiles_per_stop)
                  for k, (T_k, f) in enumerate(zip(reported, features, strict=True)))
 
 
-def line(rng: np.random.Generator, count: int = 14, robot: RobotModel | None = None) -> Measured:
+def measured(taken: Sequence[Taken], T_flange_sensor: Array, lengths: tuple[float, ...] = (),
+             reference: tuple[float, ...] = ()) -> Measured:
+    """Return what was taken, samples or recordings."""
+    return Measured(tuple(t for t in taken if not isinstance(t, Pass)), T_flange_sensor, lengths,
+                    reference, tuple(t for t in taken if isinstance(t, Pass)))
+
+
+def line(rng: np.random.Generator, count: int = 14, robot: RobotModel | None = None,
+         take: Take = stations) -> Measured:
     """Return a straight edge."""
     scenario = replace(SCENARIOS['line'], stations=(count, 0), robot=robot or RobotModel())
-    X = sensor_on_flange(rng)
-    return Measured((stations(scenario, X, somewhere(rng), rng),), X)
+    X, T = sensor_on_flange(rng), somewhere(rng)
+    return measured([take(scenario, X, T, SCENES['line'].stops(scenario, rng), rng)], X)
 
 
-def planes(rng: np.random.Generator, places: Array, count: int = 20,
-           robot: RobotModel | None = None) -> tuple[tuple[tuple[Sample, ...], ...], Array]:
-    """Return planes at places (k, 4, 4) in the artefact: samples of each, T_flange_sensor."""
-    target = PlateTarget((0.2, 0.15), table=None)
+def planes(rng: np.random.Generator, places: Array, lengths: tuple[float, ...] = (),
+           count: int = 20, robot: RobotModel | None = None, take: Take = stations) -> Measured:
+    """Return planes at places (k, 4, 4) in the artefact, each in a bag."""
+    target = PlateTarget((0.2, 0.15), table=None, clutter=None)
     scenario = replace(SCENARIOS['plane'], target=target, stations=(count, 0), tilt=TILT,
                        robot=robot or RobotModel())
     X, T = sensor_on_flange(rng), somewhere(rng)
-    return tuple(stations(scenario, X, T @ place, rng) for place in places), X
+    return measured([take(scenario, X, T @ place, SCENES['plane'].stops(scenario, rng), rng)
+                     for place in places], X, lengths)
 
 
 def plane(rng: np.random.Generator, **values: object) -> Measured:
     """Return a flat face."""
-    bags, X = planes(rng, np.eye(4)[None], **values)  # type: ignore[arg-type]
-    return Measured(bags, X)
+    return planes(rng, np.eye(4)[None], **values)  # type: ignore[arg-type]
 
 
 def step_block(rng: np.random.Generator, heights: tuple[float, ...] = (0.025, 0.05, 0.1),
@@ -102,8 +115,7 @@ def step_block(rng: np.random.Generator, heights: tuple[float, ...] = (0.025, 0.
     turn = np.eye(4)
     turn[:3, :3] = Rotation.from_euler('zyx', [[0, 0, 0], [0, np.pi / 2, 0], [0, 0, np.pi / 2]][
         int(rng.integers(3))]).as_matrix()
-    bags, X = planes(rng, turn @ places, **values)  # type: ignore[arg-type]
-    return Measured(bags, X, heights)
+    return planes(rng, turn @ places, heights, **values)  # type: ignore[arg-type]
 
 
 def square(rng: np.random.Generator, **values: object) -> Measured:
@@ -111,23 +123,23 @@ def square(rng: np.random.Generator, **values: object) -> Measured:
     places = np.repeat(np.eye(4)[None], 2, axis=0)
     places[1, :3, :3] = Rotation.from_euler('x', np.pi / 2).as_matrix()
     places[1, :3, 3] = [0, 0.15, 0]
-    bags, X = planes(rng, places, **values)  # type: ignore[arg-type]
-    return Measured(bags, X)
+    return planes(rng, places, **values)  # type: ignore[arg-type]
 
 
 def ball_bar(rng: np.random.Generator, balls: int = 2, length: float = 0.2, radius: float = 0.02,
-             count: int = 14, robot: RobotModel | None = None) -> Measured:
+             count: int = 14, robot: RobotModel | None = None, take: Take = stations) -> Measured:
     """Return balls in a row (one: a sphere)."""
     scenario = replace(SCENARIOS['sphere'], target=SphereTarget(radius, table=None,
                                                                 clutter=False),
                        stations=(count, 0), robot=robot or RobotModel())
     X, T = sensor_on_flange(rng), somewhere(rng)
-    bags = []
+    taken = []
     for k in range(balls):
         place = np.eye(4)
         place[0, 3] = k * length
-        bags.append(stations(scenario, X, T @ place, rng))
-    return Measured(tuple(bags), X, (length,) * (balls - 1))
+        stops = SCENES['sphere'].stops(scenario, rng)
+        taken.append(take(scenario, X, T @ place, stops, rng))
+    return measured(taken, X, (length,) * (balls - 1))
 
 
 def sphere(rng: np.random.Generator, **values: object) -> Measured:
@@ -135,26 +147,34 @@ def sphere(rng: np.random.Generator, **values: object) -> Measured:
     return ball_bar(rng, balls=1, **values)  # type: ignore[arg-type]
 
 
-def fixed_point(rng: np.random.Generator, count: int = 12, aim: float = AIM,
-                robot: RobotModel | None = None) -> Measured:
-    """Return the corner of a plate, which the laser is put to with some error."""
-    scenario = replace(SCENARIOS['line'], stations=(count, 0), robot=robot or RobotModel())
-    X, T_base_target = sensor_on_flange(rng), somewhere(rng)
-    drawn = SCENES['line'].stops(scenario, rng)
-    R, points = drawn.T_target_sensor[:, :3, :3], drawn.points
-    inside = np.column_stack([points[:, 0], np.zeros(count), points[:, 1]])
-    T = se3.transform(R, -(R @ inside[:, :, None])[:, :, 0] + aim * rng.normal(size=(count, 3)))
-    stops = Stops(T, drawn.labels, points)
-    std = scenario.sensor.noise / np.sqrt(scenario.profiles_per_stop)
-    truth = T_base_target @ stops.T_target_sensor @ se3.inverse(X)
+def at_corner(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
+              rng: np.random.Generator) -> tuple[Sample, ...]:
+    """Return the samples of stops whose edge point is the corner of a plate, like stations()."""
+    truth = T_base_target @ stops.T_target_sensor @ se3.inverse(T_flange_sensor)
     reported = cells.perturbed(truth, cells.robot_error(scenario.robot, truth, rng))
+    std = scenario.sensor.noise / np.sqrt(scenario.profiles_per_stop)
     samples = []
     for k, pose in enumerate(reported):
-        e = rng.normal(size=2) * std
-        edge = EdgePoint(points[k] + e, np.array([1.0, 0.0]), float(std), float(std))
-        face = FaceLine(points[k] - [5e-3, 0], np.array([1.0, 0.0]), 3e-3, float(std))
+        point = stops.points[k] + rng.normal(size=2) * std
+        edge = EdgePoint(point, np.array([1.0, 0.0]), float(std), float(std))
+        face = FaceLine(stops.points[k] - [5e-3, 0], np.array([1.0, 0.0]), 3e-3, float(std))
         samples.append(Sample(k * 2_000_000_000, pose, (face, edge)))
-    return Measured((tuple(samples),), X, reference=tuple(map(float, T_base_target[:3, 3])))
+    return tuple(samples)
+
+
+def fixed_point(rng: np.random.Generator, count: int = 12, aim: float = AIM,
+                robot: RobotModel | None = None, take: Take = at_corner) -> Measured:
+    """Return the corner of a plate, which the laser is put to with some error, over the face."""
+    scenario = replace(SCENARIOS['line'], stations=(count, 0), robot=robot or RobotModel(),
+                       target=PlateTarget(clutter=None))
+    X, T = sensor_on_flange(rng), somewhere(rng)
+    points = SCENES['line'].stops(scenario, rng).points
+    R = INTO_CORNER @ tilts(scenario, rng, (count,))
+    off = aim * rng.normal(size=(count, 3))
+    place = off - (R @ lift(points)[:, :, None])[:, :, 0]
+    stops = Stops(se3.transform(R, place), ('p',) * count, points)
+    return measured([take(scenario, X, T, stops, rng)], X, reference=tuple(
+        map(float, T[:3, 3])))
 
 
 def tooth(rng: np.random.Generator, sensor: SensorModel = PLAIN, robot: RobotModel | None = None

@@ -18,6 +18,7 @@ from handeye_ros.simulate.recording import simulate
 from handeye_ros.simulate.scenario import RobotModel, Scenario, SensorModel, SphereTarget
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
+from handeye_ros.simulate.stations import Stops
 from handeye_ros.simulate.tooth import Gauge, Pass, scan_gauge
 import numpy as np
 
@@ -51,17 +52,19 @@ def measuring_cell(rng: np.random.Generator, columns: int = 1280) -> MeasuringCe
     for k in range(2):
         place = np.eye(4)
         place[0, 3] = k * BAR
-        recordings[f'ball_{k + 1}'] = _stops(wide, X, T_bar @ place, rng, 1000.0 * (k + 1))
+        stops = SCENES[wide.scene].stops(wide, rng)
+        recordings[f'ball_{k + 1}'] = rendered(wide, X, T_bar @ place, stops, rng,
+                                               1000.0 * (k + 1))
     passes = scan_gauge(gauge, X, somewhere(rng), sensor, robot, rng)
     recordings |= {f'pass_{k + 1}': part for k, part in enumerate(passes)}
     return MeasuringCell(recordings, X, BALL.radius, BAR, gauge)
 
 
-def _stops(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array,
-           rng: np.random.Generator, start: float) -> Pass:
-    """Return what is recorded at the stops of a scenario; nothing of the ways between them."""
+def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
+             rng: np.random.Generator, start: float = 0.0) -> Pass:
+    """Return what is recorded at stops, from a time on (s); nothing of the ways between them."""
     scene, sensor, robot = SCENES[scenario.scene], scenario.sensor, scenario.robot
-    T_target_sensor = scene.stops(scenario, rng).T_target_sensor
+    T_target_sensor = stops.T_target_sensor
     T = T_base_target @ T_target_sensor @ se3.inverse(T_flange_sensor)
     T = cells.perturbed(T, cells.robot_error(robot, T, rng))
     z, angle = sensors.render(sensor, scene.solids(scenario), T_target_sensor)

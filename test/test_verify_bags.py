@@ -1,0 +1,74 @@
+"""Every routine on recordings of rendered profiles, from the bag to the verdict."""
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+from handeye_ros import se3
+from handeye_ros.cli import app
+from handeye_ros.config import Config, flatten
+from handeye_ros.data import Calibration, Quality
+from handeye_ros.measure.routines import ROUTINES
+from handeye_ros.results.calibration_file import write_calibration
+from handeye_ros.ros.bags import bag_write
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from typer.testing import CliRunner
+import yaml
+
+ROOT = Path(__file__).parents[1]
+spec = importlib.util.spec_from_file_location('bench_verify', ROOT / 'bench' / 'verify.py')
+bench = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(bench)
+
+WRONG = np.array([6e-4, -6e-4, 6e-4, 5e-3, 5e-3, 5e-3])  # 1 mm and 0.5 degrees
+
+
+def options(name, made):
+    """Return what the command is told of the artefact."""
+    found = [word for length in made.lengths for word in ('--length', length)]
+    if name in ('sphere', 'ball_bar'):
+        found += ['--radius', bench.RADIUS]
+    if name == 'point':
+        found += ['--reference', *made.reference, '--aim', bench.FINE_AIM]
+    return list(map(str, found))
+
+
+def within(told):
+    """Tell whether the values, or the RMS, lie in their 95 % region."""
+    if not told['freedom']:
+        return told['scatter']['rms'] <= told['scatter']['expected']
+    return told['region'] <= chi2.ppf(0.95, told['freedom'])
+
+
+def verdicts(name: str, seed: int, folder: Path):
+    """Return what `handeye verify` says of a right calibration, and of a wrong one."""
+    rng = np.random.default_rng(seed)
+    made = bench.RENDERED[name](rng)
+    bags = [folder / f'bag_{k}' for k in range(len(made.passes))]
+    for bag, part in zip(bags, made.passes, strict=True):
+        bag_write.write(bag, part.profiles, part.poses)
+    X = se3.perturb(made.T_flange_sensor, bench.STD * rng.normal(size=6))
+    for T, file in ((X, 'right'), (se3.perturb(X, WRONG), 'wrong')):
+        write_calibration(Calibration(
+            file, 'plate', 'flange', 'laser', T, np.diag(bench.STD ** 2), {},
+            Quality(0, 0, 0.0, 0.0, '', 0.0), (),
+            {'config': flatten(Config(noise=bench.NOISE))}), folder / f'{file}.yaml')
+        run = CliRunner().invoke(app, ['verify', name, *map(str, bags), '--calibration',
+                                       str(folder / f'{file}.yaml'), '--out',
+                                       str(folder / 'told.yaml'), *options(name, made)])
+        assert run.exit_code == 0, (run.output, run.exception)
+        yield yaml.safe_load((folder / 'told.yaml').read_text())
+
+
+def test_every_routine_has_recordings() -> None:
+    assert bench.RENDERED.keys() == ROUTINES.keys()
+
+
+@pytest.mark.parametrize('name', bench.RENDERED)
+def test_on_bags(tmp_path: Path, name: str) -> None:
+    right, wrong = verdicts(name, 2, tmp_path)
+    assert within(right), right
+    assert right['verdict'] == 'pass', right['reasons']
+    assert wrong['verdict'] == 'fail'
