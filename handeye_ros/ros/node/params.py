@@ -1,8 +1,8 @@
 """
-The parameters of the node: those of config.py, declared so that they explain themselves.
+The parameters of the node: those of config/, declared so that they explain themselves.
 
 `ros2 param describe /handeye noise.sensor` prints the description and the range. Types are
-dynamic, so that 3 is taken where 3.0 is meant; config.py checks every value.
+dynamic, so that 3 is taken where 3.0 is meant; config/ checks every value.
 """
 from __future__ import annotations
 

@@ -1,0 +1,34 @@
+"""
+The configuration: every default, its range and its description, in one place.
+
+A dotted key (`noise.sensor`) is a ROS parameter of the node, a key of the YAML files in
+config/ and a `--set` key of the command line alike. Metres, radians and seconds throughout.
+"""
+from handeye_ros.config.answer import (
+    GuidanceConfig,
+    LimitsConfig,
+    PageConfig,
+    SAVE_FORMATS,
+    SaveConfig,
+    VerifyConfig,
+)
+from handeye_ros.config.cell import (
+    NoiseConfig,
+    ProfileConfig,
+    SamplesConfig,
+    SamplingConfig,
+    SIGNED_AXES,
+    TargetConfig,
+    TrackerConfig,
+)
+from handeye_ros.config.files import EVERY_NODES, load, NODE
+from handeye_ros.config.keys import Config, flatten, parameters, UNNAMED_FRAME
+from handeye_ros.config.parameter import Parameter
+from handeye_ros.config.plain_yaml import yaml_content
+from handeye_ros.config.values import flipped_range, with_assignments, with_values
+
+__all__ = [
+    'Config', 'EVERY_NODES', 'GuidanceConfig', 'LimitsConfig', 'NODE', 'NoiseConfig', 'PageConfig',
+    'Parameter', 'ProfileConfig', 'SAVE_FORMATS', 'SIGNED_AXES', 'SamplesConfig', 'SamplingConfig',
+    'SaveConfig', 'TargetConfig', 'TrackerConfig', 'UNNAMED_FRAME', 'VerifyConfig', 'flatten',
+    'flipped_range', 'load', 'parameters', 'with_assignments', 'with_values', 'yaml_content']

@@ -1,0 +1,42 @@
+"""A key of the configuration: how it is declared, and what it is once it is listed."""
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields, is_dataclass
+import re
+from typing import Any
+
+
+def key(default: Any, description: str, **limits: Any) -> Any:
+    """Declare a key; limits: minimum, maximum (numbers), choices (strings)."""
+    return field(default=default, metadata={'description': description, **limits})
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A dotted key with its default and what may be put there."""
+
+    key: str
+    default: Any
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[Any, ...] = ()
+    length: tuple[int, ...] = ()  # of a list; empty: any
+    whole: bool = False  # a list of whole numbers
+
+    @property
+    def unit(self) -> str:
+        """Return the unit that the description names, empty if none."""
+        found = re.search(r'\((m|rad|s)\)|\bin (m|s)\b', self.description)
+        return '' if found is None else found[1] or found[2]
+
+
+def parameters_of(part: Any, prefix: str) -> Iterable[Parameter]:
+    """Yield the keys of a section and of those in it; prefix: before their names."""
+    for item in fields(part):
+        value = getattr(part, item.name)
+        if is_dataclass(value):
+            yield from parameters_of(value, f'{prefix}{item.name}.')
+        else:
+            yield Parameter(f'{prefix}{item.name}', value, **item.metadata)

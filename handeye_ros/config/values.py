@@ -1,0 +1,117 @@
+"""Values put in for keys, in their types; what does not fit is refused."""
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+import math
+from typing import Any
+
+from handeye_ros.config.keys import Config, parameters
+from handeye_ros.config.parameter import Parameter
+from handeye_ros.config.plain_yaml import yaml_content
+from handeye_ros.errors import BadValueError, InputError, UnknownKeyError
+import yaml
+
+
+def with_values(config: Config, values: Mapping[str, Any], source: str) -> Config:
+    """
+    Return config with values by dotted key put in.
+
+    source: what the values come from, for the message.
+    Raises UnknownKeyError and BadValueError.
+    """
+    known = {p.key: p for p in parameters()}
+    for key, value in values.items():
+        if key not in known:
+            raise UnknownKeyError(key, list(known), source)
+        config = _put(config, key.split('.'), _checked(known[key], value))
+    return config
+
+
+def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
+    """Return config with `key=value` texts (values in YAML) put in."""
+    for text in assignments:
+        key, equals, value = text.partition('=')
+        if not equals:
+            raise InputError(f'"{text}" is not of the form key=value')
+        try:
+            parsed = yaml_content(value)
+        except yaml.YAMLError as error:
+            raise InputError(f'the value in "{text}" is not valid YAML') from error
+        config = with_values(config, {key.strip(): parsed}, '--set')
+    return config
+
+
+def flipped_range(config: Config) -> Config:
+    """Return the configuration with profile.range_sign the other way."""
+    return replace(config, profile=replace(config.profile, range_sign=-config.profile.range_sign))
+
+
+def _put(part: Any, names: list[str], value: Any) -> Any:
+    if len(names) > 1:
+        value = _put(getattr(part, names[0]), names[1:], value)
+    return replace(part, **{names[0]: value})
+
+
+def _checked(parameter: Parameter, value: Any) -> Any:
+    """Return the value in the type of the parameter's default, or raise BadValueError."""
+    if isinstance(parameter.default, tuple):
+        return _checked_list(parameter, [] if value is None else value)
+    kind = type(parameter.default)
+    if value is None and kind is str:
+        value = ''
+    elif kind is float:
+        value = _number(value)
+    if type(value) is not kind or (kind is float and not math.isfinite(value)):
+        raise BadValueError(parameter.key, value, f'a value of type {kind.__name__}')
+    if kind is str:
+        _check_text(parameter, value)
+    _check_limits(parameter, value)
+    return value
+
+
+def _number(value: Any) -> Any:
+    """Return a whole number, or a text such as 3e-5 (to YAML no number), as a float."""
+    try:
+        return float(value) if type(value) in (int, str) else value
+    except ValueError:
+        return value
+
+
+def _check_text(parameter: Parameter, value: str) -> None:
+    """Refuse texts that nobody can read, and empty ones where a name is needed."""
+    if not value.isprintable() or value != value.strip():
+        raise BadValueError(parameter.key, value,
+                            'a text without control characters, or blanks around it')
+    if parameter.default and not value:
+        raise BadValueError(parameter.key, value, f'a text such as {parameter.default}')
+
+
+def _checked_list(parameter: Parameter, value: Any) -> tuple[Any, ...]:
+    if (not isinstance(value, list | tuple)
+            or parameter.length and len(value) not in parameter.length):
+        lengths = ' or '.join(map(str, parameter.length)) or 'any number of'
+        raise BadValueError(parameter.key, value, f'a list of {lengths} values')
+    if parameter.whole:
+        if any(type(item) is not int for item in value):
+            raise BadValueError(parameter.key, value, 'a list of whole numbers')
+    elif not parameter.choices:
+        value = [_number(item) for item in value]
+        for item in value:
+            if type(item) not in (int, float) or not math.isfinite(item):
+                raise BadValueError(parameter.key, value, 'a list of numbers')
+    for item in value:
+        _check_limits(parameter, item)
+    if parameter.key == 'profile.axes' and value[0][-1] == value[1][-1]:
+        raise BadValueError(parameter.key, list(value), 'two different axes')
+    return tuple(value)
+
+
+def _check_limits(parameter: Parameter, value: Any) -> None:
+    if parameter.choices and value not in parameter.choices:
+        expected = 'one of ' + ', '.join(map(str, parameter.choices))
+        raise BadValueError(parameter.key, value, expected)
+    low, high = parameter.minimum, parameter.maximum
+    if low is not None and high is not None and not low <= value <= high:
+        raise BadValueError(parameter.key, value,
+                            f'a number from {low:g} to {high:g} {parameter.unit}'.rstrip())
