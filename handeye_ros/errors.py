@@ -1,5 +1,5 @@
 """
-Everything that can go wrong for a user's reason; each error builds its own message.
+The parents of all refusals, and those that several stages share; each builds its own message.
 
 A message says what is wrong, why it matters or how it was seen, and what to do. The exit
 code is that of the command line: 2 for wrong usage or unreadable input, 3 for data that

@@ -38,19 +38,24 @@ def test_the_verbs() -> None:
     there = typer.main.get_command(app).commands  # type: ignore[attr-defined]
     verbs = {name.removeprefix('handeye ') for name in names(section(
         'Verbs of the command line'))}
-    assert verbs <= set(there)
+    assert verbs == set(there)
 
 
 def test_the_executables() -> None:
     setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
     listed = {name.rsplit(' ', 1)[1] for name in names(section('Executables'))}
-    assert listed <= set(re.findall(r"'(\w+) = handeye_ros\.", setup))
+    assert listed == set(re.findall(r"'(\w+) = handeye_ros\.", setup))
+
+
+def test_the_launch_files() -> None:
+    listed = {name for name in names(section('Launch files')) if name.endswith('.launch.py')}
+    assert listed == {file.name for file in (ROOT / 'launch').glob('*.launch.py')}
 
 
 def test_the_keys_and_targets() -> None:
     keys, targets = section('Keys').split('Targets:')
     known = {parameter.key for parameter in configs.parameters()}
-    assert set(names(keys)) <= known
+    assert set(names(keys)) == known
     assert set(names(targets)) == METHODS.keys() | FILE_METHODS.keys()
 
 

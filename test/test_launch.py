@@ -130,7 +130,7 @@ def test_every_argument_is_explained(file: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_the_executables_are_installed() -> None:
     text = (ROOT / 'setup.py').read_text()
-    assert all(f"'{name} = handeye_ros." in text for name in ('calibrate', 'publish', 'replay'))
+    assert all(f"'{name} = handeye_ros." in text for name in EXECUTABLES)
 
 
 def test_by_default_only_the_node_starts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,3 +201,42 @@ def test_publish_takes_paths_with_blanks(monkeypatch: pytest.MonkeyPatch) -> Non
     paths = ['/a/calibration.yaml', '/with blank/b']
     (node,) = nodes('publish', monkeypatch, calibrations=shlex.join(paths))
     assert (node.executable, node.arguments) == ('publish', paths)
+
+
+def test_scan_sets_keys_that_exist_and_hands_on_the_options(monkeypatch: pytest.MonkeyPatch
+                                                            ) -> None:
+    (node,) = nodes('scan', monkeypatch, calibration='/with blank/result', use_sim_time='true',
+                    profile_topic='/scan', pose_source='tf', base_frame='base_link',
+                    options='--std --range 0.15 0.2')
+    assert (node.name, node.executable) == ('handeye_scan', 'scan')
+    assert node.arguments == ['/with blank/result', '--set', 'profile_topic=/scan', '--set',
+                              'pose_source=tf', '--set', 'robot_base_frame=base_link',
+                              '--std', '--range', '0.15', '0.2']
+    assert node.parameters == [{'use_sim_time': True}]
+    set_here = [word for word in node.arguments if '=' in word]
+    assert config.with_assignments(config.Config(), set_here).pose_source == 'tf'
+
+
+@pytest.mark.ros
+def test_a_bag_is_scanned_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pytest.importorskip('rclpy', reason='needs rclpy')
+    from command import running
+    from handeye_ros.results.calibration_file import write_calibration
+    from ros_helpers import Client
+    from sensor_msgs.msg import PointCloud2
+    from test_scan import calibration
+    write_calibration(calibration(), tmp_path / 'calibration.yaml')
+    started = nodes('scan', monkeypatch, calibration=str(tmp_path), namespace='cell', rate='20',
+                    bag=str(ROOT / 'bags' / 'plate'), profile_topic='/profile',
+                    pose_topic='/flange_pose', options='--std')
+    got: list[PointCloud2] = []
+    with ExitStack() as stack:
+        client = Client()
+        stack.callback(client.close)
+        client.node.create_subscription(PointCloud2, '/cell/handeye_scan/points', got.append, 100)
+        for each in started:
+            stack.enter_context(running(command(each, tmp_path), cwd=ROOT,
+                                        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
+        client.until(lambda: sum(cloud.width for cloud in got) > 1000, 'points came')
+    assert [field.name for field in got[0].fields][:3] == ['x', 'y', 'z']
+    assert 'std' in [field.name for field in got[0].fields]
