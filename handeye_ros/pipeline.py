@@ -32,6 +32,7 @@ from handeye_ros.guidance import advice
 from handeye_ros.results.outcome import describe_calibration, mounted
 from handeye_ros.results.report.evidence import Evidence, judged
 from handeye_ros.sampling.all_edges import judged_together
+from handeye_ros.sampling.clocks import require_same_clock
 from handeye_ros.sampling.looks import looks
 from handeye_ros.sampling.session import Session
 import numpy as np
@@ -51,12 +52,25 @@ def calibrate(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config
 
 def calibrate_session(session: Session, config: Config) -> Calibration:
     """Return the calibration from the samples of a session; raises DataError without one."""
-    session.require_stations()
-    calibration = solve(session.samples, session.rejects, config, session.frame_id)
+    calibration = solve_session(session, config)
     if not session.warnings:
         return calibration
     provenance = {**calibration.provenance, 'warnings': list(session.warnings)}
     return replace(calibration, provenance=provenance)
+
+
+def solve_session(session: Session, config: Config) -> Calibration:
+    """
+    Return the calibration from the samples of a session, as solve does.
+
+    Raises DataError without one: of the clocks where these explain why the samples do not fit.
+    """
+    session.require_stations()
+    try:
+        return solve(session.samples, session.rejects, config, session.frame_id)
+    except DataError:
+        require_same_clock(session, config)
+        raise
 
 
 def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: Config) -> Session:
@@ -93,7 +107,7 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     ordered, at_border = judged_together(sorted(samples, key=lambda sample: sample.stamp))
     rejects = [*rejects, *at_border]
     agreed, solution = estimate(ordered, rejects, config)
-    require_certain(solution, config)
+    require_certain(agreed, config)
     require_judged(agreed)
     require_edges(agreed)
     calibration = describe_calibration(ordered, rejects, agreed, solution, config, frame_id)

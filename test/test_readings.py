@@ -3,7 +3,7 @@ from dataclasses import replace
 
 from handeye_ros import config as configs
 from handeye_ros import pipeline
-from handeye_ros.checks.errors import RangeSignError, ScaleError, TooFewConditionsError
+from handeye_ros.checks.errors import RangeSignError, ScaleError
 from handeye_ros.config import Config
 from handeye_ros.simulate import SCENARIOS, simulate, simulate_samples
 from handeye_ros.simulate.settings import settings
@@ -20,7 +20,7 @@ def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
         pipeline.calibrate(made.profiles, made.poses, configs.flipped_range(right))
 
 
-@pytest.mark.parametrize('target', ['plate', 'sphere'])
+@pytest.mark.parametrize('target', ['plate', 'sphere', 'line', 'plane', 'wedge'])
 @pytest.mark.parametrize('scale', [0.98, 1.02])
 def test_lengths_that_differ_are_named(target: str, scale: float) -> None:
     scenario = SCENARIOS[target]
@@ -31,10 +31,7 @@ def test_lengths_that_differ_are_named(target: str, scale: float) -> None:
         T[:3, 3] *= scale
         stretched.append(replace(sample, T_base_flange=T))
     config = configs.with_values(Config(), settings(scenario), 'the test')
-    # where a scale can be told from nothing else that is wrong, it is named
-    with pytest.raises((ScaleError, TooFewConditionsError)) as refusal:
+    with pytest.raises(ScaleError) as refusal:
         pipeline.solve(stretched, (), config, 'laser')
-    if isinstance(refusal.value, TooFewConditionsError):
-        return
     told = float(str(refusal.value).split('differ by ')[1].split(' ')[0])
-    assert told == pytest.approx(2.0, abs=0.8)
+    assert told == pytest.approx(2.0, abs=0.3)

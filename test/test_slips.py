@@ -196,3 +196,4 @@ def test_a_sphere_of_another_radius_than_told_is_noticed() -> None:
         answer = pipeline.solve(made.samples, [], made.config, 'laser')
         assert answer.target['radius'] == pytest.approx(0.04, abs=5 * answer.target['radius_std'])
         assert answer.target['radius_std'] < 1e-5
+        assert ('note' in answer.target) == bool(told)

@@ -4,6 +4,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from handeye_ros.checks.errors import ContradictingStationsError, InconsistentError, ScatterError
+from handeye_ros.checks.motion import require_certain
 from handeye_ros.checks.moved import require_unmoved
 from handeye_ros.checks.shape import require_not_only_scale
 from handeye_ros.config import LimitsConfig
@@ -53,14 +54,15 @@ def require_consistent(problem: Problem, agreed: Consensus) -> None:
     """
     Refuse an answer that samples or poses contradict.
 
-    Raises MovedError, ScaleError, InconsistentError, ContradictingStationsError or
-    ScatterError.
+    Where the poses turn too little to tell anything, that is said, and not what may follow from
+    it. Raises TooUncertainError, MovedError, ScaleError, InconsistentError,
+    ContradictingStationsError or ScatterError.
     """
     misfit = misfit_of(problem, agreed)
     if misfit.hopeless:
+        require_certain(agreed, problem.config)
         require_unmoved(problem, agreed)
-    if misfit.hopeless or misfit.variance_factor > SUSPICIOUS:
-        require_not_only_scale(agreed.solution)
+    require_not_only_scale(agreed.solution)
     if misfit.rms > misfit.limits.residual:
         raise InconsistentError(misfit.rms, misfit.limits.residual)
     if misfit.share > LARGEST_DROPPED_SHARE:

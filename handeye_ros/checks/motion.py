@@ -115,22 +115,23 @@ def worst_rotation(covariance: Array) -> tuple[float, Array]:
     return float(np.sqrt(values[2])), vectors[:, 2]
 
 
-def require_certain(solution: Solution, config: Config) -> None:
+def require_certain(agreed: Consensus, config: Config) -> None:
     """
-    Refuse a solution that is less certain than the limits.
+    Refuse an answer that is less certain than the limits.
 
     Raises TooUncertainError, which names the direction and the motion that is missing.
     """
+    solution, poses = agreed.solution, agreed.whole.poses
     limits, frame = config.limits, mount_frame(config)
     turn_std, axis = worst_rotation(solution.covariance)
     if turn_std > limits.rotation:
         raise TooUncertainError.rotation(name_direction(axis, frame), turn_std, limits.rotation,
-                                         missing_motion(solution.problem.poses, frame))
+                                         missing_motion(poses, frame))
     shift_std, direction = worst_translation(solution.covariance)
     if shift_std > limits.translation:
         raise TooUncertainError.translation(name_direction(direction, frame), shift_std,
                                             limits.translation,
-                                            missing_motion(solution.problem.poses, frame))
+                                            missing_motion(poses, frame))
 
 
 def require_judged(agreed: Consensus) -> None:

@@ -14,15 +14,18 @@ from handeye_ros.estimation.doubts import Doubt, tolerances
 from handeye_ros.estimation.method import ENDS
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus, consensus
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solve import redundancy, Solution
 from handeye_ros.estimation.weights import whitening
 import numpy as np
+from scipy.stats import f as f_distribution
 
 CONTRADICTION = 4.0  # sigmas
 DOUBTFUL = 4.0  # variance factor from which another shape is tried from the start
 CONVINCING = 4.0  # by which it must lower it
 LARGEST_CHANGE = 0.5  # of a stated measure, relative: more is no tolerance but another target
-LARGEST_SCALE_ERROR = 2e-2  # of the robot's lengths, of an answer that can be used
+LARGEST_SCALE_ERROR = 5e-2  # of the robot's lengths: more is another unit, or a wrong answer
+MOST = 0.5  # of the squared residuals
+CHANCE = 1e-5  # of naming a scale that is none
 SMALLEST_SCALE_ERROR = 2e-3  # that is named as what is wrong
 ROUNDING = 1e-12  # of the squared effect of a scale: less is none
 TOLD = 0.5  # sigma over prior sigma below which a doubt is worth telling
@@ -69,18 +72,18 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
 def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
     """Yield the measures of the target that are not as the configuration states them."""
     stated = tolerances(replace(solution.problem, config=config))
-    labels, target = solution.problem.method.labels, solution.estimate.target
+    method, target = solution.problem.method, solution.estimate.target
+    labels = method.labels
     for doubt, _, std, z in sizes(solution):
         if doubt.parameter is not None and abs(z) > CONTRADICTION:
             i = doubt.parameter - len(labels)
             offset = _value(solution, doubt)
             yield Shape(doubt.name, float(target[i]) - offset, float(target[i]), std)
-    free = solution.problem.columns[-1] - 6 == len(labels) - 1
-    if stated[-1] and free:  # given up to make the stations agree
-        first = float(solution.problem.method.configured(config)[-1])
-        std = float(solution.target_std[-1])
-        if abs(target[-1] - first) > CONTRADICTION * math.hypot(std, float(stated[-1])):
-            yield Shape(labels[-1], first, float(target[-1]), std)
+    given_up = method.free(solution.problem.config) & ~method.free(config)
+    for i in np.flatnonzero(given_up).tolist():  # to make the stations agree
+        first, std = float(method.configured(config)[i]), float(solution.target_std[i])
+        if abs(target[i - len(labels)] - first) > CONTRADICTION * math.hypot(std, stated[i]):
+            yield Shape(labels[i], first, float(target[i - len(labels)]), std)
 
 
 def sizes(solution: Solution) -> Iterator[tuple[Doubt, float, float, float]]:
@@ -157,11 +160,14 @@ def require_not_only_scale(solution: Solution) -> None:
     """
     Refuse a solution most of whose residuals one small scale error explains.
 
-    Raises ScaleError.
+    Doubts of the sensor and of the robot's positions could make much of it up, and the answer
+    would be wrong by as much of the lever. By an F-test. Raises ScaleError.
     """
     scale, std = scale_error(solution)
-    explained = (scale / std) ** 2 > 0.5 * float(solution.white @ solution.white)
-    std *= solution.variance_factor ** 0.5
-    if explained and max(CONTRADICTION * std, SMALLEST_SCALE_ERROR) < abs(
-            scale) < LARGEST_SCALE_ERROR:
-        raise ScaleError(abs(scale), std)
+    total = float(solution.white @ solution.white)
+    explained, freedom = (scale / std) ** 2, max(redundancy(solution), 1)
+    left = max(total - explained, 0.0)
+    if explained < MOST * total or not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
+        return
+    if explained > left * float(f_distribution.isf(CHANCE, 1, freedom)) / freedom:
+        raise ScaleError(abs(scale), std * (left / max(solution.degrees_of_freedom, 1)) ** 0.5)

@@ -156,7 +156,7 @@ def _believed(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Conf
     known = Known(solution.problem, solution.estimate, solution.noise)
     stations = Stations(tuple(ordered[i] for i in agreed.used), config, known)
     try:
-        require_certain(solution, config)
+        require_certain(agreed, config)
     except DataError as error:
         return stations, error
     return stations, None

@@ -53,11 +53,12 @@ def fitted(problem: Problem, start: Estimate, noise: Noise) -> Estimate:
     return least_squares(system(problem, noise), start)
 
 
-def best_of(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
+def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:
     """
     Return the estimates that the starts lead to, best first, poor ones given up early.
 
-    Plain residuals decide: far from the solution they say more than whitened ones.
+    more: times as many go on. Plain residuals decide: far from the solution they say more than
+    whitened ones.
     """
     survivors, plain = list(starts), system(problem, None)
     few = len(problem.poses) <= FEW_STATIONS
@@ -65,7 +66,7 @@ def best_of(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
         kept = max(kept, MORE_STARTS) if few else kept
         survivors = [least_squares(plain, start, iterations=iterations, converged=SOME_START)
                      for start in survivors]
-        survivors = sorted(survivors, key=lambda estimate: cost(problem, estimate))[:kept]
+        survivors = sorted(survivors, key=lambda e: cost(problem, e))[:more * kept]
     return survivors
 
 

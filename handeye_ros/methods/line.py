@@ -115,7 +115,7 @@ def guess(observations: Observations, poses: Array, config: Config, rng: np.rand
     problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
     for parts, finer in ((_same_side, 1), (_other_choices, 1), (_same_side, FINER)):
         found = (e for part in parts(problem)
-                 for e in best_of(part, linear_candidates(part, finer)))
+                 for e in best_of(part, linear_candidates(part, finer), finer))
         for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
             yield _with_face(observations, poses, e) if config.target.use_face else e
 

@@ -77,7 +77,7 @@ def guess(observations: Observations, poses: Array, config: Config, rng: np.rand
     problem = Problem(PLANE, poses, observations, config)
     problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
     for finer in (1, FINER):
-        yield from best_of(problem, linear_candidates(problem, finer))
+        yield from best_of(problem, linear_candidates(problem, finer), finer)
 
 
 def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:

@@ -89,7 +89,7 @@ def guess(observations: Observations, poses: Array, config: Config, rng: np.rand
     chosen = some_stations(len(poses), GUESS_STATIONS, rng)
     problem = Problem(SPHERE, poses, observations, config).subset(chosen)
     for finer in (1, FINER):
-        yield from best_of(problem, _candidates(problem, config.target.radius, finer))
+        yield from best_of(problem, _candidates(problem, config.target.radius, finer), finer)
 
 
 def _candidates(problem: Problem, radius: float, finer: int) -> list[Estimate]:

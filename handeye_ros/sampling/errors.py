@@ -121,6 +121,20 @@ class ClocksApartError(DataError):
                          'clocks of sensor and robot differ, or they were not recorded together')
 
 
+class ClocksDifferError(DataError):
+    """
+    Samples that fit the poses of another time.
+
+    late: by how much the profiles are (s); offset: time_offset as it is set.
+    """
+
+    def __init__(self, late: float, offset: float) -> None:
+        by = f'{abs(late):.1f} s {"late" if late > 0 else "early"}'
+        super().__init__(f'the samples do not fit the poses of their time, but as if the profiles '
+                         f'were {by}: the clocks of sensor and robot differ; set time_offset to '
+                         f'{offset - late:.1f} (it is {offset:g}), or give both the same clock')
+
+
 class ClearedError(DataError):
     """The samples were cleared while they were solved."""
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LARGEST_DISAGREEMENT = 5e-4  # between profiles of a robot that stands still (m)
+SMALLEST_DISAGREEMENT = 1e-4  # the same of arcs, beyond their scatter
 LEAST_AGREEING = 0.6  # of the profiles of a stop
 MOST_RAW = 50_000  # points of an arc that are held for its residuals: 0.8 MB of a sample
 
@@ -126,14 +127,22 @@ def _agreeing(values: Array, times: float, least: float, what: str) -> NDArray[n
 
 def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     """Return one arc from all points of the profiles of a station."""
-    radius = np.median([a.radius for a in arcs])
     centres = np.array([a.centre for a in arcs])
-    centre = np.median(centres, axis=0)
-    good = [a for a in arcs if abs(a.radius - radius) < 0.05 * radius
-            and np.linalg.norm(a.centre - centre) < 0.05 * radius]
-    if 2 * len(good) < len(arcs):
+    centre, radius = np.median(centres, axis=0), np.median([a.radius for a in arcs])
+    # the centre of a short arc is known less well than where its points are
+    away = np.array([_scatter(a, centre, radius) for a in arcs])
+    own = float(np.median([_scatter(a, a.centre, a.radius) for a in arcs]))
+    good = away < min(LARGEST_DISAGREEMENT, own + max(3.0 * own, SMALLEST_DISAGREEMENT))
+    if good.sum() < LEAST_AGREEING * len(arcs):
         raise DisagreeingProfilesError('where the sphere is',
                                        float(np.linalg.norm(np.ptp(centres, axis=0))))
-    arc = normal_points(np.concatenate([a.raw for a in good]))
+    used = [a.raw for a, believed in zip(arcs, good, strict=True) if believed]
+    arc = normal_points(np.concatenate(used))
     rows = np.linspace(0, len(arc.raw) - 1, min(len(arc.raw), MOST_RAW)).astype(int)
     return replace(arc, raw=arc.raw[rows])
+
+
+def _scatter(arc: Arc, centre: Array, radius: float) -> float:
+    """Return the RMS distance of an arc's points from a circle."""
+    off = np.linalg.norm(arc.raw - centre, axis=1) - radius
+    return float(np.sqrt((off ** 2).mean()))

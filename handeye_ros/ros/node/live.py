@@ -154,7 +154,7 @@ class LiveSession(LiveSamples):
         self.working = 'the calibration is computed'
         self.on_change()
         try:
-            found = pipeline.solve(session.samples, session.rejects, config, session.frame_id)
+            found = pipeline.solve_session(session, config)
         finally:
             self.working = ''
         inputs = [{'topic': config.profile_topic},

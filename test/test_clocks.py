@@ -1,0 +1,60 @@
+"""Clocks of sensor and robot that are apart are named, with the value that mends them."""
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+import re
+
+from handeye_ros import pipeline
+from handeye_ros.config import Config, with_values
+from handeye_ros.errors import DataError
+from handeye_ros.sampling.clocks import require_same_clock
+from handeye_ros.sampling.errors import ClocksDifferError
+from handeye_ros.simulate import SCENARIOS, settings, simulate, Simulated
+import numpy as np
+import pytest
+
+NS = 1_000_000_000
+
+
+@lru_cache(maxsize=2)
+def recorded(target: str) -> tuple[Simulated, Config]:
+    scenario = replace(SCENARIOS[target], sensor=replace(SCENARIOS[target].sensor, rate=20.0))
+    return (simulate(scenario, np.random.default_rng(1)),
+            with_values(Config(), settings(scenario), 'the test'))
+
+
+def solved_late(target: str, late: float) -> object:
+    made, config = recorded(target)
+    profiles = [replace(p, stamp=p.stamp + round(late * NS)) for p in made.profiles]
+    return pipeline.calibrate(profiles, made.poses, config)
+
+
+@pytest.mark.parametrize('target', ['plate', 'sphere'])
+@pytest.mark.parametrize('late', [0.7, 1.3, 2.2, -0.8, -1.8])
+def test_clocks_apart_are_told_and_mended(target: str, late: float) -> None:
+    with pytest.raises(ClocksDifferError, match='set time_offset to') as caught:
+        solved_late(target, late)
+    assert ('late' if late > 0 else 'early') in str(caught.value)
+    told = float(re.search('time_offset to ([-0-9.]+)', str(caught.value))[1])
+    assert told == pytest.approx(-late, abs=0.16)
+    assert solved_late(target, late + told)
+
+
+def test_the_offset_comes_on_top_of_the_one_that_is_set() -> None:
+    assert 'set time_offset to 0.7 (it is 2)' in str(ClocksDifferError(1.3, 2.0))
+
+
+def test_clocks_are_not_blamed_for_what_else_is_wrong() -> None:
+    made, config = recorded('plate')
+    wrong = [replace(p, quaternion=p.quaternion[[3, 0, 1, 2]]) for p in made.poses]
+    with pytest.raises(DataError, match='quaternions read as w x y z'):
+        pipeline.calibrate(made.profiles, wrong, config)
+    require_same_clock(pipeline.gather(made.profiles, made.poses, config), config)
+
+
+def test_a_stop_half_of_whose_arcs_moved_is_no_sample() -> None:
+    answer = solved_late('sphere', 0.3)
+    made, config = recorded('sphere')
+    good = pipeline.calibrate(made.profiles, made.poses, config)
+    assert answer.quality.residual_rms < 3 * good.quality.residual_rms
