@@ -8,7 +8,7 @@ from threading import Event
 
 from cells import recorded
 from command import PATIENCE
-from handeye_ros import pipeline
+from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError
@@ -19,8 +19,12 @@ from handeye_ros.ros.node.live_samples import MOST_STOPS
 from handeye_ros.ros.node.place import Place
 from handeye_ros.ros.node.telling import state_of
 from handeye_ros.sampling import stations
+from handeye_ros.sampling.errors import FlatCrossingError
 from handeye_ros.sampling.state import samples_message, status_message
 from handeye_ros.sampling.stream import MOST_REASONS
+from handeye_ros.simulate.measuring import rendered
+from handeye_ros.simulate.scenes import SCENES
+from handeye_ros.simulate.stations import lift, Stops
 import numpy as np
 import pytest
 
@@ -148,6 +152,32 @@ def test_what_changes_extraction_extracts_anew() -> None:
     changed(live, sampling__min_points=20)
     assert state_of(live).taken == taken
     assert np.array_equal(live.compute()[0].T_flange_sensor, fed().compute()[0].T_flange_sensor)
+
+
+def test_a_laser_almost_along_an_edge_is_refused_with_the_angle() -> None:
+    plate = recorded('plate')
+    live = fed(plate.config, plate)
+    taken = len(live.copied().outcomes)
+    # another stop of the same cell, turned about the range axis in the edge's point
+    scenario = replace(plate.scenario, stations=(1, 0))
+    stop = SCENES['plate'].stops(scenario, np.random.default_rng(1))
+    turn, point = se3.exp_rotation(np.array([0.0, 0.0, np.deg2rad(74)])), lift(stop.points)[0]
+    T = stop.T_target_sensor[0]
+    T = T @ se3.transform(turn, point - turn @ point)
+    flat = rendered(scenario, plate.truth.T_flange_sensor, plate.truth.T_base_target,
+                    Stops(T[None], stop.labels, stop.points), np.random.default_rng(2), 1000.0)
+    changed(live, sampling__mode='manual')
+    feed(live, [*flat.poses, *flat.profiles])
+    with pytest.raises(FlatCrossingError, match=r'crosses p at \d+ degrees, less than sampling.m'):
+        live.take_sample()
+    assert not state_of(live).attempt.accepted
+    changed(live, sampling__mode='still')
+    live.compute()  # for which the stop that the robot stands in is over
+    last = live.copied().outcomes[-1]
+    assert (last.sample, len(live.copied().outcomes)) == (None, taken + 1)
+    assert 'cannot count: turn the tool about the range axis' in state_of(live).attempt.text
+    changed(live, sampling__min_crossing_angle=0.1)
+    assert live.copied().outcomes[-1].sample is None  # refused for good: the robot has gone on
 
 
 def test_numbers_are_never_given_twice() -> None:

@@ -25,14 +25,16 @@ def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
         return ''
     return (f'the laser crosses {kind} at {np.degrees(angle):.0f} degrees, less than '
             f'sampling.min_crossing_angle ({np.degrees(config.sampling.min_crossing_angle):.0f} '
-            'degrees), so its edge point does not count: turn the tool about the range axis')
+            'degrees), so its edge point cannot count: turn the tool about the range axis')
 
 
 def _one_condition_each(problem: Problem) -> bool:
     """Tell whether an edge point fulfils one condition: its distance from an edge in a face."""
     of_edges = [problem.method.kinds.index(name) for name in problem.method.edges]
-    sources = problem.observations.source[np.isin(problem.observations.kind, of_edges)]
-    return len(np.unique(sources)) == len(sources)
+    observations = problem.observations
+    rows = np.isin(observations.kind, of_edges)
+    points = np.column_stack([observations.station, observations.source])[rows]
+    return len(np.unique(points, axis=0)) == len(points)
 
 
 def _crossing(samples: Sequence[Sample], points: Array, solution: Solution, name: str,

@@ -55,6 +55,13 @@ class NothingNewError(DataError):
         super().__init__(f'{reason}: move on, and turn the tool')
 
 
+class FlatCrossingError(DataError):
+    """A sample was asked for where the laser crosses the edge too flatly; reason: how flatly."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f'{reason}, and take the sample again')
+
+
 class NoProfilesError(DataError):
     """No profile came while the robot stood still."""
 

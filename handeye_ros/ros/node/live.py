@@ -32,6 +32,8 @@ from handeye_ros.sampling.stops import Outcome
 from handeye_ros.sampling.wording import calibration_summary
 import numpy as np
 
+KNOWN_FREEDOM = 6  # conditions more than unknowns, from which on angles are believed
+
 
 class LiveSession(LiveSamples):
     """
@@ -106,13 +108,13 @@ class LiveSession(LiveSamples):
                                         if use and o.sample], config)
         self.on_change()
 
-    def _remark(self, outcome: Outcome) -> str:
-        """Return that the laser crosses an edge too flatly, as far as the edge is known."""
+    def _why_not(self, outcome: Outcome) -> str:
+        """Return that the laser crosses an edge too flatly, once the edge is known."""
         known = self.review
-        if outcome.sample is None or known is None or known.solution.degrees_of_freedom < 1:
+        if outcome.sample is None or known is None or (
+                known.solution.degrees_of_freedom < KNOWN_FREEDOM):
             return ''
-        text = flat_crossing(outcome.sample, known.solution, self.config)
-        return f'; {text}' if text else ''
+        return flat_crossing(outcome.sample, known.solution, self.config)
 
     def _advise(self, samples: list[Sample], config: Config) -> Advice:
         """Return what to do next; the view is learnt from the profiles of now, too."""

@@ -19,7 +19,7 @@ from handeye_ros.ros.node.arrivals import Arrivals
 from handeye_ros.ros.node.latest import Latest
 from handeye_ros.ros.node.settings import changes_samples
 from handeye_ros.ros.node.store import NoStore, Store
-from handeye_ros.sampling.errors import NothingNewError
+from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.state import Attempt
 from handeye_ros.sampling.stops import judged, Outcome, result_of, sample_of, Stop
@@ -131,18 +131,28 @@ class LiveSamples:
         result = result_of(stop, self.config)
         with self._lock:
             outcome = self._session.outcome(stop, result)
+        why = self._why_not(outcome)
+        if why:
+            outcome = replace(outcome, result=Reject(outcome.result.stamp, why), refused=why)
         try:
-            outcome = self._store.add(outcome, self.config)
-            self.store_trouble = ''
+            outcome = self._stored(outcome)
         except InputError as error:
-            self.store_trouble = str(error)
             outcome = Outcome(outcome.number, stop, Reject(outcome.result.stamp, str(error)))
         self._put(outcome)
         self._told(outcome.sample is not None, outcome.number, (
             f'sample {outcome.number} taken: ' if outcome.sample else
-            f'stop {outcome.number} gave no sample: ') + sample_summary(outcome.result)
-            + self._remark(outcome))
+            f'stop {outcome.number} gave no sample: ') + sample_summary(outcome.result))
         self.on_outcome(outcome)
+
+    def _stored(self, outcome: Outcome) -> Outcome:
+        """Return an outcome that is on the disk; raises InputError, which is told until then."""
+        try:
+            stored = self._store.add(outcome, self.config)
+        except InputError as error:
+            self.store_trouble = str(error)
+            raise
+        self.store_trouble = ''
+        return stored
 
     def _put(self, outcome: Outcome) -> None:
         with self._lock:
@@ -185,18 +195,19 @@ class LiveSamples:
                 again = any(o.stop.began == stop.began for o in self._session.outcomes)
             if outcome.sample is None:
                 raise NothingNewError(sample_summary(outcome.result))
-            outcome = self._store.add(outcome, self.config)
-            self.store_trouble = ''
+            why = self._why_not(outcome)
+            if why:
+                raise FlatCrossingError(why)
+            outcome = self._stored(outcome)
             self._put(outcome)
         again_text = ' again, as the robot has not moved since' if again else ''
-        text = (f'sample {outcome.number} taken{again_text}: {sample_summary(sample)}'
-                f'{self._remark(outcome)}')
+        text = f'sample {outcome.number} taken{again_text}: {sample_summary(sample)}'
         self._told(True, outcome.number, text)
         self.on_outcome(outcome)
         return text
 
-    def _remark(self, outcome: Outcome) -> str:
-        """Return what else is to be said of a new sample, after a semicolon."""
+    def _why_not(self, outcome: Outcome) -> str:
+        """Return why a new sample is none, as far as the others tell; empty where it is one."""
         return ''
 
     def _told(self, accepted: bool, number: int, text: str) -> None:

@@ -177,7 +177,7 @@ class SessionStore:
 
     def _claim(self, folder: Path) -> None:
         """Let no other node write into a session; the lock ends with the process."""
-        lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        lock = os.open(folder / LOCK, os.O_RDONLY | os.O_CREAT, 0o644)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
