@@ -115,11 +115,13 @@ def pose(stamp: int, t: float, cycle: float) -> TimedPose:
 
 
 @contextmanager
-def listener(kind: str, folder: str) -> Iterator[tuple[subprocess.Popen[str], Path]]:
-    """Run the empty subscriber, or the node; what it prints goes to a file."""
+def listener(kind: str, folder: str, *settings: str
+             ) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+    """Run the empty subscriber, or the node with settings; what it prints goes to a file."""
     log = Path(folder) / f'{kind}.log'
     node = ['-m', 'handeye_ros.ros.node', '--ros-args', '-p', 'target.type:=sphere', '-p',
-            'target.radius:=0.04', '-p', f'output_dir:={folder}']
+            'target.radius:=0.04', '-p', f'output_dir:={folder}',
+            *(word for setting in settings for word in ('-p', setting))]
     with log.open('w') as stream:
         process = subprocess.Popen(
             [sys.executable, *(['-c', EMPTY] if kind == 'empty' else node)],
@@ -158,11 +160,16 @@ class Watcher:
         self.solves = 0
 
     def _on_state(self, msg: Any) -> None:
-        self._state = {pair.key: pair.value for pair in msg.status[0].values}
+        self._state = {pair.key: pair.value for status in msg.status for pair in status.values}
 
     def count(self) -> int:
         """Return the profiles that have come so far."""
         return int(self._state.get('profiles', -1)) + int(self._state.get('malformed messages', 0))
+
+    @property
+    def notes(self) -> str:
+        """Return what the node says that it dropped or left out."""
+        return self._state.get('dropped', '')
 
     def wait(self, seconds: float, solving: bool) -> None:
         """Listen for some time; solving: one calibration after the other is asked for."""

@@ -5,16 +5,20 @@ The node for hours: memory, losses, and how soon services answer.
 usage: python bench/soak.py [--minutes 60] [--rate 1000]
 
 Publishes profiles and the poses of a robot that stops each 6 s, and calls one service after the
-other (take, remove, compute, save, set a parameter) meanwhile. Prints each minute what came and
-was lost, the resident memory and the slowest answer of each service; in the end the slope of the
-memory behind the first fifth of the time. Needs ROS, on a domain of its own (ROS_DOMAIN_ID).
+other (take, remove, compute, save, set a parameter, leave a sample out, clear each 90 s)
+meanwhile, while browsers come to the page and go. Prints each minute what came, the load of the
+machine, the resident memory and the slowest answer of each service; in the end what was lost,
+what the node says that it left out, and the slope of the memory behind the first fifth of the
+time. Needs ROS, on a domain of its own (ROS_DOMAIN_ID).
 """
 from __future__ import annotations
 
 import argparse
 from collections import defaultdict
+import os
 from pathlib import Path
 import runpy
+import socket
 import subprocess
 import sys
 import tempfile
@@ -29,7 +33,9 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 LIVE = runpy.run_path(str(Path(__file__).with_name('live.py')))
-SERVICES = ('take_sample', 'remove_last_sample', 'compute_calibration', 'save_calibration')
+CLEAR = 90.0  # s from one new session to the next
+SERVICES = ('take_sample', 'remove_last_sample', 'compute_calibration', 'save_calibration',
+            'clear_samples')
 PAUSE = 0.5  # s between two calls
 CYCLE = 6.0  # s from stop to stop
 
@@ -41,7 +47,7 @@ class User:
         """Join."""
         self._watcher = watcher
         self._node = Node('user')
-        self._calls = 0
+        self._calls, self._cleared = 0, time.monotonic()
         self.slowest: dict[str, float] = defaultdict(float)
         self._clients = {name: self._node.create_client(Trigger, f'/handeye/{name}')
                          for name in SERVICES}
@@ -55,15 +61,11 @@ class User:
 
     def call(self) -> None:
         """Call the next service, and wait for its answer."""
-        names = list(self._clients)
-        name = names[self._calls % len(names)]
         self._calls += 1
+        name = self._next()
         request: Any = Trigger.Request()
         if name == 'set_parameters':
-            value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE,
-                                   double_value=0.005 + 1e-6 * self._calls)
-            request = SetParameters.Request(parameters=[Parameter(
-                name='limits.translation', value=value)])
+            request = SetParameters.Request(parameters=[self._setting()])
         begin = time.monotonic()
         future = self._clients[name].call_async(request)
         rclpy.spin_until_future_complete(self._node, future, timeout_sec=60.0)
@@ -71,11 +73,45 @@ class User:
         self.slowest[name] = max(self.slowest[name], time.monotonic() - begin)
 
 
+    def _next(self) -> str:
+        """Return the service whose turn it is."""
+        if time.monotonic() - self._cleared > CLEAR:
+            self._cleared = time.monotonic()
+            return 'clear_samples'
+        names = [name for name in self._clients if name != 'clear_samples']
+        return names[self._calls % len(names)]
+
+    def _setting(self) -> Parameter:
+        """Return what is set next: a limit, or which sample is left out."""
+        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE,
+                               double_value=0.005 + 1e-6 * self._calls)
+        if self._calls % 2:
+            return Parameter(name='limits.translation', value=value)
+        left_out = [1] if self._calls % 4 else [2]
+        return Parameter(name='samples.exclude', value=ParameterValue(
+            type=ParameterType.PARAMETER_INTEGER_ARRAY, integer_array_value=left_out))
+
+
+def look(port: int) -> None:
+    """Open the page as a browser does, take what it tells first, and go."""
+    with socket.create_connection(('127.0.0.1', port), timeout=30) as line:
+        line.sendall(f'GET /events HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n'.encode())
+        assert b'200 OK' in line.recv(1000)
+
+
+def free_port() -> int:
+    """Return a port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(('127.0.0.1', 0))
+        return int(probe.getsockname()[1])
+
+
 def soak(minutes: float, rate: float) -> None:
     """Run, and print what happens."""
     watcher, begin = LIVE['Watcher'](), time.monotonic()
-    user, memory = User(watcher), []
-    with tempfile.TemporaryDirectory() as folder, LIVE['listener']('node', folder) as (node, _):
+    user, memory, port = User(watcher), [], free_port()
+    with (tempfile.TemporaryDirectory() as folder,
+          LIVE['listener']('node', folder, f'page.port:={port}') as (node, _)):
         user.wait()
         driver = subprocess.Popen(
             [sys.executable, LIVE['HERE'], '--publish', str(rate), '--seconds', str(60 * minutes),
@@ -84,17 +120,18 @@ def soak(minutes: float, rate: float) -> None:
         while driver.poll() is None and node.poll() is None:
             watcher.wait(PAUSE, False)
             user.call()
+            look(port)
             now = time.monotonic() - begin
             _, resident = LIVE['usage'](node.pid)
             memory.append((now, resident))
             if now > 60 * told:
                 told += 1
-                print(f'{now / 60:5.1f} min: {watcher.count()} profiles, {resident:.0f} MB; '
-                      'slowest ' + ', '.join(f'{k} {v:.2f} s' for k, v in user.slowest.items()),
-                      flush=True)
+                slowest = ', '.join(f'{name} {t:.2f} s' for name, t in user.slowest.items())
+                print(f'{now / 60:5.1f} min: load {os.getloadavg()[0]:.0f}, {watcher.count()} '
+                      f'profiles, {resident:.0f} MB; slowest {slowest}', flush=True)
         watcher.wait(4.0, False)
         sent = int(driver.stdout.read())
-        print(f'{sent} profiles sent, {sent - watcher.count()} lost')
+        print(f'{sent} profiles sent, {sent - watcher.count()} lost; {watcher.notes}')
     late = np.array([m for m in memory if m[0] > 12 * minutes])
     slope = np.polyfit(late[:, 0] / 3600, late[:, 1], 1)[0]
     print(f'memory {late[0, 1]:.0f} MB to {late[-1, 1]:.0f} MB, slope {slope:.1f} MB/h')
