@@ -72,7 +72,6 @@ class User:
         assert future.done(), f'{name} does not answer'
         self.slowest[name] = max(self.slowest[name], time.monotonic() - begin)
 
-
     def _next(self) -> str:
         """Return the service whose turn it is."""
         if time.monotonic() - self._cleared > CLEAR:

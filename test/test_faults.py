@@ -2,15 +2,20 @@
 from __future__ import annotations
 
 from itertools import count
+import os
 from pathlib import Path
 import re
 import runpy
+import shutil
+import signal
 import subprocess
+import sys
 
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from ros_helpers import (  # noqa: E402, I100
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402, I100
+from ros_helpers import (  # noqa: E402
     Client,
     pose_message,
     RELIABLE,
@@ -18,6 +23,7 @@ from ros_helpers import (  # noqa: E402, I100
     running_node,
     sphere_profile,
 )
+from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import PointCloud2  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -69,6 +75,101 @@ def test_the_policy_allows_what_the_node_does_and_nothing_else(tmp_path: Path, c
         client.connect()
         client.until(lambda: POLICY['policy'](POLICY['used'](client.node)) == text,
                      'the graph of the node is that of the policy: tools/make_policy.py')
+
+
+def test_the_network_goes_and_comes_back(tmp_path: Path) -> None:
+    alone = ['unshare', '--net']
+    up = [*alone, 'ip', 'link', 'set', 'lo', 'up']
+    if not shutil.which('unshare') or subprocess.run(
+            up, capture_output=True, check=False).returncode:
+        pytest.skip('no network of its own may be made here')
+    run = subprocess.run(
+        [*alone, sys.executable, 'lost_network.py', str(tmp_path)], cwd=ROOT / 'test',
+        capture_output=True, text=True, check=False, timeout=180,
+        env={**os.environ, 'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4',
+             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'})
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+def test_a_simulated_clock_that_jumps_forth_and_back(tmp_path: Path, client: Client) -> None:
+    clock = client.node.create_publisher(Clock, '/clock', 10)
+    told: list[int] = []
+    client.node.create_subscription(DiagnosticArray, '/diagnostics',
+                                    lambda msg: told.append(msg.header.stamp.sec), 10)
+    with running_node(tmp_path, '-p', 'use_sim_time:=true', '-p', 'target.type:=sphere',
+                      '-p', 'target.radius:=0.04', '-p', 'sampling.mode:=manual'):
+        client.connect()
+        for number, now in enumerate((10**9, 2 * 10**9, 10**9 - 1000, 10**9), 1):
+            def taken(now=now) -> bool:
+                msg = Clock()
+                msg.clock.sec = now
+                clock.publish(msg)
+                return bool(told and told[-1] == now)
+
+            client.until(taken, 'the node goes by the clock, and tells its state')
+            for i in range(20):
+                # stamped by the system's clock, as a real sensor does
+                client.poses.publish(pose_message(START + number * 10**9 + i * PERIOD,
+                                                  (0.1 * number, 0.0, 0.0)))
+                client.profiles.publish(sphere_profile(START + number * 10**9 + i * PERIOD + 1))
+            client.until_counted(profiles=20 * number, poses=20 * number)
+            answer = client.call('take_sample')
+            assert answer.message.startswith(f'sample {number} taken: '), answer.message
+    assert 'Traceback' not in (tmp_path / 'node.log').read_text()
+
+
+def test_two_nodes_of_one_name_are_told_and_keep_apart(tmp_path: Path, client: Client) -> None:
+    first, second = tmp_path / 'first', tmp_path / 'second'
+    for folder in (first, second):
+        folder.mkdir()
+    shared = ('-p', f'output_dir:={tmp_path}', '-p', 'target.type:=sphere')
+    words = 'there are two nodes /handeye: both take samples, and either may answer; end one'
+    with running_node(first, *shared):
+        client.connect()
+        assert words not in client.state()['message']
+        with running_node(second, *shared):
+            client.until(lambda: words in client.state()['message'], 'it is told')
+            client.until(lambda: all(words in (folder / 'node.log').read_text()
+                                     for folder in (first, second)), 'both say so')
+            for i in range(50):
+                away = (0.1 if i > 45 else 0.0, 0.0, 0.0)
+                client.poses.publish(pose_message(START + i * PERIOD, away))
+                client.profiles.publish(sphere_profile(START + i * PERIOD + 1))
+            client.until(lambda: len(list(tmp_path.glob('sphere/*/metadata.yaml'))) == 2,
+                         'each keeps its own session')
+        client.until(lambda: words not in client.state()['message'], 'it is over')
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_it_ends_at_once_while_streams_run(tmp_path: Path, client: Client, number: int) -> None:
+    stamps = count(START, PERIOD)
+
+    def send() -> bool:
+        stamp = next(stamps)
+        client.poses.publish(pose_message(stamp))
+        client.profiles.publish(sphere_profile(stamp))
+        return True
+
+    with running_node(tmp_path) as process:
+        client.connect()
+        client.until(lambda: send() and client.state()['profiles'] != '0', 'streams run')
+        process.send_signal(number)
+        client.until(lambda: send() and process.poll() is not None, 'it ends')
+        assert process.returncode == (-9 if number == signal.SIGKILL else 0)
+    assert 'Traceback' not in (tmp_path / 'node.log').read_text()
+
+
+def test_after_a_clear_another_frame_is_taken(tmp_path: Path, client: Client) -> None:
+    with running_node(tmp_path):
+        client.connect()
+        client.profiles.publish(sphere_profile(START, 'left'))
+        client.profiles.publish(sphere_profile(START + 1, 'right'))
+        client.until_counted(profiles=2)
+        assert 'two frames, "left" and "right"' in client.state()['message']
+        assert client.call('clear_samples').success
+        client.profiles.publish(sphere_profile(START + 2, 'right'))
+        client.until_counted(profiles=3)
+        assert 'two frames' not in client.state()['message']
 
 
 @pytest.mark.parametrize('page', ['reliability.md', 'security.md'])

@@ -253,7 +253,9 @@ sys.exit(main())
 """
 
 
-def test_the_node_ends_cleanly_while_it_solves(tmp_path: Path, client: Client) -> None:
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_the_node_ends_cleanly_while_it_solves(
+        tmp_path: Path, client: Client, number: int) -> None:
     log = tmp_path / 'node.log'
     command = [sys.executable, '-c', SLOW, '--ros-args', '-p', 'target.type:=sphere', '-p',
                'target.radius:=0.04']
@@ -268,7 +270,7 @@ def test_the_node_ends_cleanly_while_it_solves(tmp_path: Path, client: Client) -
         client.until(service.service_is_ready, 'the service is there')
         service.call_async(Trigger.Request())
         client.until(lambda: 'solving' in log.read_text(), 'it solves')
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         assert process.wait(60) == 0
     said = log.read_text().splitlines()
     assert [line for line in said if '[INFO]' not in line and '[WARN]' not in line] == ['solving']

@@ -34,6 +34,16 @@ def elsewhere(node: Node, key: str, topic: str, wanted: str) -> str:
     return why + (f'; {wanted} is on {", ".join(others[:LISTED])}: set {key}' if others else '')
 
 
+def namesake(node: Node) -> str:
+    """Return that another node has the same name, and what to do; empty where none has."""
+    me = (node.get_name(), node.get_namespace())
+    if node.get_node_names_and_namespaces().count(me) < 2:
+        return ''
+    return (f'there are two nodes {node.get_fully_qualified_name()}: both take samples, and '
+            'either may answer; end one, or rename it (-r __node:=other). One that was killed '
+            'is listed for 20 s more')
+
+
 def _topics_of(node: Node, wanted: str) -> list[str]:
     """Return the topics on which others publish messages of a type."""
     names = [name for name, types in node.get_topic_names_and_types() if wanted in types]

@@ -11,6 +11,7 @@ from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.errors import TopicsError
 from handeye_ros.ros.executable import InvalidHandle, RCLError, ros
 from handeye_ros.ros.node import params
+from handeye_ros.ros.node.graph import namesake
 from handeye_ros.ros.node.intake import Intake
 from handeye_ros.ros.node.live_verify import LiveVerify
 from handeye_ros.ros.node.nag import Nag
@@ -84,7 +85,7 @@ class HandeyeNode(Node):
     @property
     def state(self) -> State:
         """Return all that is told of the session, as of now."""
-        return state_of(self.live, self._intake.obstacle)
+        return state_of(self.live, self._intake.obstacle, namesake(self))
 
     def _serve(self) -> None:
         quick, slow = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()

@@ -27,8 +27,13 @@ SILENCE = 2.0  # s without a message after which a person should look
 Obstacle = Callable[[str], str]
 
 
-def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '') -> State:
-    """Return the state of a session; obstacle: tells why no profile, or pose, comes in."""
+def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '', namesake: str = ''
+             ) -> State:
+    """
+    Return the state of a session.
+
+    obstacle: tells why no profile, or pose, comes in; namesake: that another node has its name.
+    """
     session, config = live.copied(), live.config
     by_topic = config.pose_source == 'topic'
     agreements = _agreements(live)
@@ -42,7 +47,7 @@ def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '') -> State:
         _stream(live, 'pose', config.pose_topic if by_topic else '/tf', '', obstacle),
         _motion(session),
         SessionState(live.path, config.sampling.mode, live.working,
-                     _trouble(live, session), (*session.warnings, *live.warnings)),
+                     _trouble(live, session, namesake), (*session.warnings, *live.warnings)),
         samples, tuple(sample.number for sample in worst), live.no_review, live.attempt,
         live.answer.state(stamps_of(session)), _guidance(live.advice))
 
@@ -94,10 +99,10 @@ def _motion(session: Session) -> MotionState:
                        motion.sentence)
 
 
-def _trouble(live: LiveSession, session: Session) -> str:
+def _trouble(live: LiveSession, session: Session, namesake: str) -> str:
     """Return why what comes in now is of no use, and what to do; empty if it is."""
     found = (str(session.conflict or ''), late_sentence(session.late) if session.late else '',
-             live.arrivals.clocks, session.unasked, live.store_trouble, live.failure)
+             live.arrivals.clocks, session.unasked, live.store_trouble, live.failure, namesake)
     return '; '.join(filter(None, found))
 
 

@@ -1,0 +1,35 @@
+"""Long work tells a terminal how far it is, and a pipe nothing."""
+from __future__ import annotations
+
+import os
+import pty
+import re
+import subprocess
+import sys
+
+from command import handeye, PLATE, ROOT
+
+
+def test_a_terminal_is_told_what_is_done_and_a_pipe_nothing(tmp_path) -> None:
+    arguments = ['solve', ROOT / 'bags' / 'plate', '--config', PLATE, '--out', tmp_path]
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen([sys.executable, '-m', 'handeye_ros', *map(str, arguments)],
+                               cwd=ROOT, stdout=subprocess.DEVNULL, stderr=theirs,
+                               env={**os.environ, 'TERM': 'xterm'})
+    os.close(theirs)
+    told = b''
+    while part := read(ours):
+        told += part
+    assert process.wait() == 0
+    text = re.sub(r'\x1b\[[0-9;?]*[a-zA-Z]', '', told.decode())
+    assert re.search('reading the recording .* [0-9]+%', text) and 'solving' in text
+    piped = handeye(*arguments, cwd=tmp_path)
+    assert (piped.returncode, piped.stderr) == (0, '')
+
+
+def read(terminal: int) -> bytes:
+    """Return what has come; nothing where the other side has ended."""
+    try:
+        return os.read(terminal, 4096)
+    except OSError:
+        return b''
