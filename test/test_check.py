@@ -24,7 +24,7 @@ import yaml
 STD = np.repeat([3e-5, np.deg2rad(0.01)], 3)
 ROBOT = RobotModel()
 CONFIG = Config(noise=NoiseConfig(3e-5, 0.0, *ROBOT.repeatability))
-COUNTS = {'plane': 8, 'line': 6, 'sphere': 6}
+COUNTS = {'plane': 8, 'line': 6, 'sphere': 6, 'wedge': 8}
 MOVED = se3.transform(se3.exp_rotation(np.array([2e-3, 0, 1e-3])), np.array([0, 0, 4e-4]))
 
 
@@ -39,6 +39,9 @@ def described(kind, T):
         return {'normal': T[:3, 2].tolist(), 'distance': float(T[:3, 2] @ T[:3, 3])}
     if kind == 'line':
         return {'point': point, 'direction': T[:3, 0].tolist()}
+    if kind == 'wedge':
+        return {'point': point, 'direction': T[:3, 0].tolist(), 'normal_1': T[:3, 2].tolist(),
+                'normal_2': T[:3, 1].tolist()}
     return {'centre': point, 'radius': 0.02}
 
 

@@ -16,6 +16,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import mm
+from handeye_ros.measure import wedge_place
 from handeye_ros.measure.errors import NoCheckError, TooFewSeenError
 from handeye_ros.measure.fixed_fit import fit, FixedFit, points_in_base
 from handeye_ros.measure.routine import Seen, Shape
@@ -61,7 +62,7 @@ class Check:
 class Target:
     """How a target is seen, and its shape (place in the base, as the calibration tells it)."""
 
-    observe: Callable[[Sequence[Sample], Array, Array], Any]
+    observe: Callable[[Sequence[Sample], Array, Array, Mapping[str, Any]], Any]
     shape: Callable[[Array, Mapping[str, Any]], tuple[Shape, int]]
 
 
@@ -111,8 +112,15 @@ def _sphere(p: Array, target: Mapping[str, Any]) -> tuple[Shape, int]:
     return Shape(np.zeros(3), distance, lambda q: q, (0.0,) * 3), 3
 
 
-TARGETS = {'plate': Target(faces, _plate), 'plane': Target(faces, _plane),
-           'line': Target(edge, _line), 'sphere': Target(arcs, _sphere)}
+def _alone(observe: Callable[[Sequence[Sample], Array, Array], Any]
+           ) -> Callable[[Sequence[Sample], Array, Array, Mapping[str, Any]], Any]:
+    """Return how a target is observed that needs not be told where it was."""
+    return lambda samples, poses, X, told: observe(samples, poses, X)
+
+
+TARGETS = {'plate': Target(_alone(faces), _plate), 'plane': Target(_alone(faces), _plane),
+           'line': Target(_alone(edge), _line), 'sphere': Target(_alone(arcs), _sphere),
+           'wedge': Target(wedge_place.both_faces, wedge_place.faces)}
 """The targets that a calibration can be checked with, by its method."""
 
 
@@ -130,8 +138,8 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
         raise TooFewSeenError(len(samples), LEAST_STATIONS, reason)
     poses = mounted(samples, config)
     X = calibration.T_flange_sensor @ sensor_axes(config)
-    seen = Seen(poses, target.observe(samples, poses, X))
     try:
+        seen = Seen(poses, target.observe(samples, poses, X, calibration.target))
         shape, places = target.shape(points_in_base(seen, X), calibration.target)
     except (KeyError, TypeError, ValueError) as error:
         raise NoCheckError(calibration.method, list(TARGETS)) from error

@@ -176,11 +176,13 @@ def _two_directions(angle: Array, weight: Array) -> tuple[float, float]:
 
 
 def describe(target: Array, std: Array) -> dict[str, Any]:
-    """Return a point of the edge, its direction, and the angle between the faces, in rad."""
+    """Return the edge's point and direction, the faces' normals and the angle between (rad)."""
     T, (first, second) = target[:16].reshape(4, 4), target[16:]
     between = float(np.arccos(np.clip(np.cos(second - first), -1.0, 1.0)))
     return {'point': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
-            'direction': T[:3, 0].tolist(), 'face_angle': between,
+            'direction': T[:3, 0].tolist(),
+            **{f'normal_{k}': (np.cos(turn) * T[:3, 1] + np.sin(turn) * T[:3, 2]).tolist()
+               for k, turn in enumerate((first, second), 1)}, 'face_angle': between,
             'face_angle_std': float(std[5])}
 
 

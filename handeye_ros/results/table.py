@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 LENGTHS = ('centre', 'point', 'radius', 'distance', 'size', 'setback')
-DIRECTIONS = ('normal', 'direction')
+DIRECTIONS = ('normal', 'direction', 'normal_1', 'normal_2')
 ANGLES = ('angle',)
 # Sizes of smooth errors that the samples show: how they are told.
 FOUND = {
