@@ -14,9 +14,9 @@ degrees); the other goes anywhere within guidance.reach, guidance.tilt and guida
 the same first pose. Where the sensor shows no target both try again, and that counts nothing.
 A row per target: the median number of stations, and its quartiles, until points mapped over
 x +-20 mm, range 160-190 mm are off by less than --wanted (0.1 mm) at two stations running, and
-until their stated 1 sigma is less; sessions that never got there count as the most, and are told. Counts go
-to stderr as they come. The samples of the other operator are solved at every second station only,
-and counted as one less.
+until their stated 1 sigma is less; sessions that never got there count as the most, and are told.
+Counts go to stderr as they come. The samples of the other operator are solved at every second
+station only, and counted as one less.
 """
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 from __future__ import annotations
 
 from command import assert_refused, handeye
+from handeye_ros import se3
+from handeye_ros.data import Calibration, Profile, Quality, TimedPose
 from handeye_ros.measure import seam_files
 from handeye_ros.measure.cloud_files import cloud_writer
 from handeye_ros.measure.curves import cubic, spline, through
@@ -13,6 +15,8 @@ from handeye_ros.measure.errors import (
     TooFewPointsError,
 )
 from handeye_ros.measure.seam import find_seam, tool_frames
+from handeye_ros.results.calibration_file import write_calibration
+from handeye_ros.ros.bags import bag_write
 from handeye_ros.simulate.preform import Preform, preform_cloud
 import numpy as np
 import pytest
@@ -21,6 +25,7 @@ from rosbags.typesys import get_typestore, Stores
 from scipy.spatial import cKDTree
 import yaml
 
+START, PERIOD = 1_700_000_000_000_000_000, 10_000_000
 SMALL = {'length': 0.12, 'spacing': 5e-4}
 
 
@@ -179,6 +184,38 @@ def test_the_verb_writes_what_others_read(tmp_path):
     assert path.header.frame_id == poses.header.frame_id == 'base'
     assert [p.position.x for p in poses.poses] == pytest.approx(list(rows['x']), abs=1e-8)
     assert [p.pose.orientation.w for p in path.poses] == pytest.approx(list(rows['qw']), abs=1e-8)
+
+
+def recorded(points, spacing):
+    """Return a cloud as a recording: a sensor that is the flange goes along its longest way."""
+    middle = points.mean(axis=0)
+    along, across, up = np.linalg.svd(points - middle, full_matrices=False)[2]
+    local = (points - middle) @ np.column_stack([across, along, -up])
+    T = se3.transform(np.column_stack([across, along, np.cross(across, along)]), middle)
+    local[:, 2] = (points - middle) @ T[:3, 2]
+    slab = np.floor(local[:, 1] / spacing).astype(int)
+    order = np.argsort(slab, kind='stable')
+    profiles, poses = [], []
+    for k, rows in enumerate(np.split(order, np.flatnonzero(np.diff(slab[order])) + 1)):
+        place = (slab[rows[0]] + 0.5) * spacing
+        line = rows[np.argsort(local[rows, 0])]
+        profiles.append(Profile(START + k * PERIOD, 'laser', local[line][:, [0, 2]]))
+        pose = T @ se3.transform(np.eye(3), np.array([0.0, place, 0.0]))
+        poses.append(TimedPose(START + k * PERIOD, pose[:3, 3], se3.quaternion(pose)))
+    return profiles, poses
+
+
+def test_the_verb_on_a_recording(tmp_path):
+    truth = cloud_of()
+    bag_write.write(tmp_path / 'bag', *recorded(truth.points, SMALL['spacing']))
+    write_calibration(Calibration('none', 'plate', 'flange', 'laser', np.eye(4), 1e-12 * np.eye(6),
+                                  {}, Quality(0, 0, 0.0, 0.0, '', 0.0), ()), tmp_path / 'c.yaml')
+    towards = [str(v) for v in -truth.normals.mean(axis=0)]
+    run = handeye('seam', 'bag', '--calibration', 'c.yaml', '--towards', *towards, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    rows = np.genfromtxt(tmp_path / 'out/seam/seam.csv', delimiter=',', names=True)
+    off = off_line(truth, np.column_stack([rows[axis] for axis in 'xyz']))
+    assert len(rows) > 20 and np.sqrt((off ** 2).mean()) < 1.5e-4, off
 
 
 def test_the_verb_refuses_in_words(tmp_path):

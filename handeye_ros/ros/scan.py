@@ -28,7 +28,8 @@ from handeye_ros.measure.scan import Scanner, ScanOptions
 from handeye_ros.measure.settings import settings_of
 from handeye_ros.measure.track import Track
 from handeye_ros.results.calibration_file import file_of, read_calibration
-from handeye_ros.ros.bags.messages import pose_from_stamped, returns_from_cloud
+from handeye_ros.ros.bags.flow import returns_of
+from handeye_ros.ros.bags.messages import pose_from_stamped
 from handeye_ros.ros.bags.transforms import FlangeTracker
 from handeye_ros.ros.errors import MessageError, TopicsError
 from handeye_ros.ros.executable import exit_code, RCLError, ros
@@ -61,7 +62,8 @@ class ScanNode(Node):
         self._dropped = 0
         self._tracker = FlangeTracker(config.robot_base_frame, config.robot_effector_frame)
         self._points = self.create_publisher(PointCloud2, '~/points', 10)
-        self.create_subscription(PointCloud2, config.profile_topic, self._on_profile, STREAM)
+        self.create_subscription(PointCloud2, config.profile_topic, self._on_profile, STREAM,
+                                 raw=True)
         self._listen_to_poses()
         self.create_timer(PERIOD, self._tell)
 
@@ -76,9 +78,9 @@ class ScanNode(Node):
                     TFMessage, topic, lambda msg, static=topic != '/tf': self._on_transforms(
                         msg, static), qos)
 
-    def _on_profile(self, msg: PointCloud2) -> None:
+    def _on_profile(self, data: bytes) -> None:
         try:
-            self._profiles.append(returns_from_cloud(msg, self._config.profile))
+            self._profiles.extend(returns_of(data, self._config.profile))
         except MessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 

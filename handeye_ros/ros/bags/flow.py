@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from handeye_ros.config import Config
+from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.data import Profile, RawProfile, TimedPose
 from handeye_ros.ros.bags import cdr
 from handeye_ros.ros.bags.bag import read_poses
@@ -43,7 +43,7 @@ class Flow:
         for raw, _ in messages(self.path, contents, (topic,)):
             count += 1
             try:
-                yield from self._of_message(raw.data)
+                yield from returns_of(raw.data, self.config.profile)
             except MessageError as error:
                 reasons[str(error)] += 1
         self.warnings += [w for w in contents.warnings if w not in self.warnings]
@@ -54,20 +54,25 @@ class Flow:
             self.warnings.append(f'{lost} of {count} messages on {topic} were left out; the '
                                  f'most frequent reason: {reasons.most_common(1)[0][0]}')
 
-    def _of_message(self, data: bytes) -> Iterator[Profile]:
-        """Yield the profiles of one message; where there are several, the robot may move."""
-        config, cloud = self.config.profile, cdr.cloud(data)
-        rows = rows_of(cloud, config)
-        if rows == 1:
-            yield returns_from_cloud(cloud, config)
-            return
-        if not config.period:
-            raise MessageError('PointCloud2', f'it holds {rows} profiles, and nobody knows when '
-                               'each was taken: set profile.period')
-        whole = RawProfile(cloud.header.stamp, '', partial(bytes, data), profile_from_cdr, config,
-                           rows=rows)
-        for one in split(whole, None, config):
-            yield returns_from_cloud(cdr.cloud(one.fetch()), config)
+
+def returns_of(data: bytes, config: ProfileConfig) -> Iterator[Profile]:
+    """
+    Yield the profiles of one serialised message: returns alone, with intensity.
+
+    Where there are several, the robot may move meanwhile. Raises MessageError.
+    """
+    cloud = cdr.cloud(data)
+    rows = rows_of(cloud, config)
+    if rows == 1:
+        yield returns_from_cloud(cloud, config)
+        return
+    if not config.period:
+        raise MessageError('PointCloud2', f'it holds {rows} profiles, and nobody knows when each '
+                           'was taken: set profile.period')
+    whole = RawProfile(cloud.header.stamp, '', partial(bytes, data), profile_from_cdr, config,
+                       rows=rows)
+    for one in split(whole, None, config):
+        yield returns_from_cloud(cdr.cloud(one.fetch()), config)
 
 
 def flow(path: Path, config: Config) -> Flow:
