@@ -1,7 +1,7 @@
 """The plots of the report, as SVG texts; axes in millimetres and degrees, for a person."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from io import StringIO
 import math
@@ -23,6 +23,8 @@ STYLE: Any = {
 BLUE, ORANGE, RED, GREY = '#1f6fb4', '#e07b00', '#c62828', '#777777'
 MOST_POINTS = 320  # of a profile in its plot
 BINS = 31
+FITTED: Mapping[str, float] = {}  # to what stands in them, which takes drawing twice
+OF_PROFILE = {'left': 0.19, 'right': 0.97, 'bottom': 0.2, 'top': 0.96}  # there are many of them
 
 
 def style() -> AbstractContextManager[None]:
@@ -30,9 +32,12 @@ def style() -> AbstractContextManager[None]:
     return rc_context(STYLE)
 
 
-def _figure(width: float, height: float, columns: int = 1) -> tuple[Figure, Any]:
-    figure = Figure(figsize=(width, height), layout='constrained')
+def _figure(width: float, height: float, columns: int = 1, margins: Mapping[str, float] = FITTED
+            ) -> tuple[Figure, Any]:
+    figure = Figure(figsize=(width, height), layout=None if margins else 'constrained')
     FigureCanvasSVG(figure)
+    if margins:
+        figure.subplots_adjust(**margins)
     return figure, figure.subplots(1, columns)
 
 
@@ -101,7 +106,7 @@ def profile(look: Look) -> str:
     """Return a profile of a stop with what was found in it."""
     points = 1e3 * look.points[np.isfinite(look.points).all(axis=1)]
     points = points[::max(1, len(points) // MOST_POINTS)]
-    figure, ax = _figure(3.2, 2.3)
+    figure, ax = _figure(3.2, 2.3, margins=OF_PROFILE)
     ax.plot(*points.T, '.', color=GREY if look.used else RED, ms=1.5)
     for feature in look.features:
         _draw(ax, feature)
