@@ -51,6 +51,7 @@ class Operator:
     """Feeds a node and asks it, until it is dead."""
 
     def __init__(self, process: subprocess.Popen[bytes], rng: random.Random) -> None:
+        self.started = time.monotonic()
         self._process, self._rng = process, rng
         self._context = Context()
         rclpy.init(context=self._context)
@@ -62,7 +63,7 @@ class Operator:
         self._clients = {name: self._node.create_client(Trigger, f'/handeye/{name}')
                          for name in ('take_sample', 'remove_last_sample')}
         self._node.create_subscription(String, '/handeye/samples', self._on_samples, LATCHED)
-        self.tally, self.restored, self.started = Tally(), 0.0, time.monotonic()
+        self.tally, self.restored = Tally(), 0.0
         self.acknowledged = threading.Event()
 
     def close(self) -> None:
@@ -87,8 +88,10 @@ class Operator:
         there = self._until(lambda: self._profiles.get_subscription_count()
                             and self._poses.get_subscription_count() and self.restored
                             and all(c.service_is_ready() for c in self._clients.values()))
+        start = time.time_ns()
         while there and self._process.poll() is None:
-            self._feed(time.time_ns())
+            start += 2 * NS
+            self._feed(start)
             taken = self._asked('take_sample')
             if taken is None or not taken.success:
                 continue

@@ -9,7 +9,9 @@ from handeye_ros.cli import app
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Calibration, Quality
 from handeye_ros.measure.routines import ROUTINES
+from handeye_ros.results import verified
 from handeye_ros.results.calibration_file import write_calibration
+from handeye_ros.results.errors import VerificationFileError
 from handeye_ros.ros.bags import bag_write
 import numpy as np
 import pytest
@@ -72,3 +74,19 @@ def test_on_bags(tmp_path: Path, name: str) -> None:
     assert within(right), right
     assert right['verdict'] == 'pass', right['reasons']
     assert wrong['verdict'] == 'fail'
+
+
+def test_the_report_shows_verifications(tmp_path: Path) -> None:
+    *_, told = verdicts('sphere', 2, tmp_path)
+    found = verified.read(tmp_path / 'told.yaml')
+    assert found.title == f'sphere: {told["verdict"].upper()}, {told["stations"]} stations'
+    assert not found.good and found.sentences == tuple(told['reasons'])
+    run = CliRunner().invoke(app, ['report', str(tmp_path / 'right.yaml'), '--verification',
+                                   str(tmp_path / 'told.yaml'), '--out', str(tmp_path / 'r.html')])
+    assert run.exit_code == 0, (run.output, run.exception)
+    page = (tmp_path / 'r.html').read_text()
+    assert found.title in page and dict(found.rows)['radius'][0] in page
+    for text in ('format: handeye_ros/calibration/1', f'format: {verified.FORMAT}', '[1]', '{'):
+        (tmp_path / 'told.yaml').write_text(text)
+        with pytest.raises(VerificationFileError):
+            verified.read(tmp_path / 'told.yaml')

@@ -38,15 +38,20 @@ def report(
         metavar='BAG', help='The recording; if not given, the one the calibration names.')] = None,
     out: Annotated[NoPath, typer.Option(
         metavar='FILE', help='If not given, report.html beside the calibration.')] = None,
+    verification: Annotated[list[Path], typer.Option(
+        metavar='FILE', help='A result of "handeye verify --out" to show too; may be repeated.'
+    )] = [],  # noqa: B006 - never changed
 ) -> None:
     """Show a saved calibration and what it comes from in one HTML file."""
     from handeye_ros.results.calibration_file import file_of, read_calibration
     from handeye_ros.results.report import page
+    from handeye_ros.results.verified import read
     from handeye_ros.ros.bags.evidence import evidence
-    file = file_of(path)
+    file, verified = file_of(path), [read(one) for one in verification]
     calibration = read_calibration(file)
     with doing('finding the stops'):
         found = evidence(calibration, bag)
     with doing('writing the report'):
-        written = page.write(calibration, found, out or file.parent / page.NAME)
+        written = page.write(calibration, found, out or file.parent / page.NAME,
+                             verified)
     typer.echo(f'wrote {written}')

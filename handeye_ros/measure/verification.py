@@ -6,11 +6,9 @@ import math
 from typing import Any
 
 from handeye_ros import __version__
+from handeye_ros.results.verified import COLUMNS, FORMAT, rows_of, shown, title_of
 from rich.table import Table
 import yaml
-
-FORMAT = 'handeye_ros/verification/1'
-DEGREES = 57.29578
 
 
 @dataclass(frozen=True)
@@ -95,13 +93,6 @@ def yaml_text(found: Verification) -> str:
     return yaml.safe_dump(values(found), sort_keys=False, width=100, default_flow_style=None)
 
 
-def shown(value: float | None, unit: str) -> str:
-    """Return a value for a person: millimetres, or degrees."""
-    if value is None or math.isnan(value):
-        return ''
-    return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{value * DEGREES:.4f} degrees'
-
-
 def sentence(found: Verification) -> str:
     """Return a verification as one sentence: verdict, figures with units, reasons."""
     told = [f'{q.name} {shown(q.value, q.unit)} ± {shown(q.std, q.unit)} (1 sigma, of it '
@@ -119,16 +110,10 @@ def sentence(found: Verification) -> str:
 
 def table(found: Verification) -> Table:
     """Return what is told of a verification."""
-    title = f'{found.routine}: {found.verdict.upper()}, {found.stations} stations'
-    made = Table(title=title, title_justify='left')
-    for column in ('', 'measured', 'nominal', 'error', '1 sigma', 'of it calibration'):
+    told = values(found)
+    made = Table(title=title_of(told), title_justify='left')
+    for column in ('', *COLUMNS):
         made.add_column(column, justify='left' if not column else 'right')
-    for q in found.quantities:
-        made.add_row(q.name, *(shown(v, q.unit) for v in (
-            q.value, q.nominal, q.error, q.std, q.from_calibration)))
-    s = found.scatter
-    for name, value in (('mean distance from the fit', s.mean), ('its standard deviation', s.std),
-                        ('its maximum', s.maximum), ('its RMS', s.rms),
-                        ('95 % of such RMS lie below', s.expected)):
-        made.add_row(name, shown(value, 'm'))
+    for name, texts in rows_of(told):
+        made.add_row(name, *texts)
     return made

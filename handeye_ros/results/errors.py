@@ -17,3 +17,10 @@ class NothingToSaveError(DataError):
     def __init__(self) -> None:
         super().__init__('there is no calibration to save: call ~/compute_calibration first, and '
                          'see that it succeeds')
+
+
+class VerificationFileError(InputError):
+    """A file of a verification that cannot be read."""
+
+    def __init__(self, path: object, reason: str) -> None:
+        super().__init__(f'{path} is no result of "handeye verify --out": {reason}')

@@ -23,6 +23,7 @@ from handeye_ros.results.report import figures
 from handeye_ros.results.report.evidence import config_of, Evidence, Look
 from handeye_ros.results.report.scene import in_sensor, legend, scene
 from handeye_ros.results.report.verdict import in_plane, stated_noise, verdict
+from handeye_ros.results.verified import COLUMNS, Verified
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 import numpy as np
@@ -30,21 +31,23 @@ import numpy as np
 NAME = REPORT
 
 
-def write(calibration: Calibration, evidence: Evidence, path: Path) -> Path:
+def write(calibration: Calibration, evidence: Evidence, path: Path,
+          verified: Sequence[Verified] = ()) -> Path:
     """Write the report of a calibration; return its absolute path. Raises UnwritableError."""
     path = path.expanduser().absolute()
-    calibration_file.write_whole(path, html(calibration, evidence))
+    calibration_file.write_whole(path, html(calibration, evidence, verified))
     return path
 
 
-def html(calibration: Calibration, evidence: Evidence) -> str:
-    """Return the text of the report."""
+def html(calibration: Calibration, evidence: Evidence, verified: Sequence[Verified] = ()) -> str:
+    """Return the text of the report; verified: what it was verified with."""
     pages = Environment(loader=PackageLoader('handeye_ros.results.report', 'assets'),
                         autoescape=True, undefined=StrictUndefined, trim_blocks=True,
                         lstrip_blocks=True)
     pages.globals['source'] = lambda name: Markup(pages.get_template(name).render())
     config = config_of(calibration)
-    return pages.get_template('report.html').render(_values(calibration, evidence, config))
+    return pages.get_template('report.html').render(
+        _values(calibration, evidence, config) | {'verified': verified, 'columns': COLUMNS})
 
 
 def _values(calibration: Calibration, evidence: Evidence, config: Config) -> dict[str, Any]:

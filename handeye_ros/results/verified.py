@@ -1,0 +1,66 @@
+"""A verification as its YAML holds it (see measure/verification.py), for a person."""
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+import math
+from pathlib import Path
+from typing import Any
+
+from handeye_ros.config import yaml_content
+from handeye_ros.results.errors import VerificationFileError
+import yaml
+
+FORMAT = 'handeye_ros/verification/1'
+DEGREES = 57.29578
+COLUMNS = ('measured', 'nominal', 'error', '1 sigma', 'of it calibration')
+SCATTER = (('mean distance from the fit', 'mean'), ('its standard deviation', 'std'),
+           ('its maximum', 'maximum'), ('its RMS', 'rms'),
+           ('95 % of such RMS lie below', 'expected'))
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What is shown: title, sentences, rows of a name and texts by COLUMNS."""
+
+    title: str
+    good: bool
+    sentences: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[str, ...]], ...]
+
+
+def shown(value: float | None, unit: str) -> str:
+    """Return a value for a person: millimetres, or degrees."""
+    if value is None or math.isnan(value):
+        return ''
+    return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{value * DEGREES:.4f} degrees'
+
+
+def title_of(told: Mapping[str, Any]) -> str:
+    """Return the routine with its verdict."""
+    return f'{told["routine"]}: {told["verdict"].upper()}, {told["stations"]} stations'
+
+
+def rows_of(told: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield what was measured: a name, and the texts of COLUMNS."""
+    for q in told['quantities']:
+        nominal = q['nominal']
+        error = None if nominal is None else q['value'] - nominal
+        yield q['name'], tuple(shown(v, q['unit']) for v in (
+            q['value'], nominal, error, q['std'], q['from_calibration']))
+    for name, key in SCATTER:
+        yield name, (shown(told['scatter'][key], 'm'), '', '', '', '')
+
+
+def read(path: Path) -> Verified:
+    """Return the verification of a file; raises VerificationFileError."""
+    try:
+        told = yaml_content(path.read_text(encoding='utf-8'))
+        if told['format'] != FORMAT:
+            raise VerificationFileError(path, f'its format is {told["format"]}, not {FORMAT}')
+        sentences = tuple(map(str, told['reasons']))
+        return Verified(title_of(told), told['verdict'] == 'pass', sentences, tuple(rows_of(told)))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise VerificationFileError(path, str(error).splitlines()[0]) from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise VerificationFileError(path, 'it does not hold what a verification does') from error
