@@ -6,6 +6,7 @@ from dataclasses import replace
 from cells import cell, exact_cell, recorded
 from handeye_ros import methods, pipeline, se3
 from handeye_ros.checks.errors import TooFewSamplesError
+from handeye_ros.config import with_values
 from handeye_ros.data import EdgePoint, FaceLine
 from handeye_ros.published import zheng2018
 from handeye_ros.simulate import SCENARIOS
@@ -113,3 +114,21 @@ def test_an_edge_between_two_faces_of_which_either_is_taken_with_its_other_end()
         answer = pipeline.solve(samples, [], made.config, 'laser')
         found += made.error(answer.T_flange_sensor) < 3e-4
     assert found == 2
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_the_edge_of_a_block_keeps_to_one_face(seed: int) -> None:
+    """Of the two faces of the edge now the one, now the other is seen better."""
+    made = recorded(SCENARIOS['wedge'], seed)
+    config = with_values(made.config, {'target.type': 'line', 'target.use_face': True}, 'test')
+    session = pipeline.gather(made.profiles, made.poses, config)
+    slopes = [f.direction[1] for s in session.samples for f in s.features
+              if isinstance(f, FaceLine)]
+    assert min(slopes) < 0 < max(slopes)  # both are among them
+    found = pipeline.calibrate_session(session, config)
+    assert found.quality.samples_used >= 13
+    error = se3.difference(found.T_flange_sensor, made.truth.T_flange_sensor)
+    assert error @ np.linalg.solve(found.covariance, error) < 22.5
+    alone = with_values(config, {'target.use_face': False}, 'test')
+    points = pipeline.calibrate(made.profiles, made.poses, alone)
+    assert np.trace(found.covariance[:3, :3]) < np.trace(points.covariance[:3, :3])

@@ -39,6 +39,7 @@ from handeye_ros.methods.common import (
     ObservationRows,
     some_stations,
 )
+from handeye_ros.methods.line_ends import other_choices, same_side
 from handeye_ros.profiles.faces import face_features
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,9 @@ LABELS = ('y', 'z', 'rx', 'ry', 'rz')
 NORMALS = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
 DIRECTIONS = 400
 CANDIDATES = 24
+MINIMUM = 7  # samples
 BELIEVED_SHARE = 0.7
+SAME_FACE = 0.25  # rad that faces of two stations may be turned against each other about the edge
 
 
 def observe(samples: Sequence[Sample]) -> Observations:
@@ -92,14 +95,28 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
     """
     Return the observations without what takes no part.
 
-    Of several edge points of one station only the nearest to the line is on it.
+    Of several edge points of one station only the nearest to the line is on it. A station that
+    shows another face, as the edge of a block has two, takes part with its edge point alone.
     """
     edge, away = observations.kind != FACE, _away(p, target)
     nearest = np.full(observations.station.max() + 1, np.inf)
     np.minimum.at(nearest, observations.station[edge], away[edge])
-    idle = EDGE_Z if config.target.use_face else FACE
+    with_face = np.zeros(len(nearest), dtype=bool)
+    if config.target.use_face:
+        turn = np.abs(_turns(observations, p, target))
+        with_face = np.minimum(turn, np.pi - turn) < SAME_FACE
+    idle = np.where(with_face[observations.station], EDGE_Z, FACE)
     unused = (observations.kind == idle) | (edge & (away > nearest[observations.station]))
     return replace(observations, kind=np.where(unused, UNUSED, observations.kind))
+
+
+def _turns(observations: Observations, p: Array, target: Array) -> Array:
+    """Return at which angle (n,) about the line, from its y, the face of each station lies."""
+    T, face = target.reshape(4, 4), observations.kind == FACE
+    local = ((p[face] - T[:3, 3]) @ T[:3, :3])[:, 1:]
+    y, z = (np.bincount(observations.station[face], values, observations.station.max() + 1)
+            for values in local.T)
+    return np.asarray(np.where((y == 0) & (z == 0), np.pi / 2, np.arctan2(z, y)))
 
 
 def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
@@ -113,79 +130,11 @@ def guess(observations: Observations, poses: Array, config: Config, rng: np.rand
     alone = replace(config, target=replace(config.target, use_face=False))
     problem = Problem(LINE, poses, observations, alone)
     problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
-    for parts, finer in ((_same_side, 1), (_other_choices, 1), (_same_side, FINER)):
-        found = (e for part in parts(problem)
+    for parts, finer in ((same_side, 1), (other_choices, 1), (same_side, FINER)):
+        found = (e for part in parts(problem, MINIMUM)
                  for e in best_of(part, linear_candidates(part, finer), finer))
         for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
             yield _with_face(observations, poses, e) if config.target.use_face else e
-
-
-def _same_side(problem: Problem) -> list[Problem]:
-    """Return the problem of the edge points, and where two are in sight that of either side."""
-    edge = problem.observations.kind != FACE
-    choices = [edge]
-    if _several(problem):
-        left = _left(problem)
-        choices += [edge & left, edge & ~left]
-    return [part for chosen in choices if (part := _part(problem, chosen)) is not None]
-
-
-def _other_choices(problem: Problem) -> list[Problem]:
-    """
-    Return problems with one of the ends in sight of each station.
-
-    The best known one, as that where two faces meet; the most central, nearest, and farthest one;
-    or the side that changes where the sensor is turned around.
-    """
-    if not _several(problem):
-        return []
-    obs, edge = problem.observations, problem.observations.kind != FACE
-    x, z = obs.points.T
-    sizes = np.linalg.norm(obs.noise, axis=(1, 2))
-    ranks = [sizes, np.abs(x - np.median(x[edge])), z, -z]
-    choices = [edge & _least(obs, rank, edge) for rank in ranks]
-    around = _turned_around(problem.poses)[obs.station]
-    if around.any():
-        side = _left(problem) ^ around
-        choices += [edge & side, edge & ~side]
-    return [part for chosen in choices if (part := _part(problem, chosen)) is not None]
-
-
-def _several(problem: Problem) -> bool:
-    """Return whether some station shows several ends of a face."""
-    obs = problem.observations
-    return bool((obs.kind == FACE).any()
-                and np.bincount(obs.station[obs.kind == EDGE_Y]).max(initial=0) > 1)
-
-
-def _left(problem: Problem) -> NDArray[np.bool_]:
-    """Return which observations (m,) lie left of the middle of their station's face."""
-    obs, n = problem.observations, len(problem.poses)
-    face = obs.kind == FACE
-    total = np.bincount(obs.station[face], obs.points[face, 0], minlength=n)
-    middle = total / np.maximum(np.bincount(obs.station[face], minlength=n), 1)
-    return np.asarray(obs.points[:, 0] < middle[obs.station])
-
-
-def _least(obs: Observations, rank: Array, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which observations (m,) have the least rank among those of their station."""
-    least = np.full(obs.station.max() + 1, np.inf)
-    np.minimum.at(least, obs.station[among], rank[among])
-    return np.asarray(rank <= least[obs.station])
-
-
-def _turned_around(poses: Array) -> NDArray[np.bool_]:
-    """Return which of poses (n, 4, 4) are turned by more than a right angle from the first."""
-    trace = np.einsum('ij,nij->n', poses[0, :3, :3], poses[:, :3, :3])
-    return np.asarray(trace < 1.0)
-
-
-def _part(problem: Problem, chosen: NDArray[np.bool_]) -> Problem | None:
-    """Return the problem of the chosen observations (m,), None where too few stations have any."""
-    part = replace(problem, observations=problem.observations.select(chosen))
-    stations = np.unique(part.observations.station)
-    everything = chosen[problem.observations.kind != FACE].all()
-    return part.subset(stations) if len(stations) >= LINE.minimum or everything else None
 
 
 def _nearness(problem: Problem, estimate: Estimate) -> float:
@@ -239,11 +188,14 @@ def _estimate(x: Array, R: Array, a_mean: Array) -> Estimate:
 
 
 def _with_face(observations: Observations, poses: Array, estimate: Estimate) -> Estimate:
-    """Return the estimate with the target's z turned to the normal of the face."""
+    """Return the estimate with the target's z turned to the normal of the face most seen."""
     T = estimate.target.reshape(4, 4)
-    face = observations.select(observations.kind == FACE)
-    local = (points_at(face, poses, estimate.X) - T[:3, 3]) @ T[:3, :3]
-    y, z = np.linalg.svd(local[:, 1:], full_matrices=False)[2][0]
+    angle = 2 * _turns(observations, points_at(observations, poses, estimate.X), estimate.target)
+    near = np.cos(angle[:, None] - angle) > np.cos(2 * SAME_FACE)
+    middle = angle[np.argmax(near.sum(axis=1))]
+    chosen = angle[np.cos(angle - middle) > np.cos(2 * SAME_FACE)]
+    middle = np.angle(np.exp(1j * chosen).sum()) / 2
+    y, z = np.cos(middle), np.sin(middle)
     turn = np.array([[1.0, 0, 0], [0, y, -z], [0, z, y]])
     return replace(estimate, target=se3.transform(T[:3, :3] @ turn, T[:3, 3]).ravel())
 
@@ -256,4 +208,4 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 
 
 LINE = Method('line', KINDS, LABELS, face_features, observe, guess, conditions, retract, free,
-              relabel, describe, observed_points, edges=('edge',), minimum=7)
+              relabel, describe, observed_points, edges=('edge',), minimum=MINIMUM)
