@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 SUBSETS = 20
 SUBSET_SIZE = 6
 SAME_LOSS, ENOUGH_AGREEING = 0.01, 4  # of answers from subsets, that end the search of them
+ENOUGH_STARTS = 10  # of which the best is taken if it is not poor
 ENOUGH_FAR = 8  # subsets that lead nowhere, after which none will
 MOST_FREEDOM = 6  # of a station's residuals: a pose has no more
 
@@ -68,12 +69,18 @@ def consensus(problem: Problem, rng: np.random.Generator, subsets: int = 0) -> C
     """
     starts = guesses(problem, rng)
     best = refined(problem, next(starts))
-    while not best.settled and (other := next(starts, None)):
+    tried = 1
+    while not best.sure and not (best.settled and tried >= ENOUGH_STARTS) and (
+            other := next(starts, None)):
         if not far(problem, other):
-            best = min(best, refined(problem, other), key=lambda trial: trial.loss)
+            best, tried = min(best, refined(problem, other), key=_loss), tried + 1
     if not best.settled:
         best = _best_of_subsets(problem, best, subsets, rng)
     return without_outliers(best)
+
+
+def _loss(trial: Trial) -> float:
+    return trial.loss
 
 
 def _best_of_subsets(problem: Problem, best: Trial, subsets: int, rng: np.random.Generator

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 LOST_SHARE = 0.1  # of the stations far from an estimate, from which another is looked for
 FAR, FAR_RATIO = 5e-3, 5.0  # residual (m; over the largest of an answer) of a hopeless start
 LOST_EDGE = 8.0  # squared residual of a station that shows an edge which lies on none of ours
+SURE = 0.5  # squared residual of the believed share, in variances with all doubts, of no other
 CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good answer
 DOUBTFUL = 16.0  # squared residual, in variances, that a clean recording stays below
 LARGEST_VARIANCE = 1.0  # m^2 or rad^2: more is no answer at all
@@ -65,8 +66,13 @@ class Trial:
 
     @property
     def settled(self) -> bool:
-        """Return whether nearly all stations are explained, so that no other need be tried."""
+        """Return whether nearly all stations are explained, as far as a poor robot lets them."""
         return self.misfit <= CONVINCING and self.doubtful_share <= LOST_SHARE
+
+    @property
+    def sure(self) -> bool:
+        """Return whether nearly all stations are explained so well that no other need be tried."""
+        return self.settled and self.misfit <= SURE
 
     @property
     def doubtful_share(self) -> float:

@@ -38,6 +38,7 @@ LABELS = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
 SIZE, ANGLE = slice(16, 18), 18  # of the target's state, after its pose
 GATE = 10.0  # an edge point this many times further from its edge than most is no edge of ours
 SMALLEST_GATE = 1e-3
+SMALLEST_SIZE = 0.02  # of a plate: what ends nearer to an edge of it is something beside it
 BELIEVED_SHARE = 0.3  # of the edge points that are surely on an edge of ours
 
 
@@ -228,7 +229,7 @@ def elsewhere(observations: Observations, p: Array, target: Array, config: Confi
         if count > 1:
             found.append(f'{count} of them {middle * 1e3:.1f} mm from {KINDS[opposite]}' + (
                 f', and not {size[axis] * 1e3:.1f} mm as target.size has it' if size else
-                ' (with target.size they could be used)'))
+                ' (with target.size they could be used)' if middle > SMALLEST_SIZE else ''))
     return '; '.join(found)
 
 

@@ -88,10 +88,11 @@ class NotAskedError(DataError):
 class NoStationsError(DataError):
     """The robot never stood still."""
 
-    def __init__(self, poses: int, still_time: float) -> None:
-        super().__init__(f'the robot never stood still for {still_time:g} s in {poses} poses: '
-                         'stop at each sample, or lower sampling.still_time; if its poses are '
-                         'noisy, raise sampling.still_translation and sampling.still_rotation')
+    def __init__(self, poses: int, still_time: float, longest: float) -> None:
+        super().__init__(f'the robot never stood still for {still_time:g} s in {poses} poses, '
+                         f'but for {longest:.2g} s at most: stop at each sample, or lower '
+                         'sampling.still_time; if its poses are noisy, raise '
+                         'sampling.still_translation and sampling.still_rotation')
 
 
 class SparsePosesError(DataError):

@@ -66,6 +66,7 @@ class StationFinder:
         self._run: deque[TimedPose] = deque()
         self._began = self._latest = -1
         self._recent: deque[TimedPose] = deque()
+        self.longest = 0  # time that the robot stood still (ns)
 
     def copied(self) -> StationFinder:
         """Return another that goes on from here by itself."""
@@ -85,6 +86,8 @@ class StationFinder:
             self._extend(pose)
             return None
         ended = self._station(self._run)
+        if self._run:
+            self.longest = max(self.longest, self._run[-1].stamp - self._run[0].stamp)
         self._run, self._began = deque([pose]), pose.stamp
         return ended
 

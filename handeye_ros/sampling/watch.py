@@ -212,7 +212,7 @@ class Watch:
             raise PositionUnitError(self._largest_position)
         if poses.period > sampling.max_pose_gap:
             raise SparsePosesError(poses.period, sampling.max_pose_gap)
-        raise NoStationsError(poses.count, sampling.still_time)
+        raise NoStationsError(poses.count, sampling.still_time, self._finder.longest / NS)
 
     def _stops(self, stations: Sequence[Station]) -> list[Stop]:
         """Return the stops of stations, but for those taken by hand."""
