@@ -8,6 +8,7 @@ from command import ROOT
 from handeye_ros import config as configs
 from handeye_ros.data import EdgePoint
 from handeye_ros.profiles.faces import face_features
+from handeye_ros.ros.bags.batches import rows_of
 from handeye_ros.ros.bags.messages import profile_from_cloud
 import numpy as np
 import pytest
@@ -90,3 +91,13 @@ def test_the_edge_is_found_in_it(name: str, tmp_path: Path) -> None:
     features = face_features(points, config)
     edges = [f.point[0] for f in features if isinstance(f, EdgePoint)]
     assert min(abs(x - 0.004) for x in edges) < 2e-4
+
+
+def test_a_batch_of_mech_mind_is_so_many_profiles(tmp_path: Path) -> None:
+    file = tmp_path / 'sensor.yaml'
+    file.write_text(sections()['Mech-Mind'])
+    config = configs.load(file).profile
+    columns, layout, step = MESSAGES['Mech-Mind']
+    message = cloud({name: np.tile(v, 5) for name, v in columns.items()}, layout, step, height=5)
+    assert rows_of(message, config) == 5
+    assert config.stamp == 'last', 'the driver stamps a batch when it is complete'
