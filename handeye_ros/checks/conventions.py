@@ -32,9 +32,10 @@ from handeye_ros.profiles.range_sign import range_sign_evidence
 import numpy as np
 from scipy.stats import f as f_distribution
 
-DOUBTFUL = 3.0  # variance factor from which the other sign of the range is tried
+DOUBTFUL = 0.6  # variance factor, doubts included, from which the range's other sign is tried
 BELIEVABLE = 4.0  # that a slip must lead to
 FLIPPED_SHARE = 0.4  # of the residual that may be left with the range counted the other way
+MANY = 0.3  # of the stations, that only one of two answers explains
 CHANCE = 1e-5  # of naming a slip where there is none
 SCATTERED = 0.6  # mean of the cosines to the best direction, below which there is none
 
@@ -55,24 +56,29 @@ def require_no_slip(problem: Problem, agreed: Consensus, flipped: Problem | None
     Raises RangeSignError, CalibrationTypeError, SlipError or ScatteredOrientationsError.
     """
     misfit = misfit_of(problem, agreed)
-    if not misfit.hopeless and misfit.variance_factor < DOUBTFUL:
-        return
-    other = quick_consensus(flipped) if flipped else None
-    if flipped and other and _explains(flipped, other, agreed) and (
-            residual_rms(other.solution) < FLIPPED_SHARE * misfit.rms):
-        raise RangeSignError(flipped.config.profile.range_sign, misfit.rms,
-                             residual_rms(other.solution))
+    if (misfit.variance_factor > DOUBTFUL or misfit.hopeless or agreed.unexplained) and flipped:
+        _require_not_flipped(flipped, agreed, misfit.rms)
     if not misfit.hopeless and misfit.variance_factor < SUSPICIOUS:
         return
     tried = [(name, quick_consensus(_undone(problem, undo))) for name, slip in SLIPS.items()
              for undo in (slip.undo, slip.other) if undo]
     good = [(name, better) for name, better in tried
-            if better and _explains(problem, better, agreed)]
+            if better and _explains(better, agreed)]
     if good:
         name, better = min(good, key=lambda pair: pair[1].solution.variance_factor)
         raise _slip_error(name, better, misfit.rms)
     if misfit.hopeless and orientations_scatter(problem.poses):
         raise ScatteredOrientationsError(misfit.rms)
+
+
+def _require_not_flipped(flipped: Problem, agreed: Consensus, before: float) -> None:
+    other = quick_consensus(flipped)
+    # both read the same points with the same doubts, which make both fit better than their noise
+    if not other or not _explains(other, agreed, floor=0.0):
+        return
+    after = residual_rms(other.solution)
+    if after < FLIPPED_SHARE * before or _more(other, agreed):
+        raise RangeSignError(flipped.config.profile.range_sign, before, after)
 
 
 def _slip_error(name: str, better: Consensus, before: float) -> SlipError | CalibrationTypeError:
@@ -112,9 +118,11 @@ def orientations_scatter(poses: Array) -> bool:
     return float(np.linalg.norm(poses[:, :3, :3].mean(axis=0), 2)) < SCATTERED
 
 
-def _explains(problem: Problem, better: Consensus, agreed: Consensus) -> bool:
+def _explains(better: Consensus, agreed: Consensus, floor: float = 1.0) -> bool:
     """
     Return whether a slip explains what the answer does not, down to the configured noise.
+
+    floor: of the variance factor, below which fitting better says nothing.
 
     By an F-test: few stations fit many things by chance.
     """
@@ -122,10 +130,14 @@ def _explains(problem: Problem, better: Consensus, agreed: Consensus) -> bool:
             better.solution.variance_factor > BELIEVABLE
             or better.explained < 0.8 * agreed.explained):
         return False
-    gain = agreed.solution.variance_factor / max(better.solution.variance_factor, 1.0)
+    gain = agreed.solution.variance_factor / max(better.solution.variance_factor, floor)
     freedom = (agreed.solution.degrees_of_freedom, better.solution.degrees_of_freedom)
     if min(freedom) < 1:
         return False
-    more = better.explained - agreed.explained
     return gain > float(f_distribution.isf(CHANCE, *freedom)) or (
-        gain > 0.1 and more > 0.3 * len(problem.poses))
+        gain > 0.1 and _more(better, agreed))
+
+
+def _more(better: Consensus, agreed: Consensus) -> bool:
+    """Return whether an answer explains far more of the stations than another."""
+    return better.explained - agreed.explained > MANY * len(agreed.whole.poses)
