@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from cells import recorded
 from handeye_ros import pipeline
+from handeye_ros.checks.errors import RangeSignError
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.profiles.faces import face_features
@@ -78,3 +79,10 @@ def test_the_rejects_of_a_recording_carry_what_the_other_way_shows() -> None:
     wrong = pipeline.gather(made.profiles, made.poses, flipped_range(made.config))
     both = range_sign_evidence([*wrong.samples, *wrong.rejects])
     assert (both.as_set, both.flipped) == (evidence.flipped, evidence.as_set)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_the_foot_of_a_plate_is_not_taken_for_its_edge(seed: int) -> None:
+    made = recorded('plate_on_table', seed, columns=640)
+    with pytest.raises(RangeSignError, match='with profile.range_sign 1 the residual falls'):
+        pipeline.calibrate(made.profiles, made.poses, flipped_range(made.config))
