@@ -17,6 +17,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument('calibrations', description=(
             'calibration.yaml files, or the folders that hold them; blanks between, quotes around '
             'a path with blanks')),
+        DeclareLaunchArgument('namespace', default_value='', description='namespace of the node'),
         OpaqueFunction(function=nodes),
     ])
 
@@ -25,4 +26,5 @@ def nodes(context: LaunchContext) -> list[Node]:
     """Return the node that publishes them."""
     files = shlex.split(LaunchConfiguration('calibrations').perform(context))
     return [Node(package='handeye_ros', executable='publish', name='handeye_publish',
-                 output='screen', arguments=files)]
+                 namespace=LaunchConfiguration('namespace').perform(context), output='screen',
+                 arguments=files)]

@@ -199,8 +199,8 @@ def test_a_bag_is_calibrated_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp
 
 def test_publish_takes_paths_with_blanks(monkeypatch: pytest.MonkeyPatch) -> None:
     paths = ['/a/calibration.yaml', '/with blank/b']
-    (node,) = nodes('publish', monkeypatch, calibrations=shlex.join(paths))
-    assert (node.executable, node.arguments) == ('publish', paths)
+    (node,) = nodes('publish', monkeypatch, calibrations=shlex.join(paths), namespace='cell')
+    assert (node.executable, node.namespace, node.arguments) == ('publish', 'cell', paths)
 
 
 def test_scan_sets_keys_that_exist_and_hands_on_the_options(monkeypatch: pytest.MonkeyPatch
