@@ -27,6 +27,7 @@ SMALLEST_DENSITY = 0.5  # of an arc's points among those between its ends
 STEEP = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its rim
 RIM_WIDTH = 0.24  # of the arc before its rim (rad) that is not used
 RIM_COSINE = 0.5  # points at a larger angle of incidence, the rim of the arc, are bad
+LEAST_SAGITTA = 2.5  # tolerances that an arc must bulge, or a corner is as well one
 SMALLEST_ANGLE = 0.5  # of an arc that fixes its circle (rad)
 
 
@@ -70,7 +71,10 @@ def _arc(points: Array, circle: Array, noise: float, config: Config) -> Arc:
     if 0 < LARGEST_SHARE * radius < arc.radius:
         raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
                            'more than the sphere')
-    if arc.radius < SMALLEST_RADIUS or _covered_angle(arc) < SMALLEST_ANGLE:
+    angle = _covered_angle(arc)
+    sagitta = arc.radius * (1 - np.cos(angle / 2))
+    if arc.radius < SMALLEST_RADIUS or angle < SMALLEST_ANGLE or (
+            sagitta < LEAST_SAGITTA * TOLERANCE_SIGMAS * noise):
         raise FeatureError('the arc of the sphere in the profile is too short')
     return arc
 
