@@ -16,8 +16,8 @@ A row per target: the median number of stations, and its quartiles, until points
 x +-20 mm, range 160-190 mm are off by less than --wanted (0.1 mm) at two stations running, and
 until their stated 1 sigma is less; sessions that never got there count as the most, and are told.
 Counts go to stderr as they come. The samples of the other operator are solved at every third
-station only, and counted as one less (the middle). Each solution starts from the one before, and no other
-answers are looked for, which takes most of the time of `handeye solve`.
+station only, and counted as one less (the middle). Each solution starts from the one before, and
+no other answers are looked for, which takes most of the time of `handeye solve`.
 """
 from __future__ import annotations
 
