@@ -78,6 +78,20 @@ def test_the_bias_of_a_touched_point_is_measured():
     assert unknown.verdict == 'pass' and unknown.quantities[0].error is None
 
 
+def test_the_spread_of_single_stations_is_told():
+    made, found = measured('point')
+    told = [q for q in result('point', made, found).quantities if '3 sigma' in q.name]
+    assert [q.name[-1] for q in told] == ['x', 'y', 'z']
+    expected = 3 * np.hypot(gauges.AIM, bench.ROBOT.repeatability[0])
+    assert np.mean([q.value for q in told]) == pytest.approx(expected, rel=0.4)
+    made, found = measured('ball_bar')
+    told = [q for q in result('ball_bar', made, found).quantities if 'scatter' in q.name]
+    assert len(told) == 2 and all(5e-6 < q.value < 6e-5 for q in told), told
+    made, found = measured('square')
+    told = [q for q in result('square', made, found).quantities if 'flatness' in q.name]
+    assert len(told) == 2 and all(2e-5 < q.value < 3e-4 for q in told), told
+
+
 def test_a_motion_that_could_not_have_shown_an_error_is_no_pass():
     made, found = measured('plane')
     # all stations with nearly one orientation: a shift of the sensor shows nowhere

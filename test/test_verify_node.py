@@ -65,6 +65,6 @@ def test_start_stops_result(tmp_path: Path, client: Client) -> None:
         assert client.state()['samples'] == str(STOPS)
     written = yaml.safe_load((tmp_path / 'sphere' / 'verification_sphere.yaml').read_text())
     assert written['verdict'] == 'pass'
-    radius, = written['quantities']
+    radius = written['quantities'][0]
     assert abs(radius['value'] - radius['nominal']) < 3 * radius['std']
     assert 'Traceback' not in (tmp_path / 'node.log').read_text()

@@ -1,12 +1,13 @@
 """From the stations of some bags and a calibration to the verdict of a routine."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import mm
+from handeye_ros.measure import spreads
 from handeye_ros.measure.errors import TooFewSeenError, WrongCountError
 from handeye_ros.measure.fixed_fit import fit, FixedFit, points_in_base
 from handeye_ros.measure.routine import Nominal, Routine, Seen, stacked, TEETH
@@ -21,6 +22,16 @@ SURE = 3.6  # sigmas: found with 95 % where false alarms are 5 %
 INCONSISTENT = 1e-3  # p of points that disagree
 COVERAGE = 1.96
 LEAST_OVER_NOISE = 1.8  # times what noise alone makes: an error that is implied
+
+
+SPREADS: dict[str, Callable[[Seen, Array, FixedFit], tuple[Quantity, ...]]] = {
+    'point': spreads.of_points, 'sphere': spreads.of_centres, 'ball_bar': spreads.of_centres,
+    'plane': spreads.of_faces, 'square': spreads.of_faces}
+"""What is told of single stations, by routine."""
+
+
+def _no_spread(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
+    return ()
 
 
 @dataclass(frozen=True)
@@ -52,7 +63,8 @@ def verify(routine: Routine, bags: Sequence[Seen], calibration: Calibration, con
     p = points_in_base(seen, X)
     seen, shape = routine.shape(seen, p, nominal)
     found = fit(seen, X, calibration.covariance, config.noise, shape, nominal.aim)
-    quantities = _quantities(routine, found, shape.nominals)
+    quantities = (*_quantities(routine, found, shape.nominals),
+                  *SPREADS.get(routine.name, _no_spread)(seen, X, found))
     tolerances = tolerances or Tolerances()
     noticed, direction = _noticed(found)
     scatter = _scatter(found)
