@@ -84,13 +84,15 @@ def along_the_line(points: Array, axes: tuple[str, ...]) -> Array:
     wrong. axes: those of the columns, without signs.
     """
     good = returns(points)
-    steps = np.diff(points[good], axis=0)
-    if (len(steps) >= SURE and _back(steps[:, 0]) > RANGE_BACK
-            and _back(steps[:, 1]) < LINE_BACK):
+    whole = bool(good.all())
+    seen = points if whole else points[good]
+    steps = np.diff(seen[:, 0])
+    if (len(steps) >= SURE and _back(steps) > RANGE_BACK
+            and _back(np.diff(seen[:, 1])) < LINE_BACK):
         raise MessageError('PointCloud2', f'the points follow each other along {axes[1]}, not '
                            f'along {axes[0]}: set profile.axes to [{axes[1]}, {axes[0]}]')
-    if _in_order(steps[:, 0]):
-        return np.where(good[:, None], points, np.nan)
+    if _in_order(steps):
+        return points.copy() if whole else np.where(good[:, None], points, np.nan)
     with np.errstate(invalid='ignore'):
         placed = points[np.abs(points[:, 0]) <= FAR]
     x, group = np.unique(placed[:, 0], return_inverse=True)
@@ -103,7 +105,7 @@ def along_the_line(points: Array, axes: tuple[str, ...]) -> Array:
 
 def _back(steps: Array) -> float:
     """Return the share of steps that do not go the way of the most."""
-    return 1.0 - max((steps > 0).mean(), (steps < 0).mean())
+    return 1.0 - max(np.count_nonzero(steps > 0), np.count_nonzero(steps < 0)) / len(steps)
 
 
 def _in_order(steps: Array) -> bool:
