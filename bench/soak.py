@@ -8,7 +8,7 @@ Publishes profiles and the poses of a robot that stops each 6 s, and calls one s
 other (take, remove, compute, save, set a parameter, leave a sample out, clear each 90 s)
 meanwhile, while browsers come to the page and go. Prints each minute what came, the load of the
 machine, the resident memory and the slowest answer of each service; in the end what was lost,
-what the node says that it left out, and the slope of the memory behind the first fifth of the
+what the node says that it left out, and the slope of the memory behind the first half of the
 time. Needs ROS, on a domain of its own (ROS_DOMAIN_ID).
 """
 from __future__ import annotations
@@ -131,7 +131,7 @@ def soak(minutes: float, rate: float) -> None:
         watcher.wait(4.0, False)
         sent = int(driver.stdout.read())
         print(f'{sent} profiles sent, {sent - watcher.count()} lost; {watcher.notes}')
-    late = np.array([m for m in memory if m[0] > 12 * minutes])
+    late = np.array([m for m in memory if m[0] > 30 * minutes])
     slope = np.polyfit(late[:, 0] / 3600, late[:, 1], 1)[0]
     print(f'memory {late[0, 1]:.0f} MB to {late[-1, 1]:.0f} MB, slope {slope:.1f} MB/h')
 
