@@ -99,7 +99,7 @@ def other_axes(direction: Array, frame: str) -> str:
 
 def weakest(solution: Solution, frame: str) -> tuple[str, float]:
     """Return the least certain direction of the transform, in words, and its 1 sigma."""
-    t_std, t_direction = worst_translation(solution.covariance)
+    t_std, t_direction = worst_translation(solution.stated)
     return f'position along {name_direction(t_direction, frame)} (m)', t_std
 
 
@@ -123,11 +123,11 @@ def require_certain(agreed: Consensus, config: Config) -> None:
     """
     solution, poses = agreed.solution, agreed.whole.poses
     limits, frame = config.limits, mount_frame(config)
-    turn_std, axis = worst_rotation(solution.covariance)
+    turn_std, axis = worst_rotation(solution.stated)
     if turn_std > limits.rotation:
         raise TooUncertainError.rotation(name_direction(axis, frame), turn_std, limits.rotation,
                                          missing_motion(poses, frame))
-    shift_std, direction = worst_translation(solution.covariance)
+    shift_std, direction = worst_translation(solution.stated)
     if shift_std > limits.translation:
         raise TooUncertainError.translation(name_direction(direction, frame), shift_std,
                                             limits.translation,

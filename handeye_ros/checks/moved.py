@@ -90,8 +90,8 @@ def _sensor_move(before: Consensus, after: Consensus) -> Array | None:
     """Return by how much the sensor moved in its own frame, None if it may have stayed."""
     first, second = before.solution, after.solution
     delta = se3.difference(second.estimate.X, first.estimate.X)
-    covariance = (first.covariance[:6, :6] * max(first.variance_factor, 1.0)
-                  + second.covariance[:6, :6] * max(second.variance_factor, 1.0))
+    covariance = (first.stated[:6, :6] * max(first.variance_factor, 1.0)
+                  + second.stated[:6, :6] * max(second.variance_factor, 1.0))
     if delta @ np.linalg.solve(covariance, delta) < chi2.isf(CHANCE, 6):
         return None
     return se3.inverse(first.estimate.X) @ second.estimate.X

@@ -74,11 +74,11 @@ def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
     stated = tolerances(replace(solution.problem, config=config))
     method, target = solution.problem.method, solution.estimate.target
     labels = method.labels
+    used = {d.name: value for d, value, _, _ in sizes(replace(solution, cautious=None))}
     for doubt, _, std, z in sizes(solution):
         if doubt.parameter is not None and abs(z) > CONTRADICTION:
-            i = doubt.parameter - len(labels)
-            offset = _value(solution, doubt)
-            yield Shape(doubt.name, float(target[i]) - offset, float(target[i]), std)
+            estimated = float(target[doubt.parameter - len(labels)])
+            yield Shape(doubt.name, estimated - used[doubt.name], estimated, std)
     given_up = method.free(solution.problem.config) & ~method.free(config)
     for i in np.flatnonzero(given_up).tolist():  # to make the stations agree
         first, std = float(method.configured(config)[i]), float(solution.target_std[i])
@@ -92,6 +92,7 @@ def sizes(solution: Solution) -> Iterator[tuple[Doubt, float, float, float]]:
 
     The last is the distance of what the data alone say from what was stated, in sigmas of both.
     """
+    solution = solution.cautious or solution  # a size kept small contradicts nothing
     first = solution.unknowns
     for doubt in solution.doubts:
         if doubt.columns.shape[1] == 1:
@@ -104,13 +105,10 @@ def sizes(solution: Solution) -> Iterator[tuple[Doubt, float, float, float]]:
         first += doubt.columns.shape[1]
 
 
-def _value(solution: Solution, doubt: Doubt) -> float:
-    return next(value for other, value, _, _ in sizes(solution) if other is doubt)
-
-
 def found_doubts(solution: Solution) -> dict[str, Any]:
     """Return what of the doubts is worth telling: scale, set-backs, sizes of the smooth errors."""
     told: dict[str, Any] = {}
+    known = solution.cautious or solution
     for doubt, value, std, _ in sizes(solution):
         if doubt.name == 'scale':
             told |= {'scale': 1 + value, 'scale_std': std}
@@ -119,7 +117,7 @@ def found_doubts(solution: Solution) -> dict[str, Any]:
             told |= {f'{name}_{ENDS[int(end) - 1]}': value,
                      f'{name}_{ENDS[int(end) - 1]}_std': std}
     for name in ('robot_position', 'robot_rotation', 'distortion', 'flatness'):
-        parts = [d.std for d in solution.doubts if d.name.startswith(name)]
+        parts = [d.std for d in known.doubts if d.name.startswith(name)]
         told |= {f'{name}_error': math.hypot(*parts)} if parts else {}
     return told
 

@@ -136,8 +136,8 @@ class NoiseConfig:
                                    minimum=0.0, maximum=0.01)
     robot_rotation: float = key(7e-5, 'Repeatability of the flange orientation, each axis '
                                 '(rad).', minimum=0.0, maximum=0.01)
-    robot_smooth: float = key(1e-4, 'Error of the robot that varies smoothly over its '
+    robot_smooth: float = key(1.5e-4, 'Error of the robot that varies smoothly over its '
                               'workspace, each axis (m); the data corrects it.',
                               minimum=0.0, maximum=0.01)
-    robot_scale: float = key(5e-4, 'Relative error of the lengths of the robot.',
+    robot_scale: float = key(7e-4, 'Relative error of the lengths of the robot.',
                              minimum=0.0, maximum=0.1)

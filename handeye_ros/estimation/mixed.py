@@ -3,9 +3,12 @@ The answer with all doubts in it: estimate, weights and covariance hold them alw
 
 With whitened residuals r = J u + K n + e, doubts n and noise e of unit variance, the least
 squares of [J K; 0 I] give the best linear unbiased u (Henderson 1975, Biometrics 31:423). How
-large doubts and noise really are is estimated by restricted maximum likelihood in multiplicative
+large the noise really is is estimated by restricted maximum likelihood in multiplicative
 fixed-point steps (Patterson and Thompson 1971, Biometrika 58:545), held to the configured size by
-a weak belief.
+a weak belief; how large the doubts are, by what is likely beforehand and afterwards (see sizes).
+
+An estimate and what is stated of it are made with different sizes: a doubt that the data show
+nothing of should not move the answer, but it may well be there.
 """
 from __future__ import annotations
 
@@ -17,6 +20,7 @@ from handeye_ros.estimation.blocks import groups
 from handeye_ros.estimation.doubts import Doubt, doubts
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Linear, linearise, Problem
+from handeye_ros.estimation.sizes import Sizes, sizes
 from handeye_ros.estimation.solve import move, Solution
 from handeye_ros.estimation.weights import (
     covariances,
@@ -28,15 +32,14 @@ from handeye_ros.estimation.weights import (
 import numpy as np
 from numpy.typing import NDArray
 
-ROUNDS, STEPS = 10, 10  # of linearising, and of estimating sizes in each
+ROUNDS = 10  # of linearising
+STEPS, LAST_STEPS = 2, 4  # of estimating sizes in each round, and after the last
 SETTLED = 0.03  # relative change of a variance that changes no answer
 SETTLED_NOISE = 0.1
 ASKED = 300  # stations that at most are asked for the noise
 CONVERGED = 1e-2  # step in sigmas
 DIVERGED = 4.0  # of a step over the smallest before
-BELIEF = 1.0  # in the configured size of a doubt, in degrees of freedom
-BELIEF_NOISE = 4.0  # in the configured noise
-CAUTION = 3.0  # degrees of freedom by which a size is known less well than it is estimated
+BELIEF_NOISE = 4.0  # in the configured noise, in degrees of freedom
 SMALLEST, LARGEST = 1e-4, 1e8
 MOST = 400.0  # of doubts but of the target's stated measures: 20 times as large
 
@@ -59,11 +62,10 @@ def settled(problem: Problem, start: Estimate) -> Solution:
         estimate, deviation = system.moved(x)
         noise, before = system.with_noise(x, covariance), system.noise.factors
         system = _System.of(problem, estimate, noise, deviation)
-        system = replace(system, noise=system.sized())
+        system = system.with_sizes(system.sized(STEPS).stated)
         if size < CONVERGED and np.abs(np.log(noise.factors / before)).max() < SETTLED_NOISE:
             break
-    estimate, deviation = system.moved(system.solved()[0])
-    return _System.of(problem, estimate, system.noise, deviation).solution()
+    return system.answer()
 
 
 def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
@@ -123,29 +125,22 @@ class _System:
         covariance = inverse(information)
         return -covariance @ (s * self.b), covariance
 
-    def sized(self) -> Noise:
-        """Return the noise with the doubts as large as they show themselves."""
-        noise, system = self.noise, self
+    def sized(self, steps: int) -> Sizes:
+        """Return how large the doubts show themselves."""
+        now = np.array([self.noise.doubts.get(d.name, 1.0) for d in self.doubts])
+        found = Sizes(now, now)
         if not self.doubts:
-            return noise
-        M, c = self._reduced()
+            return found
         largest = np.array([MOST if d.parameter is None else LARGEST for d in self.doubts])
-        for _ in range(STEPS):
-            s = system.scales()[self.u:]
+        (M, c), first = self._reduced(), np.searchsorted(self.group, np.arange(len(now)))
+        for _ in range(steps):
+            before = found.stated
+            s = np.sqrt(before)[self.group]
             C = inverse(M * np.outer(s, s) + np.eye(len(s)))
-            n = -C @ (s * c)
-            known = np.bincount(self.group, 1 - np.diag(C))
-            form = np.bincount(self.group, n ** 2)
-            before = np.array([noise.doubts.get(d.name, 1.0) for d in self.doubts])
-            after = (before * form * (1 + CAUTION / (known + CAUTION + 1)) + BELIEF) / (
-                known + BELIEF)
-            after = np.clip(after, SMALLEST, largest)
-            noise = replace(noise, doubts={d.name: float(v) for d, v in zip(
-                self.doubts, after, strict=True)})
-            system = replace(self, noise=noise)
-            if np.abs(np.log(after / before)).max() < SETTLED:
+            found = sizes(C, -C @ (s * c), first, before, largest)
+            if np.abs(np.log(found.stated / before)).max() < SETTLED:
                 break
-        return noise
+        return found
 
     def _reduced(self) -> tuple[Array, Array]:
         """Return information (q, q) and gradient (q,) of the doubts, all unknowns free."""
@@ -188,14 +183,28 @@ class _System:
         target = self.problem.method.retract(changed.target, after - self.deviation)
         return Estimate(changed.X, target), after
 
+    def with_sizes(self, variances: Array) -> _System:
+        """Return the system with other sizes of the doubts."""
+        named = {d.name: float(v) for d, v in zip(self.doubts, variances, strict=True)}
+        return replace(self, noise=replace(self.noise, doubts=named))
+
+    def answer(self) -> Solution:
+        """Return the solution, with what is stated of it."""
+        found = self.sized(LAST_STEPS)
+        lean = self.with_sizes(found.lean)
+        estimate, deviation = lean.moved(lean.solved()[0])
+        there = _System.of(self.problem, estimate, lean.noise, deviation)
+        wide = there.with_sizes(found.stated)
+        return replace(there.solution(), cautious=wide.solution())
+
     def solution(self) -> Solution:
         """Return the solution that the estimate is, near enough to its minimum."""
         x, covariance = self.solved()
         s = self.scales()
         A = self.A * s
-        x[:self.u] = 0.0
         sized = tuple(replace(d, columns=d.columns * s[self.u + first], std=d.std * float(
             s[self.u + first])) for d, first in zip(self.doubts, np.searchsorted(
                 self.group, np.arange(len(self.doubts))), strict=True))
-        return Solution(self.problem, self.estimate, self.noise, self.linear, self.r + A @ x, A,
+        estimate = move(self.problem, self.estimate, x[:self.u])
+        return Solution(self.problem, estimate, self.noise, self.linear, self.r + A @ x, A,
                         covariance, x[self.u:], sized)

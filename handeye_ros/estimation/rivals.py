@@ -60,7 +60,7 @@ def _apart(found: Solution, other: Solution) -> bool:
     """Return whether two answers are further apart than their uncertainty explains."""
     delta = se3.difference(other.estimate.X, found.estimate.X)
     factor = max(1.0, found.variance_factor)
-    covariance = (found.covariance + other.covariance)[:6, :6] * factor
+    covariance = (found.stated[:6, :6] + other.stated[:6, :6]) * factor
     return bool(np.abs(delta).max() > SMALLEST_DISTANCE
                 and delta @ np.linalg.solve(covariance, delta) > chi2.isf(APART, 6))
 

@@ -140,7 +140,7 @@ def settle(agreed: Consensus, minimum: int) -> Consensus:
     total, estimate = len(used) + len(dropped), agreed.solution.estimate
     while True:
         solution = settled(part, estimate)
-        mean_square, freedom = _mean_squares(solution)
+        mean_square, freedom = _mean_squares(solution.cautious or solution)
         worst = unexplained(mean_square, freedom, total, len(used) - minimum)
         if not len(worst):
             return replace(agreed, solution=solution, used=used, dropped=dropped)

@@ -78,7 +78,8 @@ class Solution:
     white: whitened residuals (m,), what doubts explain taken out; jacobian: whitened (m, u + q),
     u unknowns, X's six first, then q of the doubts in units of their sigma; covariance: of all
     of them, infinite variances cut at LARGEST_STD; doubtful: (q,) how large those of the doubts
-    are; doubts: the doubts, their sigmas as estimated.
+    are; doubts: the doubts, their sigmas as estimated; cautious: the solution with doubts as large
+    as they may be, which moves the estimate further than it should, but tells how uncertain it is.
     """
 
     problem: Problem
@@ -90,6 +91,17 @@ class Solution:
     covariance: Array
     doubtful: Array = field(default_factory=lambda: np.empty(0))
     doubts: tuple[Doubt, ...] = ()
+    cautious: Solution | None = None
+
+    @property
+    def stated(self) -> Array:
+        """Return the covariance (u, u) of the unknowns that is stated of the estimate."""
+        if self.cautious is None:
+            return self.covariance[:self.unknowns, :self.unknowns]
+        delta = se3.difference(self.cautious.estimate.X, self.estimate.X)
+        stated = self.cautious.stated.copy()
+        stated[:6, :6] += np.outer(delta, delta)
+        return stated
 
     @property
     def unknowns(self) -> int:
@@ -120,6 +132,8 @@ class Solution:
     @property
     def target_std(self) -> Array:
         """Return 1 sigma (k,) of the target's parameters, 0 of those that were given."""
+        if self.cautious is not None:
+            return self.cautious.target_std
         std = np.zeros(len(self.problem.method.labels))
         variances = np.diag(self.covariance)
         std[self.problem.columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 SMALLEST_STD = 1e-9  # of a feature without any noise, which would weigh infinitely (m)
 DISTORTION_LENGTH = 0.01  # over which the error of a sensor's field is alike (m)
-TURN_LENGTH = 0.4  # over which an error of the robot's joints turns as much as it shifts (m)
+TURN_LENGTH = 0.3  # over which an error of the robot's joints turns as much as it shifts (m)
 LOCAL = 0.6  # of the distortion, which differs from station to station: speckle, and waves
 ROUNDING = 1e-12  # keeps a covariance invertible that one pose error rules
 

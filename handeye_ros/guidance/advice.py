@@ -114,7 +114,7 @@ def _unguided(text: str, move: Move | None, trouble: str) -> Advice:
 
 
 def _stated(solution: Solution) -> Array:
-    return solution.covariance[:6, :6]
+    return solution.stated[:6, :6]
 
 
 def sigma_table(solution: Solution, known: Mapping, config: Config) -> tuple[Sigma, ...]:

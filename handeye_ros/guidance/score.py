@@ -57,8 +57,7 @@ def with_rows(solution: Solution, rows: Array) -> Array:
     """
     if not len(rows):
         return np.zeros((0, 6, 6))
-    u = rows.shape[2]
-    covariance = solution.covariance[:u, :u]
+    covariance = solution.stated
     # (N + A'A)^-1 = C - C A' (1 + A C A')^-1 A C: of the size of the new conditions only
     carried = rows @ covariance
     inner = carried @ np.swapaxes(rows, 1, 2) + np.eye(rows.shape[1])

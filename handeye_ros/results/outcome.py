@@ -71,7 +71,7 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
     return Calibration(
         config.name or config.target.type, problem.method.name, parent, frame_id or 'laser',
         solution.estimate.X @ se3.inverse(sensor_axes(config)),
-        solution.covariance[:6, :6],
+        solution.stated[:6, :6],
         describe_target(agreed, config), quality,
         tuple(sorted(reports, key=lambda report: report.stamp)),
         {'version': __version__, 'config': flatten(config)})
