@@ -39,6 +39,7 @@ SETTLED_NOISE = 0.1
 ASKED = 300  # stations that at most are asked for the noise
 CONVERGED = 1e-2  # step in sigmas
 DIVERGED = 4.0  # of a step over the smallest before
+SIZING = 1  # rounds in which a doubt may turn out so large that the step grows
 BELIEF_NOISE = 4.0  # in the configured noise, in degrees of freedom
 SMALLEST, LARGEST = 1e-4, 1e8
 MOST = 400.0  # of doubts but of the target's stated measures: 20 times as large
@@ -53,12 +54,12 @@ def settled(problem: Problem, start: Estimate) -> Solution:
     noise, nothing = Noise(lumped=False), np.zeros(len(problem.method.labels))
     system, least = _System.of(problem, start, noise, nothing), np.inf
     best = system
-    for _ in range(ROUNDS):
+    for count in range(ROUNDS):
         x, covariance = system.solved()
         size = float(np.abs(x[:system.u] / np.sqrt(np.diag(covariance)[:system.u])).max())
-        if size > DIVERGED * max(least, 1.0):
+        if count > SIZING and size > DIVERGED * max(least, 1.0):
             return best.solution()
-        best, least = system, min(size, least)
+        best, least = system, min(size, least) if count > SIZING else np.inf
         estimate, deviation = system.moved(x)
         noise, before = system.with_noise(x, covariance), system.noise.factors
         system = _System.of(problem, estimate, noise, deviation)
