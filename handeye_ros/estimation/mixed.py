@@ -45,13 +45,13 @@ SMALLEST, LARGEST = 1e-4, 1e8
 MOST = 400.0  # of doubts but of the target's stated measures: 20 times as large
 
 
-def settled(problem: Problem, start: Estimate) -> Solution:
+def settled(problem: Problem, start: Estimate, noise: Noise | None = None) -> Solution:
     """
     Return the solution near a start with its doubts and noise as large as the residuals show.
 
-    start: with the target as stated.
+    start: with the target as stated; noise: from which to settle it, None: as configured.
     """
-    noise, nothing = Noise(lumped=False), np.zeros(len(problem.method.labels))
+    noise, nothing = noise or Noise(lumped=False), np.zeros(len(problem.method.labels))
     system, least = _System.of(problem, start, noise, nothing), np.inf
     best = system
     for count in range(ROUNDS):

@@ -13,10 +13,20 @@ from dataclasses import dataclass, replace
 from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import shared_scale, unexplained
 from handeye_ros.estimation.method import Estimate
-from handeye_ros.estimation.mixed import settled
+from handeye_ros.estimation.mixed import evaluated, settled
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.solve import evaluate, fitted, Solution, station_statistic
-from handeye_ros.estimation.trial import DOUBTFUL, edge_lost, far, guesses, refined, Trial
+from handeye_ros.estimation.trial import (
+    CONVINCING,
+    DOUBTFUL,
+    edge_lost,
+    far,
+    guesses,
+    mean_squares,
+    refined,
+    relabelled,
+    Trial,
+)
 from handeye_ros.estimation.weights import Noise
 import numpy as np
 from numpy.typing import NDArray
@@ -135,11 +145,37 @@ def without_outliers(trial: Trial) -> Consensus:
 
 
 def settle(agreed: Consensus, minimum: int) -> Consensus:
-    """Return the consensus with all doubts in its solution; what then does not fit is dropped."""
+    """
+    Return the consensus with all doubts in its solution; what then does not fit is dropped.
+
+    What fits only now, as the target is not as stated, is taken back.
+    """
+    found = _settled(agreed, minimum)
+    labelled = relabelled(agreed.whole, found.solution.estimate)
+    near = mean_squares(labelled, found.solution.estimate) <= CONVINCING
+    back = [i for i in found.dropped if near[i] and i in labelled.observations.station]
+    used = np.union1d(found.used, np.array(back, dtype=np.intp))
+    part, noise = labelled.subset(used), found.solution.noise
+    if not (back or len(found.lost)) or _misfits(part, found):
+        return found
+    dropped = {i: square for i, square in found.dropped.items() if i not in back}
+    start = replace(found.solution, problem=part, estimate=agreed.solution.estimate)
+    again = _settled(replace(found, solution=start, used=used, dropped=dropped), minimum, noise)
+    return again if again.explained > found.explained else found
+
+
+def _misfits(part: Problem, found: Consensus) -> bool:
+    """Return whether a station of a problem does not fit what was found, by its noise."""
+    solution = evaluated(part, found.solution.estimate, found.solution.noise)
+    return len(unexplained(*_mean_squares(solution), len(found.whole.poses), 1)) > 0
+
+
+def _settled(agreed: Consensus, minimum: int, noise: Noise | None = None) -> Consensus:
+    """Return the consensus with all doubts in its solution, and what does not fit dropped."""
     used, dropped, part = agreed.used, dict(agreed.dropped), agreed.solution.problem
     total, estimate = len(used) + len(dropped), agreed.solution.estimate
     while True:
-        solution = settled(part, estimate)
+        solution = settled(part, estimate, noise)
         mean_square, freedom = _mean_squares(solution.cautious or solution)
         worst = unexplained(mean_square, freedom, total, len(used) - minimum)
         if not len(worst):

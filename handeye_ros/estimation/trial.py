@@ -95,8 +95,8 @@ def refined(problem: Problem, estimate: Estimate) -> Trial:
         return relabelled(problem, estimate), estimate
 
     labelled, estimate = graduated((relabelled(problem, estimate), estimate),
-                                   lambda trial: _squares(*trial), refit)
-    squares = _squares(labelled, estimate)
+                                   lambda trial: mean_squares(*trial), refit)
+    squares = mean_squares(labelled, estimate)
     squares = np.where(edge_lost(problem, labelled), np.maximum(squares, LOST_EDGE), squares)
     return Trial(problem, labelled, estimate, squares, _hollow(problem, labelled, estimate))
 
@@ -116,8 +116,8 @@ def relabelled(problem: Problem, estimate: Estimate) -> Problem:
     return replace(problem, observations=labelled.select(labelled.kind != UNUSED))
 
 
-def _squares(problem: Problem, estimate: Estimate) -> Array:
-    """Return the mean squared whitened residual (n,) of each station."""
+def mean_squares(problem: Problem, estimate: Estimate) -> Array:
+    """Return the mean squared whitened residual (n,) of each station, 0 of one with none."""
     linear = linearise(problem, estimate)
     r = whitening(problem, linear, Noise())(linear.residuals)
     station, n = problem.observations.station, len(problem.poses)
