@@ -130,7 +130,7 @@ def trial(case: Case, seed: int) -> np.ndarray:
     return np.array([
         delta[:3] @ delta[:3], delta[3:] @ delta[3:], (off ** 2).sum() / len(points),
         np.trace(bound[:3, :3]), np.trace(bound[3:, 3:]), mapped(solution, bound),
-        mapped(solution, doubting), delta @ np.linalg.solve(solution.covariance[:6, :6], delta),
+        mapped(solution, doubting), delta @ np.linalg.solve(solution.stated[:6, :6], delta),
         seconds])
 
 

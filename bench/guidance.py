@@ -222,7 +222,7 @@ def session(cell: World, operator: str) -> tuple[int, int]:
             running = running + 1 if off < cell.wanted else 0
             if running == 2:
                 by_error = min(by_error, count - every)
-            if known.std(solution.covariance[:6, :6]) < cell.wanted:
+            if known.std(solution.stated[:6, :6]) < cell.wanted:
                 by_sigma = min(by_sigma, count)
         insist(cell, advised(cell, solution) if operator == 'advice' else lambda: anywhere(cell))
     return by_error, by_sigma
@@ -243,7 +243,7 @@ def solved(cell: World) -> Solution | None:
         found = settle(agreed, method.minimum).solution
     except (DataError, np.linalg.LinAlgError):
         return None
-    std = mapping(found.estimate.X, FIELD).std(found.covariance[:6, :6])
+    std = mapping(found.estimate.X, FIELD).std(found.stated[:6, :6])
     cell.last = found if std < KNOWN_WELL else None
     return found
 

@@ -2,7 +2,7 @@
 """
 What the faults of real cells do to the answer: simulated profiles through the whole pipeline.
 
-usage: python bench/physics.py [--seeds N] [--first S] [--only TEXT] [--jobs J]
+usage: python bench/physics.py [--seeds N] [--first S] [--only TEXT] [--jobs J] [--samples]
 
 A row per cell of handeye_ros/simulate/faults.py; its name says all that is wrong with it, and
 the settings do not know of it. Over N recordings of each:
@@ -19,6 +19,8 @@ How to read it: a fault that is found is modelled, and costs little TRE; one tha
 must be inside the stated uncertainty. So a row is bad when TRE is large and NEES as well, or
 when recordings that could carry an answer are refused. The rows of the first block have no
 fault; those of the last one may well be refused, but must never be answered with a large TRE.
+
+--samples makes the features directly, with the noise of ideal edges: quick, but of robots only.
 """
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
 from handeye_ros.results.truth_errors import errors_against, field_points
-from handeye_ros.simulate import FAULTS, Scenario, settings, simulate
+from handeye_ros.simulate import FAULTS, Scenario, settings, simulate, simulate_samples
 from handeye_ros.simulate.layout import FRAMES
 import numpy as np
 from scipy.stats import chi2
@@ -62,19 +64,24 @@ def field(scenario: Scenario) -> Array:
     return se3.apply(se3.inverse(T_standard_sensor), points)
 
 
-def trial(job: tuple[str, int]) -> Outcome:
-    """Return what becomes of a recording of a cell, by its name and seed."""
-    name, seed = job
-    scenario = FAULTS[name]
-    recording = simulate(scenario, np.random.default_rng(seed))
+def trial(job: tuple[str, int, bool]) -> Outcome:
+    """Return what becomes of a recording of a cell, by its name, seed, and whether of samples."""
+    name, seed, of_samples = job
+    scenario, rng = FAULTS[name], np.random.default_rng(seed)
     config = with_values(Config(), settings(scenario), name)
+    if of_samples:
+        samples, truth = simulate_samples(scenario, rng)
+    else:
+        recording = simulate(scenario, rng)
+        truth = recording.truth
     start = time.process_time()
     try:
-        answer = pipeline.calibrate(recording.profiles, recording.poses, config)
+        answer = pipeline.solve(samples, (), config, 'laser') if of_samples else (
+            pipeline.calibrate(recording.profiles, recording.poses, config))
     except HandeyeError as error:
         return Outcome(time.process_time() - start, refusal=f'{type(error).__name__}: {error}')
     seconds = time.process_time() - start
-    X, X_true = answer.T_flange_sensor, recording.truth.T_flange_sensor
+    X, X_true = answer.T_flange_sensor, truth.T_flange_sensor
     delta = se3.difference(X, X_true)
     return Outcome(seconds, errors_against(X, X_true, field(scenario)).mapped_points,
                    float(delta @ np.linalg.solve(answer.covariance, delta)))
@@ -109,10 +116,11 @@ def main() -> None:
     parser.add_argument('--only', default='', help='cells whose name holds this text')
     parser.add_argument('--jobs', type=int, default=1)
     parser.add_argument('--refusals', action='store_true', help='print every refusal')
+    parser.add_argument('--samples', action='store_true', help='make features, no profiles')
     arguments = parser.parse_args()
     names = [name for name in FAULTS if arguments.only in name]
     seeds = range(arguments.first, arguments.first + arguments.seeds)
-    jobs = [(name, seed) for name in names for seed in seeds]
+    jobs = [(name, seed, arguments.samples) for name in names for seed in seeds]
     print(HEADER, flush=True)
     with multiprocessing.Pool(arguments.jobs) as pool:
         outcomes = pool.imap(trial, jobs)
