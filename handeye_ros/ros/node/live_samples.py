@@ -131,9 +131,7 @@ class LiveSamples:
         result = result_of(stop, self.config)
         with self._lock:
             outcome = self._session.outcome(stop, result)
-        why = self._why_not(outcome)
-        if why:
-            outcome = replace(outcome, result=Reject(outcome.result.stamp, why), refused=why)
+        remark = self._why_not(outcome)  # by itself the node takes what a recording gives
         try:
             outcome = self._stored(outcome)
         except InputError as error:
@@ -141,7 +139,8 @@ class LiveSamples:
         self._put(outcome)
         self._told(outcome.sample is not None, outcome.number, (
             f'sample {outcome.number} taken: ' if outcome.sample else
-            f'stop {outcome.number} gave no sample: ') + sample_summary(outcome.result))
+            f'stop {outcome.number} gave no sample: ') + sample_summary(outcome.result)
+            + (f'; {remark}' if remark else ''))
         self.on_outcome(outcome)
 
     def _stored(self, outcome: Outcome) -> Outcome:
@@ -207,7 +206,7 @@ class LiveSamples:
         return text
 
     def _why_not(self, outcome: Outcome) -> str:
-        """Return why a new sample is none, as far as the others tell; empty where it is one."""
+        """Return what of a new sample is no good, as far as the others tell; empty if all is."""
         return ''
 
     def _told(self, accepted: bool, number: int, text: str) -> None:
