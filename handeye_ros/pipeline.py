@@ -10,7 +10,12 @@ from dataclasses import replace
 
 from handeye_ros import methods
 from handeye_ros.checks.conventions import require_no_slip, require_range_sign
-from handeye_ros.checks.errors import LeftOutError
+from handeye_ros.checks.errors import (
+    LeftOutError,
+    OneAxisError,
+    OneOrientationError,
+    TooUncertainError,
+)
 from handeye_ros.checks.explained import require_edges
 from handeye_ros.checks.frames import require_own_frame
 from handeye_ros.checks.misfit import require_consistent
@@ -68,6 +73,8 @@ def solve_session(session: Session, config: Config) -> Calibration:
     session.require_stations()
     try:
         return solve(session.samples, session.rejects, config, session.frame_id)
+    except (OneOrientationError, OneAxisError, TooUncertainError):
+        raise  # these motions say too little, whenever they were
     except DataError:
         require_same_clock(session, config)
         raise
