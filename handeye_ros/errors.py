@@ -50,6 +50,10 @@ def nearest(word: str, known: Sequence[str]) -> str:
     return f'; did you mean "{close[0]}"?' if close else ''
 
 
+class NamedCauseError(DataError):
+    """A refusal with its one cause, beside which no other is looked for."""
+
+
 class UnknownKeyError(InputError):
     """A configuration key that does not exist."""
 

@@ -10,12 +10,7 @@ from dataclasses import replace
 
 from handeye_ros import methods
 from handeye_ros.checks.conventions import require_no_slip, require_range_sign
-from handeye_ros.checks.errors import (
-    LeftOutError,
-    OneAxisError,
-    OneOrientationError,
-    TooUncertainError,
-)
+from handeye_ros.checks.errors import LeftOutError
 from handeye_ros.checks.explained import require_edges
 from handeye_ros.checks.frames import require_own_frame
 from handeye_ros.checks.misfit import require_consistent
@@ -29,7 +24,7 @@ from handeye_ros.checks.motion import (
 from handeye_ros.checks.shape import believable_shape, require_one_scale
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
-from handeye_ros.errors import DataError
+from handeye_ros.errors import DataError, NamedCauseError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus, consensus, settle, SUBSETS
 from handeye_ros.estimation.solve import Solution
@@ -73,8 +68,8 @@ def solve_session(session: Session, config: Config) -> Calibration:
     session.require_stations()
     try:
         return solve(session.samples, session.rejects, config, session.frame_id)
-    except (OneOrientationError, OneAxisError, TooUncertainError):
-        raise  # these motions say too little, whenever they were
+    except NamedCauseError:
+        raise
     except DataError:
         require_same_clock(session, config)
         raise

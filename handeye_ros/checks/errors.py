@@ -1,7 +1,7 @@
 """Why an answer is refused: motion, conventions, scale, scatter, moves."""
 from __future__ import annotations
 
-from handeye_ros.errors import DataError, degrees, mm
+from handeye_ros.errors import DataError, degrees, mm, NamedCauseError
 
 
 class TooFewSamplesError(DataError):
@@ -58,7 +58,7 @@ class SensorFrameError(DataError):
                          f'itself: give the sensor a frame of its own in its driver, or set {key}')
 
 
-class OneOrientationError(DataError):
+class OneOrientationError(NamedCauseError):
     """The robot never turned."""
 
     def __init__(self, turn: float) -> None:
@@ -67,7 +67,7 @@ class OneOrientationError(DataError):
                          'target; tilt the tool by 15 degrees or more about two axes')
 
 
-class OneAxisError(DataError):
+class OneAxisError(NamedCauseError):
     """The robot turned about one axis only."""
 
     def __init__(self, axis: str, turn: float, others: str, lost: str) -> None:
@@ -76,7 +76,7 @@ class OneAxisError(DataError):
                          f'15 degrees or more about {others}')
 
 
-class TooUncertainError(DataError):
+class TooUncertainError(NamedCauseError):
     """An answer that is less certain than the limits allow."""
 
     @classmethod
@@ -161,7 +161,7 @@ class ScatterError(DataError):
                          'sensor really is that inaccurate')
 
 
-class RangeSignError(DataError):
+class RangeSignError(NamedCauseError):
     """A range counted the wrong way."""
 
     def __init__(self, sign: int, before: float, after: float) -> None:
@@ -169,7 +169,7 @@ class RangeSignError(DataError):
                          f'residual falls from {mm(before)} to {mm(after)}: set it so')
 
 
-class CountedWrongWayError(DataError):
+class CountedWrongWayError(NamedCauseError):
     """A range that the profiles themselves show to be counted the wrong way."""
 
     def __init__(self, hint: str) -> None:
@@ -177,7 +177,7 @@ class CountedWrongWayError(DataError):
                          'if it is another')
 
 
-class CalibrationTypeError(DataError):
+class CalibrationTypeError(NamedCauseError):
     """A sensor that is fixed elsewhere than configured."""
 
     def __init__(self, other: str, before: float, after: float) -> None:
@@ -207,7 +207,7 @@ class LeftOutError(DataError):
                          'wrong; take more')
 
 
-class SlipError(DataError):
+class SlipError(NamedCauseError):
     """A wrong pose convention that was recognised."""
 
     def __init__(self, slip: str, before: float, after: float, advice: str) -> None:
