@@ -168,7 +168,7 @@ def run_without_ros(code: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_command_line_starts_without_ros() -> None:
-    run = run_without_ros('import handeye_ros.cli')
+    run = run_without_ros('import handeye_ros.cli.verbs')
     assert run.returncode == 0, run.stderr
 
 

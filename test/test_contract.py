@@ -11,7 +11,7 @@ import sys
 
 import handeye_ros
 from handeye_ros import config as configs
-from handeye_ros.cli import app
+from handeye_ros.cli.verbs import app
 from handeye_ros.files import FILE_METHODS
 from handeye_ros.methods import METHODS
 import pytest

@@ -5,7 +5,7 @@ import importlib.util
 from pathlib import Path
 
 from handeye_ros import se3
-from handeye_ros.cli import app
+from handeye_ros.cli.verbs import app
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Calibration, Quality
 from handeye_ros.measure.routines import ROUTINES

@@ -1,19 +1,13 @@
-"""
-The command `handeye`: every verb wraps one function of the library.
-
-One file per group of verbs; importing it here makes its verbs known.
-"""
+"""The command `handeye`."""
+import os
 import sys
-
-from handeye_ros.cli import calibrate, check, measure, recordings, results, seam, session, verify
-from handeye_ros.cli.app import app
-
-__all__ = ['app', 'calibrate', 'check', 'main', 'measure', 'recordings', 'results', 'seam',
-           'session', 'verify']
 
 
 def main() -> None:
     """Run the console script `handeye`; ends the process with its exit code."""
+    # matrices are small: more threads only wait for each other, which takes a busy machine's time
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+    from handeye_ros.cli.verbs import app
     # an answer must not be lost to a terminal that lacks a letter of it
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, 'reconfigure'):

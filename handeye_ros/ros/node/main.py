@@ -53,6 +53,8 @@ def refused(arguments: Sequence[str]) -> int | None:
 def main() -> int:
     """Run the executable `calibrate`; a device that takes no output ends it without traceback."""
     code = 0
+    # matrices are small: more threads only wait for each other, and take the streams' time
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     with suppress(KeyboardInterrupt):
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
