@@ -187,8 +187,8 @@ def test_interrupted_it_goes_quietly(tmp_path):
                  cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         descriptor = open_for_a_reader(tmp_path / 'x.mcap', process)
         process.send_signal(signal.SIGINT)
+        os.close(descriptor)  # a signal just before it waits for data is heard after the wait
         out, err = process.communicate(timeout=PATIENCE)
-        os.close(descriptor)
     assert (process.returncode, out, err) == (130, b'', b'')
 
 
