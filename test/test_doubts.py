@@ -15,7 +15,7 @@ from handeye_ros.estimation.fields import bending, likeness, places, process
 from handeye_ros.estimation.mixed import settled
 from handeye_ros.estimation.problem import linearise
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.simulate import Scenario, SCENARIOS
+from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate_samples
 import numpy as np
 import pytest
 
@@ -208,3 +208,11 @@ def test_the_settings_of_a_scenario_tell_its_noise() -> None:
     assert config.noise.sensor == SCENARIOS['plate'].sensor.noise
     assert (config.noise.robot_translation, config.noise.robot_rotation) == (
         SCENARIOS['plate'].robot.repeatability)
+
+
+def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
+    many = replace(SCENARIOS['sphere'], stations=(1000, 1000))
+    samples, truth = simulate_samples(many, np.random.default_rng(0))
+    found = pipeline.solve(samples, (), with_values(Config(), settings(many), 'a test'), 'laser')
+    off = se3.difference(found.T_flange_sensor, truth.T_flange_sensor)
+    assert np.abs(off).max() < 1e-4

@@ -57,9 +57,10 @@ def settled(problem: Problem, start: Estimate, noise: Noise | None = None) -> So
     for count in range(ROUNDS):
         x, covariance = system.solved()
         size = float(np.abs(x[:system.u] / np.sqrt(np.diag(covariance)[:system.u])).max())
-        if count > SIZING and size > DIVERGED * max(least, 1.0):
+        astray = size > DIVERGED * max(least, 1.0)
+        if astray and count > SIZING:
             return best.solution()
-        best, least = system, min(size, least) if count > SIZING else np.inf
+        best, least = best if astray else system, min(size, least)
         estimate, deviation = system.moved(x)
         noise, before = system.with_noise(x, covariance), system.noise.factors
         system = _System.of(problem, estimate, noise, deviation)
