@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import difflib
+import math
 from typing import Any
 
 
@@ -73,7 +74,7 @@ def mm(metres: float) -> str:
 
 
 def degrees(radians: float) -> str:
-    return f'{radians * 57.29578:.3g} degrees' if radians < 1 else 'nothing at all'
+    return f'{math.degrees(radians):.3g} degrees' if radians < 1 else 'nothing at all'
 
 
 class ConfigFileError(InputError):

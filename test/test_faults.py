@@ -8,6 +8,7 @@ import re
 import runpy
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 
@@ -31,6 +32,7 @@ pytestmark = pytest.mark.ros
 POLICY = runpy.run_path(str(ROOT / 'tools' / 'make_policy.py'))
 START = 10 ** 18
 PERIOD = 50_000_000
+LISTENING = '0A'  # TCP_LISTEN of the kernel
 
 
 def test_streams_that_fall_silent_are_told_and_heard_again(tmp_path: Path, client: Client
@@ -181,10 +183,19 @@ def test_every_test_that_a_page_names_is_there(page: str) -> None:
         assert f'def {test}(' in (ROOT / 'test' / f'{module}.py').read_text(encoding='utf-8')
 
 
+def listening(pid: int) -> set[str]:
+    """Return the sockets on which TCP is listened, as links of a process name them."""
+    rows = [line.split() for name in ('tcp', 'tcp6')
+            for line in Path(f'/proc/{pid}/net/{name}').read_text().splitlines()[1:]]
+    return {f'socket:[{row[9]}]' for row in rows if row[3] == LISTENING}
+
+
 def test_nothing_listens_but_dds(tmp_path: Path, client: Client) -> None:
     with running_node(tmp_path) as process:
         client.connect()
-        listening = subprocess.run(['ss', '-Hltnp'], capture_output=True, text=True, check=False)
-        if listening.returncode:
-            pytest.skip('ss is not there')
-        assert f'pid={process.pid},' not in listening.stdout, 'no TCP port is open by default'
+        with socket.create_server(('127.0.0.1', 0)) as server:
+            here = f'socket:[{os.fstat(server.fileno()).st_ino}]'
+            assert here in listening(os.getpid()), 'what listens is seen'
+        own = {os.readlink(file) for file in Path(f'/proc/{process.pid}/fd').iterdir()}
+        assert any(name.startswith('socket:') for name in own), 'DDS has sockets'
+        assert not own & listening(process.pid), 'no TCP port is open by default'

@@ -11,6 +11,7 @@ from xml.etree import ElementTree as ET
 
 POLICY = Path(__file__).parents[1] / 'config' / 'handeye.policy.xml'
 NODE = 'handeye'
+PAUSE, ALIKE = 0.2, 10  # s between two looks; how many must show the same
 
 
 def used(observer: Any) -> dict[tuple[str, str], list[str]]:
@@ -35,6 +36,18 @@ def policy(found: dict[tuple[str, str], list[str]]) -> str:
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
 
 
+def settled(observer: Any, process: subprocess.Popen[bytes]) -> dict[tuple[str, str], list[str]]:
+    """Return what the node uses, once several looks in a row show the same."""
+    seen: list[dict[tuple[str, str], list[str]]] = []
+    while len(seen) < ALIKE or seen.count(seen[-1]) < ALIKE:
+        if process.poll() is not None:
+            raise SystemExit('the node ended by itself')
+        time.sleep(PAUSE)
+        if NODE in observer.get_node_names():
+            seen = [*seen, used(observer)][-ALIKE:]
+    return seen[-1]
+
+
 def main() -> None:
     """Start the node, look at it, and write the policy."""
     import rclpy
@@ -43,10 +56,7 @@ def main() -> None:
     observer = Node('observer')
     with subprocess.Popen([sys.executable, '-m', 'handeye_ros.ros.node']) as process:
         try:
-            while not observer.count_publishers(f'/{NODE}/calibration'):
-                time.sleep(0.1)
-            time.sleep(2.0)
-            POLICY.write_text(policy(used(observer)), encoding='utf-8')
+            POLICY.write_text(policy(settled(observer, process)), encoding='utf-8')
         finally:
             process.terminate()
     rclpy.shutdown()

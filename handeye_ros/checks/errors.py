@@ -1,6 +1,8 @@
 """Why an answer is refused: motion, conventions, scale, scatter, moves."""
 from __future__ import annotations
 
+import math
+
 from handeye_ros.errors import DataError, degrees, mm, NamedCauseError
 
 
@@ -27,7 +29,7 @@ class TwoAnswersError(DataError):
 
     def __init__(self, distance: float, turn: float, missing: str) -> None:
         super().__init__(f'two answers fit these samples, {mm(distance)} and '
-                         f'{turn * 57.29578:.2g} degrees apart; to part them, {missing}')
+                         f'{math.degrees(turn):.2g} degrees apart; to part them, {missing}')
 
 
 class TooFewEdgesError(DataError):

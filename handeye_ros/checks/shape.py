@@ -43,7 +43,7 @@ class Shape:
     @property
     def note(self) -> str:
         """Return what to tell a person of a target that is not as configured."""
-        unit, scale = ('degrees', 57.29577951) if 'angle' in self.label else ('mm', 1e3)
+        unit, scale = ('degrees', math.degrees(1)) if 'angle' in self.label else ('mm', 1e3)
         return (f'the {self.label.replace("_", " ")} of the target is '
                 f'{self.estimated * scale:.3f} +- {self.std * scale:.3f} {unit}, not the '
                 f'configured {self.stated * scale:.3f}: the answer uses the estimate')

@@ -113,6 +113,11 @@ class _System:
     def u(self) -> int:
         return len(self.b) - len(self.group)
 
+    @property
+    def first(self) -> NDArray[np.intp]:
+        """Return where the unknowns of each doubt begin (d,), among those of all doubts."""
+        return np.searchsorted(self.group, np.arange(len(self.doubts)))
+
     def scales(self) -> Array:
         """Return the square roots (u + q,) of the sizes of doubts, 1 of unknowns."""
         sizes = np.array([self.noise.doubts.get(d.name, 1.0) for d in self.doubts])
@@ -134,12 +139,12 @@ class _System:
         if not self.doubts:
             return found
         largest = np.array([MOST if d.parameter is None else LARGEST for d in self.doubts])
-        (M, c), first = self._reduced(), np.searchsorted(self.group, np.arange(len(now)))
+        M, c = self._reduced()
         for _ in range(steps):
             before = found.stated
             s = np.sqrt(before)[self.group]
             C = inverse(M * np.outer(s, s) + np.eye(len(s)))
-            found = sizes(C, -C @ (s * c), first, before, largest)
+            found = sizes(C, -C @ (s * c), self.first, before, largest)
             if np.abs(np.log(found.stated / before)).max() < SETTLED:
                 break
         return found
@@ -179,7 +184,7 @@ class _System:
         after, s = np.zeros_like(self.deviation), self.scales()
         for i, doubt in enumerate(self.doubts):
             if doubt.parameter is not None:
-                column = self.u + int(np.argmax(self.group == i))
+                column = self.u + int(self.first[i])
                 after[doubt.parameter] = x[column] * s[column] * doubt.std
         changed = move(self.problem, self.estimate, x[:self.u])
         target = self.problem.method.retract(changed.target, after - self.deviation)
@@ -204,9 +209,8 @@ class _System:
         x, covariance = self.solved()
         s = self.scales()
         A = self.A * s
-        sized = tuple(replace(d, columns=d.columns * s[self.u + first], std=d.std * float(
-            s[self.u + first])) for d, first in zip(self.doubts, np.searchsorted(
-                self.group, np.arange(len(self.doubts))), strict=True))
+        sized = tuple(replace(d, columns=d.columns * size, std=d.std * float(size))
+                      for d, size in zip(self.doubts, s[self.u:][self.first], strict=True))
         estimate = move(self.problem, self.estimate, x[:self.u])
         return Solution(self.problem, estimate, self.noise, self.linear, self.r + A @ x, A,
                         covariance, x[self.u:], sized)

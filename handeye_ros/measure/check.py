@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+import math
 from typing import Any
 
 from handeye_ros import se3
@@ -30,7 +31,6 @@ FORMAT = 'handeye_ros/check/1'
 SUSPICIOUS = 0.01  # p of what is no chance
 LEAST_STATIONS = 4
 ITERATIONS = 5
-DEGREES = 57.29578
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def _judged(found: FixedFit, places: int, stamp: int, stations: int) -> Check:
     elif found.p >= SUSPICIOUS:
         verdict = 'target'
         sentence = (f'the calibration holds; the target, or the base of the robot, moved by '
-                    f'{mm(moved)} and turned by {turned * DEGREES:.3f} degrees')
+                    f'{mm(moved)} and turned by {math.degrees(turned):.3f} degrees')
     elif found.p_error >= SUSPICIOUS:
         verdict = 'sensor'
         sentence = (f'the sensor moved on the flange: points are off by up to '

@@ -98,12 +98,10 @@ class Course:
                 f'{len(part.samples)} usable stops of {len(part.stops)}')
         return f'{self.routine.name}{many}: {seen}'
 
-    def go_on(self) -> bool:
-        """Begin the next part, if there is one and this one is not empty; tell whether."""
-        if self.parts[-1].is_empty or len(self.parts) >= self._most:
-            return False
-        self.parts.append(Part())
-        return True
+    def go_on(self) -> None:
+        """Begin the next part, if there is one and this one is not empty."""
+        if not self.parts[-1].is_empty and len(self.parts) < self._most:
+            self.parts.append(Part())
 
     @property
     def is_full(self) -> bool:

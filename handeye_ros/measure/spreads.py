@@ -7,6 +7,7 @@ from handeye_ros.data import Array
 from handeye_ros.measure.fixed_fit import FixedFit, points_in_base
 from handeye_ros.measure.routine import BAGS, Seen
 from handeye_ros.measure.verification import Quantity
+from handeye_ros.profiles.circles import fit_circle
 import numpy as np
 
 
@@ -32,7 +33,8 @@ def of_centres(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
             sensor = poses[station] @ X
             axes = sensor[:3, [0, 2]].T
             rows.append(axes)
-            values.append(_centre(obs.points[obs.station == station]) + axes @ sensor[:3, 3])
+            centre = fit_circle(obs.points[obs.station == station])[:2]
+            values.append(centre + axes @ sensor[:3, 3])
         A, b = np.concatenate(rows), np.concatenate(values)
         off = b - A @ np.linalg.lstsq(A, b, rcond=None)[0]
         freedom = max(len(b) - 3, 1)
@@ -50,14 +52,6 @@ def of_faces(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
         told.append(_spread(f'flatness of face {k + 1}, noise included',
                             float(away.max() - away.min()), len(away) - 1))
     return tuple(told)
-
-
-def _centre(points: Array) -> Array:
-    """Return the centre (2,) of the circle through points (n, 2), by least squares."""
-    middle = points.mean(axis=0)
-    at = points - middle
-    A = np.column_stack([2 * at, np.ones(len(at))])
-    return np.asarray(np.linalg.lstsq(A, (at ** 2).sum(axis=1), rcond=None)[0][:2] + middle)
 
 
 def _spread(name: str, value: float, freedom: int) -> Quantity:

@@ -104,8 +104,7 @@ def sentence(found: Verification) -> str:
                 f'{shown(s.std, "m")}, maximum {shown(s.maximum, "m")}, RMS {shown(s.rms, "m")}')
     if not math.isnan(s.expected):
         told[-1] += f' (95 % of such RMS lie below {shown(s.expected, "m")})'
-    return '; '.join((f'{found.routine}: {found.verdict.upper()}, {found.stations} stations',
-                      *found.reasons, *told))
+    return '; '.join((title_of(values(found)), *found.reasons, *told))
 
 
 def table(found: Verification) -> Table:

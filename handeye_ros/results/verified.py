@@ -12,7 +12,6 @@ from handeye_ros.results.errors import VerificationFileError
 import yaml
 
 FORMAT = 'handeye_ros/verification/1'
-DEGREES = 57.29578
 COLUMNS = ('measured', 'nominal', 'error', '1 sigma', 'of it calibration')
 SCATTER = (('mean distance from the fit', 'mean'), ('its standard deviation', 'std'),
            ('its maximum', 'maximum'), ('its RMS', 'rms'),
@@ -33,7 +32,7 @@ def shown(value: float | None, unit: str) -> str:
     """Return a value for a person: millimetres, or degrees."""
     if value is None or math.isnan(value):
         return ''
-    return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{value * DEGREES:.4f} degrees'
+    return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{math.degrees(value):.4f} degrees'
 
 
 def title_of(told: Mapping[str, Any]) -> str:
