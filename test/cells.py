@@ -17,6 +17,7 @@ from handeye_ros.results.truth_errors import mapped_point_error
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.layout import FRAMES
 import numpy as np
+import pytest
 
 NO_DOUBTS = {'noise__distortion': 0.0, 'noise__flatness': 0.0, 'noise__robot_smooth': 0.0,
              'noise__robot_scale': 0.0, 'target__radius_std': 0.0, 'target__size_std': 0.0,
@@ -129,3 +130,33 @@ def recorded(scenario: str | Scenario = 'plate', seed: int = 0, rate: float = 10
     simulated = simulate(made, np.random.default_rng(seed))
     return Recorded(made, simulated.profiles, simulated.poses, simulated.truth,
                     config(made, **values))
+
+
+every_method = pytest.mark.parametrize('name', methods.METHODS)
+WHERE = ('eye_in_hand', 'eye_on_base')
+
+
+def scenario_for(name: str, where: str = 'eye_in_hand') -> Scenario:
+    """Return the scenario of a method, with the sensor on the flange or beside the robot."""
+    return replace(scenario_of(methods.METHODS[name]), calibration_type=where)
+
+
+@lru_cache
+def noisy(name: str, where: str = 'eye_in_hand', seed: int = 0) -> Cell:
+    return cell(scenario_for(name, where), seed, method=name)
+
+
+@lru_cache
+def solution_of(name: str, where: str = 'eye_in_hand', seed: int = 0) -> Solution:
+    return solved(noisy(name, where, seed).problem)
+
+
+@lru_cache
+def exact_solution(name: str, where: str, seed: int = 0) -> tuple[Cell, Solution]:
+    made = exact_cell(scenario_for(name, where), seed, method=name)
+    return made, solved(made.problem)
+
+
+def apart(a: Array, b: Array) -> float:
+    """Return the largest difference between two transforms, m or rad."""
+    return float(np.abs(se3.difference(a, b)).max())

@@ -1,9 +1,11 @@
 """Isolation and repeatability, for all tests."""
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 import os
+from pathlib import Path
 import signal
+import sys
 from typing import Any
 
 from hypothesis import settings
@@ -17,6 +19,9 @@ os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 101)
 # In the background of a shell SIGINT is ignored, and so it would be by what the tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# Their failing assertions show both sides too.
+pytest.register_assert_rewrite('command', 'recordings')
+
 # The same examples every time, however slow the machine. To look for new ones:
 # HYPOTHESIS_PROFILE=explore make test
 settings.register_profile('repeatable', derandomize=True, deadline=None, database=None)
@@ -26,9 +31,32 @@ settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'repeatable'))
 
 
 @pytest.fixture
+def good_bag(tmp_path: Path) -> Path:
+    """Return the folder of a bag of recordings.PROFILES and POSES that is in order."""
+    from recordings import written
+    return written(tmp_path, name='good')
+
+
+@pytest.fixture
 def client() -> Iterator[Any]:
     """Give a ROS node in the process of the test (ros_helpers.Client)."""
     from ros_helpers import Client
     client = Client()
     yield client
     client.close()
+
+
+@pytest.fixture
+def handeye(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+            ) -> Callable[..., tuple[int, str, str]]:
+    """Return what runs the command in this process: its exit code, output and errors."""
+    from handeye_ros.cli import main
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, 'argv', ['handeye', *map(str, arguments)])
+        monkeypatch.chdir(tmp_path)
+        with pytest.raises(SystemExit) as caught:
+            main()
+        told = capsys.readouterr()
+        return int(caught.value.code or 0), told.out, told.err
+    return run

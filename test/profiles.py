@@ -3,7 +3,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from handeye_ros.data import Array
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Feature
+from handeye_ros.profiles.faces import face_features
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 import numpy as np
@@ -25,6 +27,17 @@ def with_lost(points: Array) -> Array:
     points = points.copy()
     points[[8, -9]] = np.nan
     return points
+
+
+def marked(height: Callable[[Array], Array], seed: int = 0) -> Array:
+    """Return a profile as drawn, of a driver that marks lost points."""
+    return with_lost(drawn(height, seed))
+
+
+def many(height: Callable[[Array], Array], count: int = 15, seed: int = 0
+         ) -> list[tuple[Feature, ...]]:
+    """Return the features of so many profiles of one face."""
+    return [face_features(marked(height, seed * 100 + i), Config()) for i in range(count)]
 
 
 def face(x: Array, tilt: float = 0.1, at: float = 0.17) -> Array:

@@ -3,12 +3,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from handeye_ros.config import SamplingConfig
+from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import Profile, TimedPose
+from handeye_ros.ros.bags import bag_write
 from handeye_ros.ros.bags.storage import scan
 from handeye_ros.sampling.stations import StationFinder
 from mcap.writer import CompressionType, IndexType, Writer
 import numpy as np
+from rosbags.rosbag2 import CompressionFormat
+from rosbags.rosbag2 import Writer as BagWriter
+from rosbags.typesys import get_typestore, Stores
+import yaml
 
 START = 1_700_000_000_000_000_001
 PROFILES_PERIOD, POSES_PERIOD = 33_333_333, 10_000_000
@@ -83,3 +88,60 @@ def halves(recording, count):
     cut = ends[count - 1].end + 1
     return tuple(tuple([item for item in items if (item.stamp > cut) == late]
                        for items in (all_profiles, all_poses)) for late in (False, True))
+
+
+PROFILES, POSES = profiles(), poses()
+CONFIG = Config()
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+
+
+def written(folder, profiles=PROFILES, poses=POSES, config=CONFIG, name='bag'):
+    bag_write.write(folder / name, profiles, poses, config)
+    return folder / name
+
+
+def assert_equal_recordings(recording, profiles=PROFILES, poses=POSES):
+    assert [p.stamp for p in recording.profiles] == [p.stamp for p in profiles]
+    assert [p.stamp for p in recording.poses] == [p.stamp for p in poses]
+    for raw, expected in zip(recording.profiles, profiles, strict=True):
+        got = raw.read()
+        assert (raw.stamp, raw.frame_id) == (got.stamp, got.frame_id)
+        assert (got.frame_id, got.axes) == (expected.frame_id, expected.axes)
+        np.testing.assert_allclose(got.points, expected.points, rtol=1e-6)
+    for got, expected in zip(recording.poses, poses, strict=True):
+        assert got.parent_frame == expected.parent_frame
+        np.testing.assert_allclose(got.translation, expected.translation, rtol=1e-15)
+        np.testing.assert_allclose(got.quaternion, expected.quaternion, rtol=1e-15)
+
+
+def split(folder, target, listed):
+    """Split a bag into eleven files, so that _10 comes behind _9."""
+    target.mkdir()
+    messages = scan(folder).messages
+    names = [f'split_{i}.mcap' for i in range(11)]
+    for i, name in enumerate(names):
+        rewrite(folder, target / name, messages[i * 12:(i + 1) * 12])
+    if listed:
+        (target / 'metadata.yaml').write_text(yaml.safe_dump(
+            {'rosbag2_bagfile_information': {'relative_file_paths': names}}))
+    return target
+
+
+def rosbags_copy(folder, target, plugin, mode):
+    """Copy a bag with another storage and compression."""
+    messages = scan(folder)
+    writer = BagWriter(target, version=9, storage_plugin=plugin)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connections = {topic: writer.add_connection(topic, kind, typestore=TYPES)
+                       for topic, kind in messages.topics.items()}
+        for raw in messages.messages:
+            writer.write(connections[raw.topic], raw.log_time, raw.data)
+    return target
+
+
+def with_messages(folder, tmp_path, change, types=None):
+    """Return a copy of a bag whose messages went through change(raw) -> raw or None."""
+    changed = [change(raw) for raw in scan(folder).messages]
+    return rewrite(folder, tmp_path / 'changed.mcap', [raw for raw in changed if raw],
+                   types=types)

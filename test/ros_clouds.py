@@ -1,10 +1,13 @@
-"""Builds PointCloud2 messages of any layout, without ROS."""
+"""Builds PointCloud2 messages of any layout, without ROS, and reads them."""
 from __future__ import annotations
 
 from types import SimpleNamespace
 
-from handeye_ros.ros.bags.messages import DATATYPES
+from handeye_ros.config import ProfileConfig
+from handeye_ros.ros.bags.messages import DATATYPES, profile_from_cloud
 import numpy as np
+
+METRES = ProfileConfig()
 
 
 def header(stamp=1_700_000_000_000_000_001, frame_id='laser'):
@@ -43,3 +46,14 @@ def pose(position=(1.0, 2.0, 3.0), orientation=(0.0, 0.0, 0.0, 1.0), frame_id='b
     return names(header=header(frame_id=frame_id), pose=names(
         position=names(**dict(zip('xyz', position, strict=True))),
         orientation=names(**dict(zip('xyzw', orientation, strict=True)))))
+
+
+def points(msg, config=METRES):
+    return profile_from_cloud(msg, config).points
+
+
+def expected(x, z):
+    """Return what a profile must hold of two columns, by the text of the design."""
+    both = np.array([x, z], dtype=float).T
+    both[~np.isfinite(both).all(axis=1)] = np.nan
+    return both

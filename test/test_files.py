@@ -1,23 +1,21 @@
-"""Targets solved from files: every verb, what is written, and what is refused."""
+"""Targets solved from files: every verb, and what is written."""
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
 import hashlib
 from pathlib import Path
-import sys
 
 from command import ROOT
+from file_scenes import given, Run, TABLES, target_of
 from handeye_ros import files, se3
-from handeye_ros.cli import main
 from handeye_ros.comparison.compare import compare_files
 from handeye_ros.comparison.estimators import ESTIMATORS
 from handeye_ros.config import Config, load, with_values
 from handeye_ros.data import Array, Calibration
-from handeye_ros.errors import BadValueError, OnlyFromFilesError
 from handeye_ros.files import FILE_METHODS
 from handeye_ros.files.outcome import calibrate
-from handeye_ros.methods import FROM_FILES, METHODS, of
+from handeye_ros.methods import FROM_FILES, METHODS
 from handeye_ros.results import calibration_file
 from handeye_ros.results.outcome import sensor_axes
 from handeye_ros.results.truth_errors import errors_against
@@ -28,7 +26,6 @@ from handeye_ros.simulate.scenario import SensorModel
 import numpy as np
 import pytest
 
-TABLES = {'points': 'points.csv', 'hand_eye': 'poses.csv', 'tracker': 'tracker.csv'}
 PERFECT = SensorModel(columns=640, rate=10.0, noise=1e-9, mixed=0.0, lost=0.0, lost_at_edge=0.0,
                       outliers=0.0, rim_bias=0.0)
 EXACT: dict[str, Callable[[np.random.Generator], measured.Measured]] = {
@@ -36,22 +33,6 @@ EXACT: dict[str, Callable[[np.random.Generator], measured.Measured]] = {
     'hand_eye': lambda rng: measured.hand_eye(rng, noise=0.0),
     'hand_eye_on_base': lambda rng: measured.hand_eye(rng, True, 0.0),
     'tracker': lambda rng: measured.laser_tracker(rng, PERFECT, 0.0, 0.0)}
-
-Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-        ) -> Run:
-    """Return a function that runs the command in a folder of its own."""
-    def handeye(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, 'argv', ['handeye', *map(str, arguments)])
-        monkeypatch.chdir(tmp_path)
-        with pytest.raises(SystemExit) as caught:
-            main()
-        told = capsys.readouterr()
-        return int(caught.value.code or 0), told.out, told.err
-    return handeye
 
 
 @pytest.fixture(scope='module', params=[name for name in FILE_SCENES if name != 'tracker'])
@@ -61,27 +42,6 @@ def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     path = tmp_path_factory.mktemp('scenes') / request.param
     simulated.write(request.param, 1, path)
     return request.param, path
-
-
-def target_of(name: str) -> str:
-    return next(target for target in FILE_METHODS if target in name)
-
-
-def given(name: str, folder: Path) -> tuple[object, ...]:
-    """Return the arguments that solve or compare what is in the folder of a scene."""
-    target = target_of(name)
-    where = 'eye_on_base' if name in ('points', 'hand_eye_on_base') else 'eye_in_hand'
-    return (folder if target == 'tracker' else folder / TABLES[target], '--config',
-            ROOT / 'config' / f'{target}.yaml', '--set', f'calibration_type={where}')
-
-
-def refused(told: tuple[int, str, str], code: int, *words: str) -> None:
-    """Check that a run ended with a sentence, and that nothing was answered or written."""
-    assert (told[0], told[1]) == (code, ''), told
-    assert 'Traceback' not in told[2] and len(told[2].splitlines()) == 1
-    for word in words:
-        assert word in told[2]
-    assert not Path('out').exists()
 
 
 def off(T: Array, T_true: Array) -> float:
@@ -110,25 +70,25 @@ def test_every_target_has_all_that_belongs_to_it() -> None:
 
 
 @pytest.mark.parametrize('name', FILE_SCENES)
-def test_simulate_writes_files_and_truth(name: str, run: Run, tmp_path: Path) -> None:
+def test_simulate_writes_files_and_truth(name: str, handeye: Run, tmp_path: Path) -> None:
     simulated.write(name, 1, folder := tmp_path / 'again')
-    code, out, err = run('simulate', name, 'made', '--seed', 1)
+    code, out, err = handeye('simulate', name, 'made', '--seed', 1)
     assert (code, err) == (0, '')
     table = TABLES[target_of(name)]
     assert out.startswith(f'wrote {Path("made").absolute()}: ') and table in out
     for file in (table, 'truth.yaml'):
         assert Path('made', file).read_bytes() == (folder / file).read_bytes()
     assert f'simulate {name} --seed 1' in Path('made', 'truth.yaml').read_text()
-    code, _, err = run('simulate', name, 'made', '--seed', 2)
+    code, _, err = handeye('simulate', name, 'made', '--seed', 2)
     assert code == 2 and '--force' in err
-    assert run('simulate', name, 'made', '--seed', 2, '--force')[0] == 0
+    assert handeye('simulate', name, 'made', '--seed', 2, '--force')[0] == 0
     assert Path('made', table).read_bytes() != (folder / table).read_bytes()
 
 
-def test_solve_answers_near_the_truth_and_says_how_near(scene: tuple[str, Path], run: Run
+def test_solve_answers_near_the_truth_and_says_how_near(scene: tuple[str, Path], handeye: Run
                                                         ) -> None:
     name, folder = scene
-    code, out, err = run('solve', *given(name, folder), '--out', 'out')
+    code, out, err = handeye('solve', *given(name, folder), '--out', 'out')
     assert (code, err) == (0, '')
     found = calibration_file.read_calibration(Path('out', 'calibration.yaml'))
     T_true = true_transform(folder)
@@ -172,12 +132,12 @@ def test_what_is_written_reads_back_equal(scene: tuple[str, Path], tmp_path: Pat
     assert calibration_file.equal(found, back)
 
 
-def test_compare_shows_every_estimator(scene: tuple[str, Path], run: Run,
+def test_compare_shows_every_estimator(scene: tuple[str, Path], handeye: Run,
                                        monkeypatch: pytest.MonkeyPatch) -> None:
     name, folder = scene
     quickly = partial(compare_files, folds=2)
     monkeypatch.setattr('handeye_ros.comparison.compare.compare_files', quickly)
-    code, out, err = run('compare', *given(name, folder))
+    code, out, err = handeye('compare', *given(name, folder))
     assert (code, err) == (0, '')
     for estimator in ESTIMATORS[target_of(name)]:
         row = next(row for row in out.splitlines() if row.startswith(f' {estimator.name} '))
@@ -187,14 +147,14 @@ def test_compare_shows_every_estimator(scene: tuple[str, Path], run: Run,
 
 
 @pytest.mark.parametrize('name', EXACT)
-def test_without_noise_all_find_the_truth(name: str, run: Run, tmp_path: Path) -> None:
+def test_without_noise_all_find_the_truth(name: str, handeye: Run, tmp_path: Path) -> None:
     made, folder = EXACT[name](np.random.default_rng(3)), tmp_path / 'exact'
     if made.profiles:
         bag_write.write(folder, made.profiles, made.poses, tables=made.tables, layout='double')
     else:
         folder.mkdir()
         (folder / TABLES[target_of(name)]).write_text(next(iter(made.tables.values())))
-    code, _, err = run('solve', *given(name, folder), '--out', 'out')
+    code, _, err = handeye('solve', *given(name, folder), '--out', 'out')
     assert code == 0, err
     found = calibration_file.read_calibration(Path('out', 'calibration.yaml'))
     assert off(found.T_flange_sensor, made.T_flange_sensor) < 1e-6
@@ -258,144 +218,3 @@ def test_axes_other_than_x_z_turn_the_answer_of_the_tracker(tmp_path: Path) -> N
                          'test')
     T, T_turned = (calibrate(method, read, c).T_flange_sensor for c in (config, turned))
     np.testing.assert_allclose(T_turned @ sensor_axes(turned), T, atol=1e-9)
-
-
-def edited(name: str, folder: Path, change: Callable[[str], str]) -> tuple[object, ...]:
-    """Return the arguments for a scene whose table was changed."""
-    simulated.write(name, 1, folder)
-    file = folder / TABLES[target_of(name)]
-    file.write_text(change(file.read_text()))
-    return given(name, folder)
-
-
-def rows(change: Callable[[list[str]], list[str]]) -> Callable[[str], str]:
-    """Return a change of the rows below the header."""
-    def changed(text: str) -> str:
-        header, *lines = text.splitlines()
-        return '\n'.join([header, *change(lines)])
-    return changed
-
-
-def replaced(old: str, new: str) -> Callable[[str], str]:
-    return lambda text: text.replace(old, new)
-
-
-@pytest.mark.parametrize(('name', 'change', 'words'), [
-    ('points', replaced('camera_x [mm]', 'camera_x'), 'camera_x names no unit; write camera_x'),
-    ('points', replaced('base_z [mm]', 'base_z [inch]'), 'base_z has the unit inch'),
-    ('points', replaced('base_y', 'bass_y'), 'no column base_y; did you mean bass_y'),
-    ('points', rows(lambda lines: []), 'holds no rows'),
-    ('points', rows(lambda lines: ['1e30' + lines[0][lines[0].index(','):], *lines]),
-     'row 1: camera_x is 1e30, which is beyond all measure'),
-    ('hand_eye', replaced('target_qw', 'target_w'), 'has no column target_qw'),
-    ('hand_eye', replaced('flange_x [mm]', 'flange_x [deg]'), 'flange_x has the unit deg'),
-    ('hand_eye', replaced('flange_qx', 'flange_qx [rad]'), 'flange_qx has the unit rad'),
-    ('small_tracker', replaced('x [mm]', 'x'), 'the column x names no unit'),
-    ('small_tracker', replaced('arc', 'arch'), 'row 1: kind is "arch", expected arc'),
-    ('small_tracker', replaced('ball', 'line'), 'holds 0 points of the kind ball')])
-def test_files_that_cannot_be_read_end_with_2(name: str, change: Callable[[str], str],
-                                              words: str, run: Run, tmp_path: Path) -> None:
-    arguments = edited(name, tmp_path / 'cell', change)
-    refused(run('solve', *arguments), 2, words.replace('did you mean bass_y', 'did you mean'))
-
-
-@pytest.mark.parametrize(('name', 'change', 'words'), [
-    ('points', rows(lambda lines: lines[:3]), 'needs at least 4 points, got 3'),
-    ('points', rows(lambda lines: lines[:1] * 10), 'the points lie in one line'),
-    ('points', replaced('base_x [mm], base_y [mm], base_z [mm]',
-                        'base_x [m], base_y [m], base_z [m]'), 'their units'),
-    ('hand_eye', rows(lambda lines: lines[:2]), 'needs at least 3 poses, got 2'),
-    ('hand_eye', rows(lambda lines: lines[:1] * 5), 'all poses share one orientation'),
-    ('hand_eye', replaced('flange_x [mm], flange_y [mm], flange_z [mm]',
-                          'flange_x [m], flange_y [m], flange_z [m]'), 'and the units'),
-    ('hand_eye', replaced('flange_qx, flange_qy, flange_qz, flange_qw',
-                          'flange_qy, flange_qz, flange_qw, flange_qx'),
-     'but with flange quaternions as w x y z the residual falls from'),
-    ('hand_eye', replaced('target_qx, target_qy, target_qz, target_qw',
-                          'target_qy, target_qz, target_qw, target_qx'),
-     'but with target quaternions as w x y z the residual falls from'),
-    ('small_tracker', rows(lambda lines: lines[:3] * 2 + lines[40:]), 'the arc spans 5.9 degrees'),
-    ('small_tracker', rows(lambda lines: lines[:40] + lines[40:70][::-1] + lines[70:]),
-     'that the line was measured towards larger readings'),
-    ('small_tracker', lambda text: text.replace('face_c', 'x_').replace(
-        'face_d', 'face_c').replace('x_', 'face_d'), 'check which face is which')])
-def test_files_without_an_answer_end_with_3(name: str, change: Callable[[str], str],
-                                            words: str, run: Run, tmp_path: Path) -> None:
-    refused(run('solve', *edited(name, tmp_path / 'cell', change)), 3, words)
-
-
-@pytest.mark.parametrize('name', ['hand_eye', 'hand_eye_on_base'])
-def test_the_wrong_calibration_type_is_named(name: str, run: Run, tmp_path: Path) -> None:
-    simulated.write(name, 1, tmp_path / 'cell')
-    other = 'eye_in_hand' if name == 'hand_eye_on_base' else 'eye_on_base'
-    told = run('solve', *given(name, tmp_path / 'cell'), '--set', f'calibration_type={other}')
-    refused(told, 3, 'with one of the two lists inverted the residual falls from',
-            'set calibration_type to the other one')
-
-
-@pytest.mark.parametrize('eye_on_base', [False, True])
-def test_turns_about_one_axis_are_refused(eye_on_base: bool, run: Run, tmp_path: Path) -> None:
-    made = measured.hand_eye(np.random.default_rng(0), eye_on_base, tilts=(0.0, 0.0, 60.0))
-    (tmp_path / 'poses.csv').write_text(made.tables['poses.csv'])
-    name = 'hand_eye_on_base' if eye_on_base else 'hand_eye'
-    refused(run('solve', *given(name, tmp_path)), 3, 'all poses share one rotation axis',
-            'about base' if eye_on_base else 'about flange')
-    refused(run('compare', *given(name, tmp_path)), 3, 'all poses share one rotation axis')
-
-
-def test_an_answer_beyond_the_limits_is_refused(run: Run, tmp_path: Path) -> None:
-    simulated.write('points', 1, tmp_path / 'cell')
-    arguments = ('solve', *given('points', tmp_path / 'cell'))
-    for limit, words in (('translation=1e-6', 'the position along'),
-                         ('rotation=1e-6', 'the rotation about')):
-        told = run(*arguments, '--set', f'limits.{limit}')
-        refused(told, 3, words, 'take more points, spread over a larger volume')
-    refused(run(*arguments, '--set', 'limits.residual=1e-6'), 3, 'samples miss by 0.04')
-
-
-def test_what_we_refuse_others_may_answer(run: Run, tmp_path: Path) -> None:
-    simulated.write('points', 1, tmp_path / 'cell')
-    code, out, err = run('compare', *given('points', tmp_path / 'cell'), '--set',
-                         'limits.translation=1e-6')
-    assert code == 3 and 'the position along' in err
-    assert ' points    failed: the position along' in ' '.join(out.split()).replace(
-        'points failed', 'points    failed')
-    assert 'Wu 2017' in out
-
-
-@pytest.mark.parametrize(('settings', 'words'), [
-    (('target.type=points', 'calibration_type=eye_in_hand'),
-     "calibration_type is 'eye_in_hand', expected eye_on_base with target.type points"),
-    (('target.type=tracker', 'calibration_type=eye_on_base'), 'expected eye_in_hand with'),
-    (('target.type=points', 'calibration_type=eye_on_base', 'method=plate'),
-     "method is 'plate', expected auto or points with target.type points"),
-    (('target.type=tracker', 'tracker.direction=[0, 0, 0]'), 'a direction that is not zero'),
-    (('target.type=pointz',), "target.type is 'pointz', expected one of plate, line, ")])
-def test_settings_that_do_not_fit_end_with_2(settings: tuple[str, ...], words: str, run: Run,
-                                             tmp_path: Path) -> None:
-    simulated.write('small_tracker', 1, tmp_path / 'cell')
-    given = [argument for setting in settings for argument in ('--set', setting)]
-    for verb in ('solve', 'compare'):
-        refused(run(verb, tmp_path / 'cell', *given), 2, words)
-
-
-def test_inputs_that_are_none_end_with_2(run: Run, tmp_path: Path) -> None:
-    simulated.write('small_tracker', 1, tmp_path / 'cell')
-    _, *settings = given('points', tmp_path)
-    refused(run('solve', 'nowhere.csv', *settings), 2, 'nowhere.csv', 'cannot be read')
-    refused(run('solve', 'cell', *settings), 2, 'is a folder; give the file in it')
-    refused(run('solve', 'cell/small_tracker.mcap', *settings), 2, 'cannot be read')
-    (tmp_path / 'cell' / 'tracker.csv').unlink()
-    refused(run('solve', *given('small_tracker', tmp_path / 'cell')), 2,
-            'tracker.csv: no such file', 'set tracker.file')
-    _, *settings = given('small_tracker', tmp_path)
-    refused(run('solve', 'nowhere', *settings), 2, 'no such file or folder')
-
-
-@pytest.mark.parametrize('name', FILE_METHODS)
-def test_what_takes_profiles_refuses_them(name: str) -> None:
-    with pytest.raises(OnlyFromFilesError, match=f'{name} is solved from files, .*: run "handeye '
-                       'solve'):
-        of(load(ROOT / 'config' / f'{name}.yaml'))
-    with pytest.raises(BadValueError):
-        of(with_values(Config(), {'method': name}, 'test'))

@@ -1,0 +1,73 @@
+"""Streams of poses and profiles of a robot that stops, and sessions that take them."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from handeye_ros.config import Config, with_values
+from handeye_ros.data import Array, EdgePoint, Profile, Reject, Sample, TimedPose
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stations import NS
+import numpy as np
+from profiles import drawn, face, step_up_to, with_lost
+
+START = 1_700_000_000_000_000_000
+GOOD = with_lost(drawn(step_up_to(0.002)))[::4]
+BAD = with_lost(drawn(face))[::4]  # a face without an edge
+CONFIG = with_values(Config(), {'sampling.new_translation': 0.0}, 'test')
+MANUAL = with_values(CONFIG, {'sampling.mode': 'manual'}, 'test')
+
+
+def pose(time: float, x: float = 0.0, turn: float = 0.0, frame: str = 'base') -> TimedPose:
+    return TimedPose(START + round(time * NS), np.array([x, 0.2, 0.3]),
+                     np.array([0.0, 0.0, np.sin(turn / 2), np.cos(turn / 2)]), frame)
+
+
+def profile(time: float, points: Array = GOOD, frame: str = 'laser') -> Profile:
+    return Profile(START + round(time * NS), frame, points)
+
+
+def stops(*spans: tuple[float, float], rate: float = 50.0) -> list[TimedPose]:
+    """Return poses of a robot that stands still during the spans (s) and moves in between."""
+    poses = []
+    for t in np.arange(spans[0][0], spans[-1][1] + 1e-9, 1 / rate).round(9):
+        index = sum(t > end for _, end in spans)
+        inside = spans[index][0] <= t
+        poses.append(pose(t, x=0.1 * index if inside else 0.1 * index - 0.05 + 0.02 * (t % 1)))
+    return poses
+
+
+def profiles(start: float, end: float, rate: float = 20.0, points: Array = GOOD
+             ) -> list[Profile]:
+    return [profile(t, points) for t in np.arange(start, end, 1 / rate) + 0.003]
+
+
+def played(poses: Sequence[TimedPose], profiles: Sequence[Profile], config: Config = CONFIG,
+           finish: bool = True) -> Session:
+    """Return a session that took both streams in the order of their stamps."""
+    session = Session(config)
+    for item in sorted([*poses, *profiles], key=lambda item: item.stamp):
+        add(session, item)
+        session.collect()
+    if finish:
+        session.finish()
+    return session
+
+
+def add(session: Session, item: TimedPose | Profile) -> None:
+    if isinstance(item, TimedPose):
+        session.add_pose(item)
+    else:
+        session.add_profile(item)
+
+
+def results(session: Session) -> list[Sample | Reject]:
+    """Return what became of the stops, in the order of their numbers."""
+    return [outcome.result for outcome in session.outcomes]
+
+
+def key(outcomes: Sequence[Sample | Reject]) -> list[tuple[object, ...]]:
+    """Return all that outcomes say, to be compared."""
+    return [(o.stamp, o.reason) if isinstance(o, Reject) else (
+        o.stamp, o.T_base_flange.tobytes(), o.profiles,
+        tuple((f.point.tobytes(), f.std) if isinstance(f, EdgePoint) else f.centre.tobytes()
+              for f in o.features)) for o in outcomes]

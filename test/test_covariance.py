@@ -1,0 +1,160 @@
+"""Covariance and residuals against trials and real refits; the same for every method."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+from cells import cell, every_method, exact_cell, noisy, scenario_for, solution_of, solved
+from handeye_ros import pipeline, se3
+from handeye_ros.checks.errors import TooUncertainError
+from handeye_ros.config import with_values
+from handeye_ros.estimation.blocks import groups
+from handeye_ros.estimation.method import Estimate
+from handeye_ros.estimation.solve import evaluate, fitted, Solution, station_statistic, without
+from handeye_ros.estimation.weights import covariances, Noise
+from handeye_ros.results.outcome import measured_points
+import numpy as np
+import pytest
+
+
+@every_method
+def test_the_solution_is_the_minimum(name: str) -> None:
+    solution = solution_of(name)
+    gradient = solution.jacobian.T @ solution.white
+    scale = np.sqrt(np.diag(solution.covariance))
+    assert np.abs(gradient * scale).max() < 1e-4, 'in sigmas'
+
+
+@every_method
+def test_the_covariance_is_symmetric_and_positive(name: str) -> None:
+    made = noisy(name)
+    C = pipeline.solve(made.samples, [], made.config, 'laser').covariance
+    assert C.shape == (6, 6) and np.allclose(C, C.T, rtol=1e-12)
+    assert np.linalg.eigvalsh(C).min() > 0
+
+
+@pytest.mark.parametrize('factors', [(1.0, 1.0, 1.0), (0.1, 1e4, 1e-4), (1e4, 0.1, 1e-4)])
+def test_the_noise_of_a_station_is_positive_whatever_its_size(
+        factors: tuple[float, float, float]) -> None:
+    solution = solution_of('plate')
+    doubtful = replace(solution.problem, config=with_values(
+        solution.problem.config, {'noise.distortion': 2e-5}, 'a test'))
+    for rows in groups(doubtful.observations.station):
+        noise = np.tensordot(factors, covariances(doubtful, solution.linear, rows), 1)
+        assert np.array_equal(noise, np.swapaxes(noise, 1, 2))
+        assert np.linalg.eigvalsh(noise).min() > 0
+
+
+def trials(name: str) -> int:
+    """Return as many seeds as take a few seconds: spheres are slower."""
+    return {'plate': 60, 'sphere': 20}.get(name, 30)
+
+
+@pytest.mark.thorough
+@every_method
+def test_the_stated_covariance_is_that_of_the_errors(name: str) -> None:
+    squares = []
+    for seed in range(trials(name)):
+        # the smooth error of a sensor's field is not simulated here
+        made = cell(scenario_for(name), seed, noise__distortion=0.0, method=name)
+        try:
+            answer = pipeline.solve(made.samples, [], made.config, 'laser')
+        except TooUncertainError:
+            continue
+        error = se3.difference(answer.T_flange_sensor, made.truth.T_flange_sensor)
+        squares.append(error @ np.linalg.solve(answer.covariance, error) / 6)
+    assert len(squares) > 0.9 * trials(name)
+    sigma = np.sqrt(2 / 6 / len(squares))  # of the mean of chi-squared over 6
+    assert abs(np.mean(squares) - 1) < 3.5 * sigma
+    assert np.max(squares) < 6, 'no trial is far outside'
+
+
+@pytest.mark.thorough
+@every_method
+def test_residuals_are_as_large_as_the_noise(name: str) -> None:
+    factors = []
+    for seed in range(6):
+        made = cell(scenario_for(name), seed, noise__distortion=0.0, method=name)
+        solution = solved(made.problem)
+        factors.append((solution.variance_factor, solution.degrees_of_freedom))
+    mean = np.average([f for f, _ in factors], weights=[d for _, d in factors])
+    assert mean == pytest.approx(1, abs=4 * np.sqrt(2 / sum(d for _, d in factors)))
+
+
+@every_method
+def test_residuals_without_a_station_are_those_of_a_real_refit(name: str) -> None:
+    solution = solution_of(name)
+    n = len(solution.problem.poses)
+    std = np.sqrt(np.diag(solution.covariance)[:6])
+    for station in range(0, n, 3):
+        refit = refit_without(solution, station)
+        first_order = without(solution, np.array([station]))
+        effect = se3.difference(refit.X, solution.estimate.X) / std
+        off = se3.difference(first_order.X, refit.X) / std
+        assert np.linalg.norm(off) < 0.03 + 0.1 * np.linalg.norm(effect)
+        assert np.linalg.norm(effect) > 1e-3, 'a station that is left out does something'
+
+
+def refit_without(solution: Solution, station: int) -> Estimate:
+    others = np.setdiff1d(np.arange(len(solution.problem.poses)), [station])
+    return fitted(solution.problem.subset(others), solution.estimate, Noise())
+
+
+@every_method
+def test_the_deleted_residual_of_a_station_is_that_against_a_real_refit(name: str) -> None:
+    solution = solution_of(name)
+    obs = solution.problem.observations
+    statistic, count = station_statistic(solution)
+    for station in range(0, len(solution.problem.poses), 4):
+        alone = solution.problem.subset(np.array([station]))
+        others = evaluate(solution.problem.subset(np.setdiff1d(
+            np.arange(len(solution.problem.poses)), [station])),
+            refit_without(solution, station), Noise())
+        there = evaluate(alone, others.estimate, Noise())
+        S = np.eye(len(there.white)) + there.jacobian @ others.covariance @ there.jacobian.T
+        expected = there.white @ np.linalg.solve(S, there.white)
+        assert statistic[station] == pytest.approx(expected, rel=0.1, abs=0.05)
+        assert count[station] == (obs.station == station).sum()
+
+
+@every_method
+def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
+    made = noisy(name)
+    ordered = sorted(made.samples, key=lambda s: s.stamp)
+    answer = pipeline.solve(made.samples, [], made.config, 'laser')
+    agreed, solution = pipeline.estimate(ordered, [], made.config)
+    assert len(agreed.used) == len(ordered) <= 20, 'each station is a fold of its own'
+    measured = measured_points(ordered, solution.problem)
+    squares, own = [], []
+    for station in range(len(ordered)):
+        others = np.setdiff1d(np.arange(len(ordered)), [station])
+        refit = fitted(solution.problem.subset(others), solution.estimate, solution.noise)
+        mine = measured.select(measured.station == station)
+        squares.append(mine.residuals(solution.problem, refit) ** 2)
+        own.append(mine.residuals(solution.problem, solution.estimate) ** 2)
+    left_out, used = (np.sqrt(np.concatenate(s).mean()) for s in (squares, own))
+    assert answer.quality.holdout_rms == pytest.approx(left_out, rel=0.03)
+    assert answer.quality.residual_rms == pytest.approx(used, rel=1e-9)
+    assert left_out > 1.01 * used
+
+
+@every_method
+def test_more_noise_is_more_uncertainty(name: str) -> None:
+    solution = solution_of(name)
+    made = solution.problem
+    wider = evaluate(made, solution.estimate, Noise(4.0, 4.0, 4.0))
+    same = evaluate(made, solution.estimate, Noise())
+    assert np.allclose(wider.covariance, 4 * same.covariance, rtol=1e-6)
+
+
+def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
+    """Move one pose: the residuals of its station agree on it, and weigh as one, not as many."""
+    made = exact_cell('plate')
+    solution = solved(made.problem)
+    moved = made.problem.poses.copy()
+    sigma = made.config.noise.robot_translation
+    normal = solution.estimate.target[:16].reshape(4, 4)[:3, 2]
+    moved[3] = se3.perturb(moved[3], np.append(sigma * normal, np.zeros(3)))
+    there = evaluate(replace(solution.problem, poses=moved), solution.estimate, Noise())
+    mine = there.problem.observations.station == 3
+    assert (there.white[mine] ** 2).sum() == pytest.approx(1, abs=0.15)
+    assert np.allclose(there.white[~mine], 0, atol=1e-3)

@@ -1,0 +1,150 @@
+"""Samples that are taken by hand, removed and cleared."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+from handeye_ros.data import Profile
+from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.sampling.errors import (
+    MovingError,
+    NoPosesError,
+    NoProfilesError,
+    NothingToRemoveError,
+)
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stations import MAX_STATION, NS
+import numpy as np
+import pytest
+from streams import add, BAD, CONFIG, MANUAL, played, pose, profile, profiles, START, stops
+
+
+def test_a_sensor_that_is_triggered_once_at_each_stop() -> None:
+    session = Session(MANUAL)
+    for stop in (0, 20, 40):
+        for t in np.arange(stop, stop + 1, 0.02):
+            add(session, pose(t, x=0.01 * stop))
+        add(session, profile(stop + 0.5))
+        sample = session.take_sample()
+        assert (sample.profiles, sample.stamp) == (1, START + round((stop + 0.5) * NS))
+    assert len(session.samples) == 3 and not session.warnings
+
+
+def test_a_sample_is_taken_of_the_station_that_the_robot_stands_in() -> None:
+    session = played(stops((0, 1), (2, 3)), profiles(0, 3), MANUAL, finish=False)
+    assert session.samples == ()
+    sample = session.take_sample()
+    assert session.samples == (sample,) and sample.T_base_flange[0, 3] == pytest.approx(0.1)
+    assert session.finish() == [] and len(session.samples) == 1
+
+
+def test_taking_twice_at_one_stop_keeps_one_sample() -> None:
+    session = played(stops((0, 1)), profiles(0, 1), MANUAL, finish=False)
+    first = session.take_sample()
+    for p in [pose(1.02 + 0.02 * i) for i in range(20)]:
+        session.add_pose(p)
+    for p in profiles(1.0, 1.4):
+        session.add_profile(p)
+    second = session.take_sample()
+    assert session.samples == (second,) and second.profiles > first.profiles
+
+
+def test_however_often_one_spot_is_taken_it_is_one_sample() -> None:
+    session = Session(MANUAL)
+    length = 3 * MAX_STATION // NS
+    for item in sorted([*stops((0, length)), *profiles(0, length, rate=2.0)],
+                       key=lambda item: item.stamp):
+        add(session, item)
+        if isinstance(item, Profile) and item.stamp > START + NS:
+            session.take_sample()
+        assert len(session.samples) <= 1
+
+
+def test_a_sample_is_kept_when_taking_it_again_fails() -> None:
+    session = played(stops((0, 1)), profiles(0, 1), MANUAL, finish=False)
+    sample = session.take_sample()
+    for p in [pose(1.02 + 0.02 * i) for i in range(200)]:
+        session.add_pose(p)
+    for p in profiles(1.0, 4.9, points=BAD):
+        session.add_profile(p)
+    with pytest.raises(FeatureError):
+        session.take_sample()
+    assert session.samples == (sample,)
+
+
+def test_a_sample_by_hand_takes_none_from_the_stop_before() -> None:
+    session = Session(CONFIG)  # one profile a stop: the first stop waits for that of the second
+    for start in (0, 20):
+        for t in np.arange(start, start + 1, 0.02):
+            add(session, pose(t, x=0.01 * start))
+        add(session, profile(start + 0.5))
+        session.collect()
+    session.take_sample()
+    session.finish()
+    assert sorted(round(float(s.T_base_flange[0, 3]), 6) for s in session.samples) == [0.0, 0.2]
+
+
+def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
+    session = played(stops((0, 1)), profiles(0, 1), finish=False)
+    session.take_sample()
+    for item in sorted([*stops((0, 1), (2, 3))[52:], *profiles(1.02, 3)],
+                       key=lambda item: item.stamp):
+        add(session, item)
+        session.collect()
+    session.finish()
+    assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.0, 0.1]
+
+
+def test_why_no_sample_can_be_taken_is_told() -> None:
+    session = Session(MANUAL)
+    with pytest.raises(NoPosesError):
+        session.take_sample()
+    session = played([pose(t, x=t) for t in np.arange(0, 1, 0.02)], profiles(0, 1), MANUAL)
+    with pytest.raises(MovingError, match='0.5 s'):
+        session.take_sample()
+    with pytest.raises(NoProfilesError):
+        played(stops((0, 1)), [], MANUAL).take_sample()
+    with pytest.raises(FeatureError, match='edge'):
+        played(stops((0, 1)), profiles(0, 1, points=BAD), MANUAL).take_sample()
+
+
+def test_the_last_sample_can_be_removed() -> None:
+    session = played(stops((0, 1), (2, 3)), profiles(0, 3))
+    first, second = session.samples
+    assert session.remove_last().result is second and session.samples == (first,)
+    assert session.remove_last().result is first
+    with pytest.raises(NothingToRemoveError):
+        session.remove_last()
+
+
+def test_stops_whose_samples_were_removed_are_stops() -> None:
+    session = played(stops((0, 1)), profiles(0, 1))
+    session.remove_last()
+    session.require_stations()
+
+
+def test_clearing_forgets_everything_also_the_frames_and_the_time() -> None:
+    session = played(stops((0, 1)), [*profiles(0, 1), profile(1.5, frame='x')], finish=False)
+    session.clear()
+    assert session.samples == session.rejects == session.warnings == ()
+    assert session.frame_id == ''
+    again = sorted([*stops((0, 1)), *(replace(p, frame_id='x') for p in profiles(0, 1))],
+                   key=lambda item: item.stamp)
+    for item in again:
+        add(session, item)
+    assert len(session.finish()) == 1 and session.frame_id == 'x'
+
+
+def test_automatic_samples_can_be_switched_on_and_off() -> None:
+    session = Session(MANUAL)
+    for item in sorted([*stops((0, 1), (2, 3)), *profiles(0, 3)], key=lambda item: item.stamp):
+        if item.stamp > START + round(1.5 * NS):
+            session.configure(CONFIG)
+        add(session, item)
+    session.finish()
+    assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.1]
+
+
+def test_a_moving_robot_is_told_its_speed() -> None:
+    creeping = [pose(t, x=4e-3 * t) for t in np.arange(0, 2, 0.02)]
+    with pytest.raises(MovingError, match=r'it moves by 4\.0 mm/s and 0\.0 degrees/s'):
+        played(creeping, profiles(0, 2), MANUAL, finish=False).take_sample()
