@@ -6,6 +6,7 @@ import sqlite3
 
 from handeye_ros.errors import BagError, DataError, InputError
 from handeye_ros.ros.bags import bag, bag_write, contents, storage
+from handeye_ros.ros.bags.blocks import block_of
 from handeye_ros.ros.bags.held import Poses
 from handeye_ros.ros.bags.topic import Topic
 from hypothesis import example, given, settings
@@ -188,8 +189,8 @@ def test_malformed_messages_are_counted_and_left_out(good_bag, tmp_path):
 def test_any_bytes_as_a_message_are_counted(junk, keep):
     message = TYPES.serialize_cdr(bag_write._pose_stamped(TYPES, POSES[0]), POSE)
     topic = Topic('pose_topic', 'flange_pose', POSE, Poses())
-    for data in (bytes(message[:keep]) + junk, bytes(message), bytes(message)):
-        topic.take((contents.Raw('/flange_pose', 1, data), lambda: b''))
+    data = (bytes(message[:keep]) + junk, bytes(message), bytes(message))
+    topic.take(block_of('/flange_pose', [1, 2, 3], data, [1, 2, 3], lambda place: b''))
     bag_contents = contents.Contents({'/flange_pose': POSE})
     decoded = topic.items('x', bag_contents)
     assert len(decoded) + len(bag_contents.warnings) >= 3

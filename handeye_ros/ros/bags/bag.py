@@ -6,8 +6,9 @@ read again from where it lies.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,10 @@ from handeye_ros.results.calibration_file import input_values
 from handeye_ros.ros.bags.contents import CLOUD, Contents, POSE
 from handeye_ros.ros.bags.held import Poses, Profiles
 from handeye_ros.ros.bags.profile_reader import ProfileReader
-from handeye_ros.ros.bags.storage import messages
+from handeye_ros.ros.bags.storage import pieces, Progress
 from handeye_ros.ros.bags.topic import Topic
 from handeye_ros.ros.bags.tree import Tree
 from handeye_ros.sampling.errors import ClocksApartError, TwoFramesError
-
-Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +30,18 @@ class Recording:
     What a bag holds for a calibration.
 
     profiles, poses: in the order of their stamps. warnings: a sentence for each thing that was
-    lost or repaired. inputs: path and sha256 of every file read.
+    lost or repaired. files: those that were read.
     """
 
     profiles: tuple[RawProfile, ...]
     poses: Sequence[TimedPose]
     warnings: tuple[str, ...] = ()
-    inputs: tuple[dict[str, str], ...] = ()
+    files: tuple[Path, ...] = ()
+
+    @cached_property
+    def inputs(self) -> tuple[dict[str, str], ...]:
+        """Return path and sha256 of every file read, for the provenance of what comes of it."""
+        return tuple(input_values(file) for file in self.files)
 
 
 def read(path: Path, config: Config, progress: Progress = lambda share: None) -> Recording:
@@ -63,8 +67,7 @@ def read(path: Path, config: Config, progress: Progress = lambda share: None) ->
     if len(frames) > 1:
         raise TwoFramesError('profile', frames[0], frames[1])
     _check_clocks(profiles, poses)
-    return Recording(profiles, poses, tuple(contents.warnings),
-                     tuple(input_values(file) for file in contents.files))
+    return Recording(profiles, poses, tuple(contents.warnings), tuple(contents.files))
 
 
 def read_poses(path: Path, config: Config) -> tuple[Sequence[TimedPose], Contents]:
@@ -98,11 +101,12 @@ class PoseSource:
 
 def _take_all(path: Path, contents: Contents, topics: Sequence[Topic[Any]],
               progress: Progress) -> None:
-    """Give every message to its topic."""
+    """Give every block of messages to its topic."""
     # where a topic is named for two, the first takes its messages, and its type tells the second
     takers = {topic.name: topic.take for topic in reversed(topics)}
-    for given in messages(path, contents, takers, progress):
-        takers[given[0].topic](given)
+    for blocks in pieces(path, contents, takers, progress):
+        for block in blocks:
+            takers[block.topic](block)
 
 
 def _check_clocks(profiles: Sequence[RawProfile], poses: Sequence[TimedPose]) -> None:

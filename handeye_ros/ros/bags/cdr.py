@@ -97,7 +97,7 @@ def pose(data: bytes) -> tuple[Header, tuple[float, ...]]:
     """Return header and x y z, qx qy qz qw of a geometry_msgs/PoseStamped; MessageError."""
     head, end = header(data, 'PoseStamped')
     try:
-        return head, _POSES[byte_order(data, 'PoseStamped')].unpack_from(data, _aligned(end, 8))
+        return head, _POSES[byte_order(data, 'PoseStamped')].unpack_from(data, aligned(end, 8))
     except struct.error as error:
         raise MessageError('PoseStamped', f'damaged message: {error}') from error
 
@@ -113,7 +113,7 @@ def cloud(data: bytes) -> Cloud:
 def _cloud(data: bytes) -> Cloud:
     head, end = header(data, 'PointCloud2')
     order = byte_order(data, 'PointCloud2')
-    position = _aligned(end, 4)
+    position = aligned(end, 4)
     height, width, count = _TRIPLES[order].unpack_from(data, position)
     if count > MOST_FIELDS:
         raise MessageError('PointCloud2', f'damaged message: its points have {count} fields')
@@ -123,7 +123,7 @@ def _cloud(data: bytes) -> Cloud:
         field, position = _field(data, position, order)
         fields.append(field)
     bigendian = data[position:position + 1] not in (b'', b'\0')
-    position = _aligned(position + 1, 4)
+    position = aligned(position + 1, 4)
     point_step, row_step, length = _TRIPLES[order].unpack_from(data, position)
     start = position + 12
     if start + length > len(data):
@@ -142,7 +142,7 @@ def row(data: bytes, index: int, stamp: int) -> bytes:
     if index >= whole.height or begin + size > len(whole.data):
         raise MessageError('PointCloud2', f'damaged message: it has no row {index}')
     _, end = header(data, 'PointCloud2')
-    height = _aligned(end, 4)
+    height = aligned(end, 4)
     return b''.join((
         data[:ENCAPSULATION], struct.pack(f'{order}iI', *divmod(stamp, 1_000_000_000)),
         data[ENCAPSULATION + 8:height], _NUMBERS[order].pack(1),
@@ -152,19 +152,19 @@ def row(data: bytes, index: int, stamp: int) -> bytes:
 
 def _field(data: bytes, position: int, order: str) -> tuple[Field, int]:
     """Return the field of a point that starts at a position, and where the next one starts."""
-    position = _aligned(position, 4)
+    position = aligned(position, 4)
     (length,) = _NUMBERS[order].unpack_from(data, position)
     start, end = position + 4, position + 4 + length
     if end > len(data):
         raise MessageError('PointCloud2', 'damaged message: the name of a field does not end')
-    offset, = _NUMBERS[order].unpack_from(data, _aligned(end, 4))
-    place = _aligned(end, 4) + 4
+    offset, = _NUMBERS[order].unpack_from(data, aligned(end, 4))
+    place = aligned(end, 4) + 4
     datatype, = struct.unpack_from('B', data, place)
-    count, = _NUMBERS[order].unpack_from(data, _aligned(place + 1, 4))
+    count, = _NUMBERS[order].unpack_from(data, aligned(place + 1, 4))
     name = _text(data, start, end, 'PointCloud2')
-    return Field(name, offset, datatype, count), _aligned(place + 1, 4) + 4
+    return Field(name, offset, datatype, count), aligned(place + 1, 4) + 4
 
 
-def _aligned(position: int, size: int) -> int:
+def aligned(position: int, size: int) -> int:
     """Return where a value of this size lies; CDR counts from behind the encapsulation."""
     return position + (ENCAPSULATION - position) % size

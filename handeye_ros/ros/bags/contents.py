@@ -60,7 +60,7 @@ def message_of(data: bytes) -> bytes:
         return b''  # which is no message of any type
 
 
-def unpacked(data: bytes) -> bytes:
+def unpacked(data: bytes | memoryview) -> bytes:
     """Return what was packed with zstd, also the beginning of it; never more than LARGEST."""
     with zstandard.ZstdDecompressor().stream_reader(data) as stream:
         return stream.read(LARGEST)

@@ -8,25 +8,49 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, overload, Protocol, TypeVar
+from functools import partial
+from typing import Any, NamedTuple, overload, Protocol, TypeVar
 
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.ros.bags.batches import split
-from handeye_ros.ros.bags.contents import Given
+from handeye_ros.ros.bags.blocks import Block
 from handeye_ros.ros.bags.messages import pose_numbers
+from handeye_ros.ros.bags.pose_rows import pose_rows
+from handeye_ros.ros.errors import MessageError
 import numpy as np
 
 Item = TypeVar('Item', covariant=True)
 
 
+class Added(NamedTuple):
+    """What a block gave: stamps of its messages that can be used, which, and why not others."""
+
+    stamps: list[int]
+    used: Sequence[int]
+    reason: str = ''
+
+
 class Store(Protocol[Item]):
     """Where the items of a topic are held; each can be had with another stamp."""
 
-    def add(self, given: Given) -> int:
-        """Take the next message; return its stamp. Raises MessageError."""
+    def add(self, block: Block) -> Added:
+        """Take the next messages."""
 
     def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> Sequence[Item]:
         """Return items in an order, with stamps."""
+
+
+def one_by_one(block: Block, take: Callable[[int], int]) -> Added:
+    """Return what a block gives; take: a message by its index, gives its stamp; MessageError."""
+    stamps, used, reason = [], [], ''
+    for index in range(len(block)):
+        try:
+            stamps.append(take(index))
+        except MessageError as error:
+            reason = reason or str(error)
+        else:
+            used.append(index)
+    return Added(stamps, used, reason)
 
 
 class Profiles:
@@ -37,11 +61,14 @@ class Profiles:
         self._take = take
         self._items: list[RawProfile] = []
 
-    def add(self, given: Given) -> int:
-        """Take the next message; return its stamp. Raises MessageError."""
-        raw, fetch = given
-        self._items.append(self._take(raw.data, fetch))
-        return self._items[-1].stamp
+    def add(self, block: Block) -> Added:
+        """Take the next messages."""
+        def one(index: int) -> int:
+            item = self._take(block.message(index), partial(block.again, block.places[index]))
+            self._items.append(item)
+            return item.stamp
+
+        return one_by_one(block, one)
 
     def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> tuple[RawProfile, ...]:
         """Return profiles in an order, with stamps: one for each row of their messages."""
@@ -49,7 +76,10 @@ class Profiles:
         for index, stamp, before in zip(order, stamps, (None, *stamps), strict=False):
             item = self._items[index]
             item = item if item.stamp == stamp else replace(item, stamp=stamp)
-            found += split(item, before, item.config)
+            if item.rows == 1:
+                found.append(item)
+            else:
+                found += split(item, before, item.config)
         return tuple(found)
 
 
@@ -93,13 +123,26 @@ class Poses:
         self._rows = array('d')
         self.frames: list[str] = []
 
-    def add(self, given: Given) -> int:
-        """Take the next message; return its stamp. Raises MessageError."""
-        stamp, frame, numbers = pose_numbers(given[0].data)
-        self._rows.extend(numbers)
+    def add(self, block: Block) -> Added:
+        """Take the next messages."""
+        found, reason = pose_rows(block), ''
+        if found.good.any():
+            self._note(found.frame)
+        for index in np.flatnonzero(~found.good).tolist():
+            try:
+                stamp, frame, numbers = pose_numbers(block.message(index))
+            except MessageError as error:
+                reason = reason or str(error)
+            else:
+                found.stamps[index], found.rows[index], found.good[index] = stamp, numbers, True
+                self._note(frame)
+        self._rows.frombytes(found.rows[found.good].tobytes())
+        return Added(found.stamps[found.good].tolist(), np.flatnonzero(found.good).tolist(),
+                     reason)
+
+    def _note(self, frame: str) -> None:
         if len(self.frames) < 2 and frame not in self.frames:
             self.frames.append(frame)
-        return stamp
 
     def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> PoseTable:
         """Return poses in an order, with stamps."""

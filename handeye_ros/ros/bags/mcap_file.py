@@ -1,13 +1,12 @@
 """
-The records of an .mcap file, one after the other, as far as they can be read.
+The messages of an .mcap file, in its order, as far as they can be read.
 
 rosbags and mcap read whole files only; a recording that was cut off (power, full disk) is
-common, so the framing is read here, up to the damage, and says what was lost. No length that a
-file claims is believed: nothing larger than LARGEST is ever held.
+common, so the framing is read here, up to the damage, and says what was lost.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache, partial
 import io
@@ -16,30 +15,24 @@ import struct
 from typing import Any, BinaryIO
 import zlib
 
-from handeye_ros.ros.bags.contents import (
-    Contents,
-    full_name,
-    Given,
-    LARGEST,
-    message_of,
-    Raw,
-    type_of,
-    unpacked,
+from handeye_ros.ros.bags.blocks import Block, Gathered, unpacked_block
+from handeye_ros.ros.bags.contents import Contents, full_name, message_of, type_of
+from handeye_ros.ros.bags.mcap_records import (
+    Bytes,
+    chunk,
+    DamagedError,
+    FOOTER,
+    frames,
+    IN_CHUNK,
+    MAGIC,
+    MESSAGE,
+    RECORD,
+    record,
 )
-import lz4.frame  # type: ignore[import-untyped]
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Schema
+from mcap.records import Channel, Schema
 
-FOOTER = struct.Struct('<QQI')  # what it holds: start of the summary, of its offsets, crc
-RECORD = struct.Struct('<BQ')
-MESSAGE = struct.Struct('<HIQQ')
 CHUNKS = 4  # that are kept unpacked: profiles of a stop lie close together
-MAGIC = 8  # bytes at either end
-
-
-class DamagedError(Exception):
-    """A record is not what it says it is."""
 
 
 class McapFile:
@@ -59,24 +52,26 @@ class McapFile:
         self._count = 0
         self._chunk = lru_cache(CHUNKS)(self._unpacked_at)
 
-    def messages(self) -> Iterator[Given]:
-        """Yield the messages in the order of recording, each with what gives it again."""
-        complete = False
+    def pieces(self) -> Iterator[list[Block]]:
+        """Yield the messages in the order of recording: pieces with a block for each topic."""
+        complete, loose = False, Gathered(self._at)
         with suppress(DamagedError), self._path.open('rb') as stream:
             self._take_summary(stream)
             stream.seek(MAGIC)
-            for opcode, body, whole, position in _frames(stream):
+            for opcode, body, whole, position in frames(stream):
                 self._contents.at = position
                 complete |= opcode in (Opcode.DATA_END, Opcode.FOOTER)
                 if opcode == Opcode.FOOTER:
                     break
+                if opcode == Opcode.CHUNK or loose.is_full:
+                    yield loose.blocks()
                 if opcode == Opcode.CHUNK:
-                    yield from self._of_chunk(body, whole, position)
+                    yield self._of_chunk(body, whole, position)
                 elif whole and opcode != Opcode.MESSAGE:
                     self._take(opcode, body)
-                elif whole and (raw := self._message(body, 0, len(body))):
-                    yield raw, partial(self._at, position + MESSAGE.size,
-                                       len(body) - MESSAGE.size)
+                elif whole:
+                    self._take_loose(body, position, loose)
+        yield loose.blocks()
         self._tell(complete)
 
     def _tell(self, complete: bool) -> None:
@@ -97,59 +92,74 @@ class McapFile:
             if opcode != Opcode.FOOTER or not 0 < start < size:
                 return
             stream.seek(start)
-            for opcode, body, whole, _ in _frames(stream):
+            for opcode, body, whole, _ in frames(stream):
                 if not whole or opcode == Opcode.FOOTER:
                     return
                 self._take(opcode, body)
         except (struct.error, DamagedError):
             return
 
-    def _of_chunk(self, body: bytes, whole: bool, position: int) -> Iterator[Given]:
-        """Yield the messages of a chunk, or of its beginning where the file is cut in it."""
+    def _of_chunk(self, body: bytes, whole: bool, position: int) -> list[Block]:
+        """Return the messages of a chunk, or of its beginning where the file is cut in it."""
+        found: dict[str, tuple[list[int], list[int], list[int]]] = {}
+        data: Bytes = b''
         try:
-            chunk, data = _chunk(body)
-            crc = chunk.uncompressed_crc
-            if whole and (len(data) != chunk.uncompressed_size or crc and crc != zlib.crc32(data)):
-                self._bad_chunks += 1
-                return
-            yield from self._of_records(data, position, len(body))
+            data, size, crc = chunk(body)
+            if whole and (len(data) != size or crc and crc != zlib.crc32(data)):
+                raise DamagedError
+            self._find(data, found)
         except DamagedError:
             self._bad_chunks += 1
+        again = partial(self._in_chunk, position, len(body))
+        return [unpacked_block(Block(topic, data, starts, ends, times,
+                                     list(zip(starts, ends, strict=True)), again))
+                for topic, (starts, ends, times) in found.items()]
 
-    def _of_records(self, data: bytes, position: int, size: int) -> Iterator[Given]:
-        """Yield the messages of an unpacked chunk; position, size: of it in the file."""
-        place, end = 0, len(data)
-        while place + RECORD.size <= end:
-            opcode, length = RECORD.unpack_from(data, place)
-            start = place + RECORD.size
+    def _find(self, data: Bytes, found: dict[str, tuple[list[int], list[int], list[int]]]
+              ) -> None:
+        """Note starts, ends and log times of the messages in an unpacked chunk, by topic."""
+        place, end, unpack, channels = 0, len(data), IN_CHUNK.unpack_from, self._channels
+        head, skipped, message = RECORD.size, MESSAGE.size, int(Opcode.MESSAGE)
+        while place + head <= end:
+            if place + head + skipped <= end:
+                opcode, length, channel, _, log_time, _ = unpack(data, place)
+            else:
+                opcode, length = RECORD.unpack_from(data, place)
+            start = place + head
             place = start + length
             if opcode == 0:
                 return
             if place > end:
                 continue
-            if opcode != Opcode.MESSAGE:
-                self._take(opcode, data[start:place])
-            elif raw := self._message(data, start, place):
-                yield raw, partial(self._in_chunk, position, size, start + MESSAGE.size, place)
+            if opcode != message:
+                self._take(opcode, bytes(data[start:place]))
+                continue
+            if length < skipped:
+                raise DamagedError
+            self._count += 1
+            if (topic := channels.get(channel)) is not None:
+                starts, ends, log_times = found.setdefault(topic, ([], [], []))
+                starts.append(start + skipped)
+                ends.append(place)
+                log_times.append(log_time)
 
-    def _message(self, data: bytes, start: int, end: int) -> Raw | None:
-        """Return the message that data[start:end] holds, if it is wanted."""
-        if end - start < MESSAGE.size:
+    def _take_loose(self, body: bytes, position: int, loose: Gathered) -> None:
+        """Take a message that lies in no chunk."""
+        if len(body) < MESSAGE.size:
             raise DamagedError
-        channel, _, log_time, _ = MESSAGE.unpack_from(data, start)
+        channel, _, log_time, _ = MESSAGE.unpack_from(body)
         self._count += 1
-        topic = self._channels.get(channel)
-        if topic is None:
-            return None
-        return Raw(topic, log_time, message_of(data[start + MESSAGE.size:end]))
+        if channel in self._channels:
+            loose.add(self._channels[channel], log_time, body[MESSAGE.size:],
+                      (position + MESSAGE.size, len(body) - MESSAGE.size))
 
     def _take(self, opcode: int, body: bytes) -> None:
         """Take a record that describes the messages."""
         if opcode == Opcode.SCHEMA:
-            schema = _record(Schema, body)
+            schema = record(Schema, body)
             self._schemas[schema.id] = schema.name
         elif opcode == Opcode.CHANNEL:
-            self._take_channel(_record(Channel, body))
+            self._take_channel(record(Channel, body))
 
     def _take_channel(self, channel: Any) -> None:
         topic = full_name(channel.topic)
@@ -162,15 +172,16 @@ class McapFile:
 
     # what gives a message again
 
-    def _at(self, position: int, size: int) -> bytes:
-        return message_of(self._bytes(position, size))
+    def _at(self, place: tuple[int, int]) -> bytes:
+        return message_of(self._bytes(*place))
 
-    def _in_chunk(self, position: int, size: int, start: int, end: int) -> bytes:
-        return message_of(self._chunk(position, size)[start:end])
+    def _in_chunk(self, position: int, size: int, place: tuple[int, int]) -> bytes:
+        start, end = place
+        return message_of(bytes(self._chunk(position, size)[start:end]))
 
-    def _unpacked_at(self, position: int, size: int) -> bytes:
+    def _unpacked_at(self, position: int, size: int) -> Bytes:
         try:
-            return _chunk(self._bytes(position, size))[1]
+            return chunk(self._bytes(position, size))[0]
         except DamagedError:  # the file is another by now
             return b''
 
@@ -181,50 +192,3 @@ class McapFile:
                 return stream.read(size)
         except OSError:  # nothing is no message of any type
             return b''
-
-
-def _frames(stream: BinaryIO) -> Iterator[tuple[int, bytes, bool, int]]:
-    """
-    Yield the opcode and body of each record, whether it is whole, and where it begins.
-
-    Opcode 0, and a length that no recorder writes, is damage.
-    """
-    wanted = (Opcode.MESSAGE, Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL)
-    while len(head := stream.read(RECORD.size)) == RECORD.size:
-        opcode, length = RECORD.unpack(head)
-        position = stream.tell()
-        if opcode == 0 or length > LARGEST:
-            return
-        if opcode in wanted:
-            body = stream.read(length)
-            yield opcode, body, len(body) == length, position
-        else:
-            yield opcode, b'', True, position
-            stream.seek(position + length)
-
-
-def _record(kind: Any, body: bytes) -> Any:
-    return _parsed(kind.read, ReadDataStream(io.BytesIO(body)))
-
-
-def _parsed(parse: Callable[..., Any], *args: Any) -> Any:
-    """Return what a parser returns; raises DamagedError whatever the parser raises."""
-    try:
-        return parse(*args)
-    except Exception as error:  # damaged bytes lead parsers to errors of all kinds
-        raise DamagedError from error
-
-
-def _chunk(body: bytes) -> tuple[Any, bytes]:
-    """Return a chunk and its records, also of the beginning of one; raises DamagedError."""
-    chunk = _record(Chunk, body)
-    if chunk.compression == '':
-        return chunk, chunk.data
-    unpack = {'zstd': unpacked, 'lz4': _unpacked_lz4}.get(chunk.compression)
-    if unpack is None:
-        raise DamagedError
-    return chunk, _parsed(unpack, chunk.data)
-
-
-def _unpacked_lz4(data: bytes) -> bytes:
-    return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=LARGEST))

@@ -33,6 +33,7 @@ INTENSITY = 'intensity'  # the field of it, where a driver gives it
 UNITS = {'m': 1.0, 'mm': 1e-3}
 
 LARGEST_POSITION = 1e6  # m; a robot in mm stays below, so that the solver can name that slip
+LENGTH_TOLERANCE = 1e-2  # of a quaternion's length
 
 
 def stamp_of(header: Any) -> int:
@@ -228,7 +229,7 @@ def _checked(kind: str, numbers: tuple[float, ...]) -> tuple[float, ...]:
         raise MessageError(kind, 'the pose holds values that are not finite')
     if farthest > LARGEST_POSITION:
         raise MessageError(kind, f'the position reaches {farthest:.3g} m')
-    if abs(norm - 1.0) > 1e-2:
+    if abs(norm - 1.0) > LENGTH_TOLERANCE:
         raise MessageError(kind, f'quaternion of length {norm:.4g}, expected 1')
     scale = (-1.0 if qw < 0 else 1.0) / norm
     return x, y, z, qx * scale, qy * scale, qz * scale, qw * scale

@@ -3,14 +3,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing, suppress
-from functools import partial
 from pathlib import Path
 import shutil
 import sqlite3
 import tempfile
 import weakref
 
-from handeye_ros.ros.bags.contents import Contents, full_name, Given, message_of, Raw, type_of
+from handeye_ros.ros.bags.blocks import Block, Gathered
+from handeye_ros.ros.bags.contents import Contents, full_name, message_of, type_of
 
 
 class SqliteFile:
@@ -47,9 +47,9 @@ class SqliteFile:
             connection.execute('PRAGMA wal_checkpoint(TRUNCATE)')
         return copy
 
-    def messages(self) -> Iterator[Given]:
-        """Yield the messages in the order of recording, each with what gives it again."""
-        count = 0
+    def pieces(self) -> Iterator[list[Block]]:
+        """Yield the messages in the order of recording: pieces with a block for each topic."""
+        count, rows = 0, Gathered(self._message)
         try:
             with closing(self._connected()) as connection:
                 names = self._topics(connection)
@@ -57,13 +57,15 @@ class SqliteFile:
                 for key, topic, time, data in connection.execute(
                         'SELECT id, topic_id, timestamp, data FROM messages '
                         f'WHERE topic_id IN ({places}) ORDER BY id', list(names)):
+                    rows.add(names[topic], int(time), message_of(bytes(data)), key)
                     count += 1
                     self._contents.at += len(data)
-                    yield (Raw(names[topic], int(time), message_of(bytes(data))),
-                           partial(self._message, key))
+                    if rows.is_full:
+                        yield rows.blocks()
         except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
             self._contents.warnings.append(f'{self._name} is cut off or damaged ({error}): read '
                                            f'{count} messages up to there')
+        yield rows.blocks()
 
     def _connected(self) -> sqlite3.Connection:
         return sqlite3.connect(f'{self._path.absolute().as_uri()}?immutable=1', uri=True)

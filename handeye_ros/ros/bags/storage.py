@@ -9,20 +9,22 @@ import weakref
 
 from handeye_ros.config import yaml_content
 from handeye_ros.errors import BagError
+from handeye_ros.ros.bags.blocks import Block, in_recorded_order
 from handeye_ros.ros.bags.contents import Contents, full_name, Given, Raw, ZSTD
 from handeye_ros.ros.bags.mcap_file import McapFile
 from handeye_ros.ros.bags.sqlite_file import SqliteFile
 import yaml
 import zstandard
 
-__all__ = ['Contents', 'messages', 'Raw', 'scan']
+__all__ = ['Contents', 'messages', 'pieces', 'Raw', 'scan']
+
+Progress = Callable[[float], None]
 
 MCAP = b'\x89MCAP0\r\n'
 SQLITE = b'SQLite format 3\0'
 ROS1 = b'#ROSBAG V'
 
 PIECE = 1 << 24  # bytes that are unpacked at a time
-TOLD = 256  # messages between two words of progress
 
 SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 
@@ -40,13 +42,20 @@ def scan(path: Path, topics: Collection[str] | None = None) -> Contents:
 
 
 def messages(path: Path, contents: Contents, topics: Collection[str] | None = None,
-             progress: Callable[[float], None] = lambda share: None) -> Iterator[Given]:
+             progress: Progress = lambda share: None) -> Iterator[Given]:
+    """Yield the messages of a bag one by one, each with what gives it again; see pieces."""
+    for blocks in pieces(path, contents, topics, progress):
+        yield from in_recorded_order(blocks)
+
+
+def pieces(path: Path, contents: Contents, topics: Collection[str] | None = None,
+           progress: Progress = lambda share: None) -> Iterator[list[Block]]:
     """
     Yield the messages of a bag (of these topics only) in the order of recording.
 
-    Each comes with what gives it again, so that it need not be kept. contents is filled on the
-    way, all but its messages. progress: told the share of the bytes that were read. Raises
-    BagError when there is nothing to read.
+    They come in pieces, of each topic a block. contents is filled on the way, all but its
+    messages. progress: told the share of the bytes that were read. Raises BagError when there is
+    nothing to read.
 
     """
     wanted = None if topics is None else {full_name(topic) for topic in topics}
@@ -55,10 +64,9 @@ def messages(path: Path, contents: Contents, topics: Collection[str] | None = No
         sizes = [file.stat().st_size for file in contents.files]
         for index, file in enumerate(contents.files):
             done, total = sum(sizes[:index]), max(1, sum(sizes))
-            for count, given in enumerate(_of_file(file, contents, wanted)):
-                if count % TOLD == 0:
-                    progress(min(1.0, (done + min(contents.at, sizes[index])) / total))
-                yield given
+            for blocks in _of_file(file, contents, wanted):
+                yield blocks
+                progress(min(1.0, (done + min(contents.at, sizes[index])) / total))
     except OSError as error:
         raise BagError(error.filename or path, f'cannot be read: {error.strerror or error}'
                        ) from error
@@ -99,7 +107,8 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part or 0), text) for text, part in re.findall(r'(\D*)(\d*)', path.name)]
 
 
-def _of_file(path: Path, contents: Contents, wanted: set[str] | None) -> Iterator[Given]:
+def _of_file(path: Path, contents: Contents, wanted: set[str] | None
+             ) -> Iterator[list[Block]]:
     """Yield the messages of one storage file; raises BagError for what is none."""
     folder = None
     magic, file = _magic(path), path
@@ -116,7 +125,7 @@ def _of_file(path: Path, contents: Contents, wanted: set[str] | None) -> Iterato
         raise BagError(path, _not_a_bag(magic))
     if folder:  # as long as the messages may be asked for again
         weakref.finalize(reader, folder.cleanup)
-    yield from reader.messages()
+    yield from reader.pieces()
 
 
 def _magic(path: Path) -> bytes:

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from handeye_ros.errors import BagError
-from handeye_ros.ros.bags.contents import Contents, full_name, Given
+from handeye_ros.ros.bags.blocks import Block
+from handeye_ros.ros.bags.contents import Contents, full_name
 from handeye_ros.ros.bags.held import Store
-from handeye_ros.ros.errors import AllMalformedError, MessageError, NoTopicError, TopicTypeError
+from handeye_ros.ros.errors import AllMalformedError, NoTopicError, TopicTypeError
 from handeye_ros.sampling.errors import TimeBackwardsError
 from handeye_ros.sampling.stream import in_order, LARGEST_STEP
 
@@ -32,16 +33,13 @@ class Topic(Generic[Item]):
         self._malformed = 0
         self._first_reason = ''
 
-    def take(self, given: Given) -> None:
-        """Take the next message; one that is malformed is counted."""
-        try:
-            stamp = self._store.add(given)
-        except MessageError as error:
-            self._malformed += 1
-            self._first_reason = self._first_reason or str(error)
-        else:
-            self._stamps.append(stamp)
-            self._log_times.append(min(given[0].log_time, LAST))
+    def take(self, block: Block) -> None:
+        """Take the next messages; those that are malformed are counted."""
+        added = self._store.add(block)
+        self._stamps += added.stamps
+        self._log_times += [min(block.log_times[index], LAST) for index in added.used]
+        self._malformed += len(block) - len(added.used)
+        self._first_reason = self._first_reason or added.reason
 
     def items(self, path: Path, contents: Contents) -> Sequence[Item]:
         """

@@ -8,7 +8,9 @@ from typing import Any
 from handeye_ros.config import Config
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import BagError
-from handeye_ros.ros.bags.contents import Contents, Given, TF
+from handeye_ros.ros.bags.blocks import Block
+from handeye_ros.ros.bags.contents import Contents, TF
+from handeye_ros.ros.bags.held import Added, one_by_one
 from handeye_ros.ros.bags.messages import stamp_of
 from handeye_ros.ros.bags.topic import in_their_order, Topic
 from handeye_ros.ros.bags.transforms import FlangeTracker, well_formed
@@ -26,15 +28,21 @@ class Transforms:
         """Start with none."""
         self.messages: list[Any] = []
 
-    def add(self, given: Given) -> int:
-        """Take the next message; return when it was received. Raises MessageError."""
-        raw, _ = given
+    def add(self, block: Block) -> Added:
+        """Take the next messages; their stamps are the times at which they were received."""
+        def one(index: int) -> int:
+            self.take(block.message(index))
+            return block.log_times[index]
+
+        return one_by_one(block, one)
+
+    def take(self, data: bytes) -> None:
+        """Take the next message; raises MessageError."""
         try:
-            message: Any = TYPES.deserialize_cdr(raw.data, TF)
+            message: Any = TYPES.deserialize_cdr(data, TF)
         except (SerdeError, IndexError, ValueError) as error:
             raise MessageError('TFMessage', f'damaged message: {error}') from error
         self.messages.append([transform for transform, _ in well_formed(message.transforms)])
-        return raw.log_time
 
     def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> list[Any]:
         """Return the transforms of messages in an order."""
