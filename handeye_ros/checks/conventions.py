@@ -25,12 +25,12 @@ from handeye_ros.checks.misfit import (
 from handeye_ros.checks.slips import INVERSE, SLIPS
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
+from handeye_ros.estimation.chances import f_above
 from handeye_ros.estimation.problem import points_in_base, Problem
 from handeye_ros.estimation.quick import quick_consensus
 from handeye_ros.estimation.robust import Consensus
 from handeye_ros.profiles.range_sign import range_sign_evidence
 import numpy as np
-from scipy.stats import f as f_distribution
 
 DOUBTFUL = 0.6  # variance factor, doubts included, from which the range's other sign is tried
 BELIEVABLE = 4.0  # that a slip must lead to
@@ -134,7 +134,7 @@ def _explains(better: Consensus, agreed: Consensus, floor: float = 1.0) -> bool:
     freedom = (agreed.solution.degrees_of_freedom, better.solution.degrees_of_freedom)
     if min(freedom) < 1:
         return False
-    return gain > float(f_distribution.isf(CHANCE, *freedom)) or (
+    return gain > f_above(CHANCE, *freedom) or (
         gain > 0.1 and _more(better, agreed))
 
 

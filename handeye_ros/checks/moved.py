@@ -7,12 +7,11 @@ from handeye_ros import se3
 from handeye_ros.checks.errors import MovedError
 from handeye_ros.checks.motion import mount_frame, target_frame
 from handeye_ros.data import Array
+from handeye_ros.estimation.chances import chi2_above, f_above
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.quick import quick_consensus
 from handeye_ros.estimation.robust import Consensus
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
 
 MOST_PLACES = 15  # at which a recording is parted to see
 BELIEVABLE = 4.0  # variance factor of both parts
@@ -48,7 +47,7 @@ def find_move(problem: Problem, agreed: Consensus) -> Move | None:
     both, place = min(found, key=lambda pair: (_dropped(pair[0]), _variance(pair[0])))
     freedom = sum(part.solution.degrees_of_freedom for part in both)
     gain = _without_drops(problem, agreed) / max(_variance(both), 1.0)
-    if gain < float(f_distribution.isf(CHANCE, freedom, freedom)):
+    if gain < f_above(CHANCE, freedom, freedom):
         return None
     return Move(place, _sensor_move(*both))
 
@@ -92,7 +91,7 @@ def _sensor_move(before: Consensus, after: Consensus) -> Array | None:
     delta = se3.difference(second.estimate.X, first.estimate.X)
     covariance = (first.stated[:6, :6] * max(first.variance_factor, 1.0)
                   + second.stated[:6, :6] * max(second.variance_factor, 1.0))
-    if delta @ np.linalg.solve(covariance, delta) < chi2.isf(CHANCE, 6):
+    if delta @ np.linalg.solve(covariance, delta) < chi2_above(CHANCE, 6):
         return None
     return se3.inverse(first.estimate.X) @ second.estimate.X
 

@@ -10,6 +10,7 @@ from handeye_ros.checks.errors import ScaleError
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
+from handeye_ros.estimation.chances import f_above
 from handeye_ros.estimation.doubts import Doubt, tolerances
 from handeye_ros.estimation.method import ENDS
 from handeye_ros.estimation.problem import Problem
@@ -17,7 +18,6 @@ from handeye_ros.estimation.robust import Consensus, consensus
 from handeye_ros.estimation.solve import redundancy, Solution
 from handeye_ros.estimation.weights import whitening
 import numpy as np
-from scipy.stats import f as f_distribution
 
 CONTRADICTION = 4.0  # sigmas
 DOUBTFUL = 4.0  # variance factor from which another shape is tried from the start
@@ -167,5 +167,5 @@ def require_not_only_scale(solution: Solution) -> None:
     left = max(total - explained, 0.0)
     if explained < MOST * total or not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
         return
-    if explained > left * float(f_distribution.isf(CHANCE, 1, freedom)) / freedom:
+    if explained > left * f_above(CHANCE, 1, freedom) / freedom:
         raise ScaleError(abs(scale), std * (left / max(solution.degrees_of_freedom, 1)) ** 0.5)

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.algebra import inverse
+from handeye_ros.estimation.chances import chance_of_chi2, chi2_median
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 BATCH = 50  # one of so many blocks is dropped at a time
 FALSE_ALARM = 1e-3  # of good data losing one block
@@ -60,7 +60,7 @@ def unexplained(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int
     mean_squares: (n,) squared deleted residuals per degree of freedom; total: how many blocks
     there were at first; spare: how many there are beyond what is needed.
     """
-    probability = chi2.sf(mean_squares * freedom, freedom)
+    probability = chance_of_chi2(mean_squares * freedom, freedom)
     most = max(1, min(len(mean_squares) // BATCH, spare)) if spare > 0 else 0
     worst = np.argsort(probability, kind='stable')[:most]
     return np.asarray(worst[probability[worst] < FALSE_ALARM / total])
@@ -68,5 +68,5 @@ def unexplained(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int
 
 def shared_scale(mean_squares: Array, freedom: NDArray[np.intp] | int) -> float:
     """Return the variance factor that most blocks share, 1 where they fit as they should."""
-    typical = chi2.median(freedom) / freedom
+    typical = chi2_median(freedom) / freedom
     return max(1.0, float(np.median(mean_squares / typical)))

@@ -12,13 +12,13 @@ from collections.abc import Iterator
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
+from handeye_ros.estimation.chances import chi2_above
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus, subset_starts, without_outliers
 from handeye_ros.estimation.solve import redundancy, Solution, station_ranks, station_squares
 from handeye_ros.estimation.trial import guesses, refined
 import numpy as np
-from scipy.stats import chi2
 
 ENOUGH = 20  # redundant conditions beyond which the first guess is the only answer
 LOST_SHARE = 0.1  # of the stations dropped from which the others might be the right ones
@@ -32,7 +32,7 @@ SMALLEST_DISTANCE = 1e-4  # m or rad between answers worth parting
 
 def rival(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> Solution | None:
     """Return another answer that explains the samples as well, None where there is none."""
-    found, limit = agreed.solution, chi2.isf(AS_GOOD, 1)
+    found, limit = agreed.solution, chi2_above(AS_GOOD, 1)
     best = _score(problem, agreed, found)
     for start in _starts(problem, agreed, rng):
         trial = refined(problem, start)
@@ -62,7 +62,7 @@ def _apart(found: Solution, other: Solution) -> bool:
     factor = max(1.0, found.variance_factor)
     covariance = (found.stated[:6, :6] + other.stated[:6, :6]) * factor
     return bool(np.abs(delta).max() > SMALLEST_DISTANCE
-                and delta @ np.linalg.solve(covariance, delta) > chi2.isf(APART, 6))
+                and delta @ np.linalg.solve(covariance, delta) > chi2_above(APART, 6))
 
 
 def _score(problem: Problem, agreed: Consensus, scale: Solution) -> float:
@@ -70,6 +70,6 @@ def _score(problem: Problem, agreed: Consensus, scale: Solution) -> float:
     n = len(problem.poses)
     ranks = station_ranks(agreed.solution)
     squares: Array = station_squares(agreed.solution) / max(1.0, scale.variance_factor)
-    limits = chi2.isf(WRONG / n, np.maximum(ranks, 1))
+    limits = chi2_above(WRONG / n, np.maximum(ranks, 1))
     typical = float(np.median(limits))
     return float(np.minimum(squares, limits).sum()) + typical * len(agreed.dropped)

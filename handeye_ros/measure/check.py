@@ -17,6 +17,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import mm
+from handeye_ros.estimation.chances import chance_of_chi2
 from handeye_ros.measure import wedge_place
 from handeye_ros.measure.errors import NoCheckError, TooFewSeenError
 from handeye_ros.measure.fixed_fit import fit, FixedFit, points_in_base
@@ -25,7 +26,6 @@ from handeye_ros.measure.routines import arcs, edge, faces
 from handeye_ros.measure.shapes import Kinds
 from handeye_ros.results.outcome import mounted, sensor_axes
 import numpy as np
-from scipy.stats import chi2
 
 FORMAT = 'handeye_ros/check/1'
 SUSPICIOUS = 0.01  # p of what is no chance
@@ -160,7 +160,7 @@ def _moved_sensor(seen: Seen, X: Array, C: Array, config: Config, shape: Shape
 
 
 def _judged(found: FixedFit, places: int, stamp: int, stations: int) -> Check:
-    p_target = float(chi2.sf(found.region, found.freedom))
+    p_target = float(chance_of_chi2(found.region, found.freedom))
     moved = float(np.linalg.norm(found.values[:places]))
     turned = float(np.linalg.norm(found.values[places:]))
     shift, turn = (float(np.linalg.norm(part)) for part in np.split(found.error, 2))

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Calibration
+from handeye_ros.estimation.chances import chance_of_chi2
 from handeye_ros.measure.errors import NoTrendError
 from handeye_ros.measure.pictures import figure, save
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.errors import CalibrationFileError
 import numpy as np
 from rich.table import Table
-from scipy.stats import chi2
 
 SUSPICIOUS = 0.01
 
@@ -69,7 +69,7 @@ def between(a: Calibration, b: Calibration) -> tuple[Array, Array]:
 
 
 def _p(difference: Array, C: Array) -> float:
-    return float(chi2.sf(difference @ np.linalg.solve(C, difference), 6))
+    return float(chance_of_chi2(difference @ np.linalg.solve(C, difference), 6))
 
 
 def table(entries: Sequence[Entry]) -> Table:

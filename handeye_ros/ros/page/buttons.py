@@ -2,14 +2,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, TYPE_CHECKING
 
 from handeye_ros.ros.errors import PageError
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.page.server import Act, PageServer, Source
 from handeye_ros.ros.page.telling import told
 from handeye_ros.sampling.state import State
 from rclpy.parameter import Parameter
+
+if TYPE_CHECKING:
+    from handeye_ros.ros.page.server import Act, PageServer
 
 SERVICES = {'take': 'take_sample', 'undo': 'remove_last_sample', 'clear': 'clear_samples',
             'compute': 'compute_calibration', 'save': 'save_calibration'}
@@ -41,6 +43,7 @@ def serve(node: Served) -> PageServer | None:
     config, log = node.live.config.page, node.get_logger()
     if not config.port:
         return None
+    from handeye_ros.ros.page.server import PageServer, Source  # aiohttp takes long to import
     source = Source(lambda: told(node.state, node.live), acts(node), SLOW)
     try:
         page = PageServer(source, config.address, config.port)
