@@ -17,10 +17,12 @@ from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.ros.bags import cdr
 from handeye_ros.ros.bags.points import (
     along_the_line,
-    NEAR,
+    chosen,
+    middle,
     require_one_plane,
     require_unit,
     returns,
+    surely_of_unit,
 )
 from handeye_ros.ros.errors import MessageError
 import numpy as np
@@ -57,14 +59,16 @@ def profile_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
                       (along, across))
     if int(msg.width) * int(msg.height) == 0:
         return profile
-    columns = (_column(msg, along), _ranges(msg, config), _beside(msg, config))
-    points = np.column_stack(columns) * UNITS[config.unit]
-    require_unit(points, config.unit)
+    columns = np.stack((_column(msg, along), _ranges(msg, config), _beside(msg, config)))
+    points = (columns if config.unit == 'm' else columns * UNITS[config.unit]).T
+    good = returns(points)
+    seen = chosen(points, good)
+    if not surely_of_unit(points, seen):
+        require_unit(points, config.unit)
     plain = (along[-1], across[-1], _third(config))
-    seen = points[returns(points)]
     require_one_plane(seen, plain)
-    beside = float(np.nan_to_num(np.median(seen[:, 2]))) if len(seen) else 0.0
-    return replace(profile, points=along_the_line(points[:, :2], plain), beside=beside)
+    return replace(profile, points=along_the_line(points, good, seen, plain),
+                   beside=middle(seen[:, 2]))
 
 
 def returns_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
@@ -83,15 +87,15 @@ def returns_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
     names = {str(field.name) for field in msg.fields}
     columns = [_column(msg, along), _ranges(msg, config),
                *([_column(msg, _third(config))] if _third(config) in names else [])]
-    points = np.stack(columns) * UNITS[config.unit]
-    kept = returns(points.T)
-    seen = points[:, kept]
-    if not 2 * len(seen.T) > len(points.T) or not np.abs(seen[:2]).max() > NEAR:
-        require_unit(points.T, config.unit)
-    if len(seen) > 2:
-        require_one_plane(seen.T, (along[-1], across[-1], _third(config)))
+    points = (np.stack(columns) * UNITS[config.unit]).T
+    kept = returns(points)
+    seen = chosen(points, kept)
+    if not surely_of_unit(points, seen):
+        require_unit(points, config.unit)
+    if len(columns) > 2:
+        require_one_plane(seen, (along[-1], across[-1], _third(config)))
     intensity = _column(msg, INTENSITY)[kept] if INTENSITY in names else None
-    return replace(profile, points=seen[:2].T, intensity=intensity)
+    return replace(profile, points=seen[:, :2], intensity=intensity)
 
 
 def require_layout(msg: Any, config: ProfileConfig) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from handeye_ros.data import Array
 from handeye_ros.ros.errors import MessageError
 import numpy as np
+from numpy.typing import NDArray
 
 # No line profiler measures so far (m): a coordinate beyond is no return, and when most
 # are, or with mm all lie nearer than NEAR, the unit is wrong.
@@ -38,7 +39,7 @@ def require_unit(points: Array, unit: str) -> None:
                            'set profile.unit to m')
 
 
-def returns(points: Array) -> Array:
+def returns(points: Array) -> NDArray[np.bool_]:
     """
     Tell which of the points (n, k) are returns, (n,).
 
@@ -51,6 +52,28 @@ def returns(points: Array) -> Array:
     return np.asarray(near & ((x != 0) | (z != 0)))
 
 
+def chosen(points: Array, good: NDArray[np.bool_]) -> Array:
+    """Return the good ones of points (n, k), whose columns lie one behind the other."""
+    rows = np.flatnonzero(good)
+    return points if len(rows) == len(points) else points.T.take(rows, axis=1).T
+
+
+def surely_of_unit(points: Array, seen: Array) -> bool:
+    """Return whether points (n, k), of which seen (m, k) are returns, leave no doubt of it."""
+    if not 2 * len(seen) > len(points):
+        return False
+    return bool(max(seen[:, :2].max(), -seen[:, :2].min()) > NEAR)
+
+
+def middle(values: Array) -> float:
+    """Return the median of values (n,), 0 where there is none."""
+    if not len(values):
+        return 0.0
+    if values[0] == values[-1] and (values == values[0]).all():
+        return float(values[0])
+    return float(np.nan_to_num(np.median(values)))
+
+
 def require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     """
     Refuse returns (n, 3) that do not lie in the plane of the first two axes (MessageError).
@@ -59,9 +82,9 @@ def require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     """
     if len(points) < 2:
         return
-    spread = [np.ptp(column) for column in points.T]
-    if not spread[2] > THICK:  # nor where it is not finite
+    if not points[:, 2].max() - points[:, 2].min() > THICK:  # nor where it is not finite
         return
+    spread = [np.ptp(column) for column in points.T]
     along, across, beside = axes
     text = (f'the points do not lie in the plane of {along} and {across}: their {beside} spans '
             f'{spread[2] * 1e3:.1f} mm')
@@ -75,24 +98,41 @@ def require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     raise MessageError('PointCloud2', text)
 
 
-def along_the_line(points: Array, axes: tuple[str, ...]) -> Array:
+def along_the_line(points: Array, good: NDArray[np.bool_], seen: Array, axes: tuple[str, ...]
+                   ) -> Array:
     """
-    Return points (n, 2) in the order of the first column, as a profile is a function of it.
+    Return the first two columns of points (n, k) in the order of the first.
 
-    Those that are in order, forwards or backwards, stay as they are: the rows without a return
-    are then where they belong. Raises MessageError where the order shows that the axes are
-    wrong. axes: those of the columns, without signs.
+    A profile is a function of it. good: (n,) which are returns; seen: those. Where they are in
+    order, forwards or backwards, all stay as they are: the rows without a return are then where
+    they belong. Raises MessageError where the order shows that the axes are wrong. axes: those
+    of the columns, without signs.
     """
-    good = returns(points)
-    whole = bool(good.all())
-    seen = points if whole else points[good]
-    steps = np.diff(seen[:, 0])
+    steps = seen[1:, 0] - seen[:-1, 0]
+    if not (_all_one_way(steps) or _one_way(steps, seen, axes)):
+        return _sorted(points[:, :2])
+    kept = points[:, :2].copy(order='C')
+    if len(seen) < len(points):
+        kept[~good] = np.nan
+    return kept
+
+
+def _all_one_way(steps: Array) -> bool:
+    return bool(len(steps) and (steps.min() > 0 or steps.max() < 0))
+
+
+def _one_way(steps: Array, seen: Array, axes: tuple[str, ...]) -> bool:
+    """Return whether steps between returns (n, 2) lead one way, but for a part of it."""
     if (len(steps) >= SURE and _back(steps) > RANGE_BACK
             and _back(np.diff(seen[:, 1])) < LINE_BACK):
         raise MessageError('PointCloud2', f'the points follow each other along {axes[1]}, not '
                            f'along {axes[0]}: set profile.axes to [{axes[1]}, {axes[0]}]')
-    if _in_order(steps):
-        return points.copy() if whole else np.where(good[:, None], points, np.nan)
+    forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()
+    return bool(min(forth, back) <= MOST_BACK * max(forth, back))
+
+
+def _sorted(points: Array) -> Array:
+    """Return points (n, 2) in the order of the first column, means where it is the same."""
     with np.errstate(invalid='ignore'):
         placed = points[np.abs(points[:, 0]) <= FAR]
     x, group = np.unique(placed[:, 0], return_inverse=True)
@@ -106,9 +146,3 @@ def along_the_line(points: Array, axes: tuple[str, ...]) -> Array:
 def _back(steps: Array) -> float:
     """Return the share of steps that do not go the way of the most."""
     return 1.0 - max(np.count_nonzero(steps > 0), np.count_nonzero(steps < 0)) / len(steps)
-
-
-def _in_order(steps: Array) -> bool:
-    """Return whether steps lead one way, but for a part of it."""
-    forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()
-    return bool(min(forth, back) <= MOST_BACK * max(forth, back))
