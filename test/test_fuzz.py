@@ -2,22 +2,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-import runpy
+import sys
 
 from handeye_ros.config import Config, load, with_assignments
 from handeye_ros.errors import BagError, InputError
 from handeye_ros.ros.sessions.reading import read_session
 import pytest
 
-BENCH = Path(__file__).parents[1] / 'bench' / 'fuzz.py'
-FUZZ = runpy.run_path(str(BENCH))
-CASES = FUZZ['MESSAGES'] | FUZZ['FILES']
+sys.path.append(str(Path(__file__).parents[1] / 'bench'))
+
+import fuzz  # noqa: E402, I100
+
+CASES = fuzz.MESSAGES | fuzz.FILES
 
 
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp('fuzz')
-    FUZZ['prepare'](folder)
+    fuzz.prepare(folder)
     return folder
 
 
@@ -26,7 +28,7 @@ def folder(tmp_path_factory) -> Path:
 def test_what_is_damaged_is_refused_or_read(folder: Path, kind: str) -> None:
     counts = {'PointCloud2': 400, 'PoseStamped': 400, 'session': 10}
     for number in range(counts.get(kind, 40)):
-        FUZZ['attempt'](CASES[kind], 1, number, folder)
+        fuzz.attempt(CASES[kind], 1, number, folder)
 
 
 @pytest.mark.parametrize('text', ['[' * 3000, 'a: 2026-13-45', 'a: ' + '9' * 5000])

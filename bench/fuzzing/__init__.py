@@ -1,0 +1,1 @@
+"""What bench/fuzz.py damages, and how: messages, files and sessions."""
