@@ -161,7 +161,7 @@ def test_many_places_are_spanned_by_some() -> None:
 
 def test_a_distortion_is_no_motion_of_the_plane() -> None:
     points = np.random.default_rng(0).uniform([-0.02, 0.15], [0.02, 0.2], (300, 2))
-    fields = bending(points, 2)
+    (fields,) = bending(points, [2])
     x, z = (points - points.mean(axis=0)).T
     for motion in (np.stack([x * 0 + 1, x * 0], 1), np.stack([x * 0, x * 0 + 1], 1),
                    np.stack([z, -x], 1)):

@@ -8,7 +8,6 @@ from handeye_ros.checks.motion import require_certain
 from handeye_ros.checks.moved import require_unmoved
 from handeye_ros.checks.shape import require_not_only_scale
 from handeye_ros.config import LimitsConfig
-from handeye_ros.estimation.blocks import groups
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus
 from handeye_ros.estimation.solve import Solution
@@ -84,8 +83,8 @@ def residual_rms(solution: Solution) -> float:
 def expected_rms(solution: Solution) -> float:
     """Return the RMS of the plain residuals that the configured noise and doubts make (m)."""
     total = 0.0
-    for rows in groups(solution.problem.observations.station):
-        parts = covariances(solution.problem, solution.linear, rows).sum(axis=0)
+    for at in solution.problem.stations:
+        parts = covariances(solution.problem, solution.linear, at).sum(axis=0)
         total += float(np.einsum('nii->', parts + lumped(
-            solution.problem, solution.linear, rows)))
+            solution.problem, solution.linear, at)))
     return float((total / len(solution.white)) ** 0.5)

@@ -11,15 +11,18 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.fields import bending, bent_faces, places, process
+from handeye_ros.estimation.fields import bent_faces
 from handeye_ros.estimation.method import Estimate
-from handeye_ros.estimation.problem import Linear, points_in_base, Problem
+from handeye_ros.estimation.problem import BENDS, Linear, points_in_base, Problem
 from handeye_ros.estimation.weights import TURN_LENGTH
 import numpy as np
 
 # Share of the RMS of each degree of the polynomials: the first of them are the largest.
-DISTORTION = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
+DISTORTION = dict(zip(BENDS, (0.5, 0.5, 0.5, 0.4), strict=True))
 FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}
+# Of the six numbers of a pose, those that a smooth error of the robot changes, and its unit.
+SMOOTH = {'robot_position': slice(0, 3), 'robot_rotation': slice(3, 6)}
+SMOOTH_UNIT = {'robot_position': 1.0, 'robot_rotation': 1 / TURN_LENGTH}
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,29 +83,25 @@ def _setbacks(problem: Problem, linear: Linear) -> Iterator[Doubt]:
 
 
 def _robot(problem: Problem, linear: Linear) -> Iterator[Doubt]:
-    station = problem.observations.station
-    for name, modes, std in _robot_modes(problem):
-        columns = np.einsum('ma,mak->mk', linear.by_pose, modes[station], optimize=True)
-        yield Doubt(name, columns * std, std)
-
-
-def _robot_modes(problem: Problem) -> Iterator[tuple[str, Array, float]]:
-    """Yield the ways (n, 6, k) in which the poses may err together, each of unit size."""
-    noise, poses = problem.config.noise, problem.poses
-    if problem.config.calibration_type != 'eye_in_hand':
-        poses = se3.inverse(poses)
-    by_scale = np.zeros((len(poses), 6, 1))
-    by_scale[:, :3, 0] = poses[:, :3, 3].mean(axis=0) - poses[:, :3, 3]
-    yield 'scale', by_scale, noise.robot_scale
+    """Yield the scale of the robot, and its smooth errors of position and of rotation."""
+    station, noise = problem.observations.station, problem.config.noise
+    by_scale = np.einsum('ma,ma->m', linear.by_pose[:, :3], _scaled(problem)[station])
+    yield Doubt('scale', by_scale[:, None] * noise.robot_scale, noise.robot_scale)
     if not noise.robot_smooth:
         return
-    shared = process(places(poses))  # (n, r)
-    for name, first, std in (('robot_position', 0, noise.robot_smooth),
-                             ('robot_rotation', 3, noise.robot_smooth / TURN_LENGTH)):
-        modes = np.zeros((len(poses), 6, 3, shared.shape[1]))
-        for axis in range(3):
-            modes[:, first + axis, axis] = shared
-        yield name, modes.reshape(len(poses), 6, -1), std
+    shared = problem.smooth[station]
+    for name, axes in SMOOTH.items():
+        std = noise.robot_smooth * SMOOTH_UNIT[name]
+        each_axis = linear.by_pose[:, axes, None] * (shared * std)[:, None]
+        yield Doubt(name, each_axis.reshape(len(shared), -1), std)
+
+
+def _scaled(problem: Problem) -> Array:
+    """Return by how much (n, 3) the positions of the robot shrink when its scale grows."""
+    poses = problem.poses
+    if problem.config.calibration_type != 'eye_in_hand':
+        poses = se3.inverse(poses)
+    return np.asarray(poses[:, :3, 3].mean(axis=0) - poses[:, :3, 3])
 
 
 def pose_errors(problem: Problem, found: Sequence[Doubt], values: Array) -> Array:
@@ -112,20 +111,23 @@ def pose_errors(problem: Problem, found: Sequence[Doubt], values: Array) -> Arra
     values: (q,) of the unknowns of all doubts, one after the other, in their present sigmas.
     """
     errors = np.zeros((len(problem.poses), 6))
-    modes = {name: part for name, part, _ in _robot_modes(problem)}
     first = 0
     for doubt in found:
         last = first + doubt.columns.shape[1]
-        if doubt.name in modes:
-            errors += modes[doubt.name] @ values[first:last] * doubt.std
+        if doubt.name == 'scale':
+            errors[:, :3] += _scaled(problem) * (values[first] * doubt.std)
+        elif doubt.name in SMOOTH:
+            by_axis = values[first:last].reshape(3, -1).T * doubt.std
+            errors[:, SMOOTH[doubt.name]] += problem.smooth @ by_axis
         first = last
     return errors
 
 
 def _sensor(problem: Problem, linear: Linear) -> Iterator[Doubt]:
     std = problem.config.noise.distortion
-    for degree, share in DISTORTION.items():
-        field = bending(problem.observations.points, degree)  # (m, 2, k)
+    if not std:
+        return
+    for (degree, share), field in zip(DISTORTION.items(), problem.bending, strict=True):
         columns = np.einsum('mi,mik->mk', linear.by_point, field) * (std * share)
         yield Doubt(f'distortion_{degree}', columns, std * share)
 
@@ -135,8 +137,8 @@ def _faces(problem: Problem, estimate: Estimate) -> Iterator[Doubt]:
     if not std:
         return
     p = points_in_base(problem, estimate.X)
-    for degree, share in FLATNESS.items():
-        columns = [bent_faces(p, problem.observations.kind == i, degree)
-                   for i, name in enumerate(kinds) if name.startswith('face')]
+    faces = [bent_faces(p, problem.observations.kind == i, list(FLATNESS))
+             for i, name in enumerate(kinds) if name.startswith('face')]
+    for (degree, share), *columns in zip(FLATNESS.items(), *faces, strict=True):
         if columns:
             yield Doubt(f'flatness_{degree}', np.hstack(columns) * (std * share), std * share)

@@ -6,6 +6,8 @@ taken out of them.
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from handeye_ros.data import Array
 import numpy as np
 from numpy.polynomial import legendre
@@ -18,11 +20,11 @@ SAME_PLACE = 0.01  # of these lengths: nearer poses err alike
 MOST_PLACES = 24  # that span the robot's error
 
 
-def polynomials(u: Array, v: Array, degree: int) -> Array:
-    """Return products (m, degree + 1) of Legendre polynomials of u and v (m,), each of RMS 1."""
-    norm = np.sqrt(2 * np.arange(degree + 1) + 1)
-    a, b = (legendre.legvander(_normalised(w), degree) * norm for w in (u, v))
-    return np.column_stack([a[:, i] * b[:, degree - i] for i in range(degree + 1)])
+def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> list[Array]:
+    """Return products of Legendre polynomials of u and v (m,), each of RMS 1, by their degree."""
+    norm = np.sqrt(2 * np.arange(max(degrees) + 1) + 1)
+    a, b = (legendre.legvander(_normalised(w), max(degrees)) * norm for w in (u, v))
+    return [a[:, :degree + 1] * b[:, degree::-1] for degree in degrees]
 
 
 def _normalised(w: Array) -> Array:
@@ -38,37 +40,41 @@ def without(columns: Array, absorbed: Array) -> Array:
     return np.asarray(columns - absorbed @ (inverse @ (absorbed.T @ columns)))
 
 
-def bending(points: Array, degree: int) -> Array:
+def bending(points: Array, degrees: Sequence[int]) -> list[Array]:
     """
     Return fields (m, 2, k) over points (m, 2) of the sensor plane, together of RMS 1 each way.
 
-    degree: of the polynomials. No motion of the plane in itself is in them.
+    A list, by the degrees of the polynomials. No motion of the plane in itself is in them.
     """
     m = len(points)
     x, z = (points - points.mean(axis=0)).T
     one, none = np.ones(m), np.zeros(m)
-    terms = polynomials(x, z, degree)
-    zero = np.zeros_like(terms)
-    fields = np.block([[terms, zero], [zero, terms]])
-    rigid = np.block([[one[:, None], none[:, None], z[:, None]],
-                      [none[:, None], one[:, None], -x[:, None]]])
-    fields = without(fields, rigid) / terms.shape[1] ** 0.5
-    return np.stack([fields[:m], fields[m:]], axis=1)
+    rigid = np.concatenate([np.column_stack([one, none, z]), np.column_stack([none, one, -x])])
+    terms = polynomials(x, z, degrees)
+    both = np.concatenate([np.kron(np.eye(2), some) for some in terms], axis=1)
+    bent = without(both, rigid).reshape(2, m, -1).swapaxes(0, 1)
+    return _each_of_unit_size(bent, [some.shape[1] for some in terms], 2)
 
 
-def bent_faces(p: Array, here: NDArray[np.bool_], degree: int) -> Array:
+def bent_faces(p: Array, here: NDArray[np.bool_], degrees: Sequence[int]) -> list[Array]:
     """Return heights (m, k), together of RMS 1, over a face with the points p (m, 3) here (m,)."""
     points = p[here]
     if len(points) <= 3:
-        return np.zeros((len(p), 0))
+        return [np.zeros((len(p), 0))] * len(degrees)
     centred = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred)
     u, v = centred @ axes[:, 2], centred @ axes[:, 1]
-    some = polynomials(u, v, degree)
-    terms = np.zeros((len(p), some.shape[1]))
+    some = polynomials(u, v, degrees)
     flat = np.column_stack([np.ones(len(u)), u, v])
-    terms[here] = without(some, flat) / some.shape[1] ** 0.5
-    return terms
+    terms = np.zeros((len(p), sum(part.shape[1] for part in some)))
+    terms[here] = without(np.concatenate(some, axis=1), flat)
+    return _each_of_unit_size(terms, [part.shape[1] for part in some], 1)
+
+
+def _each_of_unit_size(columns: Array, counts: Sequence[int], ways: int) -> list[Array]:
+    """Return columns (..., ways * sum of counts) in parts, each in units of its share."""
+    parts = np.split(columns, ways * np.cumsum(counts)[:-1], axis=-1)
+    return [part / count ** 0.5 for part, count in zip(parts, counts, strict=True)]
 
 
 def places(poses: Array) -> Array:

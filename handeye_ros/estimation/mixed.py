@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.algebra import inverse
-from handeye_ros.estimation.blocks import groups
 from handeye_ros.estimation.doubts import Doubt, doubts
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Linear, linearise, Problem
@@ -163,12 +162,12 @@ class _System:
         residuals, A = self.r + self.A @ (s * x), self.A * s
         sums = np.zeros((3, 2))
         every = -(-len(self.problem.poses) // ASKED)
-        for group in groups(self.problem.observations.station):
-            rows = group[::every]
+        for stations in self.problem.stations:
+            at = stations.every(every)
             V = self.noise.factors[:, None, None, None] * covariances(
-                self.problem, self.linear, rows)
+                self.problem, self.linear, at)
             root = inverse_roots(V.sum(axis=0))
-            r, J = residuals[rows], A[rows]
+            r, J = residuals[at.rows], A[at.rows]
             taken = J @ covariance @ np.swapaxes(J, 1, 2)
             W = root @ V @ np.swapaxes(root, 1, 2)
             sums[:, 0] += np.einsum('ni,knij,nj->k', r, W, r, optimize=True)

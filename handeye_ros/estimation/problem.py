@@ -7,29 +7,66 @@ p = R_i (X s) + a_i.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
+from handeye_ros.estimation.fields import bending, places, process
 from handeye_ros.estimation.method import Estimate, Method, Observations
+from handeye_ros.estimation.stations import Stations, stations_of
 import numpy as np
 from numpy.typing import NDArray
+
+BENDS = (1, 2, 3, 4)  # degrees of the fields of the sensor that are told apart
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is to be solved: T_base_flange (n, 4, 4), observations of them, and settings."""
+    """
+    What is to be solved: T_base_flange (n, 4, 4), observations of them, and settings.
+
+    What follows from these alone, whatever the estimate, is found once.
+    """
 
     method: Method
     poses: Array
     observations: Observations
     config: Config
 
-    @property
+    @cached_property
     def columns(self) -> NDArray[np.intp]:
         """Return the columns of the Jacobian that are unknown."""
         free = self.method.free(self.config)
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
+
+    @cached_property
+    def flanges(self) -> tuple[Array, Array]:
+        """Return rotation (m, 3, 3) and position (m, 3) of each observation's flange."""
+        T = self.poses[self.observations.station]
+        return np.ascontiguousarray(T[:, :3, :3]), T[:, :3, 3].copy()
+
+    @cached_property
+    def stations(self) -> tuple[Stations, ...]:
+        """Return what the observations of each station have in common."""
+        return stations_of(self.observations)
+
+    @cached_property
+    def places(self) -> Array:
+        """Return where the poses are (n, 6), in units over which the robot's error is alike."""
+        return places(self.poses)
+
+    @cached_property
+    def smooth(self) -> Array:
+        """Return the root (n, r) of the covariance of a smooth error at the poses."""
+        robot = self.poses if self.config.calibration_type == 'eye_in_hand' else se3.inverse(
+            self.poses)
+        return process(places(robot))
+
+    @cached_property
+    def bending(self) -> list[Array]:
+        """Return smooth fields (m, 2, k) of the sensor at the points, by the degrees of BENDS."""
+        return bending(self.observations.points, BENDS)
 
     def subset(self, stations: NDArray[np.intp]) -> Problem:
         """Return the problem with only the given stations (ascending indices)."""
@@ -67,11 +104,10 @@ def points_in_base(problem: Problem, X: Array) -> Array:
 def linearise(problem: Problem, estimate: Estimate) -> Linear:
     """Return residuals and derivatives at an estimate."""
     obs, X = problem.observations, estimate.X
-    T = problem.poses[obs.station]
-    R = T[:, :3, :3]
+    R, a = problem.flanges
     lever = obs.points @ X[:3, [0, 2]].T
     from_flange = np.einsum('mij,mj->mi', R, lever + X[:3, 3])
-    conditions = problem.method.conditions(from_flange + T[:, :3, 3], obs.kind, estimate.target,
+    conditions = problem.method.conditions(from_flange + a, obs.kind, estimate.target,
                                            problem.config)
     g_base = conditions.dg_dp
     g_mount = np.einsum('mji,mj->mi', R, g_base)
@@ -79,7 +115,7 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     if problem.config.calibration_type == 'eye_in_hand':
         by_pose = np.hstack([g_base, se3.cross(from_flange, g_base)])
     else:  # the poses are those of the base in the flange; the robot errs in its base
-        p_base = np.einsum('mji,mj->mi', R, from_flange + T[:, :3, 3])
+        p_base = np.einsum('mji,mj->mi', R, from_flange + a)
         by_pose = np.hstack([g_mount, se3.cross(p_base, g_mount)])
     by_point = g_mount @ X[:3, [0, 2]]
     by_feature = np.einsum('mi,mij->mj', by_point, obs.noise)

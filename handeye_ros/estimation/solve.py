@@ -10,7 +10,7 @@ from handeye_ros.data import Array
 from handeye_ros.estimation import blocks
 from handeye_ros.estimation.algebra import covariance_of
 from handeye_ros.estimation.doubts import Doubt, pose_errors
-from handeye_ros.estimation.fields import places, spread
+from handeye_ros.estimation.fields import spread
 from handeye_ros.estimation.least_squares import as_they_are, least_squares, Rows, System, White
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import cost, Linear, linearise, Problem
@@ -178,7 +178,7 @@ def redundancy(solution: Solution) -> int:
     """
     ranks = station_ranks(solution)
     if len(ranks) <= ASKED:
-        ranks = ranks[spread(places(solution.problem.poses), ASKED)]
+        ranks = ranks[spread(solution.problem.places, ASKED)]
     return int(ranks.sum()) - solution.unknowns
 
 
@@ -202,29 +202,28 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
     return statistic, np.bincount(station, minlength=n)
 
 
-def poses_of(solution: Solution, stations: NDArray[np.intp] | None = None) -> Array:
-    """
-    Return the poses (n, 4, 4) without the smooth error of the robot that was found.
+def poses_of(solution: Solution) -> Array:
+    """Return the poses (n, 4, 4) without the smooth error of the robot that was found."""
+    return _poses_with(solution, solution.doubtful)
 
-    stations: left out of finding it; to first order.
-    """
-    found = solution.doubtful
-    if stations is not None:
-        found = found + step_without(solution, stations)[solution.unknowns:]
-    errors = pose_errors(solution.problem, solution.doubts, found)
+
+def _poses_with(solution: Solution, doubtful: Array) -> Array:
+    """Return the poses (n, 4, 4) without the error of the robot that doubts (q,) stand for."""
+    errors = pose_errors(solution.problem, solution.doubts, doubtful)
     T = solution.problem.poses
     return se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
                          T[:, :3, 3] + errors[:, :3])
 
 
-def without(solution: Solution, stations: NDArray[np.intp]) -> Estimate:
-    """Return the estimate from all stations but the given ones, to first order."""
-    step = step_without(solution, stations)[:solution.unknowns]
-    return move(solution.problem, solution.estimate, step)
+def without(solution: Solution, stations: NDArray[np.intp]) -> tuple[Estimate, Array]:
+    """
+    Return the estimate from all stations but the given ones, to first order.
 
-
-def step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
-    """Return by how much unknowns and doubts (u + q,) differ without the given stations."""
+    And the poses (n, 4, 4) without the smooth error of the robot that the others show.
+    """
     out = np.isin(solution.problem.observations.station, stations)
-    return blocks.step_without(solution.white, solution.jacobian, solution.covariance,
+    step = blocks.step_without(solution.white, solution.jacobian, solution.covariance,
                                solution.information, out)
+    u = solution.unknowns
+    return (move(solution.problem, solution.estimate, step[:u]),
+            _poses_with(solution, solution.doubtful + step[u:]))

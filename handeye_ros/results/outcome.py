@@ -118,7 +118,7 @@ def left_out(solution: Solution, measured: Measured) -> Array:
         stations = np.arange(fold, n, folds)
         part = np.isin(measured.station, stations)
         found[part] = measured.select(part).residuals(
-            solution.problem, without(solution, stations), poses_of(solution, stations))
+            solution.problem, *without(solution, stations))
     return found
 
 

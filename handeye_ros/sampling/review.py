@@ -95,7 +95,7 @@ def _left_out(used: Sequence[Sample], solution: Solution) -> Array:
     """Return the RMS residual (n,) of each used sample from the fit to the others."""
     measured = measured_points(used, solution.problem)
     return np.array([
-        _rms(measured, solution.problem, without(solution, np.array([k])))[k]
+        _rms(measured, solution.problem, without(solution, np.array([k]))[0])[k]
         for k in range(len(used))])
 
 

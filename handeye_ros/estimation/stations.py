@@ -1,0 +1,48 @@
+"""What the observations of one station have in common with each other, whatever the estimate."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from handeye_ros.data import Array
+from handeye_ros.estimation.blocks import groups
+from handeye_ros.estimation.method import Observations
+import numpy as np
+from numpy.typing import NDArray
+
+DISTORTION_LENGTH = 0.01  # over which the error of a sensor's field is alike (m)
+
+
+@dataclass(frozen=True, eq=False)
+class Stations:
+    """
+    The s stations with equally many observations, c.
+
+    rows: (s, c) of them; near: (s, c, c) how alike a smooth error of the sensor is at each two;
+    shared: (s, c, c) 1 where they share the error of one feature; edge, rest: (s, c, c) 1 where
+    both are points of edges, and where neither is.
+    """
+
+    rows: NDArray[np.intp]
+    near: Array
+    shared: Array
+    edge: Array
+    rest: Array
+
+    def every(self, step: int) -> Stations:
+        """Return each so manieth of the stations."""
+        return Stations(self.rows[::step], self.near[::step], self.shared[::step],
+                        self.edge[::step], self.rest[::step])
+
+
+def stations_of(observations: Observations) -> tuple[Stations, ...]:
+    """Return the stations of observations, by how many each has."""
+    return tuple(_of_rows(observations, rows) for rows in groups(observations.station))
+
+
+def _of_rows(obs: Observations, rows: NDArray[np.intp]) -> Stations:
+    points, source, edge = obs.points[rows], obs.source[rows], obs.end[rows] > 0
+    apart = points[:, :, None] - points[:, None, :]
+    near = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / DISTORTION_LENGTH ** 2)
+    shared = source[:, :, None] == source[:, None, :]
+    both, neither = (of[:, :, None] & of[:, None, :] for of in (edge, ~edge))
+    return Stations(rows, near, shared.astype(float), both.astype(float), neither.astype(float))
