@@ -7,9 +7,10 @@ usage: python bench/soak.py [--minutes 60] [--rate 1000]
 Publishes profiles and the poses of a robot that stops each 6 s, and calls one service after the
 other (take, remove, compute, save, set a parameter, leave a sample out, clear each 90 s)
 meanwhile, while browsers come to the page and go. Prints each minute what came, the load of the
-machine, the resident memory and the slowest answer of each service; in the end what was lost,
-what the node says that it left out, and the slope of the memory behind the first half of the
-time. Needs ROS, on a domain of its own (ROS_DOMAIN_ID).
+machine, the resident memory of the node and of its second process, and the slowest answer of
+each service so far; in the end what was lost, what the node says that it left out, the slope of
+the memory behind the first half of the time, and how long the answers took. Needs ROS, on a
+domain of its own (ROS_DOMAIN_ID).
 """
 from __future__ import annotations
 
@@ -41,14 +42,14 @@ CYCLE = 6.0  # s from stop to stop
 
 
 class User:
-    """Calls one service after the other; slowest: seconds by the name."""
+    """Calls one service after the other; took: seconds of all calls by the name."""
 
     def __init__(self, watcher: Any) -> None:
         """Join."""
         self._watcher = watcher
         self._node = Node('user')
         self._calls, self._cleared = 0, time.monotonic()
-        self.slowest: dict[str, float] = defaultdict(float)
+        self.took: dict[str, list[float]] = defaultdict(list)
         self._clients = {name: self._node.create_client(Trigger, f'/handeye/{name}')
                          for name in SERVICES}
         self._clients['set_parameters'] = self._node.create_client(
@@ -70,7 +71,7 @@ class User:
         future = self._clients[name].call_async(request)
         rclpy.spin_until_future_complete(self._node, future, timeout_sec=60.0)
         assert future.done(), f'{name} does not answer'
-        self.slowest[name] = max(self.slowest[name], time.monotonic() - begin)
+        self.took[name].append(time.monotonic() - begin)
 
     def _next(self) -> str:
         """Return the service whose turn it is."""
@@ -98,6 +99,13 @@ def look(port: int) -> None:
         assert b'200 OK' in line.recv(1000)
 
 
+def second_of(pid: int) -> float:
+    """Return the resident memory (MB) of the processes that a process has started."""
+    children = Path(f'/proc/{pid}/task').glob('*/children')
+    return sum(LIVE['usage'](int(child))[1] for file in children
+               for child in file.read_text().split())
+
+
 def free_port() -> int:
     """Return a port that nobody listens on."""
     with socket.socket() as probe:
@@ -122,18 +130,25 @@ def soak(minutes: float, rate: float) -> None:
             look(port)
             now = time.monotonic() - begin
             _, resident = LIVE['usage'](node.pid)
-            memory.append((now, resident))
+            memory.append((now, resident, second_of(node.pid)))
             if now > 60 * told:
                 told += 1
-                slowest = ', '.join(f'{name} {t:.2f} s' for name, t in user.slowest.items())
+                slowest = ', '.join(f'{name} {max(t):.2f} s' for name, t in user.took.items())
                 print(f'{now / 60:5.1f} min: load {os.getloadavg()[0]:.0f}, {watcher.count()} '
-                      f'profiles, {resident:.0f} MB; slowest {slowest}', flush=True)
+                      f'profiles, {resident:.0f} and {memory[-1][2]:.0f} MB; slowest {slowest}',
+                      flush=True)
         watcher.wait(4.0, False)
         sent = int(driver.stdout.read())
         print(f'{sent} profiles sent, {sent - watcher.count()} lost; {watcher.notes}')
     late = np.array([m for m in memory if m[0] > 30 * minutes])
-    slope = np.polyfit(late[:, 0] / 3600, late[:, 1], 1)[0]
-    print(f'memory {late[0, 1]:.0f} MB to {late[-1, 1]:.0f} MB, slope {slope:.1f} MB/h')
+    for column, name in ((1, 'node'), (2, 'second process')):
+        slope = np.polyfit(late[:, 0] / 3600, late[:, column], 1)[0]
+        print(f'{name}: {late[0, column]:.0f} MB to {late[-1, column]:.0f} MB, slope '
+              f'{slope:.1f} MB/h')
+    for name, took in sorted(user.took.items()):
+        middle, most = np.quantile(took, (0.5, 0.95))
+        print(f'{name}: {len(took)} calls, median {middle:.3f} s, 95 % within {most:.3f} s, '
+              f'slowest {max(took):.3f} s')
 
 
 def main() -> None:

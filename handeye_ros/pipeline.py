@@ -5,7 +5,7 @@ From profiles and poses to the hand-eye transform: the whole flow.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 from handeye_ros import methods
@@ -37,6 +37,8 @@ from handeye_ros.sampling.looks import looks
 from handeye_ros.sampling.session import Session
 import numpy as np
 
+Solver = Callable[[Sequence[Sample], Sequence[Reject], Config, str], Calibration]
+
 SEED = 0  # of the searches inside: the same samples give the same answer
 
 
@@ -59,15 +61,16 @@ def calibrate_session(session: Session, config: Config) -> Calibration:
     return replace(calibration, provenance=provenance)
 
 
-def solve_session(session: Session, config: Config) -> Calibration:
+def solve_session(session: Session, config: Config, solver: Solver | None = None) -> Calibration:
     """
     Return the calibration from the samples of a session, as solve does.
 
+    solver: solve itself, or what calls it elsewhere.
     Raises DataError without one: of the clocks where these explain why the samples do not fit.
     """
     session.require_stations()
     try:
-        return solve(session.samples, session.rejects, config, session.frame_id)
+        return (solver or solve)(session.samples, session.rejects, config, session.frame_id)
     except NamedCauseError:
         raise
     except DataError:

@@ -1,6 +1,7 @@
 """The node in its own process, over real DDS."""
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 import signal
 import subprocess
@@ -91,7 +92,11 @@ def test_a_bag_through_the_node_gives_the_offline_result(
     online = read_calibration(path)
     np.testing.assert_allclose(online.T_flange_sensor, offline.T_flange_sensor, atol=1e-9, rtol=0)
     np.testing.assert_allclose(online.covariance, offline.covariance, rtol=1e-6, atol=1e-15)
-    assert online.samples == offline.samples
+    # sums over arrays that went to another process may differ in the last digit
+    assert [replace(s, residual=0.0) for s in online.samples] == [
+        replace(s, residual=0.0) for s in offline.samples]
+    np.testing.assert_allclose([s.residual for s in online.samples if s.used],
+                               [s.residual for s in offline.samples if s.used], rtol=1e-9)
     assert online.provenance['inputs'] == [{'topic': '/profile'}, {'topic': '/flange_pose'}]
     assert len(features) == offline.quality.samples_used + offline.quality.samples_rejected
     assert {f.header.frame_id for f in features} == {'laser'}
@@ -239,15 +244,22 @@ def test_wrong_parameters(argument: str, reason: str) -> None:
         rclpy.shutdown(context=context)
 
 
-SLOW = """
-import sys, threading
+SECOND = """
+import threading
 from handeye_ros import pipeline
+from handeye_ros.ros.node.second import main
 
 def solve(*args):
     print('solving', flush=True)
     threading.Event().wait()
 
 pipeline.solve = solve
+main()
+"""
+SLOW = f"""
+import sys
+from handeye_ros.ros.node import second
+second.COMMAND = (sys.executable, '-c', {SECOND!r})
 from handeye_ros.ros.node.main import main
 sys.exit(main())
 """

@@ -68,6 +68,20 @@ class Conditions:
     dg_dtarget: Array
 
 
+# Plain functions, no lambdas: a solution goes from one process to another.
+def _nothing_stated(config: Config) -> Array:
+    return np.zeros(0)
+
+
+def _known_shape(config: Config) -> Config | None:
+    return None
+
+
+def _nothing_to_say(observations: Observations, points: Array, target: Array, config: Config
+                    ) -> str:
+    return ''
+
+
 @dataclass(frozen=True, eq=False)
 class Method:
     """
@@ -110,11 +124,10 @@ class Method:
     edges: tuple[str, ...]
     minimum: int
     one_axis: str = 'the position along it is free'
-    tolerances: Callable[[Config], Array] = lambda config: np.zeros(0)
-    relax: Callable[[Config], Config | None] = lambda config: None
-    configured: Callable[[Config], Array] = lambda config: np.zeros(0)
-    elsewhere: Callable[[Observations, Array, Array, Config], str] = (
-        lambda observations, p, target, config: '')
+    tolerances: Callable[[Config], Array] = _nothing_stated
+    relax: Callable[[Config], Config | None] = _known_shape
+    configured: Callable[[Config], Array] = _nothing_stated
+    elsewhere: Callable[[Observations, Array, Array, Config], str] = _nothing_to_say
 
 
 def kind_unchanged(observations: Observations, points: Array, target: Array, config: Config

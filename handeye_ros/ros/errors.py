@@ -101,6 +101,15 @@ class SessionError(InputError):
         super().__init__(f'{path} {reason}')
 
 
+class SecondEndedError(InputError):
+    """The process that computes ended before it had an answer."""
+
+    def __init__(self, code: int) -> None:
+        why = f'by signal {-code}' if code < 0 else f'with code {code}'
+        super().__init__(f'the process that computes ended {why} before it had an answer (out of '
+                         'memory?): ask again, and it is started again')
+
+
 class PageError(InputError):
     """The page for a browser cannot be served; the node goes on without it."""
 

@@ -38,8 +38,9 @@ class Session(Watch):
         return other
 
     def replace(self, outcomes: Iterable[Outcome]) -> None:
-        """Let the stops have given something else: another configuration read them anew."""
-        self._outcomes = list(outcomes)
+        """Let stops have given something else; those that were removed meanwhile stay away."""
+        fresh = {id(outcome.stop): outcome for outcome in outcomes}
+        self._outcomes = [fresh.get(id(outcome.stop), outcome) for outcome in self._outcomes]
 
     def restore(self, outcomes: Sequence[Outcome], numbers: int, frame_id: str) -> None:
         """Go on from the stops of an earlier run; numbers: given so far."""

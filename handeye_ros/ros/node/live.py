@@ -1,32 +1,36 @@
 """
-The session of a running node with its answer, and the thread that works for it.
+The session of a running node with its answer, and the threads that work for it.
+
+One thread judges the stops: their answers come first. The other does what follows from them
+(review, advice, solving again): always of the newest state, so nothing of it ever piles up.
 
 Knows no ROS. What the services do is here and in live_samples.py.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 import threading
-import traceback
 
 from handeye_ros import pipeline
 from handeye_ros.config import Config
-from handeye_ros.data import Calibration, Sample
+from handeye_ros.data import Calibration
 from handeye_ros.errors import DataError, HandeyeError
-from handeye_ros.guidance.advice import Advice
 from handeye_ros.guidance.view import extremes
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.results.errors import NothingToSaveError
 from handeye_ros.ros.node.answer import Answer
 from handeye_ros.ros.node.live_samples import LiveSamples
 from handeye_ros.ros.node.place import Place
+from handeye_ros.ros.node.second import Here, Runner
 from handeye_ros.ros.node.settings import changes_advice, changes_answer
 from handeye_ros.ros.node.store import Store
+from handeye_ros.ros.node.workers import Workers
 from handeye_ros.sampling.crossing import flat_crossing
 from handeye_ros.sampling.errors import ClearedError
-from handeye_ros.sampling.review import Review, review
+from handeye_ros.sampling.review import FEWEST, Review, review
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome
 from handeye_ros.sampling.wording import calibration_summary
@@ -39,22 +43,29 @@ class LiveSession(LiveSamples):
     """
     The samples of a running node, what they say of each other, and the last answer.
 
-    failure: of the last work of the thread, empty where it did it; on_failure: is told the
-    traceback.
+    on_failure: is told the traceback of work of a thread that failed.
     """
 
-    def __init__(self, config: Config, place: Place, store: Store | None = None) -> None:
-        """Start without samples; raises BadValueError for a method that does not exist."""
+    def __init__(self, config: Config, place: Place, store: Store | None = None,
+                 second: Runner | None = None) -> None:
+        """
+        Start without samples; raises BadValueError for a method that does not exist.
+
+        second: runs what takes long.
+        """
         super().__init__(config, store)
         self.place = place
+        self._second = second or Here()
+        self._judged = threading.Event()  # since which there is something to derive
         self.answer = Answer()
         self.review: Review | None = None
         self.no_review = ''
         self.advice = pipeline.advise((), config)
         self._seen = np.zeros((0, 2))  # points of profiles, at the ends of the view
         self._reviewed: tuple[Outcome, ...] | None = None
+        self._settings, self._advised = 1, 0  # how often they changed; at the last advice
         self._asked = self._due = False  # for an answer, ever; and again, as settings changed
-        self.failure = ''
+        self._workers = Workers(lambda text: self.on_failure(text))
         self.on_failure: Callable[[str], object] = lambda text: None
 
     @property
@@ -67,46 +78,67 @@ class LiveSession(LiveSamples):
         """Return the samples that the agreements of the review belong to, in its order."""
         return self._reviewed or ()
 
-    # what a worker does
+    @property
+    def failure(self) -> str:
+        """Return what of the last work of the threads failed, empty where nothing did."""
+        return self._workers.failure
+
+    # what the threads do
 
     def start(self) -> None:
-        """Let a thread of its own do what has to be done, until the process ends."""
-        threading.Thread(target=self._run, name='worker', daemon=True).start()
+        """Let the threads do what has to be done, until the process ends."""
+        self._workers.start(self._wake, self._judge_and_tell)
+        self._workers.start(self._judged, self._derive)
 
-    def _run(self) -> None:
-        while True:
-            self._wake.wait()
-            self._wake.clear()
-            try:
-                self.settle()
-                self.failure = ''
-            except Exception as error:  # noqa: BLE001 - the next stop must be judged all the same
-                self.failure = ('the work on the samples failed, which should not happen: '
-                                f'{error!r}; see the log, and please report it')
-                self.on_failure(traceback.format_exc())
+    def stop(self) -> None:
+        """End what takes long, and the threads with it."""
+        self._workers.stop()
+        self._second.stop()
+
+    def _judge_and_tell(self) -> None:
+        self.judge_all()
+        self.on_change()
+        self._judged.set()
 
     def settle(self) -> None:
         """Judge the stops that are over, review all samples, solve again for other settings."""
         self.judge_all()
+        self._derive()
+
+    def _derive(self) -> None:
+        """Do what follows from the samples of now."""
+        self.extract_anew()
         self._review()
         if self._due:
             with suppress(HandeyeError):  # it is told by the state of the answer
                 self.compute()
 
     def _review(self) -> None:
-        """Tell how well the samples agree, where they have changed since the last time."""
-        session, config = self.copied(), self.config
-        outcomes = tuple(o for o in session.outcomes if o.sample)
-        if self._reviewed != outcomes:
-            included = [o.number not in config.samples.exclude for o in outcomes]
-            try:
-                found = review([o.sample for o in outcomes if o.sample], included, config)
-                self.review, self.no_review, self._reviewed = found, '', outcomes
-            except DataError as error:
-                self.review, self.no_review, self._reviewed = None, str(error), outcomes
-            self.advice = self._advise([o.sample for o, use in zip(outcomes, included, strict=True)
-                                        if use and o.sample], config)
+        """Tell how well the samples agree and what is missing, where they have changed."""
+        cleared, settings = self._cleared, self._settings
+        outcomes, included = self._to_review()
+        samples = [o.sample for o in outcomes if o.sample]
+        if self._reviewed == outcomes and self._advised == settings:
+            return
+        found, why = None, ''
+        try:
+            found = self._runner(samples).run(review, samples, included, self.config)
+        except DataError as error:
+            why = str(error)
+        with self._lock:
+            if self._cleared == cleared:
+                self.review, self.no_review, self._reviewed = found, why, outcomes
         self.on_change()
+        self._advise(settings)
+
+    def _runner(self, samples: Sequence[object]) -> Runner:
+        """Return who tells what of samples: so few that nothing is solved need no process."""
+        return self._second if len(samples) >= FEWEST else Here()
+
+    def _to_review(self) -> tuple[tuple[Outcome, ...], list[bool]]:
+        """Return the samples of now, and which of them are not left out."""
+        outcomes = tuple(o for o in self.copied().outcomes if o.sample)
+        return outcomes, [o.number not in self.config.samples.exclude for o in outcomes]
 
     def _why_not(self, outcome: Outcome) -> str:
         """Return that the laser crosses an edge too flatly, once the edge is known."""
@@ -116,12 +148,18 @@ class LiveSession(LiveSamples):
             return ''
         return flat_crossing(outcome.sample, known.solution, self.config)
 
-    def _advise(self, samples: list[Sample], config: Config) -> Advice:
-        """Return what to do next; the view is learnt from the profiles of now, too."""
-        current = self.latest.current(config)
+    def _advise(self, settings: int) -> None:
+        """Tell what to do next, as the samples of now say."""
+        cleared, current = self._cleared, self.latest.current(self.config)
         if current:
             self._seen = extremes(np.concatenate([self._seen, current.points]))
-        return pipeline.advise(sorted(samples, key=lambda s: s.stamp), config, self._seen)
+        samples = sorted((o.sample for o, use in zip(*self._to_review(), strict=True)
+                          if use and o.sample), key=lambda sample: sample.stamp)
+        advice = self._runner(samples).run(pipeline.advise, samples, self.config, self._seen)
+        with self._lock:
+            if self._cleared == cleared:
+                self.advice, self._advised = advice, settings
+        self.on_change()
 
     # what is asked; each returns what to say
 
@@ -147,6 +185,7 @@ class LiveSession(LiveSamples):
         return found, calibration_summary(found)
 
     def _solved(self) -> tuple[Calibration, frozenset[int]]:
+        self.extract_anew()
         with self._work:
             self.judge_all()
             for stop in self.copied().rest():
@@ -156,7 +195,8 @@ class LiveSession(LiveSamples):
         self.working = 'the calibration is computed'
         self.on_change()
         try:
-            found = pipeline.solve_session(session, config)
+            found = pipeline.solve_session(
+                session, config, partial(self._second.run, pipeline.solve, urgent=True))
         finally:
             self.working = ''
         inputs = [{'topic': config.profile_topic},
@@ -169,6 +209,9 @@ class LiveSession(LiveSamples):
         text = super().clear_samples()
         self.answer.withdraw('the samples were cleared')
         self._asked = False
+        with self._lock:
+            self.review, self.no_review, self._reviewed = None, '', None
+            self.advice = pipeline.advise((), self.config)
         self.on_change()
         return text
 
@@ -190,9 +233,9 @@ class LiveSession(LiveSamples):
         before = self.config
         super().configure(config)
         if changes_answer(before, config):
-            self._reviewed, self._due = None, self._asked
-        if changes_advice(before, config):
-            self._reviewed = None
+            self._due = self._asked
+        if changes_answer(before, config) or changes_advice(before, config):
+            self._settings += 1
         self._wake.set()
 
 

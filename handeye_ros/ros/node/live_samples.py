@@ -45,7 +45,8 @@ class LiveSamples:
         self._skipped = 0  # of these, as too many waited
         self._wake = threading.Event()  # of a worker that calls settle
         self._cleared = 0  # how often
-        self._stale = False  # whether the samples are to be extracted anew
+        self._anew = threading.Lock()  # of extracting the samples anew
+        self._stale = False  # whether that is to be done
         self.config = config
         self.arrivals = Arrivals()
         self.latest = Latest()
@@ -121,9 +122,8 @@ class LiveSamples:
     # what becomes of the stops
 
     def judge_all(self) -> None:
-        """Judge every stop that is over; extract anew what other settings ask for."""
+        """Judge every stop that is over."""
         with self._work:
-            self._extract_anew()
             while self._stops:
                 self._judge(self._stops.popleft())
 
@@ -158,18 +158,18 @@ class LiveSamples:
             self._session.put(outcome)
         self._wake.set()
 
-    def _extract_anew(self) -> None:
-        """Let the stored profiles give what the settings of now make of them."""
-        if not self._stale:
-            return
-        self._stale, self.working = False, 'the samples are extracted anew from their profiles'
-        with self._lock:
-            outcomes = self._session.outcomes
-        self.on_change()
-        fresh = [judged(outcome, self.config) for outcome in outcomes]
-        with self._lock:
-            self._session.replace(fresh)
-        self.working = ''
+    def extract_anew(self) -> None:
+        """Let the stored profiles give what the settings of now make of them, if these ask."""
+        with self._anew:
+            while self._stale:
+                with self._work, self._lock:  # so that nothing is judged by the settings before
+                    self._stale, outcomes = False, self._session.outcomes
+                self.working = 'the samples are extracted anew from their profiles'
+                self.on_change()
+                fresh = [judged(outcome, self.config) for outcome in outcomes]
+                with self._lock:
+                    self._session.replace(fresh)
+                self.working = ''
 
     # what is asked; each returns what to say
 
@@ -181,7 +181,7 @@ class LiveSamples:
             self._told(False, 0, str(error))
             raise
         finally:
-            self.on_change()
+            self._wake.set()
 
     def _take(self) -> str:
         with self._work:
@@ -216,8 +216,7 @@ class LiveSamples:
         """Forget the last sample; raises DataError when there is none, InputError unstored."""
         with self._work:
             self.judge_all()
-            with self._lock:
-                last = self._session.last()
+            last = self.copied().last()
             self._store.remove(last.number, self.config)
             with self._lock:
                 self._session.remove(last)

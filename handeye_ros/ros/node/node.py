@@ -17,6 +17,7 @@ from handeye_ros.ros.node.live_verify import LiveVerify
 from handeye_ros.ros.node.nag import Nag
 from handeye_ros.ros.node.outlets import Outlets
 from handeye_ros.ros.node.place import Place
+from handeye_ros.ros.node.second import Second
 from handeye_ros.ros.node.telling import state_of
 from handeye_ros.ros.page.buttons import serve
 from handeye_ros.ros.sessions.writing import SessionStore
@@ -48,7 +49,8 @@ class HandeyeNode(Node):
         super().__init__('handeye')
         config, stored = params.declare(self)
         place = Place(self.get_namespace())
-        self.live = LiveVerify(config, place, SessionStore(place.folder, stored))
+        self.live = LiveVerify(config, place, SessionStore(place.folder, stored),
+                               Second())
         self._outlets = Outlets(self, self.live)
         self._intake = Intake(self, self.live)
         self._nag = Nag(self.get_logger().warning)
@@ -72,7 +74,8 @@ class HandeyeNode(Node):
         self._page = serve(self)
 
     def destroy_node(self) -> None:
-        """End the page, too."""
+        """End the page and what is being computed, too."""
+        self.live.stop()
         if self._page:
             self._page.stop()
         super().destroy_node()

@@ -9,6 +9,7 @@ import fcntl
 from functools import partial
 import os
 from pathlib import Path
+import threading
 import time
 from typing import Any
 
@@ -59,6 +60,7 @@ class SessionStore:
         self._files: list[BagFile] = list(stored.files) if stored else []
         self._types: dict[str, str] = dict(stored.types) if stored else {}
         self._lock: int | None = None
+        self._turn = threading.RLock()  # a stop, and what somebody sets, are stored by threads
         if stored:
             self._reopen(stored)
 
@@ -102,16 +104,17 @@ class SessionStore:
 
     def restart(self, config: Config) -> str:
         """Begin another session; return what to say of the one before; UnwritableError."""
-        before = self._folder, self._files, self._types, self._lock
-        if not self._folder:
-            return ''
-        self._folder, self._files, self._types, self._lock = None, [], {}, None
-        try:
-            # so that the last session is this one, without samples
-            self._append(Event(CONFIGURED, config), config)
-        except UnwritableError:
-            self._folder, self._files, self._types, self._lock = before
-            raise
+        with self._turn:
+            before = self._folder, self._files, self._types, self._lock
+            if not self._folder:
+                return ''
+            self._folder, self._files, self._types, self._lock = None, [], {}, None
+            try:
+                # so that the last session is this one, without samples
+                self._append(Event(CONFIGURED, config), config)
+            except UnwritableError:
+                self._folder, self._files, self._types, self._lock = before
+                raise
         if before[3] is not None:
             os.close(before[3])  # another node may have it
         return f'; they are kept in {before[0]}'
@@ -119,13 +122,14 @@ class SessionStore:
     def _append(self, event: Event, config: Config, outcome: Outcome | None = None) -> Path:
         place: object = self._folder or 'the folder of the session'
         try:
-            folder = self._opened(config)
-            place = folder
-            if not folder.is_dir():
-                raise FileNotFoundError(
-                    'its folder is gone (unmounted or removed?); bring it back, or call '
-                    '~/clear_samples for a new session')
-            return self._write(folder, event, config, outcome)
+            with self._turn:
+                folder = self._opened(config)
+                place = folder
+                if not folder.is_dir():
+                    raise FileNotFoundError(
+                        'its folder is gone (unmounted or removed?); bring it back, or call '
+                        '~/clear_samples for a new session')
+                return self._write(folder, event, config, outcome)
         except OSError as error:
             raise UnwritableError(place, error.strerror or str(error)) from error
 
