@@ -142,6 +142,18 @@ def test_events_come_as_json() -> None:
         assert json.loads(data[6:]) == {'name': 'plate', 'count': None}
 
 
+def test_it_ends_while_somebody_looks() -> None:
+    with ExitStack() as opened:
+        with served() as (page, _):
+            line = opened.enter_context(
+                socket.create_connection(('127.0.0.1', page.guard.port), 30))
+            line.sendall(f'GET /events HTTP/1.1\r\nHost: 127.0.0.1:{page.guard.port}\r\n\r\n'
+                         .encode())
+            stream = opened.enter_context(line.makefile('rb'))
+            next(row for row in stream if row.startswith(b'data: '))
+        assert stream.read().endswith(b'\r\n0\r\n\r\n'), 'the last chunk of a whole answer'
+
+
 def test_there_is_an_end_to_who_may_look() -> None:
     with served() as (page, _), ExitStack() as lookers:
         for _ in range(servers.MOST_CLIENTS):
@@ -173,11 +185,15 @@ def test_what_takes_long_keeps_nobody_else_waiting() -> None:
 
 def test_too_many_connections_are_closed() -> None:
     with served() as (page, _), ExitStack() as lines:
-        for _ in range(servers.MOST_CONNECTIONS):
-            lines.enter_context(socket.create_connection(('127.0.0.1', page.guard.port)))
+        others = [lines.enter_context(socket.create_connection(('127.0.0.1', page.guard.port)))
+                  for _ in range(servers.MOST_CONNECTIONS)]
         with socket.create_connection(('127.0.0.1', page.guard.port)) as one_more:
             one_more.settimeout(30)
-            assert one_more.recv(1) == b'', 'it is closed at once'
+            assert one_more.recv(1) == b'', 'it is closed'
+        for other in others:
+            other.setblocking(False)
+            with pytest.raises(BlockingIOError):  # and these are not
+                other.recv(1)
 
 
 def test_too_many_requests_are_refused() -> None:

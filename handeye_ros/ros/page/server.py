@@ -86,7 +86,7 @@ class PageServer:
                                                  if self.guard.token else '')
 
     async def _start(self) -> None:
-        self._changed = asyncio.Condition()
+        self._changed, self._ending = asyncio.Condition(), False
         app = web.Application(middlewares=[self._guarded], client_max_size=LARGEST_BODY)
         app.router.add_get('/', self._index)
         app.router.add_get('/events', self._events)
@@ -99,9 +99,8 @@ class PageServer:
 
     def _protocol(self) -> asyncio.BaseProtocol:
         """Return what serves a new connection: nothing where there are too many."""
-        server = self._runner.server
-        assert server is not None
-        return server() if len(server.connections) < MOST_CONNECTIONS else _Refused()
+        assert self._runner.server is not None
+        return _Gate(self._runner.server)
 
     def stop(self) -> None:
         """End all connections, and the thread."""
@@ -110,8 +109,11 @@ class PageServer:
         self._end_loop()
 
     async def _stop(self) -> None:
+        self._ending = True
         self._telling.cancel()
         self._server.close()
+        async with self._changed:  # or cleanup would wait for the streams of events, which go on
+            self._changed.notify_all()
         await self._runner.cleanup()
 
     def _end_loop(self) -> None:
@@ -144,15 +146,16 @@ class PageServer:
         self._clients += 1
         try:
             await response.prepare(request)
-            while True:
+            while not self._ending:
                 async with self._changed:
                     await self._changed.wait()
                 await asyncio.wait_for(response.write(f'data: {self._told}\n\n'.encode()),
                                        PATIENCE)
         except (TimeoutError, ConnectionError):
-            return response
+            pass
         finally:
             self._clients -= 1
+        return response
 
     # what is asked
 
@@ -200,11 +203,19 @@ class PageServer:
         return web.json_response({'success': success, 'message': text}, headers=HEADERS)
 
 
-class _Refused(asyncio.Protocol):
-    """Closes a connection at once."""
+class _Gate(asyncio.Protocol):
+    """Closes a connection at once where there are too many; they are counted as they are made."""
+
+    def __init__(self, server: web.Server) -> None:
+        self._server = server
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        transport.close()
+        if len(self._server.connections) >= MOST_CONNECTIONS:
+            transport.close()
+            return
+        protocol = self._server()
+        transport.set_protocol(protocol)
+        protocol.connection_made(transport)
 
 
 def _sentence(status: int, text: str) -> web.Response:
