@@ -6,12 +6,13 @@ moment on.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 import errno
 import os
 import signal
 import sys
+from typing import Any
 
 USAGE = """\
 usage: calibrate [--help] [--ros-args [-p KEY:=VALUE]... [--params-file FILE] [-r OLD:=NEW]...]
@@ -56,7 +57,6 @@ def main() -> int:
     # matrices are small: more threads only wait for each other, and take the streams' time
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     with suppress(KeyboardInterrupt):
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
             code = _run()
         except OSError as error:
@@ -69,10 +69,19 @@ def main() -> int:
 def _run() -> int:
     code = refused(own_arguments(sys.argv[1:]))
     if code is None:
+        # nothing is begun yet; an exception may be lost in an extension that is being imported
+        on_signals(lambda *_: os._exit(0))
         from handeye_ros.ros.executable import exit_code
         from handeye_ros.ros.node.node import run
+        on_signals(signal.default_int_handler)
         code = exit_code(run)
     return code
+
+
+def on_signals(handler: Callable[[int, Any], Any]) -> None:
+    """Handle Ctrl-C and SIGTERM with a function from now on."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
 
 
 def flushed() -> bool:
