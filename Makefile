@@ -13,7 +13,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
 # A test that hangs fails, with the place where it hangs, wherever that is: the process of the
 # worker is ended, and another goes on. What failed is told at once.
-PYTEST := -m pytest -p xdist -n 2 --dist loadfile -p pytest_instafail --instafail \
+PYTEST := -m pytest -p xdist --dist worksteal -p pytest_instafail --instafail \
     -p pytest_timeout --timeout 200 --timeout-method thread $(PYTEST_OPTIONS)
 # The workers share the processors; the matrices are small.
 export OPENBLAS_NUM_THREADS := 1
@@ -29,16 +29,18 @@ demo:
 test: test-oldest test-newest
 
 # The core, without ROS, against the libraries of a Jazzy install; without the tests that solve
-# many times, which call nothing that the others do not call.
+# many times, which call nothing that the others do not call, and without those that no version
+# of numpy or scipy can change.
 test-oldest:
 	@tools/environment.sh .venv-oldest test requirements/jazzy.txt
 	HYPOTHESIS_PROFILE=$${HYPOTHESIS_PROFILE:-fewer} \
-	    .venv-oldest/bin/python $(PYTEST) -q -m 'not ros and not thorough'
+	    .venv-oldest/bin/python $(PYTEST) -n $$(nproc) -q -m 'not ros and not thorough and not once'
 
+# Tests of nodes mostly wait for each other, so there are two workers to a processor.
 test-newest:
 	@tools/environment.sh .venv ros,test,dev
 	@$(MAKE) --no-print-directory tf2_msgs || echo 'Tests of /tf_static are skipped: no tf2_msgs'
-	.venv/bin/python $(PYTEST)
+	.venv/bin/python $(PYTEST) -n $$((2 * $$(nproc)))
 
 # The wheels lack it; with it, the node publishes /tf_static. Needs gcc, g++, Python's headers.
 tf2_msgs:

@@ -5,16 +5,32 @@ from collections.abc import Callable, Iterator
 import os
 from pathlib import Path
 import signal
+import socket
 import sys
 from typing import Any
 
 from hypothesis import settings
 import pytest
 
+
+def claimed_domain() -> tuple[int, socket.socket]:
+    """Return a ROS_DOMAIN_ID that no other run of these tests has, and what holds it."""
+    for domain in range(99, 0, -1):  # people take the low ones
+        claim = socket.socket(socket.AF_UNIX)
+        try:
+            claim.bind(f'\0handeye_ros tests in domain {domain}')  # given back with the process
+        except OSError:
+            claim.close()
+        else:
+            return domain, claim
+    raise RuntimeError('99 processes run these tests')
+
+
 # Before anything imports ROS: what a test starts is seen by no other process of this machine or
-# the network. Of each worker of pytest-xdist its own; 0 is everyone's default.
+# the network. Each worker of pytest-xdist has a domain of its own.
+DOMAIN, CLAIM = claimed_domain()
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 101)
+os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
 
 # In the background of a shell SIGINT is ignored, and so it would be by what the tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 import re
 import shlex
+import shutil
 import subprocess
 
 from command import handeye, ROOT
@@ -16,6 +17,10 @@ PROGRAM = re.compile(r'^(?:\$ )?(?:[A-Z_]+=\S+ )*(?:\.venv/bin/)?'
                      r'(handeye|make|ros2|python)(?= [-\w./]+(?: |$))')
 STANDS_FOR = {'path/to/bag': 'bags/plate'}
 ELSEWHERE = ('handeye replay', 'handeye calibrate')  # other tests run these, and they do not end
+PRINT = ('compare',)  # write nothing, so once is enough
+THERE = {  # what a page takes as there: what makes it, in the folder "made"
+    'calibration.yaml': 'handeye solve bags/plate --config config/plate.yaml --out made',
+    'points.csv': 'handeye simulate points made', 'poses.csv': 'handeye simulate hand_eye made'}
 
 
 def commands(page: Path) -> Iterator[str]:
@@ -52,30 +57,41 @@ def test_there_are_commands() -> None:
         PROGRAM.match(text)[1] for page in PAGES for text in commands(page)}  # type: ignore[index]
 
 
-@pytest.fixture(scope='module')
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with what a clone holds, in which the commands run one after another."""
-    made = tmp_path_factory.mktemp('clone')
-    for name in ('bags', 'config'):
-        (made / name).symlink_to(ROOT / name)
-    assert handeye('solve', 'bags/plate', '--config', 'config/plate.yaml', '--out', '.',
-                   cwd=made).returncode == 0
-    for target, file in (('points', 'points.csv'), ('hand_eye', 'poses.csv')):
-        assert handeye('simulate', target, target, cwd=made).returncode == 0
-        (made / file).symlink_to(made / target / file)
-    return made
+def runs() -> list[object]:
+    """Return (commands of handeye on a page, in their order), each that only prints once."""
+    printed, found = set(), []
+    for page in PAGES:
+        own = []
+        for text in dict.fromkeys(commands(page)):
+            if PROGRAM.match(text)[1] == 'handeye' and not (  # type: ignore[index]
+                    text.startswith(ELSEWHERE) or '../shared' in text):
+                arguments = tuple(words(text.partition('# exit code ')[0], 'handeye'))
+                if arguments not in printed:
+                    own.append(text)
+                if arguments[0] in PRINT:
+                    printed.add(arguments)
+        if own:
+            found.append(pytest.param(own, id=page.stem))
+    return found
 
 
-@pytest.mark.parametrize(('page', 'command'), of('handeye'))
-def test_handeye(page: Path, command: str, folder: Path) -> None:
-    if command.startswith(ELSEWHERE):
-        pytest.skip('other tests run it')
+def run_well(command: str, folder: Path) -> None:
     command, _, code = command.partition('# exit code ')
-    arguments = words(command, 'handeye')
-    if any(word.startswith('../shared') for word in arguments):
-        pytest.skip('a recording that is not part of the project')
-    run = handeye(*arguments, cwd=folder)
-    assert run.returncode == int(code or 0), run.stderr
+    run = handeye(*words(command, 'handeye'), cwd=folder)
+    assert run.returncode == int(code or 0), f'{command}: {run.stderr}'
+
+
+@pytest.mark.parametrize('own', runs())
+def test_handeye(own: list[str], tmp_path: Path) -> None:
+    """Run the commands of a page one after another in a folder with what a clone holds."""
+    for name in ('bags', 'config'):
+        (tmp_path / name).symlink_to(ROOT / name)
+    for file in sorted({word for command in own for word in shlex.split(command)} & THERE.keys()):
+        run_well(THERE[file], tmp_path)
+        (tmp_path / 'made' / file).rename(tmp_path / file)
+        shutil.rmtree(tmp_path / 'made')
+    for command in own:
+        run_well(command, tmp_path)
 
 
 @pytest.mark.parametrize(('page', 'command'), of('make'))
