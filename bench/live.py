@@ -25,13 +25,19 @@ import tempfile
 import time
 from typing import Any
 
-from handeye_ros.data import Profile, TimedPose
+from handeye_ros import se3
+from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.ros.bags.bag_write import LAYOUTS, serialised
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 POSES = 125.0  # a second
 COLUMNS = 1280
 HERE = Path(__file__)
+PLACES, RADIUS, BALL = 60, 0.04, np.array([0.6, 0.1, 0.2])
+DOWN = np.diag([1.0, -1.0, -1.0])
+T_FLANGE_SENSOR = se3.transform(Rotation.from_euler('xyz', [0.3, -0.2, 0.8]).as_matrix(),
+                                np.array([0.05, -0.03, 0.12]))
 TICKS = os.sysconf('SC_CLK_TCK')
 EMPTY = """
 import rclpy, sys
@@ -74,16 +80,16 @@ def publish(rate: float, seconds: float, cycle: float) -> None:
     while not (profiles.get_subscription_count() and poses.get_subscription_count()):
         time.sleep(0.05)
     time.sleep(1.0)
-    cloud = one_profile()
+    scene = Scene(cycle)
     start, sent, posed = time.time_ns(), 0, 0
     while (now := time.time_ns() - start) < seconds * 1e9:
         due = int(now * 1e-9 * rate)
         while sent < due:
-            profiles.publish(stamped(cloud, start + round(sent * 1e9 / rate)))
+            profiles.publish(stamped(scene.cloud(sent / rate), start + round(sent * 1e9 / rate)))
             sent += 1
         while posed < now * 1e-9 * POSES:
             stamp = start + round(posed * 1e9 / POSES)
-            poses.publish(serialised(pose(stamp, posed / POSES, cycle), LAYOUTS['xyz'], 'm'))
+            poses.publish(serialised(scene.pose(stamp, posed / POSES), LAYOUTS['xyz'], 'm'))
             posed += 1
         time.sleep(max(0.0, (sent + 1) / rate - (time.time_ns() - start) * 1e-9))
     print(sent, flush=True)
@@ -91,27 +97,50 @@ def publish(rate: float, seconds: float, cycle: float) -> None:
     rclpy.shutdown()
 
 
-def one_profile() -> bytes:
-    """Return the message of a profile across a sphere."""
-    rng = np.random.default_rng(0)
-    x = np.linspace(-0.03, 0.03, COLUMNS)
-    z = 0.2 - np.sqrt(0.04 ** 2 - x ** 2) + rng.normal(0, 2e-5, COLUMNS)
-    return serialised(Profile(1, 'laser', np.column_stack([x, z])), LAYOUTS['xyz'], 'm')
-
-
 def stamped(message: bytes, stamp: int) -> bytes:
     """Return a serialised message with another stamp."""
     return message[:4] + struct.pack('<iI', *divmod(stamp, 1_000_000_000)) + message[12:]
 
 
-def pose(stamp: int, t: float, cycle: float) -> TimedPose:
-    """Return where the robot is at time t (s): it stands for two thirds of a cycle, if any."""
-    way = 0.3 * t
-    if cycle:
-        number, inside = divmod(t / cycle, 1.0)
-        way = 0.01 * (number + max(0.0, inside - 2 / 3) * 3)
-    turn = np.array([np.sin(way), np.cos(1.7 * way), np.sin(2.3 * way), 4.0])
-    return TimedPose(stamp, np.array([0.5, way, 0.3]), turn / np.linalg.norm(turn))
+class Scene:
+    """A sphere, and a robot that goes round it; cycle: s from stop to stop, 0 for no stops."""
+
+    def __init__(self, cycle: float) -> None:
+        """Draw the places, and what is seen at each."""
+        rng = np.random.default_rng(0)
+        self._cycle = cycle
+        self._poses = []
+        self._clouds = []
+        for _ in range(PLACES):
+            # where the sphere is in the frame of the sensor, and how this is turned
+            centre = np.array([*rng.uniform(-0.01, 0.01, 2), rng.uniform(0.22, 0.26)])
+            turn = Rotation.from_euler('ZXY', rng.uniform(-1, 1, 3) * [1.5, 0.4, 0.4]).as_matrix()
+            turn = DOWN @ turn
+            T = se3.transform(turn, BALL - turn @ centre) @ se3.inverse(T_FLANGE_SENSOR)
+            self._poses.append((T[:3, 3], se3.quaternion(T)))
+            self._clouds.append(cloud_of(centre, rng))
+
+    def cloud(self, t: float) -> bytes:
+        """Return the message of the profile at a time t (s)."""
+        return self._clouds[int(t / (self._cycle or 1.0)) % PLACES]
+
+    def pose(self, stamp: int, t: float) -> TimedPose:
+        """Return where the robot is: it stands for two thirds of a cycle, if any."""
+        number, inside = divmod(t / (self._cycle or 1.0), 1.0)
+        way = inside if not self._cycle else max(0.0, inside - 2 / 3) * 3
+        (here, turn), (there, turned) = (self._poses[int(number + k) % PLACES] for k in (0, 1))
+        turned = turned if turn @ turned >= 0 else -turned
+        mixed = (1 - way) * turn + way * turned
+        return TimedPose(stamp, (1 - way) * here + way * there, mixed / np.linalg.norm(mixed))
+
+
+def cloud_of(centre: Array, rng: np.random.Generator) -> bytes:
+    """Return the message of a profile across the sphere with its centre (3,) in the sensor."""
+    x = np.linspace(-0.03, 0.03, COLUMNS)
+    inside = RADIUS ** 2 - centre[1] ** 2 - (x - centre[0]) ** 2
+    z = centre[2] - np.sqrt(np.where(inside > 0, inside, np.nan))
+    points = np.column_stack([x, z + rng.normal(0, 2e-5, COLUMNS)])
+    return serialised(Profile(1, 'laser', points), LAYOUTS['xyz'], 'm')
 
 
 @contextmanager
@@ -157,7 +186,7 @@ class Watcher:
         self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_state, 10)
         self._solve = self._node.create_client(Trigger, '/handeye/compute_calibration')
         self._asked: Any = None
-        self.solves = 0
+        self.solves = self.refused = 0
 
     def _on_state(self, msg: Any) -> None:
         self._state = {pair.key: pair.value for status in msg.status for pair in status.values}
@@ -179,8 +208,10 @@ class Watcher:
         while time.monotonic() < end:
             rclpy.spin_once(self._node, timeout_sec=0.1)
             if solving and (self._asked is None or self._asked.done()):
+                if self._asked is not None:
+                    solved = self._asked.result().success
+                    self.solves, self.refused = self.solves + solved, self.refused + (not solved)
                 self._asked = self._solve.call_async(Trigger.Request())
-                self.solves += 1
 
 
 def run(kind: str, rate: float, options: argparse.Namespace, watcher: Watcher
@@ -217,13 +248,15 @@ def main() -> None:
     watcher = Watcher()
     for rate in options.rates:
         costs = {}
+        watcher.solves = watcher.refused = 0
         for kind in ('empty', 'node'):
             sent, lost, costs[kind], memory = run(kind, rate, options, watcher)
             print(f'{kind:6} {sent:6.0f}/s sent, {100 * lost:6.2f} % lost, {costs[kind]:.3f} ms '
                   f'each, {memory:.0f} MB', flush=True)
         print(f'at {rate:.0f}/s the node takes {costs["node"] / costs["empty"]:.2f} times the '
-              'processor time of the empty one'
-              + (f'; {watcher.solves} solves' if options.stops else ''), flush=True)
+              'processor time of the empty one', flush=True)
+        if options.stops:
+            print(f'meanwhile {watcher.solves} solves, {watcher.refused} refused', flush=True)
 
 
 if __name__ == '__main__':

@@ -4,8 +4,8 @@ The node for hours: memory, losses, and how soon services answer.
 
 usage: python bench/soak.py [--minutes 60] [--rate 1000]
 
-Publishes profiles and the poses of a robot that stops each 6 s, and calls one service after the
-other (take, remove, compute, save, set a parameter, leave a sample out, clear each 90 s)
+Publishes profiles and the poses of a robot that stops each 4 s, and calls one service after the
+other (take, remove, compute, save, set a parameter, leave a sample out, clear each 120 s)
 meanwhile, while browsers come to the page and go. Prints each minute what came, the load of the
 machine, the resident memory of the node and of its second process, and the slowest answer of
 each service so far; in the end what was lost, what the node says that it left out, the slope of
@@ -15,7 +15,7 @@ domain of its own (ROS_DOMAIN_ID).
 from __future__ import annotations
 
 import argparse
-from collections import defaultdict
+from collections import Counter, defaultdict
 import os
 from pathlib import Path
 import runpy
@@ -34,11 +34,14 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 LIVE = runpy.run_path(str(Path(__file__).with_name('live.py')))
-CLEAR = 90.0  # s from one new session to the next
+CLEAR = 120.0  # s from one new session to the next
 SERVICES = ('take_sample', 'remove_last_sample', 'compute_calibration', 'save_calibration',
             'clear_samples')
+# so that samples gather
+TURNS = (*('take_sample', 'compute_calibration', 'save_calibration', 'set_parameters') * 3,
+         'remove_last_sample')
 PAUSE = 0.5  # s between two calls
-CYCLE = 6.0  # s from stop to stop
+CYCLE = 4.0  # s from stop to stop
 
 
 class User:
@@ -50,6 +53,7 @@ class User:
         self._node = Node('user')
         self._calls, self._cleared = 0, time.monotonic()
         self.took: dict[str, list[float]] = defaultdict(list)
+        self.succeeded: Counter[str] = Counter()
         self._clients = {name: self._node.create_client(Trigger, f'/handeye/{name}')
                          for name in SERVICES}
         self._clients['set_parameters'] = self._node.create_client(
@@ -72,14 +76,14 @@ class User:
         rclpy.spin_until_future_complete(self._node, future, timeout_sec=60.0)
         assert future.done(), f'{name} does not answer'
         self.took[name].append(time.monotonic() - begin)
+        self.succeeded[name] += getattr(future.result(), 'success', True)
 
     def _next(self) -> str:
         """Return the service whose turn it is."""
         if time.monotonic() - self._cleared > CLEAR:
             self._cleared = time.monotonic()
             return 'clear_samples'
-        names = [name for name in self._clients if name != 'clear_samples']
-        return names[self._calls % len(names)]
+        return TURNS[self._calls % len(TURNS)]
 
     def _setting(self) -> Parameter:
         """Return what is set next: a limit, or which sample is left out."""
@@ -147,8 +151,8 @@ def soak(minutes: float, rate: float) -> None:
               f'{slope:.1f} MB/h')
     for name, took in sorted(user.took.items()):
         middle, most = np.quantile(took, (0.5, 0.95))
-        print(f'{name}: {len(took)} calls, median {middle:.3f} s, 95 % within {most:.3f} s, '
-              f'slowest {max(took):.3f} s')
+        print(f'{name}: {len(took)} calls, {user.succeeded[name]} granted, median {middle:.3f} s, '
+              f'95 % within {most:.3f} s, slowest {max(took):.3f} s')
 
 
 def main() -> None:
