@@ -1,15 +1,23 @@
-"""A disk that is full, read-only or gone, under a running node: refusals, and nothing is lost."""
+"""A disk that is full or gone under a running node, and a node that is killed: nothing is lost."""
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+import re
 import subprocess
+import sys
 
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 from handeye_ros.ros.sessions.reading import read_session  # noqa: E402, I100
-from ros_helpers import Client, pose_message, running_node, sphere_profile  # noqa: E402
+from ros_helpers import (  # noqa: E402
+    Client,
+    pose_message,
+    ROOT,
+    running_node,
+    sphere_profile,
+)
 
 pytestmark = pytest.mark.ros
 
@@ -52,6 +60,15 @@ def refused(client: Client, words: str) -> None:
     answer = client.call('take_sample')
     assert (answer.success, words in answer.message) == (False, True), answer.message
     assert words in client.state()['message']
+
+
+def test_nothing_acknowledged_is_lost_by_kills_of_the_node() -> None:
+    run = subprocess.run([sys.executable, 'bench/kill_node.py', '--count', '4'], cwd=ROOT,
+                         text=True, capture_output=True, check=False)
+    assert run.returncode == 0, run.stderr
+    told = re.match(r'4 kills of the node: (\d+) samples acknowledged, \d+ of them removed, none '
+                    'lost', run.stdout.splitlines()[-1])
+    assert told and int(told[1]) >= 2, run.stdout
 
 
 def test_what_is_not_stored_is_not_taken(tmp_path: Path, client: Client, disk: Path) -> None:

@@ -128,7 +128,7 @@ def _listen(asked: queue.SimpleQueue[Any]) -> None:
     try:
         while True:
             asked.put(pickle.load(sys.stdin.buffer))
-    except EOFError:
+    except (EOFError, pickle.UnpicklingError):  # it ended, or was killed while it wrote
         os._exit(0)
     except Exception:  # noqa: BLE001 - nobody could tell what comes next
         traceback.print_exc()
