@@ -123,8 +123,9 @@ class EdgePoint:
     face line, out of the face; std: 1 sigma along the direction; std_across: 1 sigma across it;
     kind: 'step', 'shadow' (a step whose foot is hidden), 'roof' (its wall is seen), 'gap' (nothing
     behind it) or 'open' (the driver does not say).
-    bevel: how far the plate's last point lies below the face line, where no wall is in sight:
-    more than 0 for a rounded or bevelled edge.
+    bend: (2,) from the point to the surface below it, of a rounded or bevelled edge whose wall
+    is not in sight, 0 of others; radius: of that end, were it round; roundness: logarithm of how
+    much more likely that is than a bevel.
     """
 
     point: Array
@@ -132,7 +133,14 @@ class EdgePoint:
     std: float
     std_across: float
     kind: str = 'step'
-    bevel: float = 0.0
+    bend: Array = field(default_factory=lambda: np.zeros(2))
+    radius: float = 0.0
+    roundness: float = 0.0
+
+    @property
+    def bevel(self) -> float:
+        """Return how far below the face line the plate was last seen."""
+        return float(np.hypot(*self.bend))
 
 
 @dataclass(frozen=True, eq=False)

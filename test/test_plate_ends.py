@@ -9,7 +9,7 @@ from handeye_ros import pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Sample
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.sampling.all_edges import judged_together, typical_bevel, with_bevel
+from handeye_ros.sampling.all_edges import judged_together, typical_radius, with_bevel
 from handeye_ros.simulate.faults import PLATE
 import numpy as np
 from profiles import COLUMNS, drawn, NOISE, PITCH, step_up_to, with_lost, X
@@ -51,22 +51,48 @@ def test_a_wall_in_sight_gives_the_same_edge_whatever_the_corner(radius: float, 
     assert abs(np.mean(errors)) < 0.6 * PITCH
 
 
+def ended(shape: str, size: float, last: float, seed: int = 0) -> EdgePoint:
+    """Return where a plate ends whose edge is at x = 0, seen as far as so much before its edge."""
+    u = np.maximum(size - X, 0)
+    below = size - np.sqrt(np.maximum(size ** 2 - u ** 2, 0)) if shape == 'rounded' else u
+    return edge_of(drawn(lambda x: np.where(x > last, 0.17 + below, np.nan), seed))
+
+
 @pytest.mark.parametrize('shape', ['rounded', 'bevelled'])
-def test_how_steeply_a_bent_end_is_seen_matters_little(shape: str) -> None:
-    size, places = 5e-4, []
-    for end in np.radians([40, 55, 70]):  # where the surface is too steep to be seen
-        u = np.maximum(size - X, 0)
-        if shape == 'rounded':
-            last = size * np.sin(end)
-            below = size - np.sqrt(np.maximum(size ** 2 - u ** 2, 0))
-        else:
-            last, below = size, u
-        points = drawn(lambda x, b=below, s=last: np.where(  # type: ignore[misc]
-            x > size - s, 0.17 + b, np.nan))
-        edge = edge_of(points)
-        assert edge.bevel > 5e-5
-        places.append(edge.point[0])
-    assert np.ptp(places) < 0.15 * size
+@pytest.mark.parametrize('size', [3e-4, 5e-4, 1e-3, 1.5e-3])
+def test_a_bent_end_is_set_back_to_its_edge(shape: str, size: float) -> None:
+    # where a rounding is too steep to be seen; a bevel of half a right angle never is
+    ends = 1 - np.sin(np.radians([45, 60, 75])) if shape == 'rounded' else [0.0] * 3
+    samples = [Sample(k, np.eye(4), (LINE, ended(shape, size, size * end, k)))
+               for k, end in enumerate([*ends] * 5)]
+    assert typical_radius(samples) == pytest.approx(size, rel=0.5)
+    edges = [s.features[1] for s in with_bevel(samples)]
+    places = np.array([edge.point[0] for edge in edges])
+    assert abs(places.mean()) < PITCH and places.std() < PITCH
+    assert np.abs(places / [edge.std for edge in edges]).max() < 4
+
+
+@pytest.mark.parametrize('slant', [-0.5, 0.0, 0.5])
+@pytest.mark.parametrize('shape', ['rounded', 'bevelled'])
+def test_the_wall_below_the_edge_is_found_however_the_laser_crosses_it(shape: str, slant: float
+                                                                       ) -> None:
+    size, out = 1e-3, []
+    t = np.linspace(0, 1, 400)
+    across, down = (np.sin(t * 1.2), 1 - np.cos(t * 1.2)) if shape == 'rounded' else (t, t)
+    # a slant shears what is seen: deeper points appear further out or in
+    seen = np.concatenate([[0.03], size * (1 - across) + slant * size * down])
+    below = np.concatenate([[0.0], size * down])
+    for seed in range(8):
+        z = np.where(seen[-1] > X, np.nan, np.interp(X, seen[::-1], below[::-1]))
+        points = np.column_stack([X, 0.17 + z + np.random.default_rng(seed).normal(
+            0, NOISE / 3, COLUMNS)])
+        out.append(edge_of(points))
+    samples = [Sample(k, np.eye(4), (LINE, edge)) for k, edge in enumerate(out)]
+    for sample in with_bevel(samples):
+        edge = sample.features[1]
+        x, z = edge.point + edge.bend
+        assert abs(x - slant * (z - 0.17)) < 1.5 * PITCH, 'the wall leads through x = 0'
+        assert abs(edge.point[1] - 0.17) < 5 * NOISE, 'the point itself stays on the face line'
 
 
 @pytest.mark.parametrize('drop', [0.003, 0.012])
@@ -88,23 +114,29 @@ def test_a_foot_in_shadow_is_told_from_one_in_sight() -> None:
 
 
 def plates(depths: list[float], kind: str = 'gap') -> list[Sample]:
-    edges = [EdgePoint(np.array([0.001, 0.17]), np.array([-1.0, 0]), 1e-5, 1e-6, kind, depth)
-             for depth in depths]
+    edges = [EdgePoint(np.array([0.001, 0.17]), np.array([-1.0, 0]), 1e-5, 1e-6, kind,
+                       np.array([0.0, depth]), 5e-4) for depth in depths]
     return [Sample(k, np.eye(4), (LINE, edge)) for k, edge in enumerate(edges)]
 
 
-def test_all_ends_are_set_back_alike_and_walls_are_not() -> None:
-    samples = [*plates([4e-4, 5e-4, 6e-4]), *plates([0.0, 0.0], 'roof')]
+def test_ends_seen_less_far_are_set_back_more_and_walls_are_not() -> None:
+    samples = [*plates([5e-4, 2e-4, 1e-4, 0.0]), *plates([0.0, 0.0], 'roof')]
     moved = with_bevel(samples)
-    assert typical_bevel(samples) == pytest.approx(5e-4)
-    steps = {round(float(s.features[1].point[0] - 0.001), 7) for s in moved[:3]}
-    assert len(steps) == 1 and -7e-4 < steps.pop() < -3e-4
-    assert all(s.features[1].std > 5e-5 for s in moved[:3])
-    assert [s.features[1] for s in moved[3:]] == [s.features[1] for s in samples[3:]]
+    assert typical_radius(samples) == pytest.approx(5e-4)
+    steps = np.array([0.001 - s.features[1].point[0] for s in moved[:4]])
+    assert steps[0] == pytest.approx(0, abs=1e-9)
+    assert (np.diff(steps) > 5e-5).all() and 3e-4 < steps[3] < 5e-4
+    assert (np.diff([s.features[1].std for s in moved[:4]]) > 0).all()
+    assert [s.features[1] for s in moved[4:]] == [s.features[1] for s in samples[4:]]
     assert all(s.features[0] is LINE for s in moved)
-    sharp = plates([0.0, 1e-6, 2e-5, 0.0])
-    assert with_bevel(sharp) == sharp
-    assert typical_bevel(plates([5e-4, 5e-4])) == 0.0, 'of two ends nothing is believed'
+
+
+def test_sharp_ends_stay_where_they_are() -> None:
+    for samples in (plates([0.0, 1e-6, 2e-5, 0.0]), plates([5e-4, 5e-4])):
+        assert typical_radius(samples) == 0.0, 'of two ends nothing is believed'
+        for before, after in zip(samples, with_bevel(samples), strict=True):
+            assert (after.features[1].point == before.features[1].point).all()
+            assert after.features[1].std == before.features[1].std and after.features[1].bevel == 0
 
 
 WORST: list[tuple[str, dict[str, Any], float]] = [

@@ -51,7 +51,8 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
     if isinstance(feature, FaceLine):
         add_face(rows, station, feature, source)
     elif isinstance(feature, EdgePoint):
-        rows.add(station, feature.point, P, edge_noise(feature), source, feature)
+        # the wall below is as far out as the edge, however the laser crosses it
+        rows.add(station, feature.point + feature.bend, P, edge_noise(feature), source, feature)
 
 
 def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:

@@ -7,10 +7,11 @@ its last point before the drop, the bent end included.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 from handeye_ros.data import Array, EdgePoint
+from handeye_ros.profiles.bends import bend_of
 from handeye_ros.profiles.segment import returned, Segment
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +26,7 @@ WALL_POINTS = 4
 BEND_SIGMAS = 2.0  # an end that is lower than this is bent
 FLAT_SIGMAS = 3.0  # below the face line, up to which its points are on it
 STEEPEST_BEND = 1.5  # slope of a bent end from where it leaves the face line
-BEND_SHARE = 0.75  # of a bend's depth that the edge is set back by, and
-BEND_DOUBT = 0.15  # 1 sigma of that share: rounded and bevelled edges differ
+SHORTEST_BEND = 20  # points of the face before its last one that may be bent
 LOST_DOUBT = 0.17  # 1 sigma of what lost points do to an edge, in columns
 LAST_POINTS = 3  # that tell how deep the end lies
 MOST_STRAY = 2  # points between two levels that only straddle the edge
@@ -153,11 +153,10 @@ def _end_of_face(end: End, u: Array, v: Array) -> float:
 def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, points: Array, near: int,
              column: float, kind: str) -> EdgePoint:
     """
-    Return the edge where a plate ends, its tail (rows) included, before a drop.
+    Return where a plate ends, its tail (rows) included, before a drop.
 
-    ground: what is seen below, if anything; column: between neighbours along x. A bent end is
-    set back by a share of its depth, which makes the place depend little on how steeply it is
-    seen, whether it is rounded or bevelled.
+    ground: what is seen below, if anything; column: between neighbours along x. How far a bent
+    end is from its edge is judged later, from all stations (see all_edges).
     """
     segment = end.segment
     frame = frame_of(end, points, near)
@@ -165,19 +164,22 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, points: A
     u, v = frame.of(points[plate])
     pitch = column * np.hypot(1.0, segment.slope)
     step = float(np.clip(np.diff(u[-LAST_POINTS:]).mean(), 0.0, pitch)) if len(rows) else pitch
-    depth_std = segment.noise / LAST_POINTS ** 0.5
-    bevel = max(float(v[-LAST_POINTS:].mean()), 0.0)
-    depth = max(bevel - BEND_SIGMAS * depth_std, 0.0)
     flat = _end_of_face(end, u[LAST_POINTS:], v[LAST_POINTS:])
     last = max(float(u[-1]), flat)
-    # what goes down without going out is no bend, but a wall that is hardly seen
-    depth = min(depth, STEEPEST_BEND * (last - flat) + FLAT_SIGMAS * segment.noise)
     mixed, width = _transition(end, int(plate[-1]), ground, points)
     place = last + (step * (1 + mixed) / 2 if not width else pitch * width)
     std = np.sqrt(pitch ** 2 * ((1 + min(mixed, 2)) ** 2 / 12 + LOST_DOUBT ** 2)
-                  + (BEND_DOUBT * depth) ** 2
                   + (RAMP_DOUBT * pitch * 2 * width) ** 2)
-    return edge_point(frame, place - BEND_SHARE * depth, float(std), kind, bevel)
+    edge = edge_point(frame, place, float(std), kind)
+    if v[-LAST_POINTS:].mean() < BEND_SIGMAS * segment.noise / LAST_POINTS ** 0.5:
+        return edge
+    before = max(2 * len(rows), SHORTEST_BEND)
+    rows = np.concatenate([segment.rows[::end.outward][-before:], rows])
+    bend = bend_of(*frame.of(points[rows]), place, segment.noise)
+    # what goes down without going out is no bend, but a wall that is hardly seen
+    depth = min(bend.depth, STEEPEST_BEND * (last - flat) + FLAT_SIGMAS * segment.noise)
+    return replace(edge, bend=depth * frame.below, radius=bend.radius,
+                   roundness=bend.roundness)
 
 
 def _transition(end: End, last: int, ground: Segment | None, points: Array
@@ -208,10 +210,9 @@ def _transition(end: End, last: int, ground: Segment | None, points: Array
     return mixed, float(columns[after - 1] + part * (columns[after] - columns[after - 1]))
 
 
-def edge_point(frame: Frame, place: float, std: float, kind: str, bevel: float = 0.0
-               ) -> EdgePoint:
+def edge_point(frame: Frame, place: float, std: float, kind: str) -> EdgePoint:
     """Return the edge at a place along the face from its last point on, its line exact."""
-    return EdgePoint(frame.origin + place * frame.along, frame.along, std, 0.0, kind, bevel)
+    return EdgePoint(frame.origin + place * frame.along, frame.along, std, 0.0, kind)
 
 
 def std_at(segment: Segment, x: float, points: Array) -> float:

@@ -106,7 +106,9 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     # the edge inwards in every profile: that does not average out
     std = np.hypot(single, scatter / min(np.sqrt(n), 2.0))
     return EdgePoint(points[good].mean(axis=0), direction, float(std), expected, kind,
-                     float(np.median([e.bevel for e in edges])))
+                     np.median([e.bend for e in edges], axis=0),
+                     float(np.median([e.radius for e in edges])),
+                     float(np.median([e.roundness for e in edges])))
 
 
 def _agreeing(values: Array, times: float, least: float, what: str) -> NDArray[np.bool_]:
