@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,6 @@ from handeye_ros.ros.bags.topic import in_their_order, Topic
 from handeye_ros.ros.bags.transforms import FlangeTracker, well_formed
 from handeye_ros.ros.errors import MessageError
 from rosbags.serde import SerdeError
-from rosbags.typesys import get_typestore, Stores
-
-TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 
 class Transforms:
@@ -39,7 +37,7 @@ class Transforms:
     def take(self, data: bytes) -> None:
         """Take the next message; raises MessageError."""
         try:
-            message: Any = TYPES.deserialize_cdr(data, TF)
+            message: Any = _types().deserialize_cdr(data, TF)
         except (SerdeError, IndexError, ValueError) as error:
             raise MessageError('TFMessage', f'damaged message: {error}') from error
         self.messages.append([transform for transform, _ in well_formed(message.transforms)])
@@ -86,3 +84,10 @@ class Tree:
                 of_frame.setdefault(t.child_frame_id, []).append((stamp_of(t.header), t))
         return {id(t) for child, stamped in of_frame.items()
                 for t in in_their_order(f'/tf (frame {child})', stamped, contents)}
+
+
+@cache
+def _types() -> Any:
+    """Return the types of messages; most bags need none of them, and their import takes long."""
+    from rosbags.typesys import get_typestore, Stores
+    return get_typestore(Stores.ROS2_JAZZY)
