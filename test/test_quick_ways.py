@@ -1,7 +1,7 @@
 """What is done quickly in profiles/ gives what the plain way of the same gives."""
 from __future__ import annotations
 
-from handeye_ros.profiles import arcs, circles, faces, segment, shares
+from handeye_ros.profiles import arcs, circles, faces, line_search, shares
 from handeye_ros.profiles.segment import Segment
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,8 +17,25 @@ def test_votes_for_lines(seed: int, lines: int, points: int) -> None:
     slope, offset = rng.normal(size=lines), rng.normal(0.2, 0.02, lines)
     x, z = rng.normal(0.0, 0.02, points), rng.normal(0.2, 0.02, points)
     plain = np.abs(z - offset[:, None] - slope[:, None] * x) < 1e-2
-    np.testing.assert_array_equal(segment._votes(slope, offset, np.stack([x, z]), 1e-2),
+    voters = np.stack([x, np.ones(points), z])
+    np.testing.assert_array_equal(line_search._votes(slope, offset, voters, 1e-2),
                                   plain.sum(axis=1))
+
+
+@given(SEEDS, st.integers(30, 300), st.floats(-1.0, 1.0))
+def test_lines_from_sums(seed: int, n: int, away: float) -> None:
+    rng = np.random.default_rng(seed)
+    x, near = away + rng.normal(0.0, 0.01, n), rng.random(n) < 0.7
+    z = 0.2 + rng.normal() * x + rng.normal(0.0, 1e-4, n)
+    search = line_search.LineSearch(x, z, 1e-3, 5)
+    offset, slope = search._fitted(*(search.summed @ near).tolist())
+    plain = np.polynomial.Polynomial.fit(x[near], z[near], 1).convert().coef
+    np.testing.assert_allclose([offset, slope], plain, rtol=0, atol=1e-9)
+
+
+def test_points_above_each_other_are_level() -> None:
+    search = line_search.LineSearch(np.full(50, 0.3), np.linspace(0.1, 0.2, 50), 1e-3, 5)
+    assert search._fitted(*(search.summed @ np.ones(50)).tolist()) == (pytest.approx(0.15), 0.0)
 
 
 @given(SEEDS, st.integers(1, 100), st.integers(5, 300), st.sampled_from([1e-4, 1e-2]))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array
-from handeye_ros.profiles.circles import candidates, fit_circle
+from handeye_ros.profiles.circles import candidates, fit_circle, fit_to_columns
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.profiles.segment import noise_level, returned
 from handeye_ros.profiles.shares import means, SURELY_MORE, variance_of_means
@@ -38,7 +38,7 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
     points: (n, 2) in the sensor plane, NaN where there was no return.
     Raises FeatureError when there is none.
     """
-    valid = points[returned(points)]
+    valid = points.take(returned(points), axis=0)
     min_points, radius = config.sampling.min_points, config.target.radius
     if len(valid) < min_points:
         raise FeatureError(f'fewer than {min_points} returns in the profile')
@@ -65,7 +65,7 @@ def _arc(points: Array, circle: Array, noise: float, config: Config) -> Arc:
     rows = np.flatnonzero(inliers)
     if len(rows) < SMALLEST_DENSITY * (rows[-1] - rows[0] + 1):
         raise FeatureError('no arc of the sphere in the profile, only scattered points')
-    arc = normal_points(points[inliers])
+    arc = normal_points(points.take(rows, axis=0))
     if _wanders(arc, noise, config):
         raise FeatureError('no arc of the sphere in the profile, only something like it')
     if 0 < LARGEST_SHARE * radius < arc.radius:
@@ -101,17 +101,17 @@ def _refined(points: Array, circle: Array, tolerance: float) -> NDArray[np.bool_
     used = on = np.zeros(len(points), dtype=bool)
     x, z = points.T.copy()
     for width in (3.0, 2.0, 1.0, 1.0):
-        away = z - circle[1]
-        distance = np.sqrt((x - circle[0]) ** 2 + away ** 2)
+        along, away = x - circle[0], z - circle[1]
+        distance = np.sqrt(along * along + away * away)
         on = np.abs(distance - circle[2]) < width * tolerance
         # the light falls on one side of a ball only
-        towards = np.sign(away[on].sum()) * away
+        towards = away if away @ on > 0 else -away
         on &= towards > 0
         used = on & (towards > RIM_COSINE * distance)
         rows = np.flatnonzero(used)
         if len(rows) < 5:
             break
-        circle = fit_circle(points[rows], steps=1)
+        circle = fit_to_columns(x.take(rows), z.take(rows), steps=1)
     return used & ~_rim(points, on, circle)
 
 
@@ -124,9 +124,8 @@ def _rim(points: Array, on: NDArray[np.bool_], circle: Array) -> NDArray[np.bool
     """
     if not on.any():
         return on
-    offset = points - circle[:2]
-    towards = np.sign(offset[on, 1].sum())
-    turn = np.arctan2(offset[:, 0], towards * offset[:, 1])
+    along, away = points[:, 0] - circle[0], points[:, 1] - circle[1]
+    turn = np.arctan2(along, away if away @ on > 0 else -away)
     first, last = _quantiles(turn[on], (0.005, 0.995))
     left = (turn < first + RIM_WIDTH) & (first < -STEEP)
     return np.asarray(left | ((turn > last - RIM_WIDTH) & (last > STEEP)))

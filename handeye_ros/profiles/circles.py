@@ -30,31 +30,39 @@ def fit_circle(points: Array, steps: int = 4) -> Array:
 
     steps: of Gauss-Newton from the algebraic fit (Kasa 1976), which is biased for short arcs.
     """
-    n = len(points)
-    mean_x, mean_z = (float(np.add.reduce(points[:, i])) / n for i in range(2))
-    x, z = points[:, 0] - mean_x, points[:, 1] - mean_z  # rows of their own are read faster
+    return fit_to_columns(points[:, 0], points[:, 1], steps)
+
+
+def fit_to_columns(x: Array, z: Array, steps: int) -> Array:
+    """Return what fit_circle does, of points with these coordinates (n,)."""
+    n = len(x)
+    mean_x, mean_z = float(np.add.reduce(x)) / n, float(np.add.reduce(z)) / n
+    x, z = x - mean_x, z - mean_z
     q = x * x + z * z
     xz = 2 * (x @ z)
-    centre = _solved(np.array([[2 * (x @ x), xz], [xz, 2 * (z @ z)]]), np.array([x @ q, z @ q]))
-    circle = np.append(centre, math.sqrt(float(np.add.reduce(q)) / n + centre @ centre))
+    x_c, z_c = _solved(np.array([[2 * (x @ x), xz], [xz, 2 * (z @ z)]]),
+                       np.array([x @ q, z @ q]))
+    r = math.sqrt(float(np.add.reduce(q)) / n + x_c * x_c + z_c * z_c)
     J = np.ones((3, n))
     for _ in range(steps):
-        dx, dz = x - circle[0], z - circle[1]
+        dx, dz = x - x_c, z - z_c
         distance = np.sqrt(dx * dx + dz * dz)
         away = np.maximum(distance, TINY)  # equal points have their centre in them
         np.divide(dx, away, out=J[0])
         np.divide(dz, away, out=J[1])
-        step = _solved(J @ J.T, J @ (distance - circle[2]))
-        circle += step
-        if np.abs(step).max() < CONVERGED * circle[2]:
+        by_x, by_z, by_r = _solved(J @ J.T, J @ (distance - r))
+        x_c, z_c, r = x_c + by_x, z_c + by_z, r + by_r
+        if max(abs(by_x), abs(by_z), abs(by_r)) < CONVERGED * r:
             break
-    return np.asarray(circle + [mean_x, mean_z, 0.0])
+    return np.array([x_c + mean_x, z_c + mean_z, r])
 
 
-def _solved(A: Array, b: Array) -> Array:
+def _solved(A: Array, b: Array) -> list[float]:
     """Return the solution of normal equations, of nearly least norm when they say too little."""
-    A.flat[::len(b) + 1] += TINY * A.trace() + SMALLEST
-    return np.asarray(dgesv(A, b)[2])
+    diagonal = A.ravel()[::len(b) + 1]
+    diagonal += TINY * float(np.add.reduce(diagonal)) + SMALLEST
+    solution: list[float] = dgesv(A, b)[2].tolist()
+    return solution
 
 
 def candidates(points: Array, smallest: float, largest: float, tolerance: float
@@ -65,7 +73,8 @@ def candidates(points: Array, smallest: float, largest: float, tolerance: float
     smallest, largest: of the radius. The points of a circle have no say for those after it.
     """
     circles = _hypotheses(points)
-    circles = circles[(circles[:, 2] > smallest) & (circles[:, 2] < largest)]
+    r = circles[:, 2]
+    circles = circles.take(np.flatnonzero((r > smallest) & (r < largest)), axis=0)
     voters = points[::-(-len(points) // SEARCH_POINTS)]
     if not len(circles):
         return
@@ -115,9 +124,10 @@ def _votes(on: NDArray[np.bool_], circles: Array, points: Array, tolerance: floa
 
 def _hypotheses(points: Array) -> Array:
     """Return circles (k, 3) through three points each, spread over the profile."""
-    a, b, c = points[_triples(len(points))]
+    a, b, c = points.take(_triples(len(points)), axis=0)
     found = _through(a, b, c)
-    return np.asarray(found[np.isfinite(found).all(axis=1)])
+    # a radius is finite where the centre is
+    return found.take(np.flatnonzero(np.isfinite(found[:, 2])), axis=0)
 
 
 @lru_cache(KEPT_TRIPLES)
@@ -132,10 +142,12 @@ def _triples(size: int) -> NDArray[np.intp]:
 
 def _through(a: Array, b: Array, c: Array) -> Array:
     """Return the circles (k, 3) through three (k, 2) points; not finite for collinear ones."""
-    u, v = b - a, c - a
-    cross = 2 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
-    uu, vv = (u ** 2).sum(axis=1), (v ** 2).sum(axis=1)
+    (ux, uz), (vx, vz) = (b - a).T.copy(), (c - a).T.copy()
+    cross = 2 * (ux * vz - uz * vx)
+    uu, vv = ux * ux + uz * uz, vx * vx + vz * vz
+    circles = np.empty((len(a), 3))
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        centre = np.column_stack([v[:, 1] * uu - u[:, 1] * vv, u[:, 0] * vv - v[:, 0] * uu])
-        centre = centre / cross[:, None]
-        return np.column_stack([a + centre, np.linalg.norm(centre, axis=1)])
+        x, z = (vz * uu - uz * vv) / cross, (ux * vv - vx * uu) / cross
+        circles[:, 0], circles[:, 1] = a[:, 0] + x, a[:, 1] + z
+        circles[:, 2] = np.sqrt(x * x + z * z)
+    return circles

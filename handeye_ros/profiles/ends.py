@@ -94,10 +94,10 @@ def tail(end: End, points: Array, near: int, column: float) -> NDArray[np.intp]:
     """
     last = min(max(end.row + end.outward * TAIL_ROWS, 0), len(points) - 1)
     rows = np.arange(end.row, last + end.outward, end.outward)
-    rows = rows[returned(points[rows])]
+    rows = rows.take(returned(points.take(rows, axis=0)))
     found = _connected(rows, points, near, end.segment.noise, column)
     if found < len(rows) - 1:
-        skipped = np.delete(rows, found)
+        skipped = np.concatenate([rows[:found], rows[found + 1:]])
         further = _connected(skipped, points, near, end.segment.noise, column)
         if further > found:
             return skipped[1:further]
@@ -107,7 +107,7 @@ def tail(end: End, points: Array, near: int, column: float) -> NDArray[np.intp]:
 def _connected(rows: NDArray[np.intp], points: Array, near: int, noise: float, column: float
                ) -> int:
     """Return how many of the rows follow each other on one surface that turns away."""
-    found = points[rows]
+    found = points.take(rows, axis=0)
     step = found[1:] - found[:-1]
     aside, drop = np.abs(step[:, 0]), -near * step[:, 1]
     slack = SLACK_SIGMAS * noise
@@ -125,7 +125,7 @@ def wall_edge(end: End, rows: NDArray[np.intp], points: Array, near: int, column
 
     The place is along the face from its last point on. None when no wall is in sight.
     """
-    all_u, all_v = u, v = frame_of(end, points, near).of(points[rows])
+    all_u, all_v = u, v = frame_of(end, points, near).of(points.take(rows, axis=0))
     if len(v) < WALL_POINTS or v.max() < SMALLEST_WALL:
         return None
     low = (v > 0.5 * v.max()) & (v < 0.97 * v.max())
@@ -161,7 +161,7 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, points: A
     segment = end.segment
     frame = frame_of(end, points, near)
     plate = np.concatenate([segment.rows[::end.outward][-LAST_POINTS:], rows])
-    u, v = frame.of(points[plate])
+    u, v = frame.of(points.take(plate, axis=0))
     pitch = column * np.hypot(1.0, segment.slope)
     step = float(np.clip(np.diff(u[-LAST_POINTS:]).mean(), 0.0, pitch)) if len(rows) else pitch
     flat = _end_of_face(end, u[LAST_POINTS:], v[LAST_POINTS:])
@@ -197,14 +197,14 @@ def _transition(end: End, last: int, ground: Segment | None, points: Array
     rows = last + end.outward * columns
     if ground is None or not 0 < between <= MOST_MIXED:
         return 0, 0.0
-    seen = np.isfinite(points[rows]).all(axis=1)
-    columns = columns[seen]
-    x, z = points[rows[seen]].T
+    seen = returned(points.take(rows, axis=0))
+    columns = columns.take(seen)
+    x, z = points.take(rows.take(seen), axis=0).T
     height = np.abs(z - end.segment.height(x))
     share = (height - height[0]) / (np.abs(ground.height(x) - end.segment.height(x)) - height[0])
     mixed = int((share[1:-1] < 0.8).sum())
     if mixed <= MOST_STRAY:
-        return (mixed if seen.all() else 0), 0.0
+        return (mixed if len(seen) == len(rows) else 0), 0.0
     after = max(int(np.argmax(share > 0.5)), 1)
     part = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
     return mixed, float(columns[after - 1] + part * (columns[after] - columns[after - 1]))

@@ -8,6 +8,7 @@ missing inside the face, there is no edge.
 from __future__ import annotations
 
 from collections.abc import Sequence
+import math
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
@@ -24,7 +25,7 @@ from handeye_ros.profiles.ends import (
 )
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.profiles.lines import face_line, on_line, white_std
-from handeye_ros.profiles.segment import Segment, straight_segments
+from handeye_ros.profiles.segment import lost, Segment, straight_segments
 import numpy as np
 from numpy.typing import NDArray
 
@@ -132,8 +133,9 @@ def _edge(end: End, segments: Sequence[Segment], points: Array, near: int
 def _is_bevel(end: End, other: Segment, rows: NDArray[np.intp], points: Array, near: int
               ) -> bool:
     """Return whether the next piece is the bevelled end of the same plate, not a wall or face."""
-    ends = points[[end.start_of(other), end.end_of(other)]]
-    if end.start_of(other) not in rows or np.linalg.norm(np.diff(ends, axis=0)) > LARGEST_BEVEL:
+    ends = points.take([end.start_of(other), end.end_of(other)], axis=0)
+    if (math.dist(*ends.tolist()) > LARGEST_BEVEL
+            or not np.count_nonzero(rows == end.start_of(other))):
         return False
     u, v = frame_of(end, points, near).of(ends)
     return bool(v[1] - v[0] > 0 and abs(u[1] - u[0]) > WALL_LEAN * (v[1] - v[0]))
@@ -144,11 +146,10 @@ def _kind(end: End, other: Segment | None, rows: NDArray[np.intp], points: Array
     """Return 'roof', 'step', 'gap', 'open', 'nearer' or 'border'; other: what follows."""
     if other is None:
         behind = points[end.row + 1:] if end.outward > 0 else points[:end.row]
-        missing = int((~np.isfinite(behind).all(axis=1)).sum())
-        if missing >= GAP_COLUMNS:
+        if lost(behind) >= GAP_COLUMNS:
             return 'gap'
         # a driver that leaves lost points out does not say where the field of view ends
-        return 'open' if np.isfinite(points).all() else 'border'
+        return 'border' if lost(points) else 'open'
     crossing = _roof_crossing(end, other, rows, points, column)
     # a surface that turns away from the sensor leaves the line over its whole length
     x, z = points[end.end_of(other) if crossing else end.start_of(other)]
@@ -165,7 +166,7 @@ def _foot_hidden(end: End, rows: NDArray[np.intp], ground: Segment, points: Arra
     """Return whether nothing comes back from between a plate's last point and the ground."""
     last = rows[-1] if len(rows) else end.row
     first, after = sorted((last, end.start_of(ground)))
-    return int((~np.isfinite(points[first:after]).all(axis=1)).sum()) >= GAP_COLUMNS
+    return lost(points[first:after]) >= GAP_COLUMNS
 
 
 def _smallest_step(end: End, other: Segment) -> float:

@@ -3,10 +3,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+import math
 
 from handeye_ros.data import Array, EdgePoint, FaceLine
 from handeye_ros.profiles.segment import Segment
-from handeye_ros.profiles.shares import means, variance_of_means
+from handeye_ros.profiles.shares import mean_and_std, means, variance_of_means
 import numpy as np
 
 NORMAL_POINTS = 6
@@ -16,14 +17,14 @@ FEWEST_POINTS = 4  # of a block
 
 def face_line(segment: Segment, points: Array) -> FaceLine:
     """Return the face line of a segment of a profile (n, 2), with its normal points."""
-    measured = points[segment.straight]
-    x, n = measured[:, 0], len(measured)
-    length = np.hypot(1.0, segment.slope)
+    measured = points.take(segment.straight, axis=0)
+    n, length = len(measured), math.hypot(1.0, segment.slope)
+    middle, std = mean_and_std(measured[:, 0])
     blocks, count = means(measured, BLOCKS if n >= BLOCKS * FEWEST_POINTS else min(
         NORMAL_POINTS, n))
-    centre = np.array([x.mean(), segment.height(x.mean())])
-    return _line(centre, segment.slope, float(x.std() * length), blocks,
-                 (segment.noise / length) ** 2 / count.mean())
+    centre = np.array([middle, segment.height(middle)])
+    return _line(centre, segment.slope, std * length, blocks,
+                 (segment.noise / length) ** 2 * len(count) / n)
 
 
 def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoint:
@@ -71,8 +72,9 @@ def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatte
 
 def _line(centre: Array, slope: float, spread: float, blocks: Array, white: float) -> FaceLine:
     """Return the line with blocks (m, 2); white: variance of each across it, if independent."""
-    direction = np.array([1.0, slope]) / np.hypot(1.0, slope)
-    across = (blocks - centre) @ [-direction[1], direction[0]]
+    length = math.hypot(1.0, slope)
+    direction = np.array([1.0 / length, slope / length])
+    across = (blocks - centre) @ np.array([-direction[1], direction[0]])
     variance = variance_of_means(across, white)
     normal_points, size = means(blocks, min(NORMAL_POINTS, len(blocks)))
     return FaceLine(centre, direction, spread, float(np.sqrt(variance / len(blocks))),

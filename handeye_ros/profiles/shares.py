@@ -8,6 +8,7 @@ at; their second differences do not see the smooth shape below.
 from __future__ import annotations
 
 from functools import lru_cache
+import math
 
 from handeye_ros.data import Array
 import numpy as np
@@ -16,6 +17,13 @@ from numpy.typing import NDArray
 KEPT = 1000  # numbers of points whose shares are remembered
 FEWEST_BLOCKS = 6
 SURELY_MORE = 1.7  # times the variance of white noise: what chance seldom makes
+
+
+def mean_and_std(values: Array) -> tuple[float, float]:
+    """Return mean and standard deviation of values (n,), as numpy does with more ado."""
+    mean = float(np.add.reduce(values)) / len(values)
+    away = values - mean
+    return mean, math.sqrt(away @ away / len(values))
 
 
 def means(values: Array, shares: int) -> tuple[Array, NDArray[np.intp]]:
