@@ -86,8 +86,9 @@ def rpy(T: Array) -> Array:
 
 
 def perturb(T: Array, delta: Array) -> Array:
-    """Return T (4, 4) moved by delta (6,): t + delta[:3], Exp(delta[3:]) R."""
-    return transform(exp_rotation(delta[3:]) @ T[:3, :3], T[:3, 3] + delta[:3])
+    """Return T (..., 4, 4) moved by delta (..., 6): t + delta[:3], Exp(delta[3:]) R."""
+    return transform(exp_rotation(delta[..., 3:]) @ T[..., :3, :3],
+                     T[..., :3, 3] + delta[..., :3])
 
 
 def difference(T: Array, T_reference: Array) -> Array:
@@ -116,10 +117,14 @@ def nearest_rotation(M: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return the (n, 3) cross products of (n, 3) or (3,) vectors."""
+    """Return the cross products (..., 3) of (..., 3) vectors."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    product[..., 0] = ay * bz - az * by
+    product[..., 1] = az * bx - ax * bz
+    product[..., 2] = ax * by - ay * bx
+    return product
 
 
 def mean_pose(T: Array) -> Array:

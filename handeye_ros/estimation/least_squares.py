@@ -80,7 +80,7 @@ def least_squares(system: System[S], start: S, weights: Array | None = None,
         r, J = white(rows.residuals) * root, white(rows.jacobian()) * root[:, None]
         cost = float(r @ r)
         for _attempt in range(MAX_DAMPINGS):
-            step = _damped_step(J, r, damping)
+            step = damped_steps(J, r, np.array(damping))
             moved = system.retract(state, step)
             moved_rows = system.rows(moved)
             after = float(((white(moved_rows.residuals) * root) ** 2).sum())
@@ -97,11 +97,18 @@ def least_squares(system: System[S], start: S, weights: Array | None = None,
     return state
 
 
-def _damped_step(J: Array, r: Array, damping: float) -> Array:
-    """Return the step of Levenberg and Marquardt, its damping relative to each column."""
-    scale = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-    A = (J / scale).T @ (J / scale)
-    step = np.linalg.solve(A + damping * np.eye(len(A)), (J / scale).T @ r)
+def damped_steps(J: Array, r: Array, damping: Array) -> Array:
+    """
+    Return the steps (..., u) of Levenberg and Marquardt, their damping relative to each column.
+
+    J: (..., m, u), r: (..., m), damping: (...).
+    """
+    scale = np.maximum(np.sqrt(np.einsum('...mi,...mi->...i', J, J)), 1e-300)
+    scaled = J / scale[..., None, :]
+    transposed = np.swapaxes(scaled, -1, -2)
+    A, every = transposed @ scaled, np.arange(J.shape[-1])
+    A[..., every, every] += damping[..., None]
+    step = np.linalg.solve(A, transposed @ r[..., None])[..., 0]
     return np.asarray(-step / scale)
 
 

@@ -80,13 +80,46 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """Residuals (m,), their Jacobian (m, 6 + k) and what the errors do to them."""
+    """
+    Residuals (..., m) at an estimate, their Jacobian (..., m, 6 + k), what the errors do to them.
 
+    lever: (..., m, 3) from the sensor to the points, in the mount; by_base: (..., m, 3)
+    derivative by the point in the base.
+    """
+
+    problem: Problem
+    estimate: Estimate
     residuals: Array
     jacobian: Array
-    by_pose: Array  # (m, 6) derivative by the robot's error, base frame, about the flange
-    by_feature: Array  # (m, 2) derivative by the feature's unit errors
-    by_point: Array  # (m, 2) derivative by the point of the sensor plane
+    lever: Array
+    by_base: Array
+
+    @cached_property
+    def by_pose(self) -> Array:
+        """Return the derivative (..., m, 6) by the robot's error, base frame, about the flange."""
+        R, a = self.problem.flanges
+        to_point = np.einsum('mij,...mj->...mi', R, self.lever + self._origin)
+        if self.problem.config.calibration_type == 'eye_in_hand':
+            return np.concatenate([self.by_base, se3.cross(to_point, self.by_base)], axis=-1)
+        # the poses are those of the base in the flange; the robot errs in its base
+        by_mount = self.jacobian[..., :3]
+        p_base = np.einsum('mji,...mj->...mi', R, to_point + a)
+        return np.concatenate([by_mount, se3.cross(p_base, by_mount)], axis=-1)
+
+    @cached_property
+    def by_point(self) -> Array:
+        """Return the derivative (..., m, 2) by the point of the sensor plane."""
+        return np.asarray(self.jacobian[..., :3] @ self.estimate.X[..., :3, [0, 2]])
+
+    @cached_property
+    def by_feature(self) -> Array:
+        """Return the derivative (..., m, 2) by the feature's unit errors."""
+        noise = self.problem.observations.noise
+        return np.asarray(np.einsum('...mi,mij->...mj', self.by_point, noise))
+
+    @property
+    def _origin(self) -> Array:
+        return np.asarray(self.estimate.X[..., None, :3, 3])
 
 
 def points_at(observations: Observations, poses: Array, X: Array) -> Array:
@@ -102,27 +135,17 @@ def points_in_base(problem: Problem, X: Array) -> Array:
 
 
 def linearise(problem: Problem, estimate: Estimate) -> Linear:
-    """Return residuals and derivatives at an estimate."""
+    """
+    Return residuals and derivatives at an estimate.
+
+    Or at several at once, X (n, 4, 4) and target (n, s), where the method can do that.
+    """
     obs, X = problem.observations, estimate.X
     R, a = problem.flanges
-    lever = obs.points @ X[:3, [0, 2]].T
-    from_flange = np.einsum('mij,mj->mi', R, lever + X[:3, 3])
-    conditions = problem.method.conditions(from_flange + a, obs.kind, estimate.target,
-                                           problem.config)
-    g_base = conditions.dg_dp
-    g_mount = np.einsum('mji,mj->mi', R, g_base)
-    jacobian = np.hstack([g_mount, se3.cross(lever, g_mount), conditions.dg_dtarget])
-    if problem.config.calibration_type == 'eye_in_hand':
-        by_pose = np.hstack([g_base, se3.cross(from_flange, g_base)])
-    else:  # the poses are those of the base in the flange; the robot errs in its base
-        p_base = np.einsum('mji,mj->mi', R, from_flange + a)
-        by_pose = np.hstack([g_mount, se3.cross(p_base, g_mount)])
-    by_point = g_mount @ X[:3, [0, 2]]
-    by_feature = np.einsum('mi,mij->mj', by_point, obs.noise)
-    return Linear(conditions.g, jacobian, by_pose, by_feature, by_point)
-
-
-def cost(problem: Problem, estimate: Estimate) -> float:
-    """Return the sum of squared plain residuals."""
-    g = linearise(problem, estimate).residuals
-    return float(g @ g)
+    lever = obs.points @ np.swapaxes(X[..., :3, [0, 2]], -1, -2)
+    p = np.einsum('mij,...mj->...mi', R, lever + X[..., None, :3, 3]) + a
+    conditions = problem.method.conditions(p, obs.kind, estimate.target, problem.config)
+    by_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
+    jacobian = np.concatenate([by_mount, se3.cross(lever, by_mount), conditions.dg_dtarget],
+                              axis=-1)
+    return Linear(problem, estimate, conditions.g, jacobian, lever, conditions.dg_dp)

@@ -1,7 +1,6 @@
 """Least squares over the transform and the target, the same for every method."""
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 
@@ -13,24 +12,21 @@ from handeye_ros.estimation.doubts import Doubt, pose_errors
 from handeye_ros.estimation.fields import spread
 from handeye_ros.estimation.least_squares import as_they_are, least_squares, Rows, System, White
 from handeye_ros.estimation.method import Estimate
-from handeye_ros.estimation.problem import cost, Linear, linearise, Problem
+from handeye_ros.estimation.problem import Linear, linearise, Problem
 from handeye_ros.estimation.weights import Noise, whitening
 import numpy as np
 from numpy.typing import NDArray
 
-COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on after them
-SOME_START = 1e-6  # step of the residuals that ends the way of a start among others (m)
 ASKED = 100  # stations, beyond which there are enough poses
 SAME = 1e-6  # relative singular value of what a station says twice
-FEW_STATIONS, MORE_STARTS = 12, 6  # with few stations there may be several answers
 
 
 def move(problem: Problem, estimate: Estimate, step: Array) -> Estimate:
-    """Return the estimate moved by a step in the unknown columns."""
-    delta = np.zeros(6 + len(problem.method.labels))
-    delta[problem.columns] = step
-    return Estimate(se3.perturb(estimate.X, delta[:6]),
-                    problem.method.retract(estimate.target, delta[6:]))
+    """Return the estimate, or several, moved by a step (..., u) in the unknown columns."""
+    delta = np.zeros((*step.shape[:-1], 6 + len(problem.method.labels)))
+    delta[..., problem.columns] = step
+    return Estimate(se3.perturb(estimate.X, delta[..., :6]),
+                    problem.method.retract(estimate.target, delta[..., 6:]))
 
 
 def system(problem: Problem, noise: Noise | None) -> System[Estimate]:
@@ -51,23 +47,6 @@ def system(problem: Problem, noise: Noise | None) -> System[Estimate]:
 def fitted(problem: Problem, start: Estimate, noise: Noise) -> Estimate:
     """Return the estimate with the least squared whitened residuals."""
     return least_squares(system(problem, noise), start)
-
-
-def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:
-    """
-    Return the estimates that the starts lead to, best first, poor ones given up early.
-
-    more: times as many go on. Plain residuals decide: far from the solution they say more than
-    whitened ones.
-    """
-    survivors, plain = list(starts), system(problem, None)
-    few = len(problem.poses) <= FEW_STATIONS
-    for iterations, kept in COMPETITION:
-        kept = max(kept, MORE_STARTS) if few else kept
-        survivors = [least_squares(plain, start, iterations=iterations, converged=SOME_START)
-                     for start in survivors]
-        survivors = sorted(survivors, key=lambda e: cost(problem, e))[:more * kept]
-    return survivors
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from handeye_ros.estimation.method import (
     UNUSED,
 )
 from handeye_ros.estimation.problem import points_at, Problem
-from handeye_ros.estimation.solve import best_of
+from handeye_ros.estimation.starts import best_of
 from handeye_ros.methods.common import (
     add_face,
     best_linear,
@@ -69,20 +69,22 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
 
 
 def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
-    """Return the distances from the line in y and z, or from the face, of points (m, 3)."""
-    T = target.reshape(4, 4)
-    R, offset = T[:3, :3], p - T[:3, 3]
-    dg_dp = NORMALS[kind] @ R.T
+    """Return the distances from the line in y and z, or from the face, of points (..., m, 3)."""
+    T = target.reshape(*target.shape[:-1], 4, 4)
+    R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
+    dg_dp = NORMALS[kind] @ np.swapaxes(R, -1, -2)
     by_rotation = -se3.cross(offset, dg_dp) @ R
-    return Conditions((offset * dg_dp).sum(axis=1), dg_dp,
-                      np.column_stack([-dg_dp @ R[:, 1:], by_rotation]))
+    return Conditions((offset * dg_dp).sum(axis=-1), dg_dp,
+                      np.concatenate([-dg_dp @ R[..., 1:], by_rotation], axis=-1))
 
 
 def retract(target: Array, delta: Array) -> Array:
-    """Return the line moved by delta (5,): along its y and z, turned about its x, y and z."""
-    T = target.reshape(4, 4)
-    step = np.concatenate([T[:3, 1:3] @ delta[:2], T[:3, :3] @ delta[2:]])
-    return se3.perturb(T, step).ravel()
+    """Return lines (..., 16) moved: along their y and z, turned about their x, y and z."""
+    T = target.reshape(*target.shape[:-1], 4, 4)
+    step = np.concatenate([np.einsum('...ij,...j->...i', T[..., :3, 1:3], delta[..., :2]),
+                           np.einsum('...ij,...j->...i', T[..., :3, :3], delta[..., 2:])],
+                          axis=-1)
+    return se3.perturb(T, step).reshape(target.shape)
 
 
 def free(config: Config) -> NDArray[np.bool_]:

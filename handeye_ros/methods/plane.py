@@ -20,7 +20,7 @@ from handeye_ros.estimation.method import (
     observed_points,
 )
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.solve import best_of
+from handeye_ros.estimation.starts import best_of
 from handeye_ros.methods.common import (
     add_face,
     best_linear,
@@ -51,19 +51,20 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
 
 
 def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
-    """Return the height over the plane of points p (m, 3) in base."""
-    T = target.reshape(4, 4)
-    offset, normal = p - T[:3, 3], T[:3, 2]
-    by_tilt = se3.cross(normal, offset) @ T[:3, :2]
-    return Conditions(offset @ normal, np.tile(normal, (len(p), 1)),
-                      np.column_stack([-np.ones(len(p)), by_tilt]))
+    """Return the height over the plane of points p (..., m, 3) in base, targets (..., 16)."""
+    T = target.reshape(*target.shape[:-1], 4, 4)
+    offset, normal = p - T[..., None, :3, 3], T[..., None, :3, 2]
+    by_tilt = se3.cross(normal, offset) @ T[..., :3, :2]
+    return Conditions((offset * normal).sum(axis=-1), np.broadcast_to(normal, p.shape),
+                      np.concatenate([-np.ones((*p.shape[:-1], 1)), by_tilt], axis=-1))
 
 
 def retract(target: Array, delta: Array) -> Array:
-    """Return the plane moved by delta: along its normal, and turned about its x and y."""
-    T = target.reshape(4, 4)
-    step = np.concatenate([delta[0] * T[:3, 2], T[:3, :2] @ delta[1:]])
-    return se3.perturb(T, step).ravel()
+    """Return planes (..., 16) moved: along their normals, and turned about their x and y."""
+    T = target.reshape(*target.shape[:-1], 4, 4)
+    step = np.concatenate([delta[..., :1] * T[..., :3, 2],
+                           np.einsum('...ij,...j->...i', T[..., :3, :2], delta[..., 1:])], axis=-1)
+    return se3.perturb(T, step).reshape(target.shape)
 
 
 def free(config: Config) -> NDArray[np.bool_]:

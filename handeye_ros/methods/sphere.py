@@ -21,7 +21,7 @@ from handeye_ros.estimation.method import (
     Observations,
 )
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.solve import best_of
+from handeye_ros.estimation.starts import best_of
 from handeye_ros.methods.common import (
     collect,
     FINER,
@@ -55,16 +55,16 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
 
 
 def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
-    """Return the distance from the sphere's surface of points p (m, 3) in base."""
-    offset = p - target[:3]
-    distance = np.linalg.norm(offset, axis=1)
-    outward = offset / distance[:, None]
-    return Conditions(distance - target[3], outward,
-                      np.column_stack([-outward, -np.ones(len(p))]))
+    """Return the distance from the sphere's surface of points p (..., m, 3) in base."""
+    offset = p - target[..., None, :3]
+    distance = np.sqrt((offset * offset).sum(axis=-1))
+    outward = offset / distance[..., None]
+    return Conditions(distance - target[..., 3:], outward,
+                      np.concatenate([-outward, -np.ones((*p.shape[:-1], 1))], axis=-1))
 
 
 def retract(target: Array, delta: Array) -> Array:
-    """Return centre and radius moved by delta (4,)."""
+    """Return centre and radius (..., 4) moved by delta."""
     return target + delta
 
 

@@ -20,11 +20,10 @@ def two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
     angles = np.linspace(0.0, np.pi / 2, DIRECTIONS, endpoint=False)
     c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
     u, v = c * voters[:, 0] + s * voters[:, 1], c * voters[:, 1] - s * voters[:, 0]
-    to_q = np.abs(u[:, :, None] - u[:, None, :])  # (angle, line through, point)
-    to_p = np.abs(v[:, :, None] - v[:, None, :])
     limit = 0.03 * float(np.ptp(voters, axis=0).max() + 1e-9)
-    cost = np.minimum(to_q[:, :, None], to_p[:, None, :])
-    total = np.minimum(cost, limit).sum(axis=3)
+    to_q, to_p = (np.minimum(np.abs(w[:, :, None] - w[:, None, :]), limit).astype(np.float32)
+                  for w in (u, v))  # (angle, line through, point)
+    total = np.minimum(to_q[:, :, None], to_p[:, None, :]).sum(axis=3)
     k, i, j = np.unravel_index(int(np.argmin(total)), total.shape)
     turn = float(angles[k])
     return _fitted(points, turned(turn) @ np.array([u[k, i], v[k, j]]), turn, limit)

@@ -23,7 +23,7 @@ from handeye_ros.estimation.method import (
     observed_points,
 )
 from handeye_ros.estimation.problem import points_at, Problem
-from handeye_ros.estimation.solve import best_of
+from handeye_ros.estimation.starts import best_of
 from handeye_ros.methods import line as edge_line
 from handeye_ros.methods import plane
 from handeye_ros.methods.common import (
@@ -54,23 +54,26 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
 
 
 def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
-    """Return the height over its face of points p (m, 3) in base."""
-    T, turn = target[:16].reshape(4, 4), target[16:][kind]
-    R, offset = T[:3, :3], p - T[:3, 3]
+    """Return the height over its face of points p (..., m, 3) in base, targets (..., 18)."""
+    T = target[..., :16].reshape(*target.shape[:-1], 4, 4)
+    R, offset, turn = T[..., :3, :3], p - T[..., None, :3, 3], target[..., 16:][..., kind]
     c, s = np.cos(turn), np.sin(turn)
-    normal = c[:, None] * R[:, 1] + s[:, None] * R[:, 2]
-    along, y, z = (offset @ R).T
+    normal = c[..., None] * R[..., None, :, 1] + s[..., None] * R[..., None, :, 2]
+    along, y, z = np.moveaxis(offset @ R, -1, 0)
     by_turn = c * z - s * y
-    by_target = np.column_stack([-c, -s, s * along, -c * along,
-                                 by_turn, SHARE[kind] * by_turn])
-    return Conditions((offset * normal).sum(axis=1), normal, by_target)
+    by_target = np.stack([-c, -s, s * along, -c * along, by_turn, SHARE[kind] * by_turn], axis=-1)
+    return Conditions((offset * normal).sum(axis=-1), normal, by_target)
 
 
 def retract(target: Array, delta: Array) -> Array:
-    """Return the target moved by delta (6,): along and about its y and z, turn, and angle."""
-    T = target[:16].reshape(4, 4)
-    step = np.concatenate([T[:3, 1:3] @ delta[:2], T[:3, 1:3] @ delta[2:4]])
-    return np.append(se3.perturb(T, step).ravel(), target[16:] + delta[4] + SHARE * delta[5])
+    """Return targets (..., 18) moved: along and about their y and z, turn, and angle."""
+    T = target[..., :16].reshape(*target.shape[:-1], 4, 4)
+    across = T[..., :3, 1:3]
+    step = np.concatenate([np.einsum('...ij,...j->...i', across, delta[..., :2]),
+                           np.einsum('...ij,...j->...i', across, delta[..., 2:4])], axis=-1)
+    pose = se3.perturb(T, step).reshape(*target.shape[:-1], 16)
+    turns = target[..., 16:] + delta[..., 4:5] + SHARE * delta[..., 5:]
+    return np.concatenate([pose, turns], axis=-1)
 
 
 def free(config: Config) -> NDArray[np.bool_]:
