@@ -24,11 +24,12 @@ def inverse(information: Array) -> Array:
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / np.outer(scale, scale)
     scaled[np.diag_indices_from(scaled)] += FREE
-    root, failed = lapack.dpotrf(scaled, lower=1)
+    root, failed = lapack.dpotrf(scaled, lower=1)  # and zeros above it
     if failed:
         values, vectors = np.linalg.eigh(scaled)
         full = (vectors / np.maximum(values, FREE)) @ vectors.T
     else:
         lower, _ = lapack.dpotri(root, lower=1)
-        full = np.tril(lower) + np.tril(lower, -1).T
-    return np.asarray(full / np.outer(scale, scale))
+        full = lower + lower.T
+        full[np.diag_indices_from(full)] /= 2
+    return np.asarray(full / scale / scale[:, None])

@@ -29,6 +29,7 @@ SCALE = 3.0  # the same, in squared residuals that the believed share stays belo
 MAX_ANNEALINGS, ANNEALING_STEPS = 40, 4
 NEAR = 1e-3  # step length in sigmas that ends a round of annealing
 
+States: TypeAlias = tuple[Array, ...]
 White: TypeAlias = Callable[[Array], Array]
 """A linear map of (m, ...) values to such of unit covariance."""
 
@@ -80,7 +81,7 @@ def least_squares(system: System[S], start: S, weights: Array | None = None,
         r, J = white(rows.residuals) * root, white(rows.jacobian()) * root[:, None]
         cost = float(r @ r)
         for _attempt in range(MAX_DAMPINGS):
-            step = damped_steps(J, r, np.array(damping))
+            step = _damped_steps(J, r, np.array(damping))
             moved = system.retract(state, step)
             moved_rows = system.rows(moved)
             after = float(((white(moved_rows.residuals) * root) ** 2).sum())
@@ -97,7 +98,7 @@ def least_squares(system: System[S], start: S, weights: Array | None = None,
     return state
 
 
-def damped_steps(J: Array, r: Array, damping: Array) -> Array:
+def _damped_steps(J: Array, r: Array, damping: Array) -> Array:
     """
     Return the steps (..., u) of Levenberg and Marquardt, their damping relative to each column.
 
@@ -110,6 +111,39 @@ def damped_steps(J: Array, r: Array, damping: Array) -> Array:
     A[..., every, every] += damping[..., None]
     step = np.linalg.solve(A, transposed @ r[..., None])[..., 0]
     return np.asarray(-step / scale)
+
+
+def many_least_squares(linear: Callable[[States], tuple[Array, Array]],
+                       retract: Callable[[States, Array], States], starts: States,
+                       iterations: int, converged: float) -> tuple[States, Array]:
+    """
+    Return where k starts lead, each by itself, and their sums of squares (k,).
+
+    starts: arrays (k, ...); linear(states): residuals (k, m) and their derivatives (k, m, u);
+    retract(states, steps (k, u)): the moved states; converged: see least_squares.
+    """
+    count, now = len(starts[0]), [part.copy() for part in (*starts, *linear(starts))]
+    damping, taken = np.full(count, FIRST_DAMPING), np.zeros(count, dtype=int)
+    refused, going = np.zeros(count, dtype=int), np.arange(count)
+    while len(going):
+        *states, r, J = (values[going] for values in now)
+        step = _damped_steps(J, r, damping[going])
+        moved = retract(tuple(states), step)
+        new = [*moved, *linear(moved)]
+        before, after = (np.einsum('km,km->k', e, e) for e in (r, new[-2]))
+        better = after <= before * (1 + ROUNDING)
+        for values, part in zip(now, new, strict=True):
+            values[going[better]] = part[better]
+        damping[going] *= np.where(better, DAMPING_FACTOR ** -2, DAMPING_FACTOR)
+        damping = np.maximum(damping, SMALLEST_DAMPING)
+        taken[going] += better
+        refused[going] = np.where(better, 0, refused[going] + 1)
+        length = np.linalg.norm(np.einsum('kmu,ku->km', J, step), axis=1)
+        done = better & ((length < converged * (1 + before ** 0.5))
+                         | (after >= before * (1 - STANDSTILL)))
+        going = going[~done & (taken[going] < iterations) & (refused[going] < MAX_DAMPINGS)]
+    *states, r, _ = now
+    return tuple(states), np.einsum('km,km->k', r, r)
 
 
 def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array], S]) -> S:

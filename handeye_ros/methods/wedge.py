@@ -22,7 +22,7 @@ from handeye_ros.estimation.method import (
     Observations,
     observed_points,
 )
-from handeye_ros.estimation.problem import points_at, Problem
+from handeye_ros.estimation.problem import linearise, points_at, Problem
 from handeye_ros.estimation.starts import best_of
 from handeye_ros.methods import line as edge_line
 from handeye_ros.methods import plane
@@ -117,15 +117,15 @@ def guess(observations: Observations, poses: Array, config: Config, rng: np.rand
 
 def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
     """Return where the starts lead, each with the labels that it makes, best first."""
-    found = []
+    alike: dict[bytes, tuple[Problem, list[Estimate]]] = {}  # starts that make the same labels
     for start in starts:
         p = points_at(problem.observations, problem.poses, start.X)
-        labelled = replace(problem, observations=relabel(
-            problem.observations, p, start.target, problem.config))
-        (end,) = best_of(labelled, [start])
-        g = conditions(points_at(labelled.observations, problem.poses, end.X),
-                       labelled.observations.kind, end.target, problem.config).g
-        found.append((float(g @ g), end))
+        labelled = relabel(problem.observations, p, start.target, problem.config)
+        part = replace(problem, observations=labelled)
+        alike.setdefault(labelled.kind.tobytes(), (part, []))[1].append(start)
+    found = [(float((linearise(labelled, end).residuals ** 2).sum()), end)
+             for labelled, some in alike.values()
+             for end in best_of(labelled, some, len(some))]
     return [end for _, end in sorted(found, key=lambda pair: pair[0])]
 
 
