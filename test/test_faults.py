@@ -93,6 +93,34 @@ def test_the_network_goes_and_comes_back(tmp_path: Path) -> None:
     assert run.returncode == 0, run.stdout + run.stderr
 
 
+def test_the_discovery_server_goes_and_comes_back(tmp_path: Path, monkeypatch) -> None:
+    server = shutil.which('fast-discovery-server', path=str(Path(sys.executable).parent)
+                          + os.pathsep + os.environ['PATH'])
+    if not server:
+        pytest.skip('needs fast-discovery-server')
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(('127.0.0.1', 0))
+        port = str(probe.getsockname()[1])
+    monkeypatch.setenv('ROS_DISCOVERY_SERVER', f'127.0.0.1:{port}')
+    command = [server, '-i', '0', '-l', '127.0.0.1', '-p', port]
+    with ExitStack() as stack:
+        first = stack.enter_context(running(command, stdout=subprocess.DEVNULL))
+        stack.enter_context(running_node(tmp_path, *BY_HAND))
+        client = stack.enter_context(closing(Client()))
+        client.connect()
+        feed(client, START)
+        client.until_counted(profiles=20, poses=20)
+        assert client.call('take_sample').success
+        first.kill()
+        first.wait()
+        feed(client, START + 30 * 10**9)
+        client.until_counted(profiles=40, poses=40)
+        assert 'it brings nothing new' in client.call('take_sample').message
+        stack.enter_context(running(command, stdout=subprocess.DEVNULL))
+        stack.enter_context(closing(Client())).connect()
+        assert 'removed sample 1' in client.call('remove_last_sample').message
+
+
 def test_a_simulated_clock_that_jumps_forth_and_back(tmp_path: Path, client: Client) -> None:
     clock = client.node.create_publisher(Clock, '/clock', 10)
     told: list[int] = []
