@@ -11,7 +11,8 @@ it, nor believed in; with --doubts shipped the settings doubt sensor, target and
 by default. One operator follows the
 advice, off by 3 mm and 2 degrees (1 sigma; the moves before the sensor is roughly known: by 4
 degrees); the other goes anywhere within guidance.reach, guidance.tilt and guidance.turn from
-the same first pose. Where the sensor shows no target both try again, and that counts nothing.
+the same first pose. Where the sensor shows no target, or the laser is nowhere near an edge of
+it, both try again, and that counts nothing.
 A row per target: the median number of stations, and its quartiles, until points mapped over
 x +-20 mm, range 160-190 mm are off by less than --wanted (0.1 mm) at two stations running, and
 until their stated 1 sigma is less; sessions that never got there count as the most, and are told.
@@ -31,7 +32,7 @@ import time
 from handeye_ros import config as configs
 from handeye_ros import methods, se3
 from handeye_ros.config import Config
-from handeye_ros.data import Sample
+from handeye_ros.data import EdgePoint, Feature, Profile, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import consensus, settle, SUBSETS, without_outliers
@@ -45,6 +46,8 @@ from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.results.outcome import mounted
 from handeye_ros.results.truth_errors import mapped_point_error
 from handeye_ros.sampling import station_features
+from handeye_ros.sampling.all_edges import judged_together
+from handeye_ros.sampling.view_end import require_inside
 from handeye_ros.simulate import (
     plate,
     Scenario,
@@ -61,6 +64,7 @@ FIELD = learn_view((), np.array([[-0.02, 0.16], [0.02, 0.16], [-0.02, 0.19], [0.
 KNOWN_WELL = 1e-3  # m: 1 sigma of mapped points, from which on the last answer is the start
 EVERY = 3  # stations of the other operator
 PROFILES = 4
+NEAR_THE_EDGE = 0.015  # m: what is taken for an edge farther away is another, or the view's end
 PATIENCE = 40  # tries near a pose that was advised
 MOST = {'advice': 30, 'random': 60}
 ROBOTS = {'common': (5e-5, math.radians(0.02)), 'fine': (2e-5, math.radians(0.004))}
@@ -120,12 +124,29 @@ class World:
         measured = sensor.measure(self.scenario.sensor, np.broadcast_to(z, shape).copy(),
                                   np.broadcast_to(angle, shape), self.rng)
         method = methods.of(self.config)
-        found = [method.extract(points, self.config) for points in sensor.plane_points(
-            self.scenario.sensor, measured)]
+        profiles = [Profile(k, 'laser', points) for k, points in enumerate(
+            sensor.plane_points(self.scenario.sensor, measured))]
+        used, features = station_features.of_station(
+            profiles, lambda points: method.extract(points, self.config))
+        require_inside(features, used)
+        self._look(features, T)
         error = np.repeat(self.scenario.robot.repeatability, 3) * self.rng.normal(size=6)
         self.samples.append(Sample(
             len(self.samples), reported(T_base_flange, error),
-            station_features.combine(found), PROFILES))
+            features, len(used)))
+
+
+    def _look(self, features: tuple[Feature, ...], T_target_sensor: np.ndarray) -> None:
+        """Refuse what a person sees: that the laser is nowhere near an edge of the target."""
+        edges = [f.point for f in features if isinstance(f, EdgePoint)]
+        target = self.scenario.target
+        if not edges or not isinstance(target, PlateTarget):
+            return
+        p = np.array(edges) @ T_target_sensor[:3, [0, 2]].T + T_target_sensor[:3, 3]
+        frames = list(plate.edge_frames(target).values())[:len(methods.of(self.config).edges)]
+        away = [np.linalg.norm((p - frame[:3, 3]) @ frame[:3, 1:3], axis=1) for frame in frames]
+        if np.min(away) > NEAR_THE_EDGE:
+            raise FeatureError('the laser does not cross the edge')
 
 
 def reported(T: np.ndarray, error: np.ndarray) -> np.ndarray:
@@ -234,9 +255,10 @@ def solved(cell: World) -> Solution | None:
 
     From the last one, once it is known to KNOWN_WELL; without the search for other answers.
     """
-    method = methods.of(cell.config)
-    problem = Problem(method, mounted(cell.samples, cell.config), method.observe(cell.samples),
-                      cell.config)
+    method, (samples, _) = methods.of(cell.config), judged_together(cell.samples)
+    if len(samples) < method.minimum:
+        return None
+    problem = Problem(method, mounted(samples, cell.config), method.observe(samples), cell.config)
     try:
         agreed = (without_outliers(refined(problem, cell.last.estimate)) if cell.last else
                   consensus(problem, np.random.default_rng(0), SUBSETS))

@@ -1,6 +1,7 @@
 """Faults while the node runs, one by one; docs/reliability.md tells what each row's test is."""
 from __future__ import annotations
 
+from contextlib import closing, ExitStack
 from itertools import count
 import os
 from pathlib import Path
@@ -12,6 +13,7 @@ import socket
 import subprocess
 import sys
 
+from command import running
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
@@ -32,6 +34,8 @@ pytestmark = pytest.mark.ros
 POLICY = runpy.run_path(str(ROOT / 'tools' / 'make_policy.py'))
 START = 10 ** 18
 PERIOD = 50_000_000
+SPHERE = ('-p', 'target.type:=sphere', '-p', 'target.radius:=0.04', '-p',
+          'sampling.mode:=manual')
 LISTENING = '0A'  # TCP_LISTEN of the kernel
 
 
@@ -93,6 +97,13 @@ def test_the_network_goes_and_comes_back(tmp_path: Path) -> None:
     assert run.returncode == 0, run.stdout + run.stderr
 
 
+def stand(client: Client, start: int) -> None:
+    """Send what is seen during a second of a robot that stands still."""
+    for stamp in range(start, start + 20 * PERIOD, PERIOD):
+        client.poses.publish(pose_message(stamp))
+        client.profiles.publish(sphere_profile(stamp + 1))
+
+
 def test_the_discovery_server_goes_and_comes_back(tmp_path: Path, monkeypatch) -> None:
     server = shutil.which('fast-discovery-server', path=str(Path(sys.executable).parent)
                           + os.pathsep + os.environ['PATH'])
@@ -105,20 +116,21 @@ def test_the_discovery_server_goes_and_comes_back(tmp_path: Path, monkeypatch) -
     command = [server, '-i', '0', '-l', '127.0.0.1', '-p', port]
     with ExitStack() as stack:
         first = stack.enter_context(running(command, stdout=subprocess.DEVNULL))
-        stack.enter_context(running_node(tmp_path, *BY_HAND))
+        stack.enter_context(running_node(tmp_path, *SPHERE))
         client = stack.enter_context(closing(Client()))
         client.connect()
-        feed(client, START)
+        stand(client, START)
         client.until_counted(profiles=20, poses=20)
         assert client.call('take_sample').success
+        assert client.call('remove_last_sample').success
         first.kill()
         first.wait()
-        feed(client, START + 30 * 10**9)
+        stand(client, START + 30 * 10**9)  # who knew each other still does
         client.until_counted(profiles=40, poses=40)
-        assert 'it brings nothing new' in client.call('take_sample').message
+        assert 'sample 2 taken' in client.call('take_sample').message
         stack.enter_context(running(command, stdout=subprocess.DEVNULL))
         stack.enter_context(closing(Client())).connect()
-        assert 'removed sample 1' in client.call('remove_last_sample').message
+        assert 'removed sample 2' in client.call('remove_last_sample').message
 
 
 def test_a_simulated_clock_that_jumps_forth_and_back(tmp_path: Path, client: Client) -> None:
@@ -126,8 +138,7 @@ def test_a_simulated_clock_that_jumps_forth_and_back(tmp_path: Path, client: Cli
     told: list[int] = []
     client.node.create_subscription(DiagnosticArray, '/diagnostics',
                                     lambda msg: told.append(msg.header.stamp.sec), 10)
-    with running_node(tmp_path, '-p', 'use_sim_time:=true', '-p', 'target.type:=sphere',
-                      '-p', 'target.radius:=0.04', '-p', 'sampling.mode:=manual'):
+    with running_node(tmp_path, '-p', 'use_sim_time:=true', *SPHERE):
         client.connect()
         for number, now in enumerate((10**9, 2 * 10**9, 10**9 - 1000, 10**9), 1):
             def taken(now=now) -> bool:
