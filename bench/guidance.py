@@ -135,7 +135,6 @@ class World:
             len(self.samples), reported(T_base_flange, error),
             features, len(used)))
 
-
     def _look(self, features: tuple[Feature, ...], T_target_sensor: np.ndarray) -> None:
         """Refuse what a person sees: that the laser is nowhere near an edge of the target."""
         edges = [f.point for f in features if isinstance(f, EdgePoint)]

@@ -1,7 +1,6 @@
 """Faults while the node runs, one by one; docs/reliability.md tells what each row's test is."""
 from __future__ import annotations
 
-from contextlib import closing, ExitStack
 from itertools import count
 import os
 from pathlib import Path
@@ -13,7 +12,6 @@ import socket
 import subprocess
 import sys
 
-from command import running
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
@@ -97,40 +95,15 @@ def test_the_network_goes_and_comes_back(tmp_path: Path) -> None:
     assert run.returncode == 0, run.stdout + run.stderr
 
 
-def stand(client: Client, start: int) -> None:
-    """Send what is seen during a second of a robot that stands still."""
-    for stamp in range(start, start + 20 * PERIOD, PERIOD):
-        client.poses.publish(pose_message(stamp))
-        client.profiles.publish(sphere_profile(stamp + 1))
-
-
-def test_the_discovery_server_goes_and_comes_back(tmp_path: Path, monkeypatch) -> None:
-    server = shutil.which('fast-discovery-server', path=str(Path(sys.executable).parent)
-                          + os.pathsep + os.environ['PATH'])
+def test_the_discovery_server_is_lost(tmp_path: Path) -> None:
+    own = str(Path(sys.executable).parent)
+    server = shutil.which('fast-discovery-server', path=f'{own}{os.pathsep}{os.environ["PATH"]}')
     if not server:
         pytest.skip('needs fast-discovery-server')
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(('127.0.0.1', 0))
-        port = str(probe.getsockname()[1])
-    monkeypatch.setenv('ROS_DISCOVERY_SERVER', f'127.0.0.1:{port}')
-    command = [server, '-i', '0', '-l', '127.0.0.1', '-p', port]
-    with ExitStack() as stack:
-        first = stack.enter_context(running(command, stdout=subprocess.DEVNULL))
-        stack.enter_context(running_node(tmp_path, *SPHERE))
-        client = stack.enter_context(closing(Client()))
-        client.connect()
-        stand(client, START)
-        client.until_counted(profiles=20, poses=20)
-        assert client.call('take_sample').success
-        assert client.call('remove_last_sample').success
-        first.kill()
-        first.wait()
-        stand(client, START + 30 * 10**9)  # who knew each other still does
-        client.until_counted(profiles=40, poses=40)
-        assert 'sample 2 taken' in client.call('take_sample').message
-        stack.enter_context(running(command, stdout=subprocess.DEVNULL))
-        stack.enter_context(closing(Client())).connect()
-        assert 'removed sample 2' in client.call('remove_last_sample').message
+    run = subprocess.run([sys.executable, 'lost_server.py', str(tmp_path), server],
+                         cwd=ROOT / 'test', capture_output=True, text=True, check=False,
+                         timeout=180)
+    assert run.returncode == 0, run.stdout + run.stderr
 
 
 def test_a_simulated_clock_that_jumps_forth_and_back(tmp_path: Path, client: Client) -> None:

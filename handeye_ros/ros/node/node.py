@@ -73,9 +73,14 @@ class HandeyeNode(Node):
             + (f'on {config.pose_topic}' if config.pose_source == 'topic' else 'from /tf'))
         self._page = serve(self)
 
+    def stop(self) -> None:
+        """End what is being computed, and tell nothing more of it."""
+        self._outlets.close()
+        self.live.stop()
+
     def destroy_node(self) -> None:
         """End the page and what is being computed, too."""
-        self.live.stop()
+        self.stop()
         if self._page:
             self._page.stop()
         super().destroy_node()
@@ -244,6 +249,7 @@ def run() -> None:
             if rclpy.ok():  # else a signal came while it prepared to wait
                 raise
         finally:
+            node.stop()
             executor.shutdown()
             node.destroy_node()
         if node.is_busy:

@@ -39,6 +39,7 @@ class Outlets:
         """Advertise all topics."""
         self._node, self._live = node, live
         self._lock = threading.Lock()
+        self._closed = False
         self._shown: Calibration | None = None
         self._told: dict[str, str] = {}
         self._texts = {name: node.create_publisher(String, f'~/{name}', LATCHED)
@@ -62,11 +63,22 @@ class Outlets:
     def show(self) -> None:
         """Publish what has changed since the last time."""
         with self._lock:
+            if self._closed:
+                return
             state = state_of(self._live)
             self._say('samples', json.dumps(samples_message(state)))
             self._show_answer(self._live.calibration)
             self._say('status', json.dumps(status_message(state)))
             self._show_guidance(state.guidance)
+
+    def close(self) -> None:
+        """
+        Publish no changes any more.
+
+        To make a publisher anew wakes the executor, and once that is gone ends the process.
+        """
+        with self._lock:
+            self._closed = True
 
     def _say(self, name: str, text: str) -> None:
         if self._told.get(name) != text:
