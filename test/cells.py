@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from handeye_ros import methods, se3
+from handeye_ros import methods, pipeline, se3
 from handeye_ros.config import Config, with_values
-from handeye_ros.data import Array, Profile, Sample, TimedPose
+from handeye_ros.data import Array, Calibration, Profile, Sample, TimedPose
 from handeye_ros.estimation.method import Method
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import consensus
@@ -155,6 +155,12 @@ def solution_of(name: str, where: str = 'eye_in_hand', seed: int = 0) -> Solutio
 def exact_solution(name: str, where: str, seed: int = 0) -> tuple[Cell, Solution]:
     made = exact_cell(scenario_for(name, where), seed, method=name)
     return made, solved(made.problem)
+
+
+@lru_cache
+def calibration_of(name: str) -> Calibration:
+    made = noisy(name)
+    return pipeline.solve(made.samples, [], made.config, 'laser')
 
 
 def apart(a: Array, b: Array) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 PLATE = ROOT / 'config' / 'plate.yaml'
-PATIENCE = 60.0  # s until something that does not happen fails the test
+PATIENCE = 150.0  # s until something that does not happen fails the test
 
 
 @contextmanager

@@ -42,7 +42,7 @@ def run_module(module: str, *arguments: str) -> subprocess.CompletedProcess[str]
     """Run a module of handeye_ros.ros to its end."""
     return subprocess.run(
         [sys.executable, '-m', f'handeye_ros.ros.{module}', *arguments], cwd=ROOT,
-        capture_output=True, text=True, check=False, timeout=2 * PATIENCE)
+        capture_output=True, text=True, check=False, timeout=PATIENCE)
 
 
 def replay(bag: Path) -> None:

@@ -9,6 +9,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.once
+
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / 'handeye_ros'
 FILES = sorted(PACKAGE.rglob('*.py'))

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from recordings import rewrite
 
+pytestmark = pytest.mark.once
+
 BASE = replace(simulate.SCENARIOS['plate'], stations=(6, 6))
 # as short as it gets with the default sampling
 BASE = replace(BASE, robot=replace(BASE.robot, dwell=0.8, move=0.4, rate=50.0),

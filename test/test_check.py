@@ -60,6 +60,7 @@ def recording(kind, seed, moved=None, robot=ROBOT):
     return samples, calibration(X_told, kind, described(kind, T))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('kind', COUNTS)
 def test_what_did_not_change_is_told_so(kind):
     verdicts = [checking.check(*recording(kind, seed), CONFIG).verdict for seed in range(20)]

@@ -30,8 +30,9 @@ def solved_late(target: str, late: float) -> object:
     return pipeline.calibrate(profiles, made.poses, config)
 
 
-@pytest.mark.parametrize('target', ['plate', 'sphere'])
-@pytest.mark.parametrize('late', [0.7, 1.3, 2.2, -0.8, -1.8])
+@pytest.mark.thorough
+@pytest.mark.parametrize(('target', 'late'), [
+    ('plate', 0.7), ('plate', 2.2), ('plate', -1.8), ('sphere', 1.3), ('sphere', -0.8)])
 def test_clocks_apart_are_told_and_mended(target: str, late: float) -> None:
     with pytest.raises(ClocksDifferError, match='set time_offset to') as caught:
         solved_late(target, late)

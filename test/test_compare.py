@@ -119,6 +119,7 @@ def test_the_order_of_the_samples_does_not_matter(only) -> None:
         assert row.holdout_rms == other.holdout_rms is not None
 
 
+@pytest.mark.thorough
 def test_ours_is_three_times_as_accurate_as_chen(only) -> None:
     only('plate', 'plate', CHEN_RIGID)  # the better of the two; bench/compare.py has both
     trials = [by_name(compared(cell('plate', seed, noise__distortion=0.0)))

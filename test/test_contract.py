@@ -18,6 +18,8 @@ import pytest
 import typer.main
 import yaml
 
+pytestmark = pytest.mark.once
+
 ROOT = Path(__file__).parents[1]
 CONTRACT = (ROOT / 'docs' / 'contract.md').read_text(encoding='utf-8')
 LIBRARY = (ROOT / 'docs' / 'library.md').read_text(encoding='utf-8')

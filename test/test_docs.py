@@ -12,6 +12,8 @@ from command import handeye, ROOT
 from handeye_ros import config as configs
 import pytest
 
+pytestmark = pytest.mark.once
+
 PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
 PROGRAM = re.compile(r'^(?:\$ )?(?:[A-Z_]+=\S+ )*(?:\.venv/bin/)?'
                      r'(handeye|make|ros2|python)(?= [-\w./]+(?: |$))')

@@ -210,6 +210,7 @@ def test_the_settings_of_a_scenario_tell_its_noise() -> None:
         SCENARIOS['plate'].robot.repeatability)
 
 
+@pytest.mark.thorough
 def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
     many = replace(SCENARIOS['sphere'], stations=(1000, 1000))
     samples, truth = simulate_samples(many, np.random.default_rng(0))

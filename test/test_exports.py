@@ -235,6 +235,7 @@ def test_the_verb_exports_beside_the_calibration(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_matrix(run.stdout)[0], T, rtol=0, atol=1e-9)
 
 
+@pytest.mark.once
 def test_the_verb_refuses_by_sentence(tmp_path: Path) -> None:
     run = handeye('export', '.', '--format', 'urdf', cwd=tmp_path)
     assert_refused(run, 2, 'calibration.yaml cannot be used')

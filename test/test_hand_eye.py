@@ -103,6 +103,7 @@ def test_nearer_than_the_two_motions_of_the_patent() -> None:
     assert (ours < published).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('eye_on_base', [False, True])
 @pytest.mark.parametrize('known', [True, False])
 def test_the_covariance_is_true(known: bool, eye_on_base: bool) -> None:

@@ -90,6 +90,7 @@ def test_one_orientation_per_edge_is_one_axis(where: str, frame: str) -> None:
     assert_names(str(error), turn / np.linalg.norm(turn), frame)
 
 
+@pytest.mark.thorough
 @every_method
 @everywhere
 def test_tilts_of_one_degree_are_too_uncertain(name: str, where: str, frame: str) -> None:
@@ -104,6 +105,7 @@ def test_tilts_of_one_degree_are_too_uncertain(name: str, where: str, frame: str
         assert_names(str(error).split('RMS about')[1], axes[1], frame)
 
 
+@pytest.mark.thorough
 @every_method
 def test_what_is_too_uncertain_is_the_worst_direction(name: str) -> None:
     made = cell(scenario(name), 1, method=name)
@@ -150,6 +152,7 @@ def test_too_few_samples_are_refused_with_what_became_of_the_rest(name: str) -> 
         pipeline.solve([], [], made.config, 'laser')
 
 
+@pytest.mark.thorough
 @every_method
 def test_the_fewest_samples_give_an_answer_or_a_reason(name: str) -> None:
     made = cell(scenario(name), 3, method=name)

@@ -46,6 +46,7 @@ def test_points_alone_need_no_face_lines() -> None:
     assert any(isinstance(f, FaceLine) for s in made.samples for f in s.features)
 
 
+@pytest.mark.thorough
 def test_the_face_makes_it_better() -> None:
     errors = []
     for seed in range(6):
@@ -57,6 +58,7 @@ def test_the_face_makes_it_better() -> None:
     assert both < 0.8 * alone
 
 
+@pytest.mark.thorough
 def test_as_near_as_zheng_from_beside_the_truth() -> None:
     """A few seeds; bench/compare.py has fifty."""
     errors = []
@@ -73,6 +75,7 @@ def test_as_near_as_zheng_from_beside_the_truth() -> None:
     assert ours <= 1.02 * published
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('width', [0.015, 0.025])
 @pytest.mark.parametrize('use_face', [False, True])
 def test_a_bar_of_which_both_edges_are_in_sight(width: float, use_face: bool) -> None:
@@ -83,6 +86,7 @@ def test_a_bar_of_which_both_edges_are_in_sight(width: float, use_face: bool) ->
     assert made.error(found.T_flange_sensor) < 3e-4
 
 
+@pytest.mark.thorough
 def test_stations_at_another_edge_are_left_out() -> None:
     made = cell(replace(LINE, wrong_edges=2), 4)
     found = pipeline.solve(made.samples, [], made.config, 'laser')
@@ -98,6 +102,7 @@ def test_six_points_are_too_few() -> None:
     assert methods.of(made.config).name == 'line'
 
 
+@pytest.mark.thorough
 def test_an_edge_between_two_faces_of_which_either_is_taken_with_its_other_end() -> None:
     """Neither all ends nor those of one side lie on one line; the best known ones do."""
     found = 0
@@ -116,6 +121,7 @@ def test_an_edge_between_two_faces_of_which_either_is_taken_with_its_other_end()
     assert found == 2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('seed', [1, 2])
 def test_the_edge_of_a_block_keeps_to_one_face(seed: int) -> None:
     """Of the two faces of the edge now the one, now the other is seen better."""

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from command import running  # noqa: E402, I100
+from command import PATIENCE, running  # noqa: E402, I100
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped  # noqa: E402
 from handeye_ros.ros.node import params  # noqa: E402
 from rcl_interfaces.srv import GetParameters  # noqa: E402
@@ -156,7 +156,7 @@ def test_without_tf2_msgs_poses_from_tf_are_refused(tmp_path: Path) -> None:
              'from handeye_ros.ros.node.main import main; sys.exit(main())')
     run = subprocess.run(
         [sys.executable, '-c', block, '--ros-args', '-p', 'pose_source:=tf'], cwd=ROOT,
-        capture_output=True, text=True, check=False, timeout=60)
+        capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert run.returncode == 2
     assert 'pose_source is tf, but tf2_msgs is not installed' in run.stderr
 
@@ -283,7 +283,7 @@ def test_the_node_ends_cleanly_while_it_solves(
         service.call_async(Trigger.Request())
         client.until(lambda: 'solving' in log.read_text(), 'it solves')
         process.send_signal(number)
-        assert process.wait(60) == 0
+        assert process.wait(PATIENCE) == 0
     said = log.read_text().splitlines()
     assert [line for line in said if '[INFO]' not in line and '[WARN]' not in line] == ['solving']
 
@@ -322,7 +322,7 @@ def test_without_a_place_for_logs(module: str) -> None:
              f'; import sys; from handeye_ros.ros.{module} import main; sys.exit(main())')
     arguments = ['bags/sphere'] if module == 'replay' else []
     run = subprocess.run([sys.executable, '-c', block, *arguments], cwd=ROOT, text=True,
-                         capture_output=True, check=False, timeout=60)
+                         capture_output=True, check=False, timeout=PATIENCE)
     assert run.returncode == 2
     assert run.stderr.startswith('ROS does not start: it has no place for its logs')
     assert run.stderr.count('\n') == 1
@@ -333,5 +333,5 @@ def test_the_node_ends_cleanly(tmp_path: Path, client: Client, number: int) -> N
     with running_node(tmp_path) as process:
         client.state()
         process.send_signal(number)
-        assert process.wait(60) == 0
+        assert process.wait(PATIENCE) == 0
     assert 'Traceback' not in (tmp_path / 'node.log').read_text()

@@ -18,6 +18,8 @@ from handeye_ros.ros.page import server as servers  # noqa: E402
 from handeye_ros.ros.page.guard import BURST, Guard  # noqa: E402
 from handeye_ros.ros.page.server import PageServer, plain, Source  # noqa: E402
 
+pytestmark = pytest.mark.once
+
 JSON = {'Content-Type': 'application/json'}
 
 

@@ -210,6 +210,7 @@ def test_profiles_between_the_stops_are_no_matter() -> None:
 # -- what carries no answer
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(('name', 'error'), [
     ('one_orientation', OneOrientationError), ('tilt_only', OneAxisError),
     ('yaw_only', OneAxisError), ('one_orientation_per_edge', OneAxisError),

@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 TFMessage = pytest.importorskip('tf2_msgs.msg', reason='needs tf2_msgs').TFMessage
-from command import running  # noqa: E402, I100
+from command import PATIENCE, running  # noqa: E402, I100
 from handeye_ros import se3  # noqa: E402
 from handeye_ros.data import Calibration, Quality  # noqa: E402
 from handeye_ros.results import exports  # noqa: E402
@@ -49,7 +49,7 @@ def test_all_are_heard_by_who_comes_late(tmp_path: Path, client: Client) -> None
     with publishing(tmp_path / 'plate', tmp_path / 'camera' / 'calibration.yaml') as process:
         (message,) = heard(client)
         process.send_signal(signal.SIGINT)
-        assert process.wait(60) == 0
+        assert process.wait(PATIENCE) == 0
     told = {(t.header.frame_id, t.child_frame_id): t.transform for t in message.transforms}
     assert told.keys() == {('flange', 'laser'), ('base', 'camera')}
     for calibration in (LASER, CAMERA):
@@ -69,7 +69,7 @@ def test_what_can_be_read_is_published_beside_what_cannot(tmp_path: Path, client
         (message,) = heard(client)
         assert [t.child_frame_id for t in message.transforms] == ['laser']
         process.terminate()
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2 and 'Traceback' not in err, err
     for words in ('bad.yaml cannot be used: it is not valid YAML', 'none.yaml cannot be used',
                   'gives laser a place already', '3 of 4 calibrations not published'):

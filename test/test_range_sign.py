@@ -81,6 +81,7 @@ def test_the_rejects_of_a_recording_carry_what_the_other_way_shows() -> None:
     assert (both.as_set, both.flipped) == (evidence.flipped, evidence.as_set)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('seed', range(3))
 def test_the_foot_of_a_plate_is_not_taken_for_its_edge(seed: int) -> None:
     made = recorded('plate_on_table', seed, columns=640)

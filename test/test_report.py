@@ -70,6 +70,7 @@ def text_of(page: Any, name: str) -> str:
     return str(page.find_element('id', name).get_attribute('textContent'))
 
 
+@pytest.mark.once
 def test_it_opens_without_a_network(solved: Path) -> None:
     text = (solved / 'report.html').read_text()
     plain = re.sub(r'base64,[A-Za-z0-9+/=]+', '', text)

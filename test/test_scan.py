@@ -266,6 +266,7 @@ def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
     np.testing.assert_allclose(vertex['z'], 0.1, atol=1e-6)
 
 
+@pytest.mark.once
 def test_the_verb_refuses_in_words(tmp_path):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
     bag_write.write(tmp_path / 'bag', plane_profiles(10), moving(10))

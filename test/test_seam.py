@@ -218,6 +218,7 @@ def test_the_verb_on_a_recording(tmp_path):
     assert len(rows) > 20 and np.sqrt((off ** 2).mean()) < 1.5e-4, off
 
 
+@pytest.mark.once
 def test_the_verb_refuses_in_words(tmp_path):
     write_cloud(tmp_path / 'c.ply', cloud_of(seams=2).points)
     assert_refused(handeye('seam', 'c.ply', cwd=tmp_path), 3, '2 seams')

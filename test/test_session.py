@@ -130,6 +130,7 @@ def test_the_command_line_gives_the_answer_of_the_node(whole: Path, tmp_path: Pa
     assert n == found.quality.samples_used + 1
 
 
+@pytest.mark.once
 def test_the_command_line_shows_the_samples(whole: Path, tmp_path: Path) -> None:
     run = handeye('samples', whole, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
@@ -279,6 +280,7 @@ def test_what_is_no_session_is_told(tmp_path: Path) -> None:
         read_session(Path(live.path))
 
 
+@pytest.mark.once
 def test_nothing_acknowledged_is_lost_by_kills() -> None:
     run = subprocess.run([sys.executable, 'bench/kills.py', '--count', '20'], cwd=ROOT, text=True,
                          capture_output=True, check=False)

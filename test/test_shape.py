@@ -31,6 +31,7 @@ def solved(scenario: Scenario, seed: int, scale: float = 1.0, **changes: object
         se3.difference(found.T_flange_sensor, truth.T_flange_sensor)[:3]))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('degrees', [87.0, 88.0, 89.0, 89.5, 91.0, 92.0, 93.0])
 def test_a_plate_that_is_not_square_is_measured_and_named(degrees: float) -> None:
     target = PlateTarget(edge_angle=np.radians(degrees))

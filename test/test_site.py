@@ -10,6 +10,8 @@ import pytest
 
 pytest.importorskip('mkdocs', reason='needs mkdocs')
 
+pytestmark = pytest.mark.once
+
 
 def test_the_site_builds(tmp_path: Path) -> None:
     run = subprocess.run(

@@ -6,6 +6,7 @@ from dataclasses import replace
 from cells import (
     ANY_POSE,
     apart,
+    calibration_of,
     every_method,
     exact_solution,
     noisy,
@@ -64,11 +65,12 @@ def test_a_moved_flange_frame_moves_the_exact_transform(name: str) -> None:
     assert apart(se3.inverse(ANY_POSE) @ first.estimate.X, second.estimate.X) < 2e-9
 
 
+@pytest.mark.thorough
 @every_method
 def test_the_order_of_the_stations_is_no_matter(name: str) -> None:
     made, first = noisy(name), solution_of(name)
     rng = np.random.default_rng(5)
-    for _ in range(8):
+    for _ in range(4):
         shuffled = [made.samples[k] for k in rng.permutation(len(made.samples))]
         second = solved(problem(shuffled, made.config))
         assert apart(first.estimate.X, second.estimate.X) < 1e-9
@@ -76,13 +78,11 @@ def test_the_order_of_the_stations_is_no_matter(name: str) -> None:
             1e-6 * np.abs(first.covariance).max())
 
 
-@pytest.mark.thorough
 @every_method
-def test_fifty_shuffles_of_the_samples_give_the_same_calibration(name: str) -> None:
-    made = noisy(name)
+def test_shuffled_samples_give_the_same_calibration(name: str) -> None:
+    made, first = noisy(name), calibration_of(name)
     rng = np.random.default_rng(6)
-    first = pipeline.solve(made.samples, [], made.config, 'laser')
-    for _ in range(50 if name == 'plate' else 4):
+    for _ in range(2):  # it sorts them by their stamps, so which shuffle it is does not matter
         shuffled = [made.samples[k] for k in rng.permutation(len(made.samples))]
         second = pipeline.solve(shuffled, [], made.config, 'laser')
         assert apart(first.T_flange_sensor, second.T_flange_sensor) < 1e-9
@@ -92,8 +92,8 @@ def test_fifty_shuffles_of_the_samples_give_the_same_calibration(name: str) -> N
 
 @every_method
 def test_the_same_samples_give_the_same_answer_to_the_last_bit(name: str) -> None:
-    made = noisy(name)
-    one, two = (pipeline.solve(made.samples, [], made.config, 'laser') for _ in range(2))
+    made, one = noisy(name), calibration_of(name)
+    two = pipeline.solve(made.samples, [], made.config, 'laser')
     assert np.array_equal(one.T_flange_sensor, two.T_flange_sensor)
     assert np.array_equal(one.covariance, two.covariance) and one.quality == two.quality
 

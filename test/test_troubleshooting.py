@@ -11,6 +11,8 @@ from command import ROOT
 from handeye_ros.errors import HandeyeError
 import pytest
 
+pytestmark = pytest.mark.once
+
 PAGE = (ROOT / 'docs' / 'troubleshooting.md').read_text(encoding='utf-8')
 ROWS = [line for line in PAGE.splitlines() if line.startswith('|') and '---' not in line
         and not line.startswith('| you read')]
