@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+import math
 
 from handeye_ros import se3
 from handeye_ros.config import SamplingConfig
@@ -125,10 +126,9 @@ class StationFinder:
 
     def _continues(self, pose: TimedPose) -> bool:
         first, limits = self._run[0], self.sampling
-        moved = np.linalg.norm(pose.translation - first.translation)
-        return bool(moved <= limits.still_translation
-                    and _turned(first, pose) <= limits.still_rotation
-                    and pose.stamp - self._latest <= limits.max_pose_gap * NS)
+        return (math.dist(pose.translation, first.translation) <= limits.still_translation
+                and _turned(first, pose) <= limits.still_rotation
+                and pose.stamp - self._latest <= limits.max_pose_gap * NS)
 
     def _station(self, run: deque[TimedPose]) -> Station | None:
         still = bool(run) and run[-1].stamp - run[0].stamp >= self.sampling.still_time * NS
@@ -137,8 +137,8 @@ class StationFinder:
 
 def _turned(a: TimedPose, b: TimedPose) -> float:
     """Return the angle between close orientations (rad): twice |q1 - q2|."""
-    return 2 * float(min(np.linalg.norm(a.quaternion - b.quaternion),
-                         np.linalg.norm(a.quaternion + b.quaternion)))
+    apart = math.dist(a.quaternion, b.quaternion)  # of three numbers much quicker than numpy
+    return 2 * (apart if apart < 1.0 else min(apart, math.dist(a.quaternion, -b.quaternion)))
 
 
 def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:

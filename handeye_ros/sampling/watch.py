@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
+import math
 from typing import Self
 
 from handeye_ros.config import Config, UNNAMED_FRAME
@@ -27,7 +28,6 @@ from handeye_ros.sampling.kept import KeptProfiles
 from handeye_ros.sampling.stations import FOREVER, Motion, NS, Station, StationFinder
 from handeye_ros.sampling.stops import beside, Stop, stop_of
 from handeye_ros.sampling.stream import LARGEST_STEP, Stream
-import numpy as np
 
 LARGEST_POSITION = 50.0  # of a flange in metres: more is another unit
 SILENCE = 0.25  # s without a pose, while profiles come, after which the robot may be anywhere
@@ -118,7 +118,7 @@ class Watch:
 
     def _take_poses(self, poses: Sequence[TimedPose]) -> None:
         for pose in poses:
-            reach = float(np.linalg.norm(pose.translation))
+            reach = math.hypot(*pose.translation)
             self._largest_position = max(self._largest_position, reach)
             station = self._finder.add(pose)
             if station and self._config.sampling.by_itself:
