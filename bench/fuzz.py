@@ -3,6 +3,7 @@
 Malformed messages and damaged files: no crash, no hang, no memory without bound.
 
 usage: python bench/fuzz.py [--messages 1000000] [--files 100000] [--seconds S] [--seed 0]
+                            [--only KIND ...]
        python bench/fuzz.py --guided [--seconds S]
 
 Each case is made by its number and the seed alone, so a failure is found again. It must end in
@@ -72,6 +73,8 @@ def main() -> int:
     parser.add_argument('--files', type=int, default=100_000)
     parser.add_argument('--seconds', type=float, default=3600.0, help='of each kind, at most')
     parser.add_argument('--seed', type=int, default=0)
+    parser.add_argument('--only', nargs='+', choices=[*MESSAGES, *FILES], metavar='KIND',
+                        default=[*MESSAGES, *FILES], help='the kinds to run, default: all')
     parser.add_argument('--guided', action='store_true')
     options = parser.parse_args()
     if options.guided:
@@ -82,12 +85,11 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         prepare(folder)
-        for kind, case in MESSAGES.items():
-            failed += fuzz(kind, case, options.seed, round(options.messages * SHARES[kind]),
-                           options.seconds, folder)
-        for kind, case in FILES.items():
-            failed += fuzz(kind, case, options.seed, options.files // len(FILES),
-                           options.seconds, folder)
+        for kind in options.only:
+            count = (round(options.messages * SHARES[kind]) if kind in MESSAGES else
+                     options.files // len(FILES))
+            failed += fuzz(kind, (MESSAGES | FILES)[kind], options.seed, count, options.seconds,
+                           folder)
     return bool(failed)
 
 

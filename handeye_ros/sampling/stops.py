@@ -113,8 +113,13 @@ def evenly(profiles: Sequence[AnyProfile], most: int) -> list[AnyProfile]:
 
 def sample_of(stop: Stop, config: Config) -> Sample:
     """Return the sample of a stop; raises NoProfilesError or FeatureError with the reason."""
-    method, seen = methods.of(config), stop.load(config)
-    profiles = _still(seen, config)
+    seen = stop.load(config)
+    return _sample(seen, _still(seen, config), config)
+
+
+def _sample(seen: Seen, profiles: Sequence[Profile], config: Config) -> Sample:
+    """Return the sample of what was seen at a stop; profiles: of when nothing swings any more."""
+    method = methods.of(config)
     if not profiles:
         raise NoProfilesError((seen.poses[-1].stamp - seen.poses[0].stamp) / NS)
     used, combined = station_features.of_station(
@@ -160,11 +165,11 @@ def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
 
 def result_of(stop: Stop, config: Config) -> Sample | Reject:
     """Return the sample of a stop, or why it gives none."""
+    seen = stop.load(config)
+    profiles = _still(seen, config)
     try:
-        return sample_of(stop, config)
+        return _sample(seen, profiles, config)
     except (FeatureError, NoProfilesError) as error:
-        seen = stop.load(config)
-        profiles = _still(seen, config)
         flipped = _flipped(profiles[0], config) if profiles else ()
         return Reject(seen.poses[0].stamp, str(error), flipped)
 
