@@ -10,7 +10,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Calibration, EdgePoint, FaceLine, Sample
 from handeye_ros.estimation.algebra import inverse
-from handeye_ros.estimation.doubts import doubts
+from handeye_ros.estimation.doubts import bent, Doubt, doubts
 from handeye_ros.estimation.fields import bending, likeness, places, process
 from handeye_ros.estimation.mixed import settled
 from handeye_ros.estimation.problem import linearise
@@ -169,15 +169,19 @@ def test_a_distortion_is_no_motion_of_the_plane() -> None:
     assert np.sqrt((fields ** 2).sum(axis=2).mean(axis=0)) == pytest.approx([1, 1], rel=0.1)
 
 
+def found_at(solution: Solution) -> tuple[Doubt, ...]:
+    at_problem, at = solution.problem, solution.estimate
+    return doubts(at_problem, linearise(at_problem, at), bent(at_problem, at))
+
+
 def test_every_doubt_has_a_prior_and_what_is_certain_is_none() -> None:
     made = cell('plate', 0, **DOUBTFUL)
     solution = solved(made.problem)
-    names = [d.name for d in doubts(
-        solution.problem, solution.estimate, linearise(solution.problem, solution.estimate))]
+    names = [d.name for d in found_at(solution)]
     assert {'scale', 'robot_position', 'robot_rotation', 'distortion_1', 'flatness_2',
             'edge_angle'} <= set(names)
     certain = solved(cell('plate', 0).problem)
-    assert not doubts(certain.problem, certain.estimate, certain.linear)
+    assert not found_at(certain)
 
 
 def test_without_doubts_the_answer_is_plain_least_squares() -> None:

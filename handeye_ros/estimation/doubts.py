@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.data import Array
@@ -23,6 +24,8 @@ FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}
 # Of the six numbers of a pose, those that a smooth error of the robot changes, and its unit.
 SMOOTH = {'robot_position': slice(0, 3), 'robot_rotation': slice(3, 6)}
 SMOOTH_UNIT = {'robot_position': 1.0, 'robot_rotation': 1 / TURN_LENGTH}
+
+Bent: TypeAlias = list[list[Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +49,11 @@ def tolerances(problem: Problem) -> Array:
     return stated if len(stated) else np.zeros(len(problem.method.labels))
 
 
-def doubts(problem: Problem, estimate: Estimate, linear: Linear) -> tuple[Doubt, ...]:
-    """Return all that may be wrong at an estimate."""
+def doubts(problem: Problem, linear: Linear, bent: Bent) -> tuple[Doubt, ...]:
+    """Return all that may be wrong at an estimate; bent: the faces' ways to be, near it."""
     found = [*_stated(problem, linear), *_setbacks(problem, linear),
              *_robot(problem, linear), *_sensor(problem, linear),
-             *_faces(problem, estimate)]
+             *_faces(problem, bent)]
     return tuple(doubt for doubt in found if doubt.std > 0 and np.any(doubt.columns))
 
 
@@ -62,23 +65,15 @@ def _stated(problem: Problem, linear: Linear) -> Iterator[Doubt]:
 
 def _setbacks(problem: Problem, linear: Linear) -> Iterator[Doubt]:
     """Yield by how much the faces end short of each edge, for each way in which they end."""
-    obs, std = problem.observations, problem.config.target.setback_std
-    along = (linear.by_point * obs.outward).sum(axis=1)
-    source = obs.station * (int(obs.source.max(initial=0)) + 1) + obs.source
-    _, inverse, count = np.unique(source, return_inverse=True, return_counts=True)
-    length = np.sqrt(np.bincount(inverse, along ** 2))[inverse]
-    outwards = np.divide(along, length, out=np.zeros(len(obs)), where=length > 0)
-    edge = np.where(count[inverse] > 1, 0, obs.kind)  # conditions of one point share its edge
-    for kind, end in sorted({(int(k), int(e)) for k, e in zip(edge, obs.end, strict=True) if e}):
-        here = (edge == kind) & (obs.end == end)
+    obs, std, ends = problem.observations, problem.config.target.setback_std, problem.ends
+    outwards = ends.outwards((linear.by_point * obs.outward).sum(axis=1))
+    for (kind, end), here in ends.parts.items():
         name = f'setback_{problem.method.kinds[kind]}_{end}'
         yield Doubt(name, np.where(here, outwards, 0.0)[:, None] * std, std)
     # what of a bevel or of a blurred step is seen depends on the tilt
-    slope = np.divide(obs.outward[:, 1], np.abs(obs.outward[:, 0]), out=np.zeros(len(obs)),
-                      where=obs.outward[:, 0] != 0)
-    for end in sorted(set(obs.end[obs.end > 0].tolist())):
-        tilted = np.where(obs.end == end, outwards, 0.0)[:, None] * np.column_stack(
-            [slope, 2 * slope ** 2])
+    by_slope = np.column_stack([ends.slope, 2 * ends.slope ** 2])
+    for end in sorted({end for _, end in ends.parts}):
+        tilted = np.where(obs.end == end, outwards, 0.0)[:, None] * by_slope
         yield Doubt(f'incidence_{end}', tilted * std, std)
 
 
@@ -132,13 +127,17 @@ def _sensor(problem: Problem, linear: Linear) -> Iterator[Doubt]:
         yield Doubt(f'distortion_{degree}', columns, std * share)
 
 
-def _faces(problem: Problem, estimate: Estimate) -> Iterator[Doubt]:
-    std, kinds = problem.config.noise.flatness, problem.method.kinds
-    if not std:
-        return
-    p = points_in_base(problem, estimate.X)
-    faces = [bent_faces(p, problem.observations.kind == i, list(FLATNESS))
-             for i, name in enumerate(kinds) if name.startswith('face')]
+def bent(problem: Problem, estimate: Estimate) -> Bent:
+    """Return for each face and each degree in which ways (m, k) it may be bent."""
+    if not problem.config.noise.flatness:
+        return []
+    p, kind = points_in_base(problem, estimate.X), problem.observations.kind
+    return [bent_faces(p, kind == i, list(FLATNESS))
+            for i, name in enumerate(problem.method.kinds) if name.startswith('face')]
+
+
+def _faces(problem: Problem, faces: Bent) -> Iterator[Doubt]:
+    std = problem.config.noise.flatness
     for (degree, share), *columns in zip(FLATNESS.items(), *faces, strict=True):
         if columns:
             yield Doubt(f'flatness_{degree}', np.hstack(columns) * (std * share), std * share)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.algebra import inverse
-from handeye_ros.estimation.doubts import Doubt, doubts
+from handeye_ros.estimation.doubts import Bent, bent, Doubt, doubts
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Linear, linearise, Problem
 from handeye_ros.estimation.sizes import Sizes, sizes
@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 ROUNDS = 10  # of linearising
 STEPS, LAST_STEPS = 2, 4  # of estimating sizes in each round, and after the last
 SETTLED = 0.03  # relative change of a variance that changes no answer
-SETTLED_NOISE = 0.1
+SETTLED_NOISE = 0.1  # the same, on the way
 ASKED = 300  # stations that at most are asked for the noise
 CONVERGED = 1e-2  # step in sigmas
 DIVERGED = 4.0  # of a step over the smallest before
@@ -62,8 +62,8 @@ def settled(problem: Problem, start: Estimate, noise: Noise | None = None) -> So
         best, least = best if astray else system, min(size, least)
         estimate, deviation = system.moved(x)
         noise, before = system.with_noise(x, covariance), system.noise.factors
-        system = _System.of(problem, estimate, noise, deviation)
-        system = system.with_sizes(system.sized(STEPS).stated)
+        system = system.at(estimate, noise, deviation)
+        system = system.with_sizes(system.sized(STEPS, SETTLED_NOISE).stated)
         if size < CONVERGED and np.abs(np.log(noise.factors / before)).max() < SETTLED_NOISE:
             break
     return system.answer()
@@ -95,18 +95,25 @@ class _System:
     b: Array
     group: NDArray[np.intp]
     deviation: Array
+    faces: Bent
 
     @classmethod
-    def of(cls, problem: Problem, estimate: Estimate, noise: Noise, deviation: Array) -> _System:
+    def of(cls, problem: Problem, estimate: Estimate, noise: Noise, deviation: Array,
+           faces: Bent | None = None) -> _System:
         linear = linearise(problem, estimate)
-        found = doubts(problem, estimate, linear)
+        faces = bent(problem, estimate) if faces is None else faces
+        found = doubts(problem, linear, faces)
         white: Whitening = whitening(problem, linear, noise)
         residuals = linear.residuals - linear.jacobian[:, 6:] @ deviation
         columns = [linear.jacobian[:, problem.columns], *(d.columns for d in found)]
         A, r = white(np.hstack(columns)), white(residuals)
         group = np.repeat(np.arange(len(found)), [d.columns.shape[1] for d in found])
         return cls(problem, estimate, linear, noise, found, r, A, A.T @ A, A.T @ r, group,
-                   deviation)
+                   deviation, faces)
+
+    def at(self, estimate: Estimate, noise: Noise, deviation: Array) -> _System:
+        """Return the system at another estimate, so near that faces look alike from it."""
+        return _System.of(self.problem, estimate, noise, deviation, self.faces)
 
     @property
     def u(self) -> int:
@@ -131,30 +138,22 @@ class _System:
         covariance = inverse(information)
         return -covariance @ (s * self.b), covariance
 
-    def sized(self, steps: int) -> Sizes:
-        """Return how large the doubts show themselves."""
-        now = np.array([self.noise.doubts.get(d.name, 1.0) for d in self.doubts])
-        found = Sizes(now, now)
-        if not self.doubts:
-            return found
-        largest = np.array([MOST if d.parameter is None else LARGEST for d in self.doubts])
-        M, c = self._reduced()
-        for _ in range(steps):
-            before = found.stated
-            s = np.sqrt(before)[self.group]
-            C = inverse(M * np.outer(s, s) + np.eye(len(s)))
-            found = sizes(C, -C @ (s * c), self.first, before, largest)
-            if np.abs(np.log(found.stated / before)).max() < SETTLED:
-                break
-        return found
+    def sized(self, steps: int, settled: float) -> Sizes:
+        """
+        Return how large the doubts show themselves.
 
-    def _reduced(self) -> tuple[Array, Array]:
-        """Return information (q, q) and gradient (q,) of the doubts, all unknowns free."""
-        u = self.u
-        JJ, JK, KK = self.N[:u, :u], self.N[:u, u:], self.N[u:, u:]
-        solve = inverse(JJ) @ np.column_stack([JK, self.b[:u]])
-        M = KK - JK.T @ solve[:, :-1]
-        return (M + M.T) / 2, self.b[u:] - JK.T @ solve[:, -1]
+        settled: relative change of a variance that ends the steps.
+        """
+        now = np.array([self.noise.doubts.get(d.name, 1.0) for d in self.doubts])
+        found, system, u = Sizes(now, now), self, self.u
+        largest = np.array([MOST if d.parameter is None else LARGEST for d in self.doubts])
+        for _ in range(steps if self.doubts else 0):
+            before, (x, covariance) = found.stated, system.solved()
+            found = sizes(covariance[u:, u:], x[u:], self.first, before, largest)
+            if np.abs(np.log(found.stated / before)).max() < settled:
+                break
+            system = self.with_sizes(found.stated)
+        return found
 
     def with_noise(self, x: Array, covariance: Array) -> Noise:
         """Return the noise with the factors of sensor and robot that the residuals show."""
@@ -196,10 +195,10 @@ class _System:
 
     def answer(self) -> Solution:
         """Return the solution, with what is stated of it."""
-        found = self.sized(LAST_STEPS)
+        found = self.sized(LAST_STEPS, SETTLED)
         lean = self.with_sizes(found.lean)
         estimate, deviation = lean.moved(lean.solved()[0])
-        there = _System.of(self.problem, estimate, lean.noise, deviation)
+        there = self.at(estimate, lean.noise, deviation)
         wide = there.with_sizes(found.stated)
         return replace(there.solution(), cautious=wide.solution())
 

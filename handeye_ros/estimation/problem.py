@@ -14,7 +14,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.fields import bending, places, process
 from handeye_ros.estimation.method import Estimate, Method, Observations
-from handeye_ros.estimation.stations import Stations, stations_of
+from handeye_ros.estimation.stations import Ends, ends_of, Stations, stations_of
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,6 +50,11 @@ class Problem:
     def stations(self) -> tuple[Stations, ...]:
         """Return what the observations of each station have in common."""
         return stations_of(self.observations)
+
+    @cached_property
+    def ends(self) -> Ends:
+        """Return the ends of faces among the observations."""
+        return ends_of(self.observations)
 
     @cached_property
     def places(self) -> Array:

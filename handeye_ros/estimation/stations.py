@@ -34,6 +34,37 @@ class Stations:
                         self.edge[::step], self.rest[::step])
 
 
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """
+    The ends of faces, m observations in all.
+
+    feature: (m,) which feature each is of; parts: the kind (0 where an end has several) and the
+    way in which a face ends, and which observations (m,) these are; slope: (m,) of the face
+    there, against the line of sight.
+    """
+
+    feature: NDArray[np.intp]
+    parts: dict[tuple[int, int], NDArray[np.bool_]]
+    slope: Array
+
+    def outwards(self, along: Array) -> Array:
+        """Return derivatives (m,) by the point out of its face, of unit length by feature."""
+        length = np.sqrt(np.bincount(self.feature, along ** 2))[self.feature]
+        return np.divide(along, length, out=np.zeros(len(along)), where=length > 0)
+
+
+def ends_of(obs: Observations) -> Ends:
+    """Return the ends of faces among observations."""
+    source = obs.station * (int(obs.source.max(initial=0)) + 1) + obs.source
+    _, feature, count = np.unique(source, return_inverse=True, return_counts=True)
+    kind = np.where(count[feature] > 1, 0, obs.kind)  # conditions of one point share its edge
+    found = sorted({(int(k), int(e)) for k, e in zip(kind, obs.end, strict=True) if e})
+    slope = np.divide(obs.outward[:, 1], np.abs(obs.outward[:, 0]), out=np.zeros(len(obs)),
+                      where=obs.outward[:, 0] != 0)
+    return Ends(feature, {(k, e): (kind == k) & (obs.end == e) for k, e in found}, slope)
+
+
 def stations_of(observations: Observations) -> tuple[Stations, ...]:
     """Return the stations of observations, by how many each has."""
     return tuple(_of_rows(observations, rows) for rows in groups(observations.station))
