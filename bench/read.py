@@ -13,7 +13,7 @@ are of the processor, so that other work on the machine does not count.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 import resource
@@ -78,20 +78,21 @@ def bare(path: Path, deserialise: bool) -> None:
                 store.deserialize_cdr(data, connection.msgtype)
 
 
-def seconds_of(work: Callable[[], object], runs: int = 3) -> float:
-    """Return the least processor time of some runs."""
-    times = []
-    for _ in range(runs):
-        start = time.process_time()
-        work()
-        times.append(time.process_time() - start)
-    return min(times)
+def least_seconds(works: Sequence[Callable[[], object]], rounds: int = 9) -> list[float]:
+    """Return the least processor time of each work, done in turn: others may be busy, too."""
+    least = [float('inf')] * len(works)
+    for _ in range(rounds):
+        for number, work in enumerate(works):
+            start = time.process_time()
+            work()
+            least[number] = min(least[number], time.process_time() - start)
+    return least
 
 
 def tell_rates(path: Path, minutes: float, config: Config) -> None:
     """Print how fast a bag is read."""
-    raw, full = (seconds_of(lambda d=d: bare(path, d)) for d in (False, True))
-    ours = seconds_of(lambda: bag.read(path, config))
+    raw, full, ours = least_seconds([lambda: bare(path, False), lambda: bare(path, True),
+                                     lambda: bag.read(path, config)])
     print(f'{minutes:g} min, {path.stat().st_size / 1e6:.0f} MB: rosbags {raw:.2f} s, and '
           f'deserialised {full:.2f} s; bag.read {ours:.2f} s: {raw / ours:.0%} and '
           f'{full / ours:.0%} of their rates', flush=True)

@@ -11,11 +11,12 @@ from bisect import bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from copy import copy
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from typing import Generic, TypeVar
 
 from handeye_ros.data import Profile, RawProfile, TimedPose
 from handeye_ros.sampling.errors import TwoFramesError
+import numpy as np
 
 LARGEST_STEP = 1_000_000_000  # ns; what steps back by less was only reordered on its way
 
@@ -117,7 +118,7 @@ def in_order(stamps: Sequence[int]) -> list[bool] | None:
 
     stamps: in the order of recording. One that lies within LARGEST_STEP of its place fits.
     """
-    if all(earlier <= later for earlier, later in pairwise(stamps)):
+    if never_falls(stamps):
         return [True] * len(stamps)
     rising = _longest_rising(stamps)
     before = accumulate((s if r else -1 for s, r in zip(stamps, rising, strict=True)), max)
@@ -128,6 +129,12 @@ def in_order(stamps: Sequence[int]) -> list[bool] | None:
     wrong = fits.count(False)
     few = wrong <= max(FEW, FEW_SHARE * len(stamps)) and 2 * wrong < len(stamps)
     return fits if few or not wrong else None
+
+
+def never_falls(stamps: Sequence[int]) -> bool:
+    """Return whether no stamp is earlier than the one before."""
+    times = np.array(stamps, np.int64)
+    return bool((times[1:] >= times[:-1]).all())
 
 
 def _smaller(a: int | None, b: int | None) -> int | None:

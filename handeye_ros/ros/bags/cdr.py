@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from handeye_ros.ros.errors import MessageError
 
+STAMPED = 12  # where the stamp ends
 FRAME = 16  # where the characters of the frame_id lie
 FRAMES = 100  # that are remembered: they come thousands of times
 ENCAPSULATION = 4  # bytes before the message: its encoding, big or little endian
@@ -53,6 +54,7 @@ class Cloud(NamedTuple):
 
 
 _HEADERS = {order: struct.Struct(f'{order}iII') for order in '<>'}
+_STAMPS = {order: struct.Struct(f'{order}iI') for order in '<>'}
 _POSES = {order: struct.Struct(f'{order}7d') for order in '<>'}
 _TRIPLES = {order: struct.Struct(f'{order}III') for order in '<>'}
 _NUMBERS = {order: struct.Struct(f'{order}I') for order in '<>'}
@@ -65,6 +67,12 @@ def byte_order(data: bytes, kind: str) -> str:
     if data[:2] == b'\x00\x00':
         return '>'
     raise MessageError(kind, 'it is empty, or not serialised as ROS does (CDR)')
+
+
+def stamp_of(data: bytes) -> int:
+    """Return the stamp (ns) of a message known to begin with a header."""
+    sec, nanosec = _STAMPS['<' if data[1] else '>'].unpack_from(data, ENCAPSULATION)
+    return int(sec * 1_000_000_000 + nanosec)
 
 
 def header(data: bytes, kind: str) -> tuple[Header, int]:

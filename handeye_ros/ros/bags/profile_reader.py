@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Profile, RawProfile
@@ -34,6 +35,25 @@ def profile_from_cdr(data: bytes, config: ProfileConfig) -> Profile:
     return profile_from_cloud(cdr.cloud(data), config)
 
 
+class Like(NamedTuple):
+    """
+    What messages have in common that are laid out alike, all but the stamp.
+
+    encoding: their first two bytes; end: where their data begins; described: the bytes up to
+    there; size: of a whole one at least.
+    """
+
+    encoding: bytes
+    end: int
+    described: bytes
+    size: int
+    frame: str
+    rows: int
+
+
+NOTHING = Like(b'none', 0, b'', 0, '', 0)
+
+
 class ProfileReader:
     """Takes the serialised clouds of one topic in the order in which they come."""
 
@@ -43,6 +63,7 @@ class ProfileReader:
         # the size of what follows, and the rows of profiles, by what tells them
         self._layouts: dict[bytes, tuple[int, int]] = {}
         self._described = 0  # bytes that the last message took to describe its data
+        self._like = NOTHING  # the last message
         self._probed = -PROBE
         self._trusted = False
 
@@ -52,23 +73,31 @@ class ProfileReader:
 
         fetch: gives the message again; without it, it is kept. Raises MessageError.
         """
-        head, end = cdr.header(data, 'PointCloud2')
-        rows = self._rows(data, end)
-        profile = RawProfile(stamp_of(head), frame_name(head.frame_id),
-                             fetch or partial(bytes, data), profile_from_cdr, self.config,
-                             0 if fetch else len(data) + OVERHEAD, rows)
-        if not self._trusted or abs(profile.stamp - self._probed) >= PROBE:
-            self._probe(data if rows == 1 else cdr.row(data, 0, profile.stamp), profile.stamp)
+        like = self._like
+        if (data[:2] == like.encoding and data[cdr.STAMPED:like.end] == like.described
+                and len(data) >= like.size):
+            stamp, frame, rows = cdr.stamp_of(data), like.frame, like.rows
+        else:
+            head, end = cdr.header(data, 'PointCloud2')
+            stamp, frame = stamp_of(head), frame_name(head.frame_id)
+            rows = self._rows(data, end, frame)
+        profile = RawProfile(stamp, frame, fetch or partial(bytes, data), profile_from_cdr,
+                             self.config, 0 if fetch else len(data) + OVERHEAD, rows)
+        if not self._trusted or abs(stamp - self._probed) >= PROBE:
+            self._probe(data if rows == 1 else cdr.row(data, 0, stamp), stamp)
         return profile
 
-    def _rows(self, data: bytes, end: int) -> int:
+    def _rows(self, data: bytes, end: int, frame: str) -> int:
         """
         Return how many profiles a message holds; raises MessageError for what is no cloud.
 
-        end: of the header. Drivers describe the same all the time.
+        end: of the header, frame: in it. Drivers describe the same all the time.
         """
         size, rows = self._layouts.get(data[:2] + data[end:end + self._described], (0, 0))
         if rows and size <= len(data) - end:
+            data_start = end + self._described
+            self._like = Like(data[:2], data_start, data[cdr.STAMPED:data_start], end + size,
+                              frame, rows)
             return rows
         cloud = cdr.cloud(data)
         require_layout(cloud, self.config)
