@@ -129,3 +129,21 @@ def test_drivers_whose_clouds_change_their_size_and_layout() -> None:
     msg.point_step = 11
     with pytest.raises(MessageError, match='ends at byte 12 of points that are 11 bytes long'):
         reader.take(serialised(msg))
+
+
+@given(place=st.integers(0, 900), byte=st.integers(0, 255), keep=st.integers(0, 900),
+       little_endian=st.booleans())
+def test_what_is_like_the_last_message_is_one(place: int, byte: int, keep: int,
+                                              little_endian: bool) -> None:
+    reader, good = ProfileReader(METRES), serialised(message(), little_endian=little_endian)
+    for _ in range(3):
+        assert reader.take(good).stamp == 3_000_000_005
+    changed = bytearray(good)
+    changed[place % len(good)] = byte
+    data = bytes(changed[:keep]) if keep < 300 else bytes(changed)
+    try:
+        raw = reader.take(data)
+    except MessageError:
+        return
+    head = cdr.cloud(data).header  # which damaged bytes would not give
+    assert (raw.stamp, raw.frame_id, raw.rows) == (head.stamp, head.frame_id, 1)
