@@ -10,7 +10,7 @@ from handeye_ros.data import Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.rivals import rival
 from handeye_ros.estimation.robust import consensus
-from handeye_ros.estimation.solve import evaluate, redundancy, station_ranks
+from handeye_ros.estimation.solve import evaluate, redundancy
 from handeye_ros.estimation.weights import Noise
 from handeye_ros.simulate import SCENARIOS
 import numpy as np
@@ -31,7 +31,7 @@ def test_fewer_conditions_than_unknowns_leave_a_direction_free() -> None:
 def test_a_station_says_as_much_as_its_target_shows(name: str, rank: int) -> None:
     made = cell(name, 0)
     solution = consensus(made.problem, np.random.default_rng(0)).solution
-    assert (station_ranks(solution) == rank).all()
+    assert (solution.ranks == rank).all()
     assert redundancy(solution) == rank * len(made.samples) - solution.jacobian.shape[1]
 
 

@@ -16,7 +16,7 @@ from handeye_ros.estimation.chances import chi2_above
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus, subset_starts, without_outliers
-from handeye_ros.estimation.solve import redundancy, Solution, station_ranks, station_squares
+from handeye_ros.estimation.solve import redundancy, Solution, station_squares
 from handeye_ros.estimation.trial import guesses, refined
 import numpy as np
 
@@ -68,7 +68,7 @@ def _apart(found: Solution, other: Solution) -> bool:
 def _score(problem: Problem, agreed: Consensus, scale: Solution) -> float:
     """Return the sum of the limited squared residuals, in variances of the found answer."""
     n = len(problem.poses)
-    ranks = station_ranks(agreed.solution)
+    ranks = agreed.solution.ranks
     squares: Array = station_squares(agreed.solution) / max(1.0, scale.variance_factor)
     limits = chi2_above(WRONG / n, np.maximum(ranks, 1))
     typical = float(np.median(limits))

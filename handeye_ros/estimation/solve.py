@@ -93,6 +93,22 @@ class Solution:
         prior = np.append(np.zeros(self.unknowns), np.ones(len(self.doubtful)))
         return np.asarray(self.jacobian.T @ self.jacobian + np.diag(prior))
 
+    @cached_property
+    def ranks(self) -> NDArray[np.intp]:
+        """
+        Return how many independent things (n,) each station says of the unknowns.
+
+        Many points of one line say two: where it is, and how it is turned.
+        """
+        station = self.problem.observations.station
+        ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
+        J = self.jacobian[:, :self.unknowns]
+        J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+        for at in self.problem.stations:
+            s = np.linalg.svd(J[at.rows], compute_uv=False)
+            ranks[station[at.rows[:, 0]]] = (s > SAME * s[:, :1]).sum(axis=1)
+        return ranks
+
     @property
     def squares(self) -> float:
         """Return the sum of squares, of residuals and of what doubts were taken to be."""
@@ -133,29 +149,13 @@ def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
     return Solution(problem, estimate, noise, linear, r, J, covariance)
 
 
-def station_ranks(solution: Solution) -> NDArray[np.intp]:
-    """
-    Return how many independent things (n,) each station says of the unknowns.
-
-    Many points of one line say two: where it is, and how it is turned.
-    """
-    station = solution.problem.observations.station
-    ranks = np.zeros(len(solution.problem.poses), dtype=np.intp)
-    J = solution.jacobian[:, :solution.unknowns]
-    J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-    for rows in blocks.groups(station):
-        s = np.linalg.svd(J[rows], compute_uv=False)
-        ranks[station[rows[:, 0]]] = (s > SAME * s[:, :1]).sum(axis=1)
-    return ranks
-
-
 def redundancy(solution: Solution) -> int:
     """
     Return how many independent conditions there are beyond the number of unknowns.
 
     A pose that is taken again says nothing new.
     """
-    ranks = station_ranks(solution)
+    ranks = solution.ranks
     if len(ranks) <= ASKED:
         ranks = ranks[spread(solution.problem.places, ASKED)]
     return int(ranks.sum()) - solution.unknowns

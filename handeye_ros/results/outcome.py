@@ -62,10 +62,11 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
     parent = mount_frame(config)
     used = [samples[i] for i in agreed.used]
     measured = measured_points(used, problem)
-    reports = [*_used_reports(used, solution, measured), *_dropped_reports(samples, agreed),
+    residuals = measured.residuals(problem, solution.estimate, poses_of(solution))
+    reports = [*_used_reports(used, problem, measured.station, residuals),
+               *_dropped_reports(samples, agreed),
                *(SampleReport(r.stamp, False, reason=r.reason) for r in rejects)]
     direction, std = weakest(solution, parent)
-    residuals = measured.residuals(problem, solution.estimate, poses_of(solution))
     quality = Quality(len(used), len(reports) - len(used), _rms(residuals),
                       _rms(left_out(solution, measured)), direction, std)
     return Calibration(
@@ -87,20 +88,27 @@ def describe_target(agreed: Consensus, config: Config) -> dict[str, Any]:
     return told | ({'note': '; '.join(notes)} if notes else {})
 
 
-def _used_reports(used: Sequence[Sample], solution: Solution, measured: Measured
-                  ) -> list[SampleReport]:
-    obs, method = solution.problem.observations, solution.problem.method
-    squares = measured.residuals(solution.problem, solution.estimate, poses_of(solution)) ** 2
-    count = np.bincount(measured.station, minlength=len(used))
-    rms = np.sqrt(np.bincount(measured.station, squares, minlength=len(used)) / np.maximum(
-        count, 1))
+def _used_reports(used: Sequence[Sample], problem: Problem, station: NDArray[np.intp],
+                  residuals: Array) -> list[SampleReport]:
+    """Return what became of the samples used; residuals (k,) of points of a station (k,) each."""
+    count = np.bincount(station, minlength=len(used))
+    rms = np.sqrt(np.bincount(station, residuals ** 2, minlength=len(used)) / np.maximum(count, 1))
     reports = []
-    for i, sample in enumerate(used):
-        kinds = dict.fromkeys(method.kinds[k] for k in obs.kind[obs.station == i])
-        edges = ', '.join(kind for kind in kinds if kind in method.edges)
-        note = ONLY_FACE if method.edges and not edges else ''
-        reports.append(SampleReport(sample.stamp, True, edges, float(rms[i]), note))
+    for i, edges in enumerate(_edges_used(problem)):
+        note = ONLY_FACE if problem.method.edges and not edges else ''
+        reports.append(SampleReport(used[i].stamp, True, edges, float(rms[i]), note))
     return reports
+
+
+def _edges_used(problem: Problem) -> list[str]:
+    """Return of each station which edges of the target it shows, in words."""
+    obs, method = problem.observations, problem.method
+    bounds = np.searchsorted(obs.station, np.arange(len(problem.poses) + 1))
+    if not method.edges:
+        return [''] * len(problem.poses)
+    return [', '.join(method.kinds[k] for k in dict.fromkeys(obs.kind[first:last].tolist())
+                      if method.kinds[k] in method.edges)
+            for first, last in zip(bounds[:-1], bounds[1:], strict=True)]
 
 
 def _dropped_reports(samples: Sequence[Sample], agreed: Consensus) -> list[SampleReport]:
