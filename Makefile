@@ -14,7 +14,7 @@ export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
 # A test that hangs fails, with the place where it hangs, wherever that is: the process of the
 # worker is ended, and another goes on. What failed is told at once.
 PYTEST := -m pytest -p xdist --dist worksteal -p pytest_instafail --instafail \
-    -p pytest_timeout --timeout 200 --timeout-method thread $(PYTEST_OPTIONS)
+    -p pytest_timeout --timeout 200 --timeout-method thread
 # The workers share the processors; the matrices are small.
 export OPENBLAS_NUM_THREADS := 1
 # What the ROS wheels set for a process of theirs must not reach another environment's.
@@ -34,13 +34,14 @@ test: test-oldest test-newest
 test-oldest:
 	@tools/environment.sh .venv-oldest test requirements/jazzy.txt
 	HYPOTHESIS_PROFILE=$${HYPOTHESIS_PROFILE:-fewer} \
-	    .venv-oldest/bin/python $(PYTEST) -n $$(nproc) -q -m 'not ros and not thorough and not once'
+	    .venv-oldest/bin/python $(PYTEST) -n $$(nproc) -q \
+	    -m 'not ros and not thorough and not once' $(PYTEST_OPTIONS)
 
 # Tests of nodes mostly wait for each other, so there are two workers to a processor.
 test-newest:
 	@tools/environment.sh .venv ros,test,dev
 	@$(MAKE) --no-print-directory tf2_msgs || echo 'Tests of /tf_static are skipped: no tf2_msgs'
-	.venv/bin/python $(PYTEST) -n $$((2 * $$(nproc)))
+	.venv/bin/python $(PYTEST) -n $$((2 * $$(nproc))) $(PYTEST_OPTIONS)
 
 # The wheels lack it; with it, the node publishes /tf_static. Needs gcc, g++, Python's headers.
 tf2_msgs:
