@@ -60,7 +60,9 @@ def cloud_case(rng: np.random.Generator, folder: Path) -> None:
 def check_cloud(data: bytes, config: ProfileConfig) -> None:
     """Read a cloud in all ways; what comes out are points within reach, or none."""
     reader = ProfileReader(config)
-    reader.take(GOOD_CLOUD) if config.unit == 'm' and config.axes == ('x', 'z') else None
+    if config.unit == 'm' and config.axes == ('x', 'z'):
+        for _ in range(2):  # what is like the last message is read quickly
+            reader.take(GOOD_CLOUD)
     with contextlib.suppress(HandeyeError):
         raw = reader.take(data)
         for one in split(raw, raw.stamp - 1000, config)[:3]:
