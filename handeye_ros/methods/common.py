@@ -39,6 +39,17 @@ class ObservationRows:
         self.end.append(1 + ENDS.index(edge.kind) if edge else 0)
         self.outward.append(edge.direction if edge else np.zeros(2))
 
+    def add_points(self, station: int, points: Array, kind: int, noise: Array) -> None:
+        """Append a condition for each of points (k, 2), no edges, with factors (k, 2, 2)."""
+        count = len(points)
+        self.station += [station] * count
+        self.points += list(points)
+        self.kind += [kind] * count
+        self.noise += list(noise)
+        self.source += range(count)
+        self.end += [0] * count
+        self.outward += [np.zeros(2)] * count
+
     def observations(self) -> Observations:
         """Return what was collected."""
         return Observations(

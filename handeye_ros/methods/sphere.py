@@ -50,8 +50,7 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
         outward /= np.linalg.norm(outward, axis=1)[:, None]
         noise = np.zeros((len(outward), 2, 2))
         noise[:, :, 0] = outward * feature.std[:, None]
-        for i, point in enumerate(feature.points):
-            rows.add(station, point, 0, noise[i], i)
+        rows.add_points(station, feature.points, 0, noise)
 
 
 def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
