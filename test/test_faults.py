@@ -145,6 +145,8 @@ def test_two_nodes_of_one_name_are_told_and_keep_apart(tmp_path: Path, client: C
             client.until(lambda: words in client.state()['message'], 'it is told')
             client.until(lambda: all(words in (folder / 'node.log').read_text()
                                      for folder in (first, second)), 'both say so')
+            client.until(lambda: client.profiles.get_subscription_count() == 2
+                         == client.poses.get_subscription_count(), 'both hear the client')
             for i in range(50):
                 away = (0.1 if i > 45 else 0.0, 0.0, 0.0)
                 client.poses.publish(pose_message(START + i * PERIOD, away))
