@@ -122,24 +122,28 @@ def found_doubts(solution: Solution) -> dict[str, Any]:
     return told
 
 
-def scale_error(solution: Solution) -> tuple[float, float]:
+def scale_error(solution: Solution) -> tuple[float, float, float]:
     """
     Return by how much the robot's lengths exceed the sensor's, relative, and its 1 sigma.
 
     The step that one more unknown, a scale of the robot's positions, would take from the
-    solution, to first order.
+    solution, to first order, and the squares that are left without it. What the target measures
+    is unknown too: a length of it that is not as stated is no scale.
     """
     problem = solution.problem
     positions = problem.poses[:, :3, 3]
     moved = (positions - positions.mean(axis=0))[problem.observations.station]
     by_scale = (solution.linear.by_pose[:, :3] * moved).sum(axis=1)
-    column: Array = whitening(problem, solution.linear, solution.noise)(by_scale)
-    Q, _ = np.linalg.qr(solution.jacobian)
+    measures = solution.linear.jacobian[:, 6:][:, tolerances(problem) > 0]
+    white = whitening(problem, solution.linear, solution.noise)
+    column: Array = white(by_scale)
+    Q, _ = np.linalg.qr(np.column_stack([solution.jacobian, white(measures)]))
     free = column - Q @ (Q.T @ column)
+    rest = solution.white - Q @ (Q.T @ solution.white)
     information = float(free @ free)
     if information < ROUNDING * float(column @ column):
-        return 0.0, math.inf
-    return float(free @ solution.white) / information, information ** -0.5
+        return 0.0, math.inf, float(rest @ rest)
+    return float(free @ rest) / information, information ** -0.5, float(rest @ rest)
 
 
 def require_one_scale(solution: Solution) -> None:
@@ -161,8 +165,7 @@ def require_not_only_scale(solution: Solution) -> None:
     Doubts of the sensor and of the robot's positions could make much of it up, and the answer
     would be wrong by as much of the lever. By an F-test. Raises ScaleError.
     """
-    scale, std = scale_error(solution)
-    total = float(solution.white @ solution.white)
+    scale, std, total = scale_error(solution)
     explained, freedom = (scale / std) ** 2, max(redundancy(solution), 1)
     left = max(total - explained, 0.0)
     if explained < MOST * total or not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:

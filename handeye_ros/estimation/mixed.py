@@ -145,11 +145,13 @@ class _System:
         settled: relative change of a variance that ends the steps.
         """
         now = np.array([self.noise.doubts.get(d.name, 1.0) for d in self.doubts])
-        found, system, u = Sizes(now, now), self, self.u
+        found, system, u = Sizes(now, now, np.zeros(len(now))), self, self.u
         largest = np.array([MOST if d.parameter is None else LARGEST for d in self.doubts])
+        alone = np.bincount(self.group, minlength=len(now)) == 1
         for _ in range(steps if self.doubts else 0):
             before, (x, covariance) = found.stated, system.solved()
             found = sizes(covariance[u:, u:], x[u:], self.first, before, largest)
+            found = found.one_grown(before, alone)
             if np.abs(np.log(found.stated / before)).max() < settled:
                 break
             system = self.with_sizes(found.stated)

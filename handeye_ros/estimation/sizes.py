@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 SIZES = np.geomspace(0.03, 1e4, 33)  # that are summed over
 VARIANCES = SIZES ** 2
+GROWN = 2.0  # times the variance before: less is no new cause
 
 
 def _belief(freedom: float, scale: float) -> Array:
@@ -33,10 +34,30 @@ LEAN = _belief(1.0, 0.05)
 
 @dataclass(frozen=True, eq=False)
 class Sizes:
-    """Variances (d,) of doubts over the configured: for an estimate, and for what is stated."""
+    """
+    Variances (d,) of doubts over the configured: for an estimate, and for what is stated.
+
+    gain: (d,) logarithm of how much likelier the data are, were each as large as it may be.
+    """
 
     lean: Array
     stated: Array
+    gain: Array
+
+    def one_grown(self, before: Array, alone: NDArray[np.bool_]) -> Sizes:
+        """
+        Return the sizes with only one of the doubts of one unknown (alone, (d,)) grown.
+
+        before: (d,) their variances so far. Two doubts may explain the same, and were both
+        large, neither would seem needed: that which explains most grows first.
+        """
+        growing = alone & (self.stated > GROWN * before)
+        if growing.sum() < 2:
+            return self
+        best = int(np.argmax(np.where(growing, self.gain, -np.inf)))
+        waits = growing & (np.arange(len(before)) != best)
+        return Sizes(np.where(waits, np.minimum(self.lean, before), self.lean),
+                     np.where(waits, before, self.stated), self.gain)
 
 
 def sizes(covariance: Array, value: Array, first: NDArray[np.intp], size: Array, largest: Array
@@ -64,7 +85,15 @@ def sizes(covariance: Array, value: Array, first: NDArray[np.intp], size: Array,
     evidence[v > largest] = -np.inf
     square = np.add.reduceat(v / f + (v * gradient / f) ** 2, first, axis=1)
     return Sizes(_matched(LEAN, evidence, np.add.reduceat(fitted, first, axis=1)),
-                 _matched(STATED, evidence, square))
+                 _matched(STATED, evidence, square), _gain(evidence, size))
+
+
+def _gain(evidence: Array, size: Array) -> Array:
+    """Return the logarithms (d,) of the evidence (s, d) over all sizes, less that at the size."""
+    posterior = (STATED - np.logaddexp.reduce(STATED))[:, None] + evidence
+    now = [np.interp(np.log(own), np.log(VARIANCES), of_size)
+           for own, of_size in zip(size, evidence.T, strict=True)]
+    return np.asarray(np.logaddexp.reduce(posterior) - now)
 
 
 def _matched(belief: Array, evidence: Array, moment: Array) -> Array:
