@@ -122,8 +122,12 @@ def killed(output_dir: Path, rng: random.Random) -> str:
     return said.decode()
 
 
-def check(folder: Path, tally: Tally, config: Config) -> None:
-    """Raise AssertionError where something acknowledged is lost, or cannot be read."""
+def check(folder: Path, tally: Tally, config: Config, fewest: int = 6) -> None:
+    """
+    Raise AssertionError where something acknowledged is lost, or cannot be read.
+
+    fewest: profiles of the newest sample.
+    """
     found = read_session(folder)
     lost = tally.taken - tally.removing - set(found.stops)
     assert not lost, f'{folder}: samples {sorted(lost)} are lost'
@@ -131,7 +135,7 @@ def check(folder: Path, tally: Tally, config: Config) -> None:
     assert not back, f'{folder}: the removed samples {sorted(back)} are back'
     newest = max(found.stops, default=0)
     if newest:
-        assert sample_of(found.stops[newest][1], config).profiles > 5
+        assert sample_of(found.stops[newest][1], config).profiles >= fewest
     for file in files_of(folder):
         with file.open('rb') as stream:
             assert make_reader(stream).get_summary() is not None
