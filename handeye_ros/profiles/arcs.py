@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 NORMAL_POINTS = 12
 BLOCKS = 4  # of each share of an arc, whose scatter tells that of its normal point
 SMALLEST_RADIUS, LARGEST_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown radius (m)
-SMALLEST_SHARE = 0.2  # of an arc's radius in that of the sphere
+SMALLEST_SHARE = 0.29  # of an arc's radius in that of the sphere: less is seen too steeply
 LARGEST_SHARE = 1.05  # the same, for short and noisy arcs
 TOLERANCE_SIGMAS = 6.0
 MOST_SCATTER = 2.5  # RMS distance of an arc's points from their circle, in sigmas
@@ -71,6 +71,9 @@ def _arc(points: Array, circle: Array, noise: float, config: Config) -> Arc:
     if 0 < LARGEST_SHARE * radius < arc.radius:
         raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
                            'more than the sphere')
+    if arc.radius < SMALLEST_SHARE * radius:
+        raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
+                           'too little for the sphere')
     angle = _covered_angle(arc)
     sagitta = arc.radius * (1 - np.cos(angle / 2))
     if arc.radius < SMALLEST_RADIUS or angle < SMALLEST_ANGLE or (
