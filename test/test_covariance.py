@@ -39,9 +39,10 @@ def test_the_covariance_is_symmetric_and_positive(name: str) -> None:
     assert np.linalg.eigvalsh(C).min() > 0
 
 
-@pytest.mark.parametrize('factors', [(1.0, 1.0, 1.0), (0.1, 1e4, 1e-4), (1e4, 0.1, 1e-4)])
+@pytest.mark.parametrize('factors', [
+    (1.0, 1.0, 1.0, 1.0), (0.1, 1e4, 1e-4, 1e-4), (1e4, 0.1, 1.0, 1e-4), (1e-4, 1e-4, 1e4, 1e-4)])
 def test_the_noise_of_a_station_is_positive_whatever_its_size(
-        factors: tuple[float, float, float]) -> None:
+        factors: tuple[float, float, float, float]) -> None:
     solution = solution_of('plate')
     doubtful = replace(solution.problem, config=with_values(
         solution.problem.config, {'noise.distortion': 2e-5}, 'a test'))
@@ -151,7 +152,7 @@ def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
 def test_more_noise_is_more_uncertainty(name: str) -> None:
     solution = solution_of(name)
     made = solution.problem
-    wider = evaluate(made, solution.estimate, Noise(4.0, 4.0, 4.0))
+    wider = evaluate(made, solution.estimate, Noise(4.0, 4.0, 4.0, 4.0))
     same = evaluate(made, solution.estimate, Noise())
     assert np.allclose(wider.covariance, 4 * same.covariance, rtol=1e-6)
 

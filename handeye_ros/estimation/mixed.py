@@ -40,6 +40,8 @@ CONVERGED = 1e-2  # step in sigmas
 DIVERGED = 4.0  # of a step over the smallest before
 SIZING = 1  # rounds in which a doubt may turn out so large that the step grows
 BELIEF_NOISE = 4.0  # in the configured noise, in degrees of freedom
+CONFIGURED, LEAN = np.ones(4), np.array([1.0, 1.0, 1e-4, 1.0])  # factors that are believed in
+LEAN_STEPS = 2  # of estimating the noise that an estimate is best made with
 SMALLEST, LARGEST = 1e-4, 1e8
 MOST = 400.0  # of doubts but of the target's stated measures: 20 times as large
 
@@ -103,6 +105,12 @@ class _System:
         linear = linearise(problem, estimate)
         faces = bent(problem, estimate) if faces is None else faces
         found = doubts(problem, linear, faces)
+        return cls.weighing(problem, estimate, linear, noise, found, deviation, faces)
+
+    @classmethod
+    def weighing(cls, problem: Problem, estimate: Estimate, linear: Linear, noise: Noise,
+                 found: tuple[Doubt, ...], deviation: Array, faces: Bent) -> _System:
+        """Return the system of what is linearised, whitened by a noise."""
         white: Whitening = whitening(problem, linear, noise)
         residuals = linear.residuals - linear.jacobian[:, 6:] @ deviation
         columns = [linear.jacobian[:, problem.columns], *(d.columns for d in found)]
@@ -114,6 +122,11 @@ class _System:
     def at(self, estimate: Estimate, noise: Noise, deviation: Array) -> _System:
         """Return the system at another estimate, so near that faces look alike from it."""
         return _System.of(self.problem, estimate, noise, deviation, self.faces)
+
+    def weighed(self, noise: Noise) -> _System:
+        """Return the system with another noise."""
+        return _System.weighing(self.problem, self.estimate, self.linear, noise, self.doubts,
+                                self.deviation, self.faces)
 
     @property
     def u(self) -> int:
@@ -157,11 +170,11 @@ class _System:
             system = self.with_sizes(found.stated)
         return found
 
-    def with_noise(self, x: Array, covariance: Array) -> Noise:
-        """Return the noise with the factors of sensor and robot that the residuals show."""
+    def with_noise(self, x: Array, covariance: Array, believed: Array = CONFIGURED) -> Noise:
+        """Return the noise with the factors that the residuals show, held to those believed."""
         s = self.scales()
         residuals, A = self.r + self.A @ (s * x), self.A * s
-        sums = np.zeros((3, 2))
+        sums = np.zeros((4, 2))
         every = -(-len(self.problem.poses) // ASKED)
         for stations in self.problem.stations:
             at = stations.every(every)
@@ -174,10 +187,10 @@ class _System:
             sums[:, 0] += np.einsum('ni,knij,nj->k', r, W, r, optimize=True)
             sums[:, 1] += np.einsum('knii->k', W) - np.einsum('knij,nji->k', W, taken)
         before = self.noise.factors
-        after = before * (sums[:, 0] + BELIEF_NOISE / before) / (
+        after = before * (sums[:, 0] + BELIEF_NOISE * believed / before) / (
             np.maximum(sums[:, 1], 0.0) + BELIEF_NOISE)
-        sensor, edge, robot = np.clip(after, SMALLEST, LARGEST).tolist()
-        return replace(self.noise, sensor=sensor, edge=edge, robot=robot)
+        sensor, edge, local, robot = np.clip(after, SMALLEST, LARGEST).tolist()
+        return replace(self.noise, sensor=sensor, edge=edge, local=local, robot=robot)
 
     def moved(self, x: Array) -> tuple[Estimate, Array]:
         """Return the estimate moved by a solution, and how far the target is from as stated."""
@@ -198,10 +211,12 @@ class _System:
     def answer(self) -> Solution:
         """Return the solution, with what is stated of it."""
         found = self.sized(LAST_STEPS, SETTLED)
-        lean = self.with_sizes(found.lean)
+        lean, wide = self.with_sizes(found.lean), self.with_sizes(found.stated)
+        for _ in range(LEAN_STEPS):
+            lean = lean.weighed(lean.with_noise(*lean.solved(), LEAN))
         estimate, deviation = lean.moved(lean.solved()[0])
         there = self.at(estimate, lean.noise, deviation)
-        wide = there.with_sizes(found.stated)
+        wide = there.weighed(wide.noise)
         return replace(there.solution(), cautious=wide.solution())
 
     def solution(self) -> Solution:

@@ -15,7 +15,7 @@ from handeye_ros.data import Array
 import numpy as np
 from numpy.typing import NDArray
 
-SIZES = np.geomspace(0.03, 1e4, 33)  # that are summed over
+SIZES = np.geomspace(0.003, 1e4, 41)  # that are summed over
 VARIANCES = SIZES ** 2
 GROWN = 2.0  # times the variance before: less is no new cause
 
@@ -29,7 +29,7 @@ def _belief(freedom: float, scale: float) -> Array:
 # As configured in the mean square, with so heavy a tail that it may be several times as much.
 STATED = _belief(3.0, 3.0 ** -0.5)
 # Nothing, unless the data show something: what an estimate is best made with.
-LEAN = _belief(1.0, 0.05)
+LEAN = _belief(1.0, 0.01)
 
 
 @dataclass(frozen=True, eq=False)

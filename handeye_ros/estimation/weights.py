@@ -28,13 +28,15 @@ class Noise:
     """
     Scale factors on the configured variances.
 
-    sensor: on the features' own, edge: on those of edge points; robot: on the pose noise;
+    sensor: on the features' own, edge: on those of edge points; local: on the share of the
+    distortion that is each station's own; robot: on the pose noise;
     doubts: on the unknowns of each, by name; lumped: whether doubts count as errors of each
     station here.
     """
 
     sensor: float = 1.0
     edge: float = 1.0
+    local: float = 1.0
     robot: float = 1.0
     doubts: Mapping[str, float] = field(default_factory=dict)
     lumped: bool = True
@@ -42,7 +44,7 @@ class Noise:
     @property
     def factors(self) -> Array:
         """Return the factors on the parts of covariances."""
-        return np.array([self.sensor, self.edge, self.robot])
+        return np.array([self.sensor, self.edge, self.local, self.robot])
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,16 +71,21 @@ def _white(factor: Array, values: Array) -> Array:
 
 
 def covariances(problem: Problem, linear: Linear, at: Stations) -> Array:
-    """Return covariances, (3, stations, c, c), of the residuals: of features, edges, poses."""
+    """
+    Return covariances, (4, stations, c, c), of the residuals.
+
+    Of features, edges, the distortion that is each station's own, and poses.
+    """
     noise = problem.config.noise
     H = linear.by_feature[at.rows]
-    feature = (H @ np.swapaxes(H, 1, 2)) * at.shared + _distortion(
-        at, linear.by_point[at.rows], LOCAL * noise.distortion)
+    feature = (H @ np.swapaxes(H, 1, 2)) * at.shared
     every = np.arange(at.rows.shape[1])
     feature[:, every, every] += SMALLEST_STD ** 2
+    local = _distortion(at, linear.by_point[at.rows], LOCAL * noise.distortion)
     G = linear.by_pose[at.rows] * np.repeat([noise.robot_translation, noise.robot_rotation], 3)
     # no covariance between edges and the rest, so that any factors keep the sum positive
-    return np.array([feature * at.rest, feature * at.edge, G @ np.swapaxes(G, 1, 2)])
+    return np.array([feature * at.rest, feature * at.edge, local,
+                     G @ np.swapaxes(G, 1, 2)])
 
 
 def lumped(problem: Problem, linear: Linear, at: Stations) -> Array:
