@@ -92,11 +92,23 @@ def test_the_covariance_is_true_though_the_noise_was_told_wrongly(factor: float)
 @pytest.mark.thorough
 def test_noise_that_was_told_rightly_is_kept() -> None:
     noises = [final(cell('plate', seed)).noise.factors for seed in range(10)]
-    sensor, edge, robot = np.abs(np.log(noises)).max(axis=0)
+    sensor, edge, local, robot = np.abs(np.log(noises)).max(axis=0)
     assert max(sensor, robot) < math.log(2.5)
     # the own noise of 18 edge points is a fifth of their residuals' variance: they say little
     assert edge < math.log(5)
     assert np.abs(np.log(np.median(noises, axis=0))).max() < 0.2
+    assert local == 0, 'nothing is said of what is not doubted'
+
+
+@pytest.mark.thorough
+def test_what_is_doubted_but_not_there_costs_the_estimate_little() -> None:
+    squares = np.zeros((2, 2))
+    for seed in range(12):
+        made = cell('plate', seed)
+        for i, of in enumerate((made, replace(made, config=settings_of(made.scenario)))):
+            error = se3.difference(answer(of).T_flange_sensor, of.truth.T_flange_sensor)
+            squares[i] += [error[:3] @ error[:3], error[3:] @ error[3:]]
+    assert (np.sqrt(squares[1] / squares[0]) < 1.15).all()
 
 
 def test_settling_changes_no_input() -> None:
