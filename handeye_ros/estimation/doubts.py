@@ -8,24 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.fields import bent_faces
-from handeye_ros.estimation.method import Estimate
-from handeye_ros.estimation.problem import BENDS, Linear, points_in_base, Problem
+from handeye_ros.estimation.fields import bending, bent_faces
+from handeye_ros.estimation.problem import Linear, points_in_base, Problem
 from handeye_ros.estimation.weights import TURN_LENGTH
 import numpy as np
 
 # Share of the RMS of each degree of the polynomials: the first of them are the largest.
-DISTORTION = dict(zip(BENDS, (0.5, 0.5, 0.5, 0.4), strict=True))
+DISTORTION = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
 FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}
 # Of the six numbers of a pose, those that a smooth error of the robot changes, and its unit.
 SMOOTH = {'robot_position': slice(0, 3), 'robot_rotation': slice(3, 6)}
 SMOOTH_UNIT = {'robot_position': 1.0, 'robot_rotation': 1 / TURN_LENGTH}
 
-Bent: TypeAlias = list[list[Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +40,19 @@ class Doubt:
     parameter: int | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Bent:
+    """
+    In which ways, each of unit size, sensor and target may be bent.
+
+    sensor: by the degrees of DISTORTION, (m, 2, k) at each point; faces: of each face, by the
+    degrees of FLATNESS, (m, k).
+    """
+
+    sensor: list[Array]
+    faces: list[list[Array]]
+
+
 def tolerances(problem: Problem) -> Array:
     """Return 1 sigma (k,) of the target's parameters that are stated with one, 0 of others."""
     stated = problem.method.tolerances(problem.config)
@@ -50,10 +60,10 @@ def tolerances(problem: Problem) -> Array:
 
 
 def doubts(problem: Problem, linear: Linear, bent: Bent) -> tuple[Doubt, ...]:
-    """Return all that may be wrong at an estimate; bent: the faces' ways to be, near it."""
+    """Return all that may be wrong at an estimate; bent: the ways to be, near it."""
     found = [*_stated(problem, linear), *_setbacks(problem, linear),
-             *_robot(problem, linear), *_sensor(problem, linear),
-             *_faces(problem, bent)]
+             *_robot(problem, linear), *_sensor(problem, linear, bent.sensor),
+             *_faces(problem, bent.faces)]
     return tuple(doubt for doubt in found if doubt.std > 0 and np.any(doubt.columns))
 
 
@@ -118,25 +128,40 @@ def pose_errors(problem: Problem, found: Sequence[Doubt], values: Array) -> Arra
     return errors
 
 
-def _sensor(problem: Problem, linear: Linear) -> Iterator[Doubt]:
+def _sensor(problem: Problem, linear: Linear, fields: list[Array]) -> Iterator[Doubt]:
     std = problem.config.noise.distortion
-    if not std:
-        return
-    for (degree, share), field in zip(DISTORTION.items(), problem.bending, strict=True):
+    for (degree, share), field in zip(DISTORTION.items(), fields, strict=bool(fields)):
         columns = np.einsum('mi,mik->mk', linear.by_point, field) * (std * share)
         yield Doubt(f'distortion_{degree}', columns, std * share)
 
 
-def bent(problem: Problem, estimate: Estimate) -> Bent:
-    """Return for each face and each degree in which ways (m, k) it may be bent."""
-    if not problem.config.noise.flatness:
-        return []
-    p, kind = points_in_base(problem, estimate.X), problem.observations.kind
-    return [bent_faces(p, kind == i, list(FLATNESS))
-            for i, name in enumerate(problem.method.kinds) if name.startswith('face')]
+def bent(linear: Linear) -> Bent:
+    """Return in which ways sensor and target may be bent, near an estimate."""
+    problem = linear.problem
+    noise, kind = problem.config.noise, problem.observations.kind
+    sensor = bending(_without_error(linear), list(DISTORTION)) if noise.distortion else []
+    if not noise.flatness:
+        return Bent(sensor, [])
+    p = points_in_base(problem, linear.estimate.X)
+    return Bent(sensor, [bent_faces(p, kind == i, list(FLATNESS))
+                         for i, name in enumerate(problem.method.kinds)
+                         if name.startswith('face')])
 
 
-def _faces(problem: Problem, faces: Bent) -> Iterator[Doubt]:
+def _without_error(linear: Linear) -> Array:
+    """
+    Return the points (m, 2) of the sensor's plane where their conditions hold.
+
+    The field at the points as measured has their errors in it: of many points least squares
+    would then find that all lengths are nothing, with which the errors vanish, too.
+    """
+    g = linear.by_point
+    square = (g ** 2).sum(axis=1)
+    share = np.divide(linear.residuals, square, out=np.zeros(len(g)), where=square > 0)
+    return np.asarray(linear.problem.observations.points - g * share[:, None])
+
+
+def _faces(problem: Problem, faces: list[list[Array]]) -> Iterator[Doubt]:
     std = problem.config.noise.flatness
     for (degree, share), *columns in zip(FLATNESS.items(), *faces, strict=True):
         if columns:

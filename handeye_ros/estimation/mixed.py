@@ -41,7 +41,7 @@ DIVERGED = 4.0  # of a step over the smallest before
 SIZING = 1  # rounds in which a doubt may turn out so large that the step grows
 BELIEF_NOISE = 4.0  # in the configured noise, in degrees of freedom
 CONFIGURED, LEAN = np.ones(4), np.array([1.0, 1.0, 1e-4, 1.0])  # factors that are believed in
-LEAN_STEPS = 2  # of estimating the noise that an estimate is best made with
+LEAN_STEPS = 3  # of estimating the noise that an estimate is best made with
 SMALLEST, LARGEST = 1e-4, 1e8
 MOST = 400.0  # of doubts but of the target's stated measures: 20 times as large
 
@@ -97,19 +97,19 @@ class _System:
     b: Array
     group: NDArray[np.intp]
     deviation: Array
-    faces: Bent
+    bent: Bent
 
     @classmethod
     def of(cls, problem: Problem, estimate: Estimate, noise: Noise, deviation: Array,
-           faces: Bent | None = None) -> _System:
+           near: Bent | None = None) -> _System:
         linear = linearise(problem, estimate)
-        faces = bent(problem, estimate) if faces is None else faces
-        found = doubts(problem, linear, faces)
-        return cls.weighing(problem, estimate, linear, noise, found, deviation, faces)
+        near = bent(linear) if near is None else near
+        found = doubts(problem, linear, near)
+        return cls.weighing(problem, estimate, linear, noise, found, deviation, near)
 
     @classmethod
     def weighing(cls, problem: Problem, estimate: Estimate, linear: Linear, noise: Noise,
-                 found: tuple[Doubt, ...], deviation: Array, faces: Bent) -> _System:
+                 found: tuple[Doubt, ...], deviation: Array, near: Bent) -> _System:
         """Return the system of what is linearised, whitened by a noise."""
         white: Whitening = whitening(problem, linear, noise)
         residuals = linear.residuals - linear.jacobian[:, 6:] @ deviation
@@ -117,16 +117,16 @@ class _System:
         A, r = white(np.hstack(columns)), white(residuals)
         group = np.repeat(np.arange(len(found)), [d.columns.shape[1] for d in found])
         return cls(problem, estimate, linear, noise, found, r, A, A.T @ A, A.T @ r, group,
-                   deviation, faces)
+                   deviation, near)
 
     def at(self, estimate: Estimate, noise: Noise, deviation: Array) -> _System:
-        """Return the system at another estimate, so near that faces look alike from it."""
-        return _System.of(self.problem, estimate, noise, deviation, self.faces)
+        """Return the system at another estimate, from which what may be bent looks alike."""
+        return _System.of(self.problem, estimate, noise, deviation, self.bent)
 
     def weighed(self, noise: Noise) -> _System:
         """Return the system with another noise."""
         return _System.weighing(self.problem, self.estimate, self.linear, noise, self.doubts,
-                                self.deviation, self.faces)
+                                self.deviation, self.bent)
 
     @property
     def u(self) -> int:

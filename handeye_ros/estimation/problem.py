@@ -12,13 +12,11 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.estimation.fields import bending, places, process
+from handeye_ros.estimation.fields import places, process
 from handeye_ros.estimation.method import Estimate, Method, Observations
 from handeye_ros.estimation.stations import Ends, ends_of, Stations, stations_of
 import numpy as np
 from numpy.typing import NDArray
-
-BENDS = (1, 2, 3, 4)  # degrees of the fields of the sensor that are told apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +65,6 @@ class Problem:
         robot = self.poses if self.config.calibration_type == 'eye_in_hand' else se3.inverse(
             self.poses)
         return process(places(robot))
-
-    @cached_property
-    def bending(self) -> list[Array]:
-        """Return smooth fields (m, 2, k) of the sensor at the points, by the degrees of BENDS."""
-        return bending(self.observations.points, BENDS)
 
     def subset(self, stations: NDArray[np.intp]) -> Problem:
         """Return the problem with only the given stations (ascending indices)."""

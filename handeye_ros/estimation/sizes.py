@@ -15,7 +15,7 @@ from handeye_ros.data import Array
 import numpy as np
 from numpy.typing import NDArray
 
-SIZES = np.geomspace(0.003, 1e4, 41)  # that are summed over
+SIZES = np.geomspace(0.001, 1e4, 43)  # that are summed over
 VARIANCES = SIZES ** 2
 GROWN = 2.0  # times the variance before: less is no new cause
 
