@@ -24,7 +24,6 @@ SMOOTH = {'robot_position': slice(0, 3), 'robot_rotation': slice(3, 6)}
 SMOOTH_UNIT = {'robot_position': 1.0, 'robot_rotation': 1 / TURN_LENGTH}
 
 
-
 @dataclass(frozen=True, eq=False)
 class Doubt:
     """
