@@ -23,6 +23,7 @@ from handeye_ros.results import calibration_file, exports
 from handeye_ros.results.errors import NothingToSaveError
 from handeye_ros.ros.node.answer import Answer
 from handeye_ros.ros.node.live_samples import LiveSamples
+from handeye_ros.ros.node.memory import give_back
 from handeye_ros.ros.node.place import Place
 from handeye_ros.ros.node.second import Here, Runner
 from handeye_ros.ros.node.settings import changes_advice, changes_answer
@@ -99,6 +100,7 @@ class LiveSession(LiveSamples):
         self.judge_all()
         self.on_change()
         self._judged.set()
+        give_back()
 
     def settle(self) -> None:
         """Judge the stops that are over, review all samples, solve again for other settings."""
