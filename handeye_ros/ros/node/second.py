@@ -19,6 +19,7 @@ from typing import Any, Protocol, TypeVar
 
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.errors import SecondEndedError
+from handeye_ros.ros.node.memory import give_back
 
 Result = TypeVar('Result')
 COMMAND = (sys.executable, '-m', 'handeye_ros.ros.node.second')
@@ -121,6 +122,7 @@ def main() -> None:
             function, args = asked.get()
             answers.write(pickle.dumps(_outcome(function, args)))
             answers.flush()
+            give_back()
 
 
 def _listen(asked: queue.SimpleQueue[Any]) -> None:
