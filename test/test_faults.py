@@ -61,16 +61,16 @@ def test_two_publishers_with_two_clocks_on_one_topic(tmp_path: Path, client: Cli
     with running_node(tmp_path):
         client.connect()
         client.until(other.get_subscription_count, 'the node hears the other too')
-        for i in range(8):
+        for i in range(4):
             client.poses.publish(pose_message(START + i * PERIOD))
             client.profiles.publish(sphere_profile(START + i * PERIOD))
             client.until_counted(profiles=2 * i + 1, poses=i + 1)  # two writers have no order
             other.publish(sphere_profile(START + i * PERIOD - 60 * 10**9))
             state = client.until_counted(profiles=2 * i + 2, poses=i + 1)
-        assert state['dropped'] == ('dropped a profile whose stamp lies far ahead of the next one '
-                                    '(8 times)')
+        # of each two one is dropped: the first, or once poses vouch for it the other
+        assert sum(map(int, re.findall(r'\((\d+) times\)', state['dropped']))) == 4
         answer = client.call('take_sample')
-        assert not answer.success and 'no profile has a stamp' in answer.message
+        assert not answer.success and 'stamps are older than those before' in answer.message
 
 
 def test_the_policy_allows_what_the_node_does_and_nothing_else(tmp_path: Path, client: Client
