@@ -230,6 +230,9 @@ def test_the_settings_of_a_scenario_tell_its_noise() -> None:
 def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
     many = replace(SCENARIOS['sphere'], stations=(1000, 1000))
     samples, truth = simulate_samples(many, np.random.default_rng(0))
-    found = pipeline.solve(samples, (), with_values(Config(), settings(many), 'a test'), 'laser')
-    off = se3.difference(found.T_flange_sensor, truth.T_flange_sensor)
+    _, found = pipeline.estimate(samples, (), with_values(Config(), settings(many), 'a test'))
+    assert found.cautious, 'the sizes of doubts settled: it is no answer to fall back to'
+    off = se3.difference(found.estimate.X, truth.T_flange_sensor)
     assert np.abs(off).max() < 1e-4
+    lengths = [d.std for d in found.doubts if d.name in ('scale', 'radius')]
+    assert lengths and max(lengths) < 1e-4, 'nothing is wrong with them'

@@ -58,11 +58,11 @@ def tolerances(problem: Problem) -> Array:
     return stated if len(stated) else np.zeros(len(problem.method.labels))
 
 
-def doubts(problem: Problem, linear: Linear, bent: Bent) -> tuple[Doubt, ...]:
-    """Return all that may be wrong at an estimate; bent: the ways to be, near it."""
+def doubts(problem: Problem, linear: Linear, near: Bent) -> tuple[Doubt, ...]:
+    """Return all that may be wrong at an estimate; near: the ways to be bent there."""
     found = [*_stated(problem, linear), *_setbacks(problem, linear),
-             *_robot(problem, linear), *_sensor(problem, linear, bent.sensor),
-             *_faces(problem, bent.faces)]
+             *_robot(problem, linear), *_sensor(problem, linear, near.sensor),
+             *_faces(problem, near.faces)]
     return tuple(doubt for doubt in found if doubt.std > 0 and np.any(doubt.columns))
 
 
@@ -129,7 +129,9 @@ def pose_errors(problem: Problem, found: Sequence[Doubt], values: Array) -> Arra
 
 def _sensor(problem: Problem, linear: Linear, fields: list[Array]) -> Iterator[Doubt]:
     std = problem.config.noise.distortion
-    for (degree, share), field in zip(DISTORTION.items(), fields, strict=bool(fields)):
+    if not std:
+        return
+    for (degree, share), field in zip(DISTORTION.items(), fields, strict=True):
         columns = np.einsum('mi,mik->mk', linear.by_point, field) * (std * share)
         yield Doubt(f'distortion_{degree}', columns, std * share)
 
