@@ -51,6 +51,14 @@ def test_an_existing_bag_is_replaced_only_when_asked(good_bag, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ['good']
 
 
+@pytest.mark.parametrize('force', [False, True])
+def test_the_folder_that_one_stands_in_is_never_replaced(tmp_path, monkeypatch, force):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BagError, match='is the current folder'):
+        bag_write.write(tmp_path, PROFILES, POSES, force=force)
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_folder_that_is_no_bag_is_never_replaced(tmp_path):
     (tmp_path / 'mine').mkdir()
     (tmp_path / 'mine' / 'thesis.tex').write_text('x')

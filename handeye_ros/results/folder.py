@@ -22,8 +22,7 @@ def write(path: Path, texts: Mapping[str, str], fill: Callable[[Path], None] = P
 
     fill: makes the folder and what is in it, but for the texts by the name of their file. force:
     a recording that is there is replaced. Raises BagError when there is something at path
-    already, UnwritableError when it cannot be made.
-
+    already, or it is the current folder; UnwritableError when it cannot be made.
     """
     path = path.resolve()
     try:
@@ -40,11 +39,12 @@ def write(path: Path, texts: Mapping[str, str], fill: Callable[[Path], None] = P
 
 
 def _check_free(path: Path, force: bool) -> None:
-    if not path.exists() or path.is_dir() and not any(path.iterdir()):
-        return
-    if not force:
+    free = not path.exists() or path.is_dir() and not any(path.iterdir())
+    if not (free or force):
         raise BagError(path, 'is there already: choose another place, or replace it with --force')
-    if not any((path / name).is_file() for name in OURS):
+    if path == Path.cwd():  # whoever stands in it would stand nowhere
+        raise BagError(path, 'is the current folder, which is not replaced: name one in it')
+    if not (free or any((path / name).is_file() for name in OURS)):
         raise BagError(path, 'is there already and is no bag, so it is not replaced: choose '
                              'another place')
 
