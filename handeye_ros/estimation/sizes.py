@@ -27,7 +27,7 @@ def _belief(freedom: float, scale: float) -> Array:
 
 
 # As configured in the mean square, with so heavy a tail that it may be several times as much.
-STATED = _belief(3.0, 3.0 ** -0.5)
+STATED = _belief(3.0, 0.8)
 # Nothing, unless the data show something: what an estimate is best made with.
 LEAN = _belief(1.0, 0.01)
 
