@@ -95,14 +95,14 @@ def sizes(solution: Solution) -> Iterator[tuple[Doubt, float, float, float]]:
     solution = solution.cautious or solution  # a size kept small contradicts nothing
     first = solution.unknowns
     for doubt in solution.doubts:
-        if doubt.columns.shape[1] == 1:
+        if doubt.count == 1:
             n = float(solution.doubtful[first - solution.unknowns])
             p = min(float(solution.covariance[first, first]), 1 - 1e-9)
             size = solution.noise.doubts.get(doubt.name, 1.0)
             alone, variance = n / (1 - p), p / (1 - p)
             z = alone / math.sqrt(1 / size + variance)
             yield doubt, n * doubt.std, p ** 0.5 * doubt.std, z
-        first += doubt.columns.shape[1]
+        first += doubt.count
 
 
 def found_doubts(solution: Solution) -> dict[str, Any]:

@@ -21,15 +21,68 @@ def covariance_of(J: Array) -> Array:
 
 def inverse(information: Array) -> Array:
     """Return the inverse of a symmetric positive matrix, directions not seen cut."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    scaled = information / np.outer(scale, scale)
-    scaled[np.diag_indices_from(scaled)] += FREE
-    root, failed = lapack.dpotrf(scaled, lower=1)  # and zeros above it
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    return _inverse_of_scaled(information * scale * scale[:, None], scale)
+
+
+def _inverse_of_scaled(scaled: Array, scale: Array) -> Array:
+    """Return the inverse of a matrix that times scale (p,) from both sides has a diagonal of 1."""
+    every = np.arange(len(scaled))
+    scaled[every, every] += FREE
+    root, failed = lapack.dpotrf(scaled.T, lower=1)  # and zeros above it
     if failed:
         values, vectors = np.linalg.eigh(scaled)
         full = (vectors / np.maximum(values, FREE)) @ vectors.T
     else:
-        lower, _ = lapack.dpotri(root, lower=1)
+        lower, _ = lapack.dpotri(root, lower=1, overwrite_c=1)
         full = lower + lower.T
-        full[np.diag_indices_from(full)] /= 2
-    return np.asarray(full / scale / scale[:, None])
+        full[every, every] /= 2
+    full *= scale
+    full *= scale[:, None]
+    return np.asarray(full)
+
+
+def from_information(N: Array, b: Array, sizes: Array, known: int) -> tuple[Array, Array]:
+    """
+    Return the unknowns (p,), and their covariance (p, p), that make residuals small.
+
+    N (p, p), b (p,): information and gradient of whitened residuals for unknowns of unit size;
+    sizes: (p,) by which they are larger; of the last so many, known, the variance is known to be
+    1 beforehand.
+    """
+    prior = (np.arange(len(b)) >= len(b) - known).astype(float)
+    diagonal = np.diag(N) * sizes ** 2 + prior
+    scale = 1 / np.sqrt(np.maximum(diagonal, 1e-300))
+    both = sizes * scale
+    scaled = N * both * both[:, None]
+    scaled[np.diag_indices_from(scaled)] = diagonal * scale ** 2
+    covariance = _inverse_of_scaled(scaled, scale)
+    return -covariance @ (sizes * b), covariance
+
+
+def from_conditions(A: Array, r: Array, known: int) -> tuple[Array, Array]:
+    """
+    Return the same from few whitened residuals r (m,) and their derivatives A (m, p).
+
+    The unknowns known beforehand count as errors of the residuals first, and are what these
+    errors then show of them (as in a Kalman filter): matrices of m and not of p rows are inverted.
+    """
+    free = A.shape[1] - known
+    K = A[:, free:]
+    V = K @ K.T
+    V[np.diag_indices_from(V)] += 1.0
+    root, _ = lapack.dpotrf(V.T, lower=1, overwrite_a=1)
+    whitener, _ = lapack.dtrtri(root, lower=1, overwrite_c=1)
+    white, r = whitener @ A, whitener @ r
+    J, K = white[:, :free], white[:, free:]
+    own = inverse(J.T @ J)
+    x = -own @ (J.T @ r)
+    seen, covariance = J @ own, np.empty((A.shape[1], A.shape[1]))
+    covariance[:free, :free] = own
+    covariance[:free, free:] = -seen.T @ K
+    covariance[free:, :free] = covariance[:free, free:].T
+    left = K - seen @ (J.T @ K)
+    covariance[free:, free:] = -K.T @ left
+    every = np.arange(free, len(covariance))
+    covariance[every, every] += 1.0
+    return np.append(x, -K.T @ (r + J @ x)), covariance

@@ -31,25 +31,38 @@ def deleted(white: Array, jacobian: Array, covariance: Array, block: NDArray[np.
     left_out = np.empty_like(white)
     for rows in groups(block):
         J = jacobian[rows]
-        H = J @ covariance @ np.swapaxes(J, 1, 2)
-        regular = (1 + REGULAR) * np.eye(H.shape[1]) - H
-        left_out[rows] = np.linalg.solve(regular, white[rows][..., None])[..., 0]
+        left_out[rows] = without_own(J @ covariance @ np.swapaxes(J, 1, 2), white[rows])
     return left_out
 
 
-def step_without(white: Array, jacobian: Array, covariance: Array, information: Array,
-                 out: NDArray[np.bool_]) -> Array:
+def without_own(seen: Array, white: Array) -> Array:
+    """
+    Return residuals (s, c) of blocks, each against the answer without it, to first order.
+
+    white: (s, c) against that of all; seen: (s, c, c) the covariance of what that explains.
+    """
+    regular = (1 + REGULAR) * np.eye(seen.shape[1]) - seen
+    return np.asarray(np.linalg.solve(regular, white[..., None])[..., 0])
+
+
+def step_without(white: Array, jacobian: Array, covariance: Array) -> Array:
     """
     Return by how much the unknowns (u,) differ without some rows, to first order.
 
-    out: (m,) which; information: (u, u), the inverse of covariance.
+    white: (m,) of these rows, jacobian: (m, u); covariance: (u, u) from all.
     """
-    J_out, r_out = jacobian[out], white[out]
-    if len(r_out) < jacobian.shape[1]:
-        to_out = J_out @ covariance
-        inside = (1 + REGULAR) * np.eye(len(r_out)) - to_out @ J_out.T
-        return np.asarray(to_out.T @ np.linalg.solve(inside, r_out))
-    return inverse(information - J_out.T @ J_out) @ (J_out.T @ r_out)
+    to_rows = jacobian @ covariance
+    inside = (1 + REGULAR) * np.eye(len(white)) - to_rows @ jacobian.T
+    return np.asarray(to_rows.T @ np.linalg.solve(inside, white))
+
+
+def step_without_many(information: Array, lost: Array, gradient: Array) -> Array:
+    """
+    Return the same for many rows, of which only the sums are needed.
+
+    information: (u, u) of all; lost: (u, u) that of these rows; gradient: (u,) of them.
+    """
+    return inverse(information - lost) @ gradient
 
 
 def unexplained(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int

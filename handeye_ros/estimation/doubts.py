@@ -31,12 +31,19 @@ class Doubt:
 
     columns: (m, k) derivatives of the residuals by taking it out, each unknown in units of its
     prior sigma std (m, rad or 1); parameter: which of the target's it is of, None of none.
+    functions: of each column so many unknowns, times the functions of the poses (see Columns).
     """
 
     name: str
     columns: Array
     std: float
     parameter: int | None = None
+    functions: int = 1
+
+    @property
+    def count(self) -> int:
+        """Return the number of its unknowns."""
+        return int(self.columns.shape[1]) * self.functions
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +66,14 @@ def tolerances(problem: Problem) -> Array:
 
 
 def doubts(problem: Problem, linear: Linear, near: Bent) -> tuple[Doubt, ...]:
-    """Return all that may be wrong at an estimate; near: the ways to be bent there."""
-    found = [*_stated(problem, linear), *_setbacks(problem, linear),
-             *_robot(problem, linear), *_sensor(problem, linear, near.sensor),
-             *_faces(problem, near.faces)]
+    """
+    Return all that may be wrong at an estimate, the smooth errors of the robot last.
+
+    near: the ways to be bent there.
+    """
+    found = [*_stated(problem, linear), *_setbacks(problem, linear), *_scale(problem, linear),
+             *_sensor(problem, linear, near.sensor), *_faces(problem, near.faces),
+             *_robot(problem, linear)]
     return tuple(doubt for doubt in found if doubt.std > 0 and np.any(doubt.columns))
 
 
@@ -86,18 +97,19 @@ def _setbacks(problem: Problem, linear: Linear) -> Iterator[Doubt]:
         yield Doubt(f'incidence_{end}', tilted * std, std)
 
 
+def _scale(problem: Problem, linear: Linear) -> Iterator[Doubt]:
+    """Yield the scale of the robot."""
+    std, station = problem.config.noise.robot_scale, problem.observations.station
+    by_scale = (linear.by_pose[:, :3] * _scaled(problem)[station]).sum(axis=1)
+    yield Doubt('scale', by_scale[:, None] * std, std)
+
+
 def _robot(problem: Problem, linear: Linear) -> Iterator[Doubt]:
-    """Yield the scale of the robot, and its smooth errors of position and of rotation."""
-    station, noise = problem.observations.station, problem.config.noise
-    by_scale = np.einsum('ma,ma->m', linear.by_pose[:, :3], _scaled(problem)[station])
-    yield Doubt('scale', by_scale[:, None] * noise.robot_scale, noise.robot_scale)
-    if not noise.robot_smooth:
-        return
-    shared = problem.smooth[station]
-    for name, axes in SMOOTH.items():
-        std = noise.robot_smooth * SMOOTH_UNIT[name]
-        each_axis = linear.by_pose[:, axes, None] * (shared * std)[:, None]
-        yield Doubt(name, each_axis.reshape(len(shared), -1), std)
+    """Yield the smooth errors of the robot's position and of its rotation."""
+    size = problem.config.noise.robot_smooth
+    for name, axes in SMOOTH.items() if size else ():
+        std = size * SMOOTH_UNIT[name]
+        yield Doubt(name, linear.by_pose[:, axes] * std, std, functions=problem.smooth.shape[1])
 
 
 def _scaled(problem: Problem) -> Array:
@@ -117,7 +129,7 @@ def pose_errors(problem: Problem, found: Sequence[Doubt], values: Array) -> Arra
     errors = np.zeros((len(problem.poses), 6))
     first = 0
     for doubt in found:
-        last = first + doubt.columns.shape[1]
+        last = first + doubt.count
         if doubt.name == 'scale':
             errors[:, :3] += _scaled(problem) * (values[first] * doubt.std)
         elif doubt.name in SMOOTH:
@@ -132,7 +144,7 @@ def _sensor(problem: Problem, linear: Linear, fields: list[Array]) -> Iterator[D
     if not std:
         return
     for (degree, share), field in zip(DISTORTION.items(), fields, strict=True):
-        columns = np.einsum('mi,mik->mk', linear.by_point, field) * (std * share)
+        columns = (linear.by_point[:, None] @ field)[:, 0] * (std * share)
         yield Doubt(f'distortion_{degree}', columns, std * share)
 
 

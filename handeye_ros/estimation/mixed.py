@@ -13,17 +13,18 @@ nothing of should not move the answer, but it may well be there.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.algebra import inverse
+from handeye_ros.estimation.algebra import from_conditions, from_information
+from handeye_ros.estimation.columns import Columns
 from handeye_ros.estimation.doubts import Bent, bent, Doubt, doubts
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Linear, linearise, Problem
 from handeye_ros.estimation.sizes import Sizes, sizes
-from handeye_ros.estimation.solve import move, Solution
+from handeye_ros.estimation.solve import columns_of, move, Solution
 from handeye_ros.estimation.weights import (
     covariances,
-    inverse_roots,
     Noise,
     Whitening,
     whitening,
@@ -34,9 +35,9 @@ from numpy.typing import NDArray
 ROUNDS = 10  # of linearising
 STEPS, LAST_STEPS = 2, 4  # of estimating sizes in each round, and after the last
 SETTLED = 0.03  # relative change of a variance that changes no answer
-SETTLED_NOISE = 0.1  # the same, on the way
+SETTLED_NOISE = 0.1  # the same, of the noise, on the way
 ASKED = 300  # stations that at most are asked for the noise
-CONVERGED = 1e-2  # step in sigmas
+CONVERGED = 0.02  # step in sigmas
 DIVERGED = 4.0  # of a step over the smallest before
 SIZING = 1  # rounds in which a doubt may turn out so large that the step grows
 BELIEF_NOISE = 4.0  # in the configured noise, in degrees of freedom
@@ -56,7 +57,7 @@ def settled(problem: Problem, start: Estimate, noise: Noise | None = None) -> So
     system, least = _System.of(problem, start, noise, nothing), np.inf
     best = system
     for count in range(ROUNDS):
-        x, covariance = system.solved()
+        x, covariance = system.solved
         size = float(np.abs(x[:system.u] / np.sqrt(np.diag(covariance)[:system.u])).max())
         astray = size > DIVERGED * max(least, 1.0)
         if astray and count > SIZING:
@@ -64,8 +65,7 @@ def settled(problem: Problem, start: Estimate, noise: Noise | None = None) -> So
         best, least = best if astray else system, min(size, least)
         estimate, deviation = system.moved(x)
         noise, before = system.with_noise(x, covariance), system.noise.factors
-        system = system.at(estimate, noise, deviation)
-        system = system.with_sizes(system.sized(STEPS, SETTLED_NOISE).stated)
+        system, _ = system.at(estimate, noise, deviation).sized(STEPS)
         if size < CONVERGED and np.abs(np.log(noise.factors / before)).max() < SETTLED_NOISE:
             break
     return system.answer()
@@ -82,8 +82,8 @@ class _System:
     """
     The whitened least squares at an estimate.
 
-    r: (m,), of which the doubts are not taken out; A: (m, u + q) derivatives by the unknowns and
-    by the doubts at their configured size; group: (q,) the doubt of each column.
+    r: (m,), of which the doubts are not taken out; columns: derivatives by u unknowns and by q
+    of the doubts at their configured size; group: (q,) the doubt of each of these.
     """
 
     problem: Problem
@@ -91,10 +91,9 @@ class _System:
     linear: Linear
     noise: Noise
     doubts: tuple[Doubt, ...]
+    white: Whitening
     r: Array
-    A: Array
-    N: Array
-    b: Array
+    columns: Columns
     group: NDArray[np.intp]
     deviation: Array
     bent: Bent
@@ -113,11 +112,12 @@ class _System:
         """Return the system of what is linearised, whitened by a noise."""
         white: Whitening = whitening(problem, linear, noise)
         residuals = linear.residuals - linear.jacobian[:, 6:] @ deviation
-        columns = [linear.jacobian[:, problem.columns], *(d.columns for d in found)]
-        A, r = white(np.hstack(columns)), white(residuals)
-        group = np.repeat(np.arange(len(found)), [d.columns.shape[1] for d in found])
-        return cls(problem, estimate, linear, noise, found, r, A, A.T @ A, A.T @ r, group,
-                   deviation, near)
+        parts = [linear.jacobian[:, problem.columns], *(d.columns for d in found)]
+        own = white(np.column_stack([*parts, residuals]))
+        axes = sum(d.columns.shape[1] for d in found if d.functions > 1)
+        group = np.repeat(np.arange(len(found)), [d.count for d in found])
+        return cls(problem, estimate, linear, noise, found, white, own[:, -1],
+                   columns_of(problem, own[:, :-1], axes), group, deviation, near)
 
     def at(self, estimate: Estimate, noise: Noise, deviation: Array) -> _System:
         """Return the system at another estimate, from which what may be bent looks alike."""
@@ -130,62 +130,69 @@ class _System:
 
     @property
     def u(self) -> int:
-        return len(self.b) - len(self.group)
+        return self.columns.count - len(self.group)
 
     @property
     def first(self) -> NDArray[np.intp]:
         """Return where the unknowns of each doubt begin (d,), among those of all doubts."""
         return np.searchsorted(self.group, np.arange(len(self.doubts)))
 
-    def scales(self) -> Array:
-        """Return the square roots (u + q,) of the sizes of doubts, 1 of unknowns."""
-        sizes = np.array([self.noise.doubts.get(d.name, 1.0) for d in self.doubts])
-        return np.append(np.ones(self.u), np.sqrt(sizes)[self.group])
+    @property
+    def variances(self) -> Array:
+        """Return how large (d,) the doubts are taken to be, over the configured variance."""
+        return np.array([self.noise.doubts.get(d.name, 1.0) for d in self.doubts])
 
+    @cached_property
+    def scales(self) -> Array:
+        """Return the sizes (u + q,) of the unknowns of doubts, 1 of others."""
+        return np.append(np.ones(self.u), np.sqrt(self.variances)[self.group])
+
+    @cached_property
     def solved(self) -> tuple[Array, Array]:
         """Return what unknowns and doubts are (u + q,), and their covariance."""
-        s = self.scales()
-        information = self.N * np.outer(s, s)
-        doubted = np.arange(self.u, len(s))
-        information[doubted, doubted] += 1.0
-        covariance = inverse(information)
-        return -covariance @ (s * self.b), covariance
+        s, q = self.scales, len(self.group)
+        if len(self.r) < len(s):
+            return from_conditions(self.columns.dense * s, self.r, q)
+        gradient = self.columns.gradient_of(self.r, self.columns.rows)
+        return from_information(self.columns.gram, gradient, s, q)
 
-    def sized(self, steps: int, settled: float) -> Sizes:
+    def sized(self, steps: int) -> tuple[_System, Sizes]:
         """
-        Return how large the doubts show themselves.
+        Return the system with the doubts as large as they show themselves, and these sizes.
 
-        settled: relative change of a variance that ends the steps.
+        A last step that changes next to nothing is not made.
         """
-        now = np.array([self.noise.doubts.get(d.name, 1.0) for d in self.doubts])
-        found, system, u = Sizes(now, now, np.zeros(len(now))), self, self.u
-        largest = np.array([MOST if d.parameter is None else LARGEST for d in self.doubts])
-        alone = np.bincount(self.group, minlength=len(now)) == 1
+        system, now = self, self.variances
+        found = Sizes(now, now, np.zeros(len(now)))
         for _ in range(steps if self.doubts else 0):
-            before, (x, covariance) = found.stated, system.solved()
-            found = sizes(covariance[u:, u:], x[u:], self.first, before, largest)
-            found = found.one_grown(before, alone)
-            if np.abs(np.log(found.stated / before)).max() < settled:
+            before, found = system.variances, system.shown()
+            if np.abs(np.log(found.stated / before)).max() < SETTLED:
                 break
-            system = self.with_sizes(found.stated)
-        return found
+            system = system.with_sizes(found.stated)
+        return system, found
+
+    def shown(self) -> Sizes:
+        """Return how large the doubts show themselves."""
+        (x, covariance), u, before = self.solved, self.u, self.variances
+        largest = np.array([MOST if d.parameter is None else LARGEST for d in self.doubts])
+        alone = np.bincount(self.group, minlength=len(before)) == 1
+        found = sizes(covariance[u:, u:], x[u:], self.first, before, largest)
+        return found.one_grown(before, alone)
 
     def with_noise(self, x: Array, covariance: Array, believed: Array = CONFIGURED) -> Noise:
         """Return the noise with the factors that the residuals show, held to those believed."""
-        s = self.scales()
-        residuals, A = self.r + self.A @ (s * x), self.A * s
-        sums = np.zeros((4, 2))
+        columns = self.columns.scaled(self.scales)
+        residuals, sums = self.r + columns.times(x), np.zeros((4, 2))
         every = -(-len(self.problem.poses) // ASKED)
-        for stations in self.problem.stations:
-            at = stations.every(every)
+        for stations, factors in zip(self.problem.stations, self.white.factors, strict=True):
+            at, root = stations.every(every), factors[::every]
             V = self.noise.factors[:, None, None, None] * covariances(
                 self.problem, self.linear, at)
-            root = inverse_roots(V.sum(axis=0))
-            r, J = residuals[at.rows], A[at.rows]
-            taken = J @ covariance @ np.swapaxes(J, 1, 2)
             W = root @ V @ np.swapaxes(root, 1, 2)
-            sums[:, 0] += np.einsum('ni,knij,nj->k', r, W, r, optimize=True)
-            sums[:, 1] += np.einsum('knii->k', W) - np.einsum('knij,nji->k', W, taken)
+            r = residuals[at.rows]
+            left = np.eye(r.shape[1]) - columns.seen(covariance, at.rows)
+            sums[:, 0] += ((W @ r[..., None])[..., 0] * r).sum(axis=(1, 2))
+            sums[:, 1] += (W * left).sum(axis=(1, 2, 3))
         before = self.noise.factors
         after = before * (sums[:, 0] + BELIEF_NOISE * believed / before) / (
             np.maximum(sums[:, 1], 0.0) + BELIEF_NOISE)
@@ -194,7 +201,7 @@ class _System:
 
     def moved(self, x: Array) -> tuple[Estimate, Array]:
         """Return the estimate moved by a solution, and how far the target is from as stated."""
-        after, s = np.zeros_like(self.deviation), self.scales()
+        after, s = np.zeros_like(self.deviation), self.scales
         for i, doubt in enumerate(self.doubts):
             if doubt.parameter is not None:
                 column = self.u + int(self.first[i])
@@ -210,22 +217,22 @@ class _System:
 
     def answer(self) -> Solution:
         """Return the solution, with what is stated of it."""
-        found = self.sized(LAST_STEPS, SETTLED)
+        _, found = self.sized(LAST_STEPS)
         lean, wide = self.with_sizes(found.lean), self.with_sizes(found.stated)
         for _ in range(LEAN_STEPS):
-            lean = lean.weighed(lean.with_noise(*lean.solved(), LEAN))
-        estimate, deviation = lean.moved(lean.solved()[0])
+            lean = lean.weighed(lean.with_noise(*lean.solved, LEAN))
+        estimate, deviation = lean.moved(lean.solved[0])
         there = self.at(estimate, lean.noise, deviation)
         wide = there.weighed(wide.noise)
         return replace(there.solution(), cautious=wide.solution())
 
     def solution(self) -> Solution:
         """Return the solution that the estimate is, near enough to its minimum."""
-        x, covariance = self.solved()
-        s = self.scales()
-        A = self.A * s
-        sized = tuple(replace(d, columns=d.columns * size, std=d.std * float(size))
+        x, covariance = self.solved
+        s = self.scales
+        columns = self.columns.scaled(s)
+        sized = tuple(replace(d, std=d.std * float(size))
                       for d, size in zip(self.doubts, s[self.u:][self.first], strict=True))
         estimate = move(self.problem, self.estimate, x[:self.u])
-        return Solution(self.problem, estimate, self.noise, self.linear, self.r + A @ x, A,
-                        covariance, x[self.u:], sized)
+        return Solution(self.problem, estimate, self.noise, self.linear, self.r + columns.times(x),
+                        columns, covariance, x[self.u:], sized)

@@ -8,6 +8,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation import blocks
 from handeye_ros.estimation.algebra import covariance_of
+from handeye_ros.estimation.columns import Columns
 from handeye_ros.estimation.doubts import Doubt, pose_errors
 from handeye_ros.estimation.fields import spread
 from handeye_ros.estimation.least_squares import as_they_are, least_squares, Rows, System, White
@@ -54,7 +55,7 @@ class Solution:
     """
     An estimate with what the data says of it.
 
-    white: whitened residuals (m,), what doubts explain taken out; jacobian: whitened (m, u + q),
+    white: whitened residuals (m,), what doubts explain taken out; columns: whitened derivatives by
     u unknowns, X's six first, then q of the doubts in units of their sigma; covariance: of all
     of them, infinite variances cut at LARGEST_STD; doubtful: (q,) how large those of the doubts
     are; doubts: the doubts, their sigmas as estimated; cautious: the solution with doubts as large
@@ -66,7 +67,7 @@ class Solution:
     noise: Noise
     linear: Linear
     white: Array
-    jacobian: Array
+    columns: Columns
     covariance: Array
     doubtful: Array = field(default_factory=lambda: np.empty(0))
     doubts: tuple[Doubt, ...] = ()
@@ -85,13 +86,18 @@ class Solution:
     @property
     def unknowns(self) -> int:
         """Return the number of unknowns that are no doubts."""
-        return int(self.jacobian.shape[1]) - len(self.doubtful)
+        return self.columns.count - len(self.doubtful)
+
+    @property
+    def jacobian(self) -> Array:
+        """Return the whitened derivatives (m, u + q) themselves."""
+        return self.columns.dense
 
     @cached_property
     def information(self) -> Array:
         """Return that of all unknowns, (u + q, u + q): of the residuals and of the priors."""
         prior = np.append(np.zeros(self.unknowns), np.ones(len(self.doubtful)))
-        return np.asarray(self.jacobian.T @ self.jacobian + np.diag(prior))
+        return np.asarray(self.columns.gram + np.diag(prior))
 
     @cached_property
     def ranks(self) -> NDArray[np.intp]:
@@ -102,7 +108,7 @@ class Solution:
         """
         station = self.problem.observations.station
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
-        J = self.jacobian[:, :self.unknowns]
+        J = self.columns.own[:, :self.unknowns]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         for at in self.problem.stations:
             s = np.linalg.svd(J[at.rows], compute_uv=False)
@@ -136,7 +142,7 @@ class Solution:
         for doubt in self.doubts:
             if doubt.parameter is not None:
                 std[doubt.parameter] = doubt.std * variances[first] ** 0.5
-            first += doubt.columns.shape[1]
+            first += doubt.count
         return std
 
 
@@ -145,8 +151,15 @@ def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
     linear = linearise(problem, estimate)
     white = whitening(problem, linear, noise)
     r, J = white(linear.residuals), white(linear.jacobian[:, problem.columns])
-    covariance = covariance_of(J)
-    return Solution(problem, estimate, noise, linear, r, J, covariance)
+    return Solution(problem, estimate, noise, linear, r, columns_of(problem, J, 0),
+                    covariance_of(J))
+
+
+def columns_of(problem: Problem, own: Array, axes: int) -> Columns:
+    """Return derivatives, the last axes of own (m, c + axes) by the robot's smooth errors."""
+    shared = problem.smooth if axes else np.empty((len(problem.poses), 0))
+    return Columns(own, shared, axes, [at.rows for at in problem.stations],
+                   problem.observations.station)
 
 
 def redundancy(solution: Solution) -> int:
@@ -176,8 +189,11 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
     squared and whitened it is chi-squared distributed when the station is good.
     """
     station, n = solution.problem.observations.station, len(solution.problem.poses)
-    left_out = blocks.deleted(solution.white, solution.jacobian, solution.covariance, station)
-    statistic = np.bincount(station, solution.white * left_out, minlength=n).astype(float)
+    statistic = np.zeros(n)
+    for rows in solution.columns.rows:
+        r = solution.white[rows]
+        left_out = blocks.without_own(solution.columns.seen(solution.covariance, rows), r)
+        statistic[station[rows[:, 0]]] = (r * left_out).sum(axis=1)
     return statistic, np.bincount(station, minlength=n)
 
 
@@ -200,9 +216,14 @@ def without(solution: Solution, stations: NDArray[np.intp]) -> tuple[Estimate, A
 
     And the poses (n, 4, 4) without the smooth error of the robot that the others show.
     """
-    out = np.isin(solution.problem.observations.station, stations)
-    step = blocks.step_without(solution.white, solution.jacobian, solution.covariance,
-                               solution.information, out)
+    columns, part = solution.columns, solution.columns.of(stations)
+    rows = np.concatenate([some.ravel() for some in part])
+    if len(rows) < columns.count:
+        step = blocks.step_without(solution.white[rows], columns.dense_rows(rows),
+                                   solution.covariance)
+    else:
+        step = blocks.step_without_many(solution.information, columns.gram_of(part),
+                                        columns.gradient_of(solution.white, part))
     u = solution.unknowns
     return (move(solution.problem, solution.estimate, step[:u]),
             _poses_with(solution, solution.doubtful + step[u:]))
