@@ -12,10 +12,10 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError
-from handeye_ros.ros.node import live_samples
+from handeye_ros.ros.node import live_streams
 from handeye_ros.ros.node.latest import Latest
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.node.live_samples import MOST_STOPS
+from handeye_ros.ros.node.live_streams import MOST_STOPS
 from handeye_ros.ros.node.place import Place
 from handeye_ros.ros.node.telling import state_of
 from handeye_ros.sampling import stations
@@ -282,7 +282,7 @@ def later(items, seconds: int):
 
 def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
         monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_samples, 'MOST_STOPS', 5)
+    monkeypatch.setattr(live_streams, 'MOST_STOPS', 5)
     live = LiveSession(SPHERE.config, Place())
     for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
         (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))

@@ -41,6 +41,16 @@ def test_it_answers_and_refuses_as_here(second: Second) -> None:
     assert 'function(*args)' in error.value.__notes__[0], 'the traceback over there is told'
 
 
+def test_its_priority_counts_beside_this_process_and_ctrl_c_is_not_for_it() -> None:
+    second = Second(5)
+    try:
+        assert second.run(os.nice, 0) == os.nice(0) + 5
+        assert second.run(os.getsid, 0) == os.getsid(0), 'Linux compares within a session'
+        assert second.run(os.getpgid, 0) != os.getpgid(0)
+    finally:
+        second.stop()
+
+
 def test_what_it_prints_is_no_answer(second: Second, capfd: pytest.CaptureFixture[str]) -> None:
     assert second.run(print, 'hello') is None
     second.stop()

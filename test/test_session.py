@@ -21,7 +21,7 @@ from handeye_ros.ros.bags.bag_write import write
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.place import Place
 from handeye_ros.ros.node.telling import state_of
-from handeye_ros.ros.sessions.bag_files import files_of
+from handeye_ros.ros.sessions.bag_files import BagFile, files_of, write_metadata
 from handeye_ros.ros.sessions.reading import is_session, last_session, read_session
 from handeye_ros.ros.sessions.resume import resumed
 from handeye_ros.ros.sessions.writing import SessionStore
@@ -29,6 +29,7 @@ from mcap.reader import make_reader
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+import yaml
 
 SPHERE = recorded('sphere')
 
@@ -266,6 +267,20 @@ def test_a_session_without_its_last_metadata_is_whole(tmp_path: Path) -> None:
     with AnyReader([folder]) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections}
     assert counts['/handeye_ros/session/outcome'] == 3 == len(other.copied().outcomes)
+
+
+def test_metadata_of_any_names_are_yaml(tmp_path: Path) -> None:
+    files = [BagFile(f'Köln "2": {{x}}_{i}.mcap', 10 * i + 5, 10 * i + 9, {'/a': 2, '/b': i})
+             for i in range(3)]
+    write_metadata(tmp_path, files, {'/a': 'std_msgs/msg/String', '/b': 'std_msgs/msg/String'})
+    told = yaml.safe_load((tmp_path / 'metadata.yaml').read_text(encoding='utf-8'))
+    told = told['rosbag2_bagfile_information']
+    assert told['relative_file_paths'] == [file['path'] for file in told['files']] == [
+        file.name for file in files]
+    assert told['message_count'] == sum(file['message_count'] for file in told['files']) == 9
+    assert [topic['message_count'] for topic in told['topics_with_message_count']] == [6, 3]
+    assert told['starting_time']['nanoseconds_since_epoch'] == 5
+    assert told['duration']['nanoseconds'] == 24
 
 
 def test_what_is_no_session_is_told(tmp_path: Path) -> None:

@@ -5,9 +5,11 @@ Knows no ROS and no threads.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Profile, Reject, Sample, TimedPose
@@ -77,10 +79,22 @@ class Course:
         """Begin the first part; raises NoRoutineError, UnknownNameError, WrongCountError."""
         if not config.verify.routine:
             raise NoRoutineError
-        self.routine: Routine = routine_of(config.verify.routine)
+        self._name = routine_of(config.verify.routine).name
         self._least, self._most = parts_of(self.routine, nominal_of(config))
         self._settings(config)
         self.parts = [Part()]
+
+    @property
+    def routine(self) -> Routine:
+        """Return what is measured; by its name, as its functions cannot be pickled."""
+        return routine_of(self._name)
+
+    def copied(self) -> Self:
+        """Return another that holds what has been seen so far."""
+        other = copy(self)
+        other.parts = [replace(part, stops=dict(part.stops), profiles=list(part.profiles),
+                               poses=list(part.poses)) for part in self.parts]
+        return other
 
     @property
     def scans(self) -> bool:
@@ -108,9 +122,10 @@ class Course:
         """Tell whether the last part has begun and has shown something."""
         return len(self.parts) >= self._most and not self.parts[-1].is_empty
 
-    def add(self, stop: Stop, config: Config) -> Sample | Reject:
-        """Return what a stop is to the routine, which counts."""
-        found = result_of(stop, self._settings(config))
+    def add(self, stop: Stop, config: Config,
+            judge: Callable[[Stop, Config], Sample | Reject] = result_of) -> Sample | Reject:
+        """Return what a stop is to the routine, which counts; judge: tells what it gives."""
+        found = judge(stop, self._settings(config))
         self.parts[-1].stops[stop.began] = found
         return found
 

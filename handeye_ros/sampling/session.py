@@ -5,7 +5,7 @@ The same Session takes the messages of a bag and those of live topics.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Self
 
 from handeye_ros import methods
@@ -122,15 +122,15 @@ class Session(Watch):
         self.put(outcome)
         return outcome.result
 
-    def last(self) -> Outcome:
+    def last(self, judge: Callable[[Stop, Config], Sample | Reject] = result_of) -> Outcome:
         """
         Return the last sample, which may be of the stop the robot stands in.
 
-        Raises NothingToRemoveError when there is none.
+        judge: tells what a stop gives. Raises NothingToRemoveError when there is none.
         """
         standing = self.standing()
         if standing:
-            outcome = self.outcome(standing, result_of(standing, self._config))
+            outcome = self.outcome(standing, judge(standing, self._config))
             if outcome.sample:
                 return outcome
         samples = [outcome for outcome in self._outcomes if outcome.sample]

@@ -9,6 +9,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 from handeye_ros import methods, se3
 from handeye_ros.config import Config, flipped_range
@@ -76,7 +77,18 @@ def stop_of(station: Station, profiles: Sequence[AnyProfile], config: Config) ->
     kept = [*evenly(inside[:begin], MOST_PROFILES), *evenly(inside[begin:end], MOST_KEPT),
             *evenly(inside[max(begin, end):], MOST_PROFILES)]
     seen = Seen(station.poses, tuple(kept))
-    return Stop(station.began, lambda _: seen)
+    return Stop(station.began, partial(_held, seen))
+
+
+def _held(seen: Seen, config: Config) -> Seen:
+    """Return what is in memory; a function of the module, so that a stop can be pickled."""
+    return seen
+
+
+def needed(stop: Stop, config: Config) -> Stop:
+    """Return a stop with no more than what its sample is made of, to be judged elsewhere."""
+    seen = stop.load(config)
+    return Stop(stop.began, partial(_held, Seen(seen.poses, tuple(_unread(seen, config)))))
 
 
 def _inside(profiles: Sequence[AnyProfile], station: Station) -> Sequence[AnyProfile]:
@@ -132,12 +144,17 @@ def _sample(seen: Seen, profiles: Sequence[Profile], config: Config) -> Sample:
 
 def _still(seen: Seen, config: Config) -> list[Profile]:
     """Return the profiles of the time in which nothing swings any more; some may be unusable."""
-    first, last = settled(seen.poses[0].stamp, seen.poses[-1].stamp, config)
     read = []
-    for profile in evenly([p for p in seen.profiles if first <= p.stamp <= last], MOST_PROFILES):
+    for profile in _unread(seen, config):
         with suppress(UnusableMessageError):
             read.append(profile.read(config.profile))
     return read
+
+
+def _unread(seen: Seen, config: Config) -> list[AnyProfile]:
+    """Return the messages of the same."""
+    first, last = settled(seen.poses[0].stamp, seen.poses[-1].stamp, config)
+    return evenly([p for p in seen.profiles if first <= p.stamp <= last], MOST_PROFILES)
 
 
 def beside(stop: Stop, config: Config) -> float:

@@ -48,13 +48,13 @@ class LiveSession(LiveSamples):
     """
 
     def __init__(self, config: Config, place: Place, store: Store | None = None,
-                 second: Runner | None = None) -> None:
+                 second: Runner | None = None, judging: Runner | None = None) -> None:
         """
         Start without samples; raises BadValueError for a method that does not exist.
 
-        second: runs what takes long.
+        second: runs what takes long; judging: what an answer waits for.
         """
-        super().__init__(config, store)
+        super().__init__(config, store, judging)
         self.place = place
         self._second = second or Here()
         self._judged = threading.Event()  # since which there is something to derive
@@ -88,6 +88,7 @@ class LiveSession(LiveSamples):
 
     def start(self) -> None:
         """Let the threads do what has to be done, until the process ends."""
+        self._judging.begin()
         self._workers.start(self._wake, self._judge_and_tell)
         self._workers.start(self._judged, self._derive)
 
@@ -95,6 +96,7 @@ class LiveSession(LiveSamples):
         """End what takes long, and the threads with it."""
         self._workers.stop()
         self._second.stop()
+        self._judging.stop()
 
     def _judge_and_tell(self) -> None:
         self.judge_all()
@@ -193,14 +195,11 @@ class LiveSession(LiveSamples):
             for stop in self.copied().rest():
                 self._judge(stop)
             session, config = self.copied(), self.config
+        self._wake.set()
         session.require_stations()
-        self.working = 'the calibration is computed'
-        self.on_change()
-        try:
+        with self._doing('the calibration is computed'):
             found = pipeline.solve_session(
                 session, config, partial(self._second.run, pipeline.solve, urgent=True))
-        finally:
-            self.working = ''
         inputs = [{'topic': config.profile_topic},
                   {'topic': config.pose_topic if config.pose_source == 'topic' else '/tf'}]
         return (replace(found, provenance={**found.provenance, 'inputs': inputs}),

@@ -1,60 +1,50 @@
 """
-The samples of a running node: fed, judged, stored and changed from different threads.
+The samples of a running node: judged, stored and changed from different threads.
 
-Knows no ROS. The lock is held around the session alone, for as long as a message takes. What
-takes its time (to extract, to store) is done by a worker or by whoever asks, one thing after
-the other, while messages go on coming in.
+Knows no ROS. What a stop asks for (to extract, to store) is done by a worker or by whoever asks,
+one thing after the other, while messages go on coming in. What takes longer holds up none of it.
 """
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 import threading
 
 from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Reject, TimedPose
+from handeye_ros.data import Reject
 from handeye_ros.errors import HandeyeError, InputError
-from handeye_ros.ros.node.arrivals import Arrivals
-from handeye_ros.ros.node.latest import Latest
+from handeye_ros.ros.node.judging import Judge
+from handeye_ros.ros.node.live_streams import LiveStreams
+from handeye_ros.ros.node.second import Here, Runner
 from handeye_ros.ros.node.settings import changes_samples
 from handeye_ros.ros.node.store import NoStore, Store
 from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.state import Attempt
-from handeye_ros.sampling.stops import judged, Outcome, result_of, sample_of, Stop
+from handeye_ros.sampling.stops import Outcome, Stop
 from handeye_ros.sampling.wording import count_of, sample_summary
 
-MOST_STOPS = 16  # that wait to be judged, of 9 MB at most with 1280 points a profile
 
-
-class LiveSamples:
+class LiveSamples(LiveStreams):
     """
     The samples of a running node.
 
-    on_outcome: called with each new outcome; on_change: after whatever changes the state.
+    on_outcome: called with each new outcome.
     """
 
-    def __init__(self, config: Config, store: Store | None = None) -> None:
-        """Start without samples; raises BadValueError for a method that does not exist."""
-        self._lock = threading.Lock()  # of the session
+    def __init__(self, config: Config, store: Store | None = None, judging: Runner | None = None
+                 ) -> None:
+        """Start empty; judging: runs what tells what a stop gives. Raises BadValueError."""
+        super().__init__(config)
         self._work = threading.RLock()  # of what is done with it, one thing after the other
-        self._session = Session(config)
+        self._judging = Judge(judging or Here())
         self._store = store or NoStore()
-        self._stops: deque[Stop] = deque()  # over, but not yet judged
-        self._skipped = 0  # of these, as too many waited
-        self._wake = threading.Event()  # of a worker that calls settle
         self._cleared = 0  # how often
         self._anew = threading.Lock()  # of extracting the samples anew
         self._stale = False  # whether that is to be done
-        self.config = config
-        self.arrivals = Arrivals()
-        self.latest = Latest()
         self.attempt: Attempt | None = None
-        self.working = ''
         self.store_trouble = ''
         self.on_outcome: Callable[[Outcome], None] = lambda outcome: None
-        self.on_change: Callable[[], None] = lambda: None
 
     def restore(self, session: Session, before: Config) -> str:
         """
@@ -70,50 +60,6 @@ class LiveSamples:
         count = sum(outcome.sample is not None for outcome in session.outcomes)
         return f'going on with {count_of(count, "sample")} of {self.path}'
 
-    # what comes in
-
-    def add_profile(self, profile: AnyProfile) -> None:
-        """Take a profile."""
-        self.arrivals.came('profile', profile.stamp)
-        self.latest.add_profile(profile)
-        with self._lock:
-            self._session.add_profile(profile)
-            self._put_off(self._session.passed())
-
-    def add_poses(self, poses: Iterable[TimedPose]) -> None:
-        """Take poses."""
-        poses = list(poses)
-        self.latest.add_poses(poses)
-        with self._lock:
-            for pose in poses:
-                self.arrivals.came('pose', pose.stamp)
-                self._session.add_pose(pose)
-            self._put_off(self._session.passed())
-
-    def _put_off(self, stops: Iterable[Stop]) -> None:
-        """Leave stops to the worker, the newest where it cannot keep up."""
-        self._session.keep_waiting(MOST_STOPS)
-        self._stops.extend(stops)
-        while len(self._stops) > MOST_STOPS:
-            self._stops.popleft()
-            self._skipped += 1
-        if self._stops:
-            self._wake.set()
-
-    # what is known
-
-    def copied(self) -> Session:
-        """Return the session of this moment."""
-        with self._lock:
-            return self._session.copied()
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Return what was left out as the processor could not keep up, one sentence each."""
-        return (f'left {self._skipped} stops out, the oldest of more than {MOST_STOPS} that '
-                'waited to be judged: the processor cannot keep up; stop less often, or publish '
-                'fewer points',) if self._skipped else ()
-
     @property
     def path(self) -> str:
         """Return the folder of the session, empty before the first sample is stored."""
@@ -128,7 +74,7 @@ class LiveSamples:
                 self._judge(self._stops.popleft())
 
     def _judge(self, stop: Stop) -> None:
-        result = result_of(stop, self.config)
+        result = self._judging.result(stop, self.config)
         with self._lock:
             outcome = self._session.outcome(stop, result)
         remark = self._why_not(outcome)  # by itself the node takes what a recording gives
@@ -156,7 +102,6 @@ class LiveSamples:
     def _put(self, outcome: Outcome) -> None:
         with self._lock:
             self._session.put(outcome)
-        self._wake.set()
 
     def extract_anew(self) -> None:
         """Let the stored profiles give what the settings of now make of them, if these ask."""
@@ -164,12 +109,10 @@ class LiveSamples:
             while self._stale:
                 with self._work, self._lock:  # so that nothing is judged by the settings before
                     self._stale, outcomes = False, self._session.outcomes
-                self.working = 'the samples are extracted anew from their profiles'
-                self.on_change()
-                fresh = [judged(outcome, self.config) for outcome in outcomes]
-                with self._lock:
-                    self._session.replace(fresh)
-                self.working = ''
+                with self._doing('the samples are extracted anew from their profiles'):
+                    fresh = [self._judging.anew(outcome, self.config) for outcome in outcomes]
+                    with self._lock:
+                        self._session.replace(fresh)
 
     # what is asked; each returns what to say
 
@@ -184,11 +127,12 @@ class LiveSamples:
             self._wake.set()
 
     def _take(self) -> str:
+        stop, cleared = self._here()  # while it moves, that is told at once
         with self._work:
             self.judge_all()
-            with self._lock:
-                stop = self._session.here()
-            sample = sample_of(stop, self.config)
+            if self._cleared != cleared:
+                stop, _ = self._here()
+            sample = self._judging.sample(stop, self.config)
             with self._lock:
                 outcome = self._session.outcome(stop, sample)
                 again = any(o.stop.began == stop.began for o in self._session.outcomes)
@@ -205,6 +149,11 @@ class LiveSamples:
         self.on_outcome(outcome)
         return text
 
+    def _here(self) -> tuple[Stop, int]:
+        """Return the stop that the robot stands in, and how often all was forgotten before."""
+        with self._lock:
+            return self._session.here(), self._cleared
+
     def _why_not(self, outcome: Outcome) -> str:
         """Return what of a new sample is no good, as far as the others tell; empty if all is."""
         return ''
@@ -216,7 +165,7 @@ class LiveSamples:
         """Forget the last sample; raises DataError when there is none, InputError unstored."""
         with self._work:
             self.judge_all()
-            last = self.copied().last()
+            last = self.copied().last(self._judging.result)
             self._store.remove(last.number, self.config)
             with self._lock:
                 self._session.remove(last)

@@ -68,10 +68,9 @@ class LiveVerify(LiveSession):
     def _take(self) -> str:
         if self._course is None:
             return super()._take()
+        stop, _ = self._here()
         with self._work:
             self.judge_all()
-            with self._lock:
-                stop = self._session.here()
             return self._wanted(self._course, stop)
 
     def _count(self, course: Course, stop: Stop) -> str:
@@ -80,7 +79,7 @@ class LiveVerify(LiveSession):
             self._session.leave(stop)
         if course.scans:
             return f'{course.text}: stops do not count, points are taken while the robot moves'
-        found = course.add(stop, self.config)
+        found = course.add(stop, self.config, self._judging.result)
         text = f'{course.text}; {sample_summary(found)}'
         self._told(not isinstance(found, Reject), 0, f'verification: {text}')
         self.on_outcome(Outcome(0, stop, found))
@@ -102,14 +101,14 @@ class LiveVerify(LiveSession):
 
         Raises NoRoutineError, UnknownNameError, WrongCountError and NothingToVerifyError.
         """
+        self.judge_all()
+        course = self._course
+        if course is None or course.is_full:
+            course = Course(self.config)
+            self._to_verify()  # a file may have to be read, and nobody is to wait for that
+        else:
+            course.go_on()
         with self._work:
-            self.judge_all()
-            course = self._course
-            if course is None or course.is_full:
-                course = Course(self.config)
-                self._to_verify()
-            else:
-                course.go_on()
             for stop in self.copied().rest():  # here the robot stood before
                 with self._lock:
                     self._session.leave(stop)
@@ -132,19 +131,21 @@ class LiveVerify(LiveSession):
             self.judge_all()
             for stop in self.copied().rest():
                 self._judge(stop)
-            self.working = 'the calibration is verified'
-            self.on_change()
-            try:
-                found = course.result(self._to_verify(), self.config)
-            finally:
-                self.working = ''
-            text = f'{verification.sentence(found)}; {self._written(found)}'
-            if found.verdict in ANSWERS:
+            asked = course.copied()
+        found = self._found(asked)
+        text = f'{verification.sentence(found)}; {self._written(found)}'
+        with self._work:
+            if found.verdict in ANSWERS and self._course is course:
                 self._end()
         self.on_change()
         if found.verdict not in ANSWERS:
             raise NoAnswerError(found.verdict, (*found.reasons, text))
         return text
+
+    def _found(self, course: Course) -> Verification:
+        """Return what a verification shows; other services go on meanwhile."""
+        with self._doing('the calibration is verified'):
+            return self._second.run(course.result, self._to_verify(), self.config, urgent=True)
 
     def clear_samples(self) -> str:
         """Forget all samples, a verification, the answer, and all that was received."""

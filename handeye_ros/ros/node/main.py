@@ -14,6 +14,8 @@ import signal
 import sys
 from typing import Any
 
+SWITCH = 1e-3  # s until another thread has its turn: an answer takes a dozen of them
+
 USAGE = """\
 usage: calibrate [--help] [--ros-args [-p KEY:=VALUE]... [--params-file FILE] [-r OLD:=NEW]...]
 
@@ -54,6 +56,7 @@ def refused(arguments: Sequence[str]) -> int | None:
 def main() -> int:
     """Run the executable `calibrate`; a device that takes no output ends it without traceback."""
     code = 0
+    sys.setswitchinterval(SWITCH)
     # matrices are small: more threads only wait for each other, and take the streams' time
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     with suppress(KeyboardInterrupt):

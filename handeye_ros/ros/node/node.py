@@ -1,15 +1,16 @@
 """The node `handeye`: topics and services around a session that goes on."""
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 import os
 import sys
+from threading import Lock
 from typing import Any
 
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.errors import TopicsError
-from handeye_ros.ros.executable import InvalidHandle, RCLError, ros
+from handeye_ros.ros.executable import RCLError, ros
 from handeye_ros.ros.node import params
 from handeye_ros.ros.node.graph import namesake
 from handeye_ros.ros.node.intake import Intake
@@ -18,6 +19,7 @@ from handeye_ros.ros.node.nag import Nag
 from handeye_ros.ros.node.outlets import Outlets
 from handeye_ros.ros.node.place import Place
 from handeye_ros.ros.node.second import Second
+from handeye_ros.ros.node.services import offer, UNSENDABLE
 from handeye_ros.ros.node.telling import state_of
 from handeye_ros.ros.page.buttons import serve
 from handeye_ros.ros.sessions.writing import SessionStore
@@ -31,14 +33,12 @@ from rclpy.clock import Clock, ClockType
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
-REQUESTS = QoSProfile(depth=1000)  # that wait for a solve; ROS would drop all but ten
-UNSENDABLE = (RCLError, InvalidHandle)
 CURRENT = 0.2  # s between two pictures of what is seen now
-THREADS = 4  # the streams, the quick services, a solve, and the rest
+LOWER = 5  # priority of what takes long
+THREADS = 8  # one for each group of services that wait for each other, and for the timers
 
 
 class HandeyeNode(Node):
@@ -50,10 +50,11 @@ class HandeyeNode(Node):
         config, stored = params.declare(self)
         place = Place(self.get_namespace())
         self.live = LiveVerify(config, place, SessionStore(place.folder, stored),
-                               Second())
+                               Second(LOWER), Second())
         self._outlets = Outlets(self, self.live)
         self._intake = Intake(self, self.live)
         self._nag = Nag(self.get_logger().warning)
+        self._changing = Lock()  # the page sets parameters, too
         self._serve()
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._apply_change)
@@ -96,34 +97,23 @@ class HandeyeNode(Node):
         return state_of(self.live, self._intake.obstacle, namesake(self))
 
     def _serve(self) -> None:
-        quick, slow = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
-        for group, service in ((quick, self.take_sample), (quick, self.remove_last_sample),
-                               (quick, self.clear_samples), (slow, self.compute_calibration),
-                               (slow, self.save_calibration), (quick, self.verify_start),
-                               (slow, self.verify_result)):
-            self._offer(Trigger, service.__name__, partial(self._answer, service), group)
-        self._offer(SetBool, 'auto_sample', self._auto_sample, quick)
-        self.create_subscription(Empty, '~/take', self._on_take, 10, callback_group=quick)
+        samples = MutuallyExclusiveCallbackGroup()
+        for services in ((self.compute_calibration,), (self.save_calibration,),
+                         (self.verify_start, self.verify_result)):
+            self._offer_all(services, MutuallyExclusiveCallbackGroup())
+        self._offer_all((self.take_sample, self.remove_last_sample, self.clear_samples), samples)
+        offer(self, SetBool, 'auto_sample', self._auto_sample, samples)
+        self.create_subscription(Empty, '~/take', self._on_take, 10, callback_group=samples)
         # of wall time: the state is told even when a simulated clock stands still
         for period, tell in ((1.0, self._diagnose), (CURRENT, self._outlets.show_current)):
             self.create_timer(period, partial(self._quietly, tell),
                               MutuallyExclusiveCallbackGroup(),
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _offer(self, kind: Any, name: str, callback: Any, group: CallbackGroup) -> None:
-        """Create a service; whoever has gone away before the answer must not end the node."""
-        service = self.create_service(kind, f'~/{name}', callback, callback_group=group,
-                                      qos_profile=REQUESTS)
-        send = service.send_response
-
-        def respond(response: Any, header: Any) -> None:
-            try:
-                send(response, header)
-            except UNSENDABLE as error:
-                if rclpy.ok():
-                    self.get_logger().warning(f'nobody took the answer of ~/{name}: {error}')
-
-        service.send_response = respond
+    def _offer_all(self, services: Iterable[Callable[[], str]], group: CallbackGroup) -> None:
+        """Create services of which one waits for the other."""
+        for service in services:
+            offer(self, Trigger, service.__name__, partial(self._answer, service), group)
 
     # what is told
 
@@ -227,7 +217,8 @@ class HandeyeNode(Node):
         return SetParametersResult(successful=True)
 
     def _apply_change(self, changes: list[Parameter]) -> None:
-        self.live.configure(params.changed(self.live.config, changes))
+        with self._changing:
+            self.live.configure(params.changed(self.live.config, changes))
 
 
 def run() -> None:

@@ -1,8 +1,8 @@
 """
-What takes long, in a second process: streams and services share no interpreter with it.
+What takes its time, in other processes: streams and services share no interpreter with it.
 
-A thread would not do: Python runs one at a time, and a solve would slow down all others. The
-second process is started when it is first needed, and has less priority than the streams.
+A thread would not do: Python runs one at a time, and a solve would slow down all others, as the
+streams would slow down the judging of a stop. A process is started when it is first needed.
 """
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from handeye_ros.ros.node.memory import give_back
 
 Result = TypeVar('Result')
 COMMAND = (sys.executable, '-m', 'handeye_ros.ros.node.second')
-LOWER_PRIORITY = 5
 
 
 class Runner(Protocol):
@@ -49,13 +48,14 @@ class Here:
 
 class Second:
     """
-    Runs them in the second process, one after the other; what is urgent is the next.
+    Runs them in a process, one after the other; what is urgent is the next.
 
     The process ends with this one, also where this one is killed: nobody writes to it any more.
     """
 
-    def __init__(self) -> None:
-        """Start nothing yet."""
+    def __init__(self, nicer: int = 0) -> None:
+        """Start nothing yet; nicer: by so much its priority is lower than that of the streams."""
+        self._command = (*COMMAND, str(nicer))
         self._process: subprocess.Popen[bytes] | None = None
         self._turns = threading.Condition()
         self._busy, self._urgent, self._stopped = False, 0, False
@@ -96,9 +96,10 @@ class Second:
             if self._stopped:
                 raise SecondEndedError(0)
             if self._process is None or self._process.poll() is not None:
-                # a session of its own: Ctrl-C in the terminal is for this process alone
-                self._process = subprocess.Popen(COMMAND, stdin=subprocess.PIPE,
-                                                 stdout=subprocess.PIPE, start_new_session=True)
+                # a group of its own: Ctrl-C in the terminal is for this process alone; no session
+                # of its own, as Linux lets priorities count within a session only
+                self._process = subprocess.Popen(self._command, stdin=subprocess.PIPE,
+                                                 stdout=subprocess.PIPE, process_group=0)
             return self._process
 
     def stop(self) -> None:
@@ -112,7 +113,7 @@ class Second:
 
 def main() -> None:
     """Be the second process: do what comes from stdin, until nobody can write there any more."""
-    os.nice(LOWER_PRIORITY)
+    os.nice(int(sys.argv[1]))
     answers = os.fdopen(os.dup(1), 'wb')
     os.dup2(2, 1)  # what is printed is no answer
     asked: queue.SimpleQueue[tuple[Callable[..., Any], tuple[Any, ...]]] = queue.SimpleQueue()

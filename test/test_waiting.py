@@ -1,0 +1,190 @@
+"""Nobody waits for what takes long: told by the order of events, never by the clock."""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any
+
+from cells import recorded
+from command import PATIENCE
+from handeye_ros.config import Config, with_values
+from handeye_ros.data import TimedPose
+from handeye_ros.errors import HandeyeError
+from handeye_ros.ros.node.judging import Judge
+from handeye_ros.ros.node.live_verify import LiveVerify
+from handeye_ros.ros.node.place import Place
+from handeye_ros.ros.node.second import Here, Second
+from handeye_ros.ros.node.telling import state_of
+from handeye_ros.ros.sessions.writing import SessionStore
+from handeye_ros.sampling.errors import MovingError
+from handeye_ros.sampling.stops import judged
+import pytest
+from recordings import halves
+
+SPHERE = recorded('sphere')
+PARTS = halves(SPHERE, 8)
+
+
+class Gate:
+    """Runs things when it is opened, and tells that somebody waits for it."""
+
+    def __init__(self) -> None:
+        """Start open."""
+        self._open, self.asked = Event(), Event()
+        self._open.set()
+
+    def run(self, function: Callable[..., Any], *args: Any, urgent: bool = False) -> Any:
+        """Return what a function returns, later."""
+        self.asked.set()
+        assert self._open.wait(PATIENCE)
+        return function(*args)
+
+    def stop(self) -> None:
+        """Let all go on."""
+        self._open.set()
+
+    @contextmanager
+    def closed(self, ask: Callable[[], Any]) -> Iterator[list[Any]]:
+        """Ask for something that waits; give what it tells, which comes afterwards."""
+        self._open.clear()
+        self.asked.clear()
+        told: list[Any] = []
+
+        def run() -> None:
+            try:
+                told.append(ask())
+            except HandeyeError as error:
+                told.append(error)
+
+        thread = Thread(target=run)
+        thread.start()
+        try:
+            assert self.asked.wait(PATIENCE)
+            yield told
+            assert not told, 'it waits still'
+        finally:
+            self._open.set()
+            thread.join(PATIENCE)
+
+
+def running(tmp_path: Path, second: Gate | None = None, judging: Gate | None = None,
+            **values: object) -> LiveVerify:
+    config = with_values(SPHERE.config, {'output_dir': str(tmp_path)} | {
+        key.replace('__', '.'): value for key, value in values.items()}, 'test')
+    return LiveVerify(config, Place(), SessionStore(Place().folder), second, judging)
+
+
+def feed(live: LiveVerify, profiles: Any, poses: Any) -> None:
+    for item in sorted([*poses, *profiles], key=lambda item: item.stamp):
+        (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
+
+
+def changed(config: Config, key: str, value: object) -> Config:
+    return with_values(config, {key: value}, 'test')
+
+
+def everything_else(live: LiveVerify) -> None:
+    """Use what must not wait; the robot stands in a stop, and a sample of it was taken."""
+    assert ' taken again, ' in live.take_sample()
+    assert live.remove_last_sample().startswith('removed sample ')
+    live.configure(changed(live.config, 'limits.translation', 0.004))
+    assert str(live.place.folder(live.config)) in live.save()
+
+
+def test_nobody_waits_for_a_solve(tmp_path: Path) -> None:
+    second = Gate()
+    live = running(tmp_path, second, sampling__mode='manual')
+    for part in range(2):
+        stand(live, *PARTS[part])
+    live.compute()
+    with second.closed(live.compute) as told:
+        assert live.working == 'the calibration is computed'
+        everything_else(live)
+        live.clear_samples()
+    assert 'cleared while the calibration was computed' in str(told[0])
+    assert not live.working
+
+
+def stand(live: LiveVerify, profiles: Any, poses: Any) -> None:
+    """Take samples by hand of every stop of a recording."""
+    for item in sorted([*poses, *profiles], key=lambda item: item.stamp):
+        if isinstance(item, TimedPose):
+            live.add_poses([item])
+        else:
+            live.add_profile(item)
+            motion = live.copied().motion
+            if motion and live.copied().is_standing and motion.still > 0.9:
+                live.take_sample()
+
+
+def test_nobody_waits_for_a_verdict(tmp_path: Path) -> None:
+    second = Gate()
+    live = running(tmp_path, second, sampling__mode='manual', verify__routine='sphere',
+                   verify__radius=0.04)
+    stand(live, *PARTS[0])
+    live.compute()
+    live.verify_start()
+    stand(live, *PARTS[1])
+    with second.closed(live.verify_result) as told:
+        assert live.working == 'the calibration is verified'
+        # the verification goes on until it has an answer, and stops count for it
+        assert live.take_sample().startswith('sphere: ')
+        assert live.remove_last_sample().startswith('removed sample ')
+        live.configure(changed(live.config, 'limits.translation', 0.004))
+        assert str(live.place.folder(live.config)) in live.save()
+    assert told[0].startswith('sphere: PASS, ')
+    assert live.take_sample().startswith('sample ')
+
+
+def test_a_verification_that_was_ended_meanwhile_is_told_and_stays_ended(tmp_path: Path) -> None:
+    second = Gate()
+    live = running(tmp_path, second, sampling__mode='manual', verify__routine='sphere',
+                   verify__radius=0.04)
+    stand(live, *PARTS[0])
+    live.compute()
+    live.verify_start()
+    stand(live, *PARTS[1])
+    with second.closed(live.verify_result) as told:
+        live.configure(changed(live.config, 'verify.routine', ''))
+        live.configure(changed(live.config, 'verify.routine', 'sphere'))
+        live.verify_start()
+    assert told[0].startswith('sphere: PASS, ')
+    assert any('a verification (sphere) goes on' in note for note in live.warnings), 'the next one'
+
+
+def test_that_the_robot_moves_is_told_while_stops_wait_to_be_judged(tmp_path: Path) -> None:
+    judging = Gate()
+    live = running(tmp_path, judging=judging)
+    feed(live, *PARTS[0])
+    feed(live, [], PARTS[1][1][:1])
+    with judging.closed(live.judge_all):
+        with pytest.raises(MovingError):
+            live.take_sample()
+        live.configure(changed(live.config, 'limits.translation', 0.004))
+    assert state_of(live).taken >= 7
+
+
+def test_stops_give_the_same_in_another_process_and_where_that_has_ended(tmp_path: Path) -> None:
+    live = running(tmp_path)
+    feed(live, *PARTS[0])
+    waiting = list(live._stops)[:2]  # in memory
+    live.judge_all()
+    outcomes = live.copied().outcomes[:2]  # on the disk
+    assert len(waiting) == len(outcomes) == 2
+    other = with_values(live.config, {'noise.sensor': 4e-5}, 'test')
+    second = Second()
+    try:
+        told = [described(Judge(second), waiting, outcomes, other)]
+    finally:
+        second.stop()
+    told += [described(Judge(runner), waiting, outcomes, other) for runner in (second, Here())]
+    assert told[0] == told[1] == told[2]
+    assert told[0][-1] == [repr(judged(outcome, other).sample) for outcome in outcomes]
+
+
+def described(judge: Judge, stops: Any, outcomes: Any, config: Config) -> list[Any]:
+    return [[repr(judge.result(stop, config)) for stop in stops],
+            [repr(judge.sample(stop, config)) for stop in stops],
+            [repr(judge.anew(outcome, config).sample) for outcome in outcomes]]
