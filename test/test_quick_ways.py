@@ -3,6 +3,7 @@ from __future__ import annotations
 
 from handeye_ros.profiles import arcs, circles, faces, line_search, shares
 from handeye_ros.profiles.segment import Segment
+from handeye_ros.profiles.tails import Returns
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -17,9 +18,34 @@ def test_votes_for_lines(seed: int, lines: int, points: int) -> None:
     slope, offset = rng.normal(size=lines), rng.normal(0.2, 0.02, lines)
     x, z = rng.normal(0.0, 0.02, points), rng.normal(0.2, 0.02, points)
     plain = np.abs(z - offset[:, None] - slope[:, None] * x) < 1e-2
-    voters = np.stack([x, np.ones(points), z])
-    np.testing.assert_array_equal(line_search._votes(slope, offset, voters, 1e-2),
-                                  plain.sum(axis=1))
+    votes = line_search._votes(np.stack([offset, slope, np.full(lines, -1.0)]),
+                               np.stack([np.ones(points), x, z]), 1e-2)
+    np.testing.assert_array_equal(votes, plain.sum(axis=1))
+
+
+@given(SEEDS, st.integers(3, 300), st.booleans())
+def test_lines_through_pairs(seed: int, n: int, above: bool) -> None:
+    rng = np.random.default_rng(seed)
+    x, z = rng.normal(0.0, 0.02, n), rng.normal(0.0, 0.02, n)
+    x[:n // 2 if above else 0] = 0.01  # points above each other give no line
+    first, second = line_search._pairs(n)
+    assert 0 <= first.min() and second.max() < n
+    apart = np.abs(x[second] - x[first]) > line_search.NARROWEST
+    plain = [np.polynomial.Polynomial.fit(x[[a, b]], z[[a, b]], 1).convert().coef
+             for a, b in zip(first[apart], second[apart], strict=True)]
+    offset, slope, minus = line_search._hypotheses(x, z)
+    assert (minus == -1).all() and len(minus) == len(plain)
+    for got, expected in zip((offset, slope), np.reshape(plain, (-1, 2)).T, strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-9)
+
+
+@given(st.integers(1, 3000))
+def test_those_who_vote_are_evenly_spread(size: int) -> None:
+    first, others = line_search._voters(size)
+    both = np.sort(np.concatenate([first, others]))
+    assert both[0] == 0 and len(np.unique(np.diff(both))) <= 1
+    assert len(both) <= line_search.SEARCH_POINTS and size - both[-1] <= -(-size // len(both))
+    assert not len(others) or len(first) >= line_search.FIRST_VOTERS
 
 
 @given(SEEDS, st.integers(30, 300), st.floats(-1.0, 1.0))
@@ -27,15 +53,17 @@ def test_lines_from_sums(seed: int, n: int, away: float) -> None:
     rng = np.random.default_rng(seed)
     x, near = away + rng.normal(0.0, 0.01, n), rng.random(n) < 0.7
     z = 0.2 + rng.normal() * x + rng.normal(0.0, 1e-4, n)
-    search = line_search.LineSearch(x, z, 1e-3, 5)
-    offset, slope = search._fitted(*(search.summed @ near).tolist())
-    plain = np.polynomial.Polynomial.fit(x[near], z[near], 1).convert().coef
-    np.testing.assert_allclose([offset, slope], plain, rtol=0, atol=1e-9)
+    terms = line_search.line_terms(x, z)
+    got = line_search._fitted(*(terms @ near).tolist())
+    offset, slope = np.polynomial.Polynomial.fit(
+        x[near] - x.mean(), z[near] - z.mean(), 1).convert().coef
+    np.testing.assert_allclose(got, [offset, slope, -1.0], rtol=0, atol=1e-9)
 
 
 def test_points_above_each_other_are_level() -> None:
-    search = line_search.LineSearch(np.full(50, 0.3), np.linspace(0.1, 0.2, 50), 1e-3, 5)
-    assert search._fitted(*(search.summed @ np.ones(50)).tolist()) == (pytest.approx(0.15), 0.0)
+    terms = line_search.line_terms(np.full(50, 0.3), np.linspace(0.1, 0.2, 50))
+    np.testing.assert_allclose(line_search._fitted(*(terms @ np.ones(50)).tolist()),
+                               [0.0, 0.0, -1.0], rtol=0, atol=1e-12)
 
 
 @given(SEEDS, st.integers(1, 100), st.integers(5, 300), st.sampled_from([1e-4, 1e-2]))
@@ -96,7 +124,8 @@ def test_the_preferred_face_is_that_of_all(seed: int, count: int) -> None:
     best = max(asked, key=lambda p: faces._preference(p, *told[id(p)]), default=None)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(faces, '_edges', lambda p, *_: told[id(p)])
-        assert faces._preferred(pieces, np.zeros((int(ends[-1]), 2)), -1)[0] is best
+        seen = Returns(np.zeros((int(ends[-1]), 2)), np.arange(int(ends[-1])), -1)
+        assert faces._preferred(pieces, seen)[0] is best
 
 
 class Kind:

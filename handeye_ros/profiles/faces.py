@@ -12,20 +12,11 @@ import math
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
-from handeye_ros.profiles.ends import (
-    edge_point,
-    End,
-    end_edge,
-    frame_of,
-    MOST_LOST,
-    std_at,
-    tail,
-    wall_edge,
-    WALL_LEAN,
-)
+from handeye_ros.profiles.ends import edge_point, end_edge, std_at, wall_edge, WALL_LEAN
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.profiles.lines import face_line, on_line, white_std
-from handeye_ros.profiles.segment import lost, Segment, straight_segments
+from handeye_ros.profiles.segment import returned, Segment, segments_among, straight_segments
+from handeye_ros.profiles.tails import End, MOST_LOST, Returns, tail
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,12 +39,12 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
     points: (n, 2) in the sensor plane, NaN where there was no return.
     Raises FeatureError when there is no face with an edge in the profile.
     """
-    near = -config.profile.range_sign  # multiplied with a range, larger is nearer
     noise, min_points = config.noise.sensor, config.sampling.min_points
-    segments = straight_segments(points, noise, min_points)
+    seen = Returns(points, returned(points), -config.profile.range_sign)
+    segments = segments_among(seen.rows, points, noise, min_points)
     if not segments:
         raise FeatureError(f'no straight face of {min_points} points or more in the profile')
-    face, edges = _preferred(segments, points, near)
+    face, edges = _preferred(segments, seen)
     if face is None:
         raise FeatureError('no edge of a face in the profile: the face ends only at the border '
                            'of the field of view or at something nearer')
@@ -75,7 +66,7 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine]:
     return (face_line(max(segments, key=lambda s: len(s.rows)), points),)
 
 
-def _preferred(segments: Sequence[Segment], points: Array, near: int
+def _preferred(segments: Sequence[Segment], seen: Returns
                ) -> tuple[Segment | None, list[EdgePoint]]:
     """Return the segment that is most likely the face, and its edges; None without any edge."""
     best = 0.0
@@ -84,7 +75,7 @@ def _preferred(segments: Sequence[Segment], points: Array, near: int
     for segment in sorted(segments, key=lambda s: -len(s.rows)):
         if len(segment.rows) * SURE_EDGE < best:
             break
-        edges, behind = _edges(segment, segments, points, near)
+        edges, behind = _edges(segment, segments, seen)
         likely = _preference(segment, edges, behind) if edges else 0.0
         if likely > best or (likely == best and found[0] and segment.first < found[0].first):
             best, found = likely, (segment, edges)
@@ -97,63 +88,64 @@ def _preference(segment: Segment, edges: Sequence[EdgePoint], behind: bool) -> f
     return len(segment.rows) * (SURE_EDGE if sure else 1.0) * (BEHIND if behind else 1.0)
 
 
-def _edges(segment: Segment, segments: Sequence[Segment], points: Array, near: int
+def _edges(segment: Segment, segments: Sequence[Segment], seen: Returns
            ) -> tuple[list[EdgePoint], bool]:
     """Return the edges of a segment, and whether something beside it is nearer."""
-    found = [_edge(End(segment, outward), segments, points, near) for outward in (-1, 1)]
+    found = [_edge(End(segment, outward, seen), segments) for outward in (-1, 1)]
     return [edge for _, edge in found if edge], any(kind == 'nearer' for kind, _ in found)
 
 
-def _edge(end: End, segments: Sequence[Segment], points: Array, near: int
-          ) -> tuple[str, EdgePoint | None]:
-    """Return the kind of a segment's end, see EDGE_KINDS, 'nearer' or 'border'; its edge."""
-    following = sorted((s for s in segments if s is not end.segment
-                        and (s.first - end.row) * end.outward > 0),
-                       key=lambda s: abs(s.first - end.row))
-    column = _column(end.segment, points)
-    rows = tail(end, points, near, column)
-    if following and _is_bevel(end, following[0], rows, points, near):
+def _edge(end: End, segments: Sequence[Segment]) -> tuple[str, EdgePoint | None]:
+    """
+    Return the kind of a segment's end, see EDGE_KINDS, 'nearer' or 'border'; its edge.
+
+    segments: all of the profile, in the order of their first rows.
+    """
+    following = [s for s in segments[::end.outward] if s is not end.segment
+                 and (s.first - end.row) * end.outward > 0]
+    rows = tail(end)
+    if following and _is_bevel(end, following[0], rows):
         following = following[1:]
     other = following[0] if following else None
     if other is not None:
-        rows = rows[np.abs(rows - end.row) < abs(end.start_of(other) - end.row)]
-    kind = _kind(end, other, rows, points, near, column)
+        rows = rows[:np.count_nonzero(np.abs(rows - end.row) < abs(end.start_of(other) - end.row))]
+    kind = _kind(end, other, rows)
     if kind == 'roof' and other is not None:
-        return kind, _roof_edge(end, other, points, near)
+        return kind, _roof_edge(end, other)
     if kind not in EDGE_KINDS:
         return kind, None
-    wall = wall_edge(end, rows, points, near, column)
+    wall = wall_edge(end, rows)
     if wall:
-        return 'roof', edge_point(frame_of(end, points, near), *wall, 'roof')
+        return 'roof', edge_point(end.frame, *wall, 'roof')
     ground = other if kind == 'step' else None
-    kind = 'shadow' if ground and _foot_hidden(end, rows, ground, points) else kind
-    return kind, end_edge(end, rows, ground, points, near, column, kind)
+    kind = 'shadow' if ground and _foot_hidden(end, rows, ground) else kind
+    return kind, end_edge(end, rows, ground, kind)
 
 
-def _is_bevel(end: End, other: Segment, rows: NDArray[np.intp], points: Array, near: int
-              ) -> bool:
+def _is_bevel(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
     """Return whether the next piece is the bevelled end of the same plate, not a wall or face."""
-    ends = points.take([end.start_of(other), end.end_of(other)], axis=0)
-    if (math.dist(*ends.tolist()) > LARGEST_BEVEL
-            or not np.count_nonzero(rows == end.start_of(other))):
+    if not np.count_nonzero(rows == end.start_of(other)):
         return False
-    u, v = frame_of(end, points, near).of(ends)
+    ends = end.seen.points.take([end.start_of(other), end.end_of(other)], axis=0)
+    if math.dist(*ends.tolist()) > LARGEST_BEVEL:
+        return False
+    u, v = end.frame.of(ends)
     return bool(v[1] - v[0] > 0 and abs(u[1] - u[0]) > WALL_LEAN * (v[1] - v[0]))
 
 
-def _kind(end: End, other: Segment | None, rows: NDArray[np.intp], points: Array, near: int,
-          column: float) -> str:
+def _kind(end: End, other: Segment | None, rows: NDArray[np.intp]) -> str:
     """Return 'roof', 'step', 'gap', 'open', 'nearer' or 'border'; other: what follows."""
+    points, size = end.seen.points, len(end.seen.points)
     if other is None:
-        behind = points[end.row + 1:] if end.outward > 0 else points[:end.row]
-        if lost(behind) >= GAP_COLUMNS:
+        behind = (end.row + 1, size) if end.outward > 0 else (0, end.row)
+        if end.seen.lost(*behind) >= GAP_COLUMNS:
             return 'gap'
         # a driver that leaves lost points out does not say where the field of view ends
-        return 'border' if lost(points) else 'open'
-    crossing = _roof_crossing(end, other, rows, points, column)
+        return 'border' if end.seen.lost(0, size) else 'open'
+    crossing = _roof_crossing(end, other, rows)
     # a surface that turns away from the sensor leaves the line over its whole length
     x, z = points[end.end_of(other) if crossing else end.start_of(other)]
-    rise = near * (z - end.segment.height(x))
+    rise = end.seen.near * (z - end.segment.height(x))
     if rise > 0 and (crossing or rise > _smallest_step(end, other)):
         gap = abs(x - points[end.row, 0])
         return 'gap' if not crossing and gap > SHADOW_SLOPE * rise else 'nearer'
@@ -162,47 +154,39 @@ def _kind(end: End, other: Segment | None, rows: NDArray[np.intp], points: Array
     return 'step' if -rise > _smallest_step(end, other) else 'border'
 
 
-def _foot_hidden(end: End, rows: NDArray[np.intp], ground: Segment, points: Array) -> bool:
+def _foot_hidden(end: End, rows: NDArray[np.intp], ground: Segment) -> bool:
     """Return whether nothing comes back from between a plate's last point and the ground."""
-    last = rows[-1] if len(rows) else end.row
+    last = int(rows[-1]) if len(rows) else end.row
     first, after = sorted((last, end.start_of(ground)))
-    return lost(points[first:after]) >= GAP_COLUMNS
+    return end.seen.lost(first, after) >= GAP_COLUMNS
 
 
 def _smallest_step(end: End, other: Segment) -> float:
     return MIN_STEP_SIGMAS * max(end.segment.noise, other.noise)
 
 
-def _roof_crossing(end: End, other: Segment, rows: NDArray[np.intp], points: Array,
-                   column: float) -> bool:
+def _roof_crossing(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
     """Return whether the two pieces meet in a corner where both end."""
-    a, b = end.segment, other
-    if abs(np.arctan(a.slope) - np.arctan(b.slope)) < ROOF_ANGLE:
+    a, b, points = end.segment, other, end.seen.points
+    if abs(math.atan(a.slope) - math.atan(b.slope)) < ROOF_ANGLE:
         return False
     x = (b.offset - a.offset) / (a.slope - b.slope)
     x_end, x_start = points[end.row, 0], points[end.start_of(other), 0]
     # a rounded or bevelled corner leaves room between the pieces, with points of its own
     bent = len(rows) > 0 and abs(end.start_of(other) - rows[-1]) <= MOST_LOST
-    reach = max(ROOF_REACH * column, LARGEST_BEVEL if bent else 0.0)
+    reach = max(ROOF_REACH * end.column, LARGEST_BEVEL if bent else 0.0)
     return bool(min(x_end, x_start) - reach <= x <= max(x_end, x_start) + reach
                 and abs(x_start - x_end) <= 2 * reach)
 
 
-def _column(segment: Segment, points: Array) -> float:
-    """Return the distance between neighbouring columns on a segment, along x."""
-    return abs(float(points[segment.last, 0] - points[segment.first, 0])) / (
-        segment.last - segment.first)
-
-
-def _roof_edge(end: End, other: Segment, points: Array, near: int) -> EdgePoint:
-    a, b = end.segment, other
+def _roof_edge(end: End, other: Segment) -> EdgePoint:
+    a, b, points = end.segment, other, end.seen.points
     x = (b.offset - a.offset) / (a.slope - b.slope)
     # offset errors of both lines, carried to where they cross; a surface seen so steeply that
     # it is noisier than the face is off by as much
     steep = max(b.noise ** 2 - a.noise ** 2, 0.0) ** 0.5 * STEEP_ERROR
     offset_std = np.sqrt(std_at(a, x, points) ** 2 + std_at(b, x, points) ** 2 + steep ** 2)
-    length = np.hypot(1.0, a.slope)
+    length = math.hypot(1.0, a.slope)
     std = float(offset_std / abs(a.slope - b.slope) * length)
-    frame = frame_of(end, points, near)
-    place = (x - frame.origin[0]) * np.sign(frame.along[0]) * length
-    return edge_point(frame, float(place), std, 'roof')
+    place = (x - end.frame.origin[0]) * np.sign(end.frame.along[0]) * length
+    return edge_point(end.frame, float(place), std, 'roof')

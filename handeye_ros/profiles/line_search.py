@@ -1,8 +1,9 @@
 """
 The line that most points of a profile lie on, among points of anything else.
 
-Lines are z = offset + slope * x. Pairs of points vote, and the best pair is fitted again to the
-points near it, as RANSAC does (Fischler and Bolles 1981), but with the same pairs every time.
+A line is (3,): offset, slope and -1, so that its product with (3, n) 1, x and z tells how far it
+is from points in z. Pairs of points vote, and the best pair is fitted again to the points near
+it, as RANSAC does (Fischler and Bolles 1981), but with the same pairs every time.
 """
 from __future__ import annotations
 
@@ -22,76 +23,86 @@ LEAST_SPREAD = 1e-9  # of points along x, as a share of that from the middle: le
 NARROWEST = 1e-6  # part of the laser line that points of a line lie on (m)
 
 
-class LineSearch:
-    """The search for lines among the points of a profile."""
+def line_terms(x: Array, z: Array) -> Array:
+    """
+    Return (5, n) 1, x, z, xx, xz of points, from their middle.
 
-    def __init__(self, x: Array, z: Array, tolerance: float, min_points: int) -> None:
-        """x, z: (n,); tolerance: of a point on a line; min_points: fewest of a line."""
-        self.x, self.z = x, z
-        self.tolerance, self.min_points = tolerance, min_points
-        # what is summed up for a line: from the middle, or the sums would cancel each other
-        self.middle = (float(np.add.reduce(x)) / len(x), float(np.add.reduce(z)) / len(z))
-        self.summed = np.ones((5, len(x)))
-        _, dx, dz, squares, products = self.summed
-        np.subtract(x, self.middle[0], out=dx)
-        np.subtract(z, self.middle[1], out=dz)
-        np.multiply(dx, dx, out=squares)
-        np.multiply(dx, dz, out=products)
+    Sums of them give the line through some; far from the middle they would cancel each other.
+    """
+    terms = np.empty((5, len(x)))
+    ones, dx, dz, squares, products = terms
+    ones.fill(1.0)
+    np.subtract(x, float(np.add.reduce(x)) / len(x), out=dx)
+    np.subtract(z, float(np.add.reduce(z)) / len(z), out=dz)
+    np.multiply(dx, dx, out=squares)
+    np.multiply(dx, dz, out=products)
+    return terms
 
-    def dominant(self, free: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
-        """Return which free points lie on the line with the most; None if these are too few."""
-        rows = np.flatnonzero(free)
-        if len(rows) < self.min_points:
+
+def dominant_line(terms: Array, tolerance: float, min_points: int) -> NDArray[np.bool_] | None:
+    """
+    Return which points lie on the line with the most of them; None if these are too few.
+
+    terms: (5, n) of the points, see line_terms; tolerance: of a point on a line; min_points:
+    fewest of a line.
+    """
+    lines = _hypotheses(terms[1], terms[2])
+    if not lines.size:
+        return None
+    first, others = _voters(terms.shape[1])
+    voters = terms[:3].take(first, axis=1)
+    votes = _votes(lines, voters, 2 * tolerance)
+    if len(others):
+        best = (-votes).argsort()[:BEST_HYPOTHESES]
+        lines, votes = lines.take(best, axis=1), votes.take(best)
+        votes += _votes(lines, terms[:3].take(others, axis=1), 2 * tolerance)
+    return _refined(terms, lines[:, votes.argmax()], tolerance, min_points)
+
+
+def _refined(terms: Array, line: Array, tolerance: float, min_points: int
+             ) -> NDArray[np.bool_] | None:
+    """Return which points lie on a line (3,), fitted again to these, None if too few."""
+    points = terms[:3]
+    before: tuple[float, list[float]] = (0.0, [])
+    for width in (2.0, 1.5, 1.0, 1.0):
+        near = _near(line, points, width * tolerance)
+        sums = (terms @ near).tolist()
+        if sums[0] < min_points:
             return None
-        x, z = self.x.take(rows), self.z.take(rows)
-        slope, offset = _hypotheses(x, z)
-        if not len(slope):
-            return None
-        step = -(-len(x) // SEARCH_POINTS)
-        voters = np.ones((3, -(-len(x) // step)))
-        voters[0], voters[2] = x[::step], z[::step]
-        if voters.shape[1] > 2 * FIRST_VOTERS:
-            some = voters[:, ::voters.shape[1] // FIRST_VOTERS].copy()
-            best = np.argsort(-_votes(slope, offset, some, 2 * self.tolerance))[:BEST_HYPOTHESES]
-            slope, offset = slope[best], offset[best]
-        chosen = int(np.argmax(_votes(slope, offset, voters, 2 * self.tolerance)))
-        return self._refined((float(offset[chosen]), float(slope[chosen])), free)
-
-    def _refined(self, line: tuple[float, float], free: NDArray[np.bool_]
-                 ) -> NDArray[np.bool_] | None:
-        """Return which free points lie on a line, fitted again to these, None if too few."""
-        before: tuple[float, list[float]] = (0.0, [])
-        for width in (2.0, 1.5, 1.0, 1.0):
-            near = _near(self.x, self.z, line, width * self.tolerance) & free
-            sums = (self.summed @ near).tolist()
-            if sums[0] < self.min_points:
-                return None
-            if before == (width, sums):
-                return near  # it would be fitted to the same points
-            line, before = self._fitted(*sums), (width, sums)
-        return _near(self.x, self.z, line, self.tolerance) & free
-
-    def _fitted(self, n: float, x: float, z: float, xx: float, xz: float) -> tuple[float, float]:
-        """Return offset and slope of the least-squares line, of sums from the middle."""
-        spread = xx - x * x / n
-        slope = (xz - x * z / n) / spread if spread > LEAST_SPREAD * xx else 0.0
-        return self.middle[1] + z / n - slope * (self.middle[0] + x / n), slope
+        if before == (width, sums):
+            return near  # it would be fitted to the same points
+        line, before = _fitted(*sums), (width, sums)
+    return _near(line, points, tolerance)
 
 
-def _near(x: Array, z: Array, line: tuple[float, float], tolerance: float) -> NDArray[np.bool_]:
-    away = z - line[0]
-    away -= line[1] * x
+def _fitted(n: float, x: float, z: float, xx: float, xz: float) -> Array:
+    """Return the least-squares line (3,), of sums of the terms of its points."""
+    spread = xx - x * x / n
+    slope = (xz - x * z / n) / spread if spread > LEAST_SPREAD * xx else 0.0
+    return np.array([(z - slope * x) / n, slope, -1.0])
+
+
+def _near(lines: Array, points: Array, tolerance: float) -> NDArray[np.bool_]:
+    """Return (n,) or (n, k), which of points (3, n), 1, x and z, are near lines (3,) or (3, k)."""
+    # products of matrices are by far the quickest way to multiply, and to count
+    away = points.T @ lines
     return np.asarray(np.abs(away, out=away) < tolerance)
 
 
-def _votes(slope: Array, offset: Array, voters: Array, tolerance: float) -> NDArray[np.float32]:
-    """Return how many of the points (3, n), x, 1 and z, lie on each of the lines (k,)."""
-    # products of matrices are by far the quickest way to multiply, and to count
-    lines = np.empty((len(slope), 3))
-    lines[:, 0], lines[:, 1], lines[:, 2] = slope, offset, -1.0
-    away = lines @ voters
-    near = np.abs(away, out=away) < tolerance
-    return np.asarray(near.astype(np.float32) @ _ones(voters.shape[1]))
+def _votes(lines: Array, voters: Array, tolerance: float) -> NDArray[np.float32]:
+    """Return how many of the points (3, n), 1, x and z, lie on each of the lines (3, k)."""
+    near = _near(lines, voters, tolerance)
+    return np.asarray(_ones(voters.shape[1]) @ near.astype(np.float32))
+
+
+@lru_cache(KEPT_PAIRS)
+def _voters(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return which of so many points vote first, and which others vote on the best lines."""
+    voters = np.arange(0, size, -(-size // SEARCH_POINTS))
+    if len(voters) <= 2 * FIRST_VOTERS:
+        return voters, voters[:0]
+    first = np.arange(len(voters)) % (len(voters) // FIRST_VOTERS) == 0
+    return voters[first], voters[~first]
 
 
 @lru_cache(KEPT_PAIRS)
@@ -99,20 +110,23 @@ def _ones(size: int) -> NDArray[np.float32]:
     return np.ones(size, np.float32)
 
 
-def _hypotheses(x: Array, z: Array) -> tuple[Array, Array]:
-    """Return slopes and offsets (k,) of lines through pairs of points, evenly spread."""
-    first, second = _pairs(len(x))
-    dx = x[second] - x[first]
+def _hypotheses(x: Array, z: Array) -> Array:
+    """Return lines (3, k) through pairs of points, evenly spread."""
+    pairs = _pairs(len(x))
+    (x, other_x), (z, other_z) = x.take(pairs), z.take(pairs)
+    dx, dz = other_x - x, other_z - z
     apart = np.abs(dx) > NARROWEST
-    if not apart.all():
-        first, second, dx = first[apart], second[apart], dx[apart]
-    slope = (z[second] - z[first]) / dx
-    return slope, z[first] - slope * x[first]
+    if np.count_nonzero(apart) < len(apart):
+        x, z, dx, dz = x[apart], z[apart], dx[apart], dz[apart]
+    lines = np.full((3, len(x)), -1.0)
+    slope = np.divide(dz, dx, out=lines[1])
+    np.subtract(z, slope * x, out=lines[0])
+    return lines
 
 
 @lru_cache(KEPT_PAIRS)
-def _pairs(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first and the second points (k,) of pairs out of so many."""
+def _pairs(size: int) -> NDArray[np.intp]:
+    """Return the first and the second points (2, k) of pairs out of so many."""
     span = np.maximum(size // SPANS, 2)[:, None]
     first = np.arange(HYPOTHESES) * (size - 1 - span) // (HYPOTHESES - 1)
-    return first.ravel(), (first + span).ravel()
+    return np.stack([first.ravel(), (first + span).ravel()])

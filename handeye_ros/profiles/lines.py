@@ -42,7 +42,7 @@ def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoi
 
 def white_std(segment: Segment) -> float:
     """Return 1 sigma of the offset of a segment's line, were its noise white."""
-    return float(segment.noise / np.hypot(1.0, segment.slope) / len(segment.straight) ** 0.5)
+    return segment.noise / math.hypot(1.0, segment.slope) / math.sqrt(len(segment.straight))
 
 
 def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatter: float
@@ -77,5 +77,5 @@ def _line(centre: Array, slope: float, spread: float, blocks: Array, white: floa
     across = (blocks - centre) @ np.array([-direction[1], direction[0]])
     variance = variance_of_means(across, white)
     normal_points, size = means(blocks, min(NORMAL_POINTS, len(blocks)))
-    return FaceLine(centre, direction, spread, float(np.sqrt(variance / len(blocks))),
+    return FaceLine(centre, direction, spread, math.sqrt(variance / len(blocks)),
                     normal_points, np.sqrt(variance / size), blocks)

@@ -13,7 +13,7 @@ import math
 from typing import Any
 
 from handeye_ros.data import Array
-from handeye_ros.profiles.line_search import LineSearch, NARROWEST
+from handeye_ros.profiles.line_search import dominant_line, line_terms, NARROWEST
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,10 +58,13 @@ def noise_level(z: Array, configured: float) -> float:
     """
     if len(z) < 8:
         return configured
-    second = np.abs(z[:-2] - 2 * z[1:-1] + z[2:])
+    first = z[1:] - z[:-1]
+    second = first[1:] - first[:-1]
+    np.abs(second, out=second)
     rank = len(second) // 5
-    level = float(np.partition(second, rank)[rank]) / 0.2533 / 6 ** 0.5
-    return float(np.clip(level, configured / 3, MOST_NOISE * configured))
+    second.partition(rank)
+    level = float(second[rank]) / 0.2533 / 6 ** 0.5
+    return min(max(level, configured / 3), MOST_NOISE * configured)
 
 
 def straight_segments(points: Array, noise: float, min_points: int) -> list[Segment]:
@@ -70,46 +73,54 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
 
     points: (n, 2); noise: configured range noise (1 sigma); min_points: fewest of a piece.
     """
-    rows = returned(points)
+    return segments_among(returned(points), points, noise, min_points)
+
+
+def segments_among(rows: NDArray[np.intp], points: Array, noise: float, min_points: int
+                   ) -> list[Segment]:
+    """Return what straight_segments does, of the rows (k,) that came back."""
     if len(rows) < min_points:
         return []
-    x, z = points[:, 0].take(rows), points[:, 1].take(rows)
+    x, z = points.take(rows, axis=0).T.copy()
     tolerance = INLIER_SIGMAS * max(noise_level(z, noise), noise)
-    search, segments, free = LineSearch(x, z, tolerance, min_points), [], np.ones(len(x), bool)
+    segments, free, terms = [], np.arange(len(rows)), line_terms(x, z)
     for _ in range(MAX_LINES):
-        inliers = search.dominant(free)
+        inliers = dominant_line(terms, tolerance, min_points)
         if inliers is None:
             break
-        for piece in _pieces(np.flatnonzero(inliers)):
+        for piece in _pieces(free[inliers]):
             of_x = x.take(piece)
-            if len(piece) >= min_points and float(of_x.max() - of_x.min()) > NARROWEST:
+            if len(piece) >= min_points and _is_wide(of_x):
                 segments.append(_segment(rows.take(piece), of_x, z.take(piece), noise / 3))
-        free &= ~inliers
+        left = (~inliers).nonzero()[0]
+        if len(left) < min_points:
+            break
+        free, terms = free.take(left), terms.take(left, axis=1)
     return sorted(segments, key=lambda s: s.first)
+
+
+def _is_wide(x: Array) -> bool:
+    """Return whether points lie on some part of the laser line."""
+    # the ends alone say so mostly
+    return bool(abs(x[-1] - x[0]) > NARROWEST or x.max() - x.min() > NARROWEST)
 
 
 def returned(points: Array) -> NDArray[np.intp]:
     """Return the rows of points (n, 2) that are finite."""
     finite = np.isfinite(points)
-    return np.flatnonzero(finite[:, 0] & finite[:, 1])
-
-
-def lost(points: Array) -> int:
-    """Return how many of points (n, 2) are no returns."""
-    return len(points) - len(returned(points))
+    return (finite[:, 0] & finite[:, 1]).nonzero()[0]
 
 
 def _pieces(members: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
     """Part the members of a line where points of something else lie between them."""
-    cuts = np.flatnonzero(members[1:] - members[:-1] > FOREIGN_POINTS) + 1
-    for begin, end in pairwise([0, *cuts.tolist(), len(members)]):
-        piece = members[begin:end]
-        first, last = 0, len(piece)
-        while last - first > 2 and piece[first + 1] - piece[first] > STRAY_GAP:
+    steps = members[1:] - members[:-1]
+    cuts = (steps > FOREIGN_POINTS).nonzero()[0] + 1
+    for first, last in pairwise([0, *cuts.tolist(), len(members)]):
+        while last - first > 2 and steps[first] > STRAY_GAP:
             first += 1
-        while last - first > 2 and piece[last - 1] - piece[last - 2] > STRAY_GAP:
+        while last - first > 2 and steps[last - 2] > STRAY_GAP:
             last -= 1
-        yield piece[first:last]
+        yield members[first:last]
 
 
 def _segment(rows: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> Segment:
@@ -132,27 +143,23 @@ def _segment(rows: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> 
 
 def _fit_with_noise(x: Array, z: Array, inner: slice) -> tuple[float, float, Array, float]:
     """Return offset and slope of the inner points, residuals of all, their standard deviation."""
-    offset, slope = _fit(x[inner], z[inner])
-    residual = z - offset
-    residual -= slope * x
-    own = residual[inner]
-    return offset, slope, residual, math.sqrt(own @ own / max(len(own) - 2, 1))
-
-
-def _fit(x: Array, z: Array) -> tuple[float, float]:
-    """Return offset and slope of the least-squares line."""
-    mean_x, mean_z = float(np.add.reduce(x)) / len(x), float(np.add.reduce(z)) / len(z)
-    dx = x - mean_x
-    spread = float(dx @ dx)
-    slope = float(dx @ (z - mean_z)) / spread if spread > 0 else 0.0
-    return mean_z - slope * mean_x, slope
+    count = inner.stop - inner.start
+    mean_x = float(np.add.reduce(x[inner])) / count
+    mean_z = float(np.add.reduce(z[inner])) / count
+    dx, dz = x - mean_x, z - mean_z
+    inner_x = dx[inner]
+    spread = float(inner_x @ inner_x)
+    slope = float(inner_x @ dz[inner]) / spread if spread > 0 else 0.0
+    dx *= slope
+    dz -= dx
+    own = dz[inner]
+    return mean_z - slope * mean_x, slope, dz, math.sqrt(own @ own / max(count - 2, 1))
 
 
 def _bent_end(residual: Array, noise: float) -> int:
     """Return how many residuals (n,) from the first on together say that the end is bent."""
     most, least = len(residual) // LARGEST_BEND // BEND_POINTS, BEND_SIGMAS * noise
-    if abs(float(np.add.reduce(residual[:BEND_POINTS]))) / BEND_POINTS <= (
-            least / BEND_POINTS ** 0.5):
+    if abs(sum(residual[:BEND_POINTS].tolist())) / BEND_POINTS <= least / BEND_POINTS ** 0.5:
         return 0  # as it is mostly
     sums = np.add.reduce(residual[:most * BEND_POINTS].reshape(most, BEND_POINTS), axis=1)
     off = np.abs(sums / BEND_POINTS) > least / BEND_POINTS ** 0.5

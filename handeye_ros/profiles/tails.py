@@ -1,0 +1,145 @@
+"""One end of a face in a profile: its frame, and the points that its surface continues on."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+import math
+from typing import Any
+
+from handeye_ros.data import Array
+from handeye_ros.profiles.segment import Segment
+import numpy as np
+from numpy.typing import NDArray
+
+STEEPEST = 4.0  # slope of a surface from which light still comes back
+MOST_LOST = 4  # rows from one point of the plate to the next
+SLACK_SIGMAS = 6.0  # of the range between two neighbours on a surface
+TAIL_ROWS = 80  # behind a face that may still be the bent end of its plate, or its wall
+
+
+@dataclass(frozen=True, eq=False)
+class Returns:
+    """
+    A profile, as the ends of its faces are looked for.
+
+    points: (n, 2) of the profile; rows: (k,) of those that came back; near: multiplied with a
+    range, larger is nearer: -1 where it grows away from the sensor.
+    """
+
+    points: Array
+    rows: NDArray[np.intp]
+    near: int
+
+    def lost(self, first: int, last: int) -> int:
+        """Return how many of the rows from the first up to the last came not back."""
+        found = self.rows.searchsorted([first, last])
+        return last - first - int(found[1] - found[0])
+
+    def outwards(self, row: int, outward: int) -> NDArray[np.intp]:
+        """Return a row and those that came back in the TAIL_ROWS behind it."""
+        at = int(self.rows.searchsorted(row))
+        if outward > 0:
+            some = self.rows[at:at + TAIL_ROWS + 1]
+            return some[:some.searchsorted(row + TAIL_ROWS + 1)]
+        some = self.rows[max(at - TAIL_ROWS, 0):at + 1]
+        return some[some.searchsorted(row - TAIL_ROWS):][::-1]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """
+    The frame of a face at one of its ends: along the face, outwards, and below it.
+
+    origin: (2,) the point of the face line at the segment's last point; along: (2,) unit
+    vector; below: (2,) unit vector away from the sensor.
+    """
+
+    origin: Array
+    along: Array
+    below: Array
+
+    def of(self, points: Array) -> tuple[Array, Array]:
+        """Return how far along and below points (k, 2) lie."""
+        away = points - self.origin
+        return away @ self.along, away @ self.below
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """One end of a segment of a profile: the direction of the rows behind it (+1 or -1)."""
+
+    segment: Segment
+    outward: int
+    seen: Returns
+
+    @property
+    def row(self) -> int:
+        """Return the last row of the segment."""
+        return self.segment.last if self.outward > 0 else self.segment.first
+
+    def start_of(self, other: Segment) -> int:
+        """Return the first row of another segment as seen from this end."""
+        return other.first if self.outward > 0 else other.last
+
+    def end_of(self, other: Segment) -> int:
+        """Return the last row of another segment as seen from this end."""
+        return other.last if self.outward > 0 else other.first
+
+    @property
+    def column(self) -> float:
+        """Return the distance along x between neighbouring columns on the segment."""
+        first, last = self.segment.first, self.segment.last
+        x = self.seen.points[:, 0]
+        return abs(float(x[last] - x[first])) / (last - first)
+
+    @cached_property
+    def frame(self) -> Frame:
+        """Return the frame of the face here."""
+        segment, points = self.segment, self.seen.points
+        x, middle = points[[self.row, segment.rows[len(segment.rows) // 2]], 0].tolist()
+        outward = -1.0 if x < middle else 1.0
+        length, near = math.hypot(1.0, segment.slope), self.seen.near
+        frame = np.array([[x, segment.height(x)],
+                          [outward / length, outward * segment.slope / length],
+                          [near * segment.slope / length, -near / length]])
+        return Frame(*frame)
+
+    def along_and_below(self, rows: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Return how far along and below the face rows of the profile lie."""
+        return self.frame.of(self.seen.points.take(rows, axis=0))
+
+
+def tail(end: End) -> NDArray[np.intp]:
+    """
+    Return the rows behind a segment's last point that its surface continues on, outwards.
+
+    The surface turns away from the sensor, as steeply as light comes back from it at most; one
+    wrong point does not end it.
+    """
+    rows = end.seen.outwards(end.row, end.outward)
+    # mostly there is nothing, or only the drop
+    if len(rows) == 1 or not (_follows(end, rows[0], rows[1])
+                              or (len(rows) > 2 and _follows(end, rows[0], rows[2]))):
+        return rows[1:1]
+    follows = _follows(end, rows[:-1], rows[1:])
+    found = leading(follows) + 1
+    if found < len(rows) - 1 and _follows(end, rows[found - 1], rows[found + 1]):
+        more = found + 2 + leading(follows[found + 1:])
+        return np.concatenate([rows[1:found], rows[found + 1:more]])
+    return rows[1:found]
+
+
+def leading(values: NDArray[np.bool_]) -> int:
+    """Return how many values are true before the first that is not."""
+    first = int(values.argmin()) if len(values) else 0
+    return len(values) if not len(values) or values[first] else first
+
+
+def _follows(end: End, rows: Any, after: Any) -> Any:
+    """Return whether a row (or which rows) after others go on on a surface that turns away."""
+    points, slack = end.seen.points, SLACK_SIGMAS * end.segment.noise
+    step = (points[after] - points[rows]).T
+    aside, drop = abs(step[0]), -end.seen.near * step[1]
+    # a driver may leave lost points out: then the next row need not be near
+    return ((drop < STEEPEST * aside + slack) & (drop > -slack)
+            & (abs(after - rows) <= MOST_LOST) & (aside < (MOST_LOST + 0.5) * end.column))
