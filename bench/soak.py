@@ -7,14 +7,15 @@ usage: python bench/soak.py [--minutes 60] [--rate 1000]
 Publishes profiles and the poses of a robot that stops each 4 s, and calls one service after the
 other (take, compute, save, set a parameter, leave a sample out, remove, clear each 120 s), twice a
 second; none waits for the solves, which go on beside them; browsers come to the page and go.
-Publisher, caller and node are processes of their own; a further one tells when the machine itself
-stood still, or ran something else: it sleeps for 5 ms at a time, at the priority of the node, and
-notes where it woke up 20 ms late. The publisher shares 32 MB with who listens. Prints each minute
-what came, the load of the machine, the resident memory of the node and of its other processes, and
-the slowest answer of each service so far; in the end what was lost, what the node says that it
-left out, the slope of the memory behind the first half of the time, and how long the answers took:
-as they came, and without what the machine stood still meanwhile. Needs ROS, on a domain of its own
-(ROS_DOMAIN_ID).
+Publisher, caller and node are processes of their own; a further one on each processor tells when
+that stood still (a virtual one is taken away at times) or ran something else: it sleeps for 5 ms
+at a time, at the priority of the node, and notes where it woke up 20 ms late. Another writes 4 kB
+twice a second, and notes how long the disk took. The publisher shares 32 MB with who listens.
+Prints each minute what came, the load of the machine, the resident memory of the node and of its
+other processes, and the slowest answer of each service so far; in the end what was lost, what the
+node says that it left out, the memory and its slope (1 sigma) after the first 10 minutes, or the
+first half, and how long the answers took: as they came, and without the times at which a processor
+stood still. Needs ROS, on a domain of its own (ROS_DOMAIN_ID).
 
 With `nice -n -10` before it all of these go before other work, also where Linux lets priorities
 count within a session only (sched_autogroup).
@@ -24,7 +25,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, ExitStack, suppress
 import os
 from pathlib import Path
 import runpy
@@ -40,6 +41,7 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from scipy.stats import linregress
 from std_srvs.srv import Trigger
 
 LIVE = runpy.run_path(str(Path(__file__).with_name('live.py')))
@@ -50,6 +52,7 @@ TURNS = (*('take_sample', ASIDE, 'save_calibration', 'set_parameters') * 3,
          'remove_last_sample')  # so that samples gather
 PAUSE = 0.5  # s between two calls
 CYCLE = 4.0  # s from stop to stop
+WARM = 600.0  # s until the slope of the memory counts, half of the time at most
 AGREED = 0.1  # s in which a service is to answer
 # Of the publisher: by default 34 profiles fit into what Fast DDS shares, and where the machine
 # stands still for longer than these take, the publisher overwrites the oldest.
@@ -71,7 +74,8 @@ SHARED = """<?xml version="1.0" encoding="UTF-8"?>
 """
 PULSE, LATE = 5e-3, 20e-3  # s between two looks at the clock; more than this between is told
 PULSING = f"""
-import sys, time
+import os, sys, time
+os.sched_setaffinity(0, [int(sys.argv[1])])
 before = time.monotonic()
 while True:
     time.sleep({PULSE})
@@ -79,6 +83,19 @@ while True:
     if now - before > {PULSE + LATE}:
         print(before + {PULSE}, now, flush=True)
     before = now
+"""
+
+
+SYNCING = """
+import os, sys, time
+while True:
+    with open(sys.argv[1], 'wb') as stream:
+        stream.write(bytes(4096))
+        stream.flush()
+        before = time.monotonic()
+        os.fsync(stream.fileno())
+        print(before, time.monotonic(), flush=True)
+    time.sleep(0.5)
 """
 
 
@@ -181,14 +198,33 @@ def free_port() -> int:
 
 @contextmanager
 def pulse(folder: str) -> Iterator[Callable[[], np.ndarray]]:
-    """Run what tells when the machine stood still; give what returns these times (n, 2)."""
-    log = Path(folder) / 'pulse.log'
-    with log.open('w') as stream, subprocess.Popen([sys.executable, '-c', PULSING],
+    """Run what tells when a processor stood still; give what returns these times (n, 2)."""
+    with ExitStack() as stack:
+        told = [stack.enter_context(telling(PULSING, str(cpu), Path(folder) / f'pulse{cpu}.log'))
+                for cpu in os.sched_getaffinity(0)]
+        yield lambda: merged(np.concatenate([times() for times in told]))
+
+
+@contextmanager
+def telling(script: str, argument: str, log: Path) -> Iterator[Callable[[], np.ndarray]]:
+    """Run a script that prints times; give what returns them (n, 2)."""
+    with log.open('w') as stream, subprocess.Popen([sys.executable, '-c', script, argument],
                                                    stdout=stream) as process:
         try:
             yield lambda: np.array(log.read_text().split(), dtype=float).reshape(-1, 2)
         finally:
             process.kill()
+
+
+def merged(times: np.ndarray) -> np.ndarray:
+    """Return times (n, 2) as times (m, 2) that do not overlap."""
+    found: list[list[float]] = []
+    for begin, end in sorted(times.tolist()):
+        if found and begin <= found[-1][1]:
+            found[-1][1] = max(found[-1][1], end)
+        else:
+            found.append([begin, end])
+    return np.array(found).reshape(-1, 2)
 
 
 def without(calls: np.ndarray, still: np.ndarray) -> np.ndarray:
@@ -198,17 +234,21 @@ def without(calls: np.ndarray, still: np.ndarray) -> np.ndarray:
     return np.asarray(np.diff(calls, axis=1)[:, 0] - shared.sum(axis=1))
 
 
-def report(user: User, still: np.ndarray, memory: list[tuple[float, float, float]],
-           minutes: float) -> None:
+def report(user: User, still: np.ndarray, synced: np.ndarray,
+           memory: list[tuple[float, float, float]], minutes: float) -> None:
     """Print what has come of it."""
-    late = np.array([m for m in memory if m[0] > 30 * minutes])
+    late = np.array([m for m in memory if m[0] > min(WARM, 30 * minutes)])
     for column, name in ((1, 'node'), (2, 'its other processes')):
-        slope = np.polyfit(late[:, 0] / 3600, late[:, column], 1)[0]
-        print(f'{name}: {late[0, column]:.0f} MB to {late[-1, column]:.0f} MB, slope '
-              f'{slope:.1f} MB/h')
+        found = linregress(late[:, 0] / 3600, late[:, column])
+        low, middle, high = np.quantile(late[:, column], (0.05, 0.5, 0.95))
+        print(f'{name}: {middle:.0f} MB (5 to 95 %: {low:.0f} to {high:.0f}), slope '
+              f'{found.slope:.1f} +- {found.stderr:.1f} MB/h')
     took = np.diff(still, axis=1)
-    print(f'the machine stood still, or ran other work, {len(still)} times for more than '
+    print(f'a processor stood still, or ran other work, {len(still)} times for more than '
           f'{LATE:.2f} s, {took.sum():.1f} s in all, {took.max(initial=0.0):.2f} s at most')
+    took = np.diff(synced, axis=1)
+    print(f'4 kB of another process were synced in {np.median(took):.4f} s (median), 99 % within '
+          f'{np.quantile(took, 0.99):.3f} s, slowest {took.max():.3f} s')
     for name, spans in sorted(user.calls.items()):
         calls = np.array(spans)
         for title, seconds in (('', np.diff(calls, axis=1)[:, 0]),
@@ -224,6 +264,7 @@ def soak(minutes: float, rate: float) -> None:
     watcher, begin = LIVE['Watcher'](), time.monotonic()
     user, memory, port = User(), [], free_port()
     with (tempfile.TemporaryDirectory() as folder, pulse(folder) as still,
+          telling(SYNCING, f'{folder}/synced', Path(folder) / 'synced.log') as synced,
           LIVE['listener']('node', folder, f'page.port:={port}') as (node, _)):
         user.wait()
         shared = Path(folder) / 'shared.xml'
@@ -251,7 +292,7 @@ def soak(minutes: float, rate: float) -> None:
         watcher.wait(4.0, False)
         sent = int(driver.stdout.read())
         print(f'{sent} profiles sent, {sent - watcher.count()} lost; {watcher.notes}')
-        report(user, still(), memory, minutes)
+        report(user, still(), synced(), memory, minutes)
 
 
 def before_others() -> None:
