@@ -7,7 +7,6 @@ streams would slow down the judging of a stop. A process is started when it is f
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 import os
 import pickle
 import queue
@@ -118,12 +117,14 @@ def main() -> None:
     os.dup2(2, 1)  # what is printed is no answer
     asked: queue.SimpleQueue[tuple[Callable[..., Any], tuple[Any, ...]]] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(asked,), daemon=True).start()
-    with suppress(BrokenPipeError):
+    try:
         while True:
             function, args = asked.get()
             answers.write(pickle.dumps(_outcome(function, args)))
             answers.flush()
             give_back()
+    except BrokenPipeError:  # nobody listens; an orderly end would wait for who reads stdin
+        os._exit(0)
 
 
 def _listen(asked: queue.SimpleQueue[Any]) -> None:
