@@ -4,6 +4,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 import os
 from pathlib import Path
+import pickle
 import signal
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import time
 from command import PATIENCE
 from handeye_ros.config import Config
 from handeye_ros.ros.errors import SecondEndedError
-from handeye_ros.ros.node.second import Here, Second
+from handeye_ros.ros.node.second import COMMAND, Here, Second
 from handeye_ros.sampling.errors import SilentPosesError
 from handeye_ros.sampling.review import NoReviewError, review
 import pytest
@@ -123,6 +124,16 @@ def test_it_ends_with_a_process_that_is_killed() -> None:
                           check=False)
     assert said.returncode == -signal.SIGKILL
     until(lambda: not Path(f'/proc/{int(said.stdout)}').exists())
+
+
+def test_it_ends_quietly_where_nobody_listens_any_more() -> None:
+    with subprocess.Popen((*COMMAND, '0'), stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                          stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        pickle.dump((divmod, (7, 2)), process.stdin)
+        process.stdin.flush()  # and it stays open: who listens there is waiting
+        assert process.wait(PATIENCE) == 0
+        assert not process.stderr.read()
 
 
 def until(condition) -> None:
