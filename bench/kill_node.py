@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+import faulthandler
+import gc
 import os
 from pathlib import Path
 import random
@@ -125,8 +127,8 @@ class Operator:
         return future.result() if self._until(future.done) else None
 
 
-def killed(parent: Path, rng: random.Random) -> Operator:
-    """Let a node work for a while and kill it; return who worked with it."""
+def killed(parent: Path, rng: random.Random) -> tuple[Tally, float]:
+    """Let a node work for a while and kill it; return what it acknowledged, and s to restore."""
     given = SETTINGS | {'output_dir': str(parent)}
     words = [word for key, value in given.items() for word in ('-p', f'{key}:={value}')]
     process = subprocess.Popen([sys.executable, '-m', 'handeye_ros.ros.node', '--ros-args', *words,
@@ -147,7 +149,10 @@ def killed(parent: Path, rng: random.Random) -> Operator:
         process.wait()
         worker.join()
         operator.close()
-    return operator
+        told = operator.tally, operator.restored
+        del operator, worker
+        gc.collect()  # what is left of it here, not while the next one spins in another thread
+    return told
 
 
 def run(count: int, seed: int, output_dir: Path) -> None:
@@ -157,10 +162,10 @@ def run(count: int, seed: int, output_dir: Path) -> None:
     for begun in range(0, count, KILLS_OF_A_SESSION):
         tally, parent = Tally(), output_dir / f'{begun:04d}'
         for _ in range(min(KILLS_OF_A_SESSION, count - begun)):
-            operator = killed(parent, rng)
+            told, restored = killed(parent, rng)
             for name in ('taken', 'removing', 'removed'):
-                getattr(tally, name).update(getattr(operator.tally, name))
-            starts += [operator.restored] * bool(operator.restored)
+                getattr(tally, name).update(getattr(told, name))
+            starts += [restored] * bool(restored)
             for folder in (parent / 'sphere').glob('*') if tally.taken else ():
                 check(folder, tally, config, 1)  # the service may be asked before all came
         taken, removed = taken + len(tally.taken), removed + len(tally.removed)
@@ -175,6 +180,7 @@ def main() -> None:
     parser.add_argument('--count', type=int, default=200)
     parser.add_argument('--seed', type=int, default=0)
     options = parser.parse_args()
+    faulthandler.enable()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with tempfile.TemporaryDirectory() as folder:
         run(options.count, options.seed, Path(folder))

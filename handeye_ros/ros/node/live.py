@@ -102,6 +102,7 @@ class LiveSession(LiveSamples):
         self.judge_all()
         self.on_change()
         self._judged.set()
+        self._store.settle()
         give_back()
 
     def settle(self) -> None:

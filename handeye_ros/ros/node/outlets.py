@@ -65,9 +65,13 @@ class Outlets:
         with self._lock:
             if self._closed:
                 return
-            state = state_of(self._live)
-            self._say('samples', json.dumps(samples_message(state)))
-            self._show_answer(self._live.calibration)
+            state, calibration = state_of(self._live), self._live.calibration
+            others = self._say('samples', json.dumps(samples_message(state)))
+            another = calibration is not self._shown
+            if another:
+                self._show_answer(calibration)
+            if others or another:
+                self._draw(state, calibration)
             self._say('status', json.dumps(status_message(state)))
             self._show_guidance(state.guidance)
 
@@ -80,22 +84,20 @@ class Outlets:
         with self._lock:
             self._closed = True
 
-    def _say(self, name: str, text: str) -> None:
-        if self._told.get(name) != text:
-            self._told[name] = text
-            self._texts[name].publish(String(data=text))
-            if name == 'samples':
-                self._draw()
+    def _say(self, name: str, text: str) -> bool:
+        """Publish a text if it is another than before; return whether it is."""
+        if self._told.get(name) == text:
+            return False
+        self._told[name] = text
+        self._texts[name].publish(String(data=text))
+        return True
 
     def _show_answer(self, calibration: Calibration | None) -> None:
-        if calibration is self._shown:
-            return
         if calibration is None:
             self._withdraw()
         else:
             self._publish(calibration)
         self._shown = calibration
-        self._draw()
 
     def _show_guidance(self, guidance: GuidanceState | None) -> None:
         """Publish what to do next, and the pose of it while there is one."""
@@ -124,9 +126,8 @@ class Outlets:
         if self._tf_static and calibration.child_frame not in robot:
             self._tf_static.publish(TFMessage(transforms=[transform]))
 
-    def _draw(self) -> None:
+    def _draw(self, state: State, calibration: Calibration | None) -> None:
         live = self._live
-        calibration, state = live.calibration, state_of(live)
         residuals = {sample.number: sample.residual for sample in state.samples}
         self._markers.publish(session_markers(
             [Seen(o.number, o.sample, residuals.get(o.number)) for o in live.copied().outcomes

@@ -8,7 +8,11 @@ from handeye_ros.sampling.stops import Outcome
 
 
 class Store(Protocol):
-    """Keeps what a session is made of; each call returns when it is on the disk, or raises."""
+    """
+    Keeps what a session is made of.
+
+    All calls but settle return when it is on the disk, or raise.
+    """
 
     @property
     def path(self) -> str:
@@ -22,6 +26,9 @@ class Store(Protocol):
 
     def configured(self, config: Config) -> None:
         """Keep another configuration; raises UnwritableError."""
+
+    def settle(self) -> None:
+        """Keep what else helps to read it; no answer waits for that."""
 
     def restart(self, config: Config) -> str:
         """Begin another session; return what to say of the one before; UnwritableError."""
@@ -40,6 +47,9 @@ class NoStore:
         """Do nothing."""
 
     def configured(self, config: Config) -> None:
+        """Do nothing."""
+
+    def settle(self) -> None:
         """Do nothing."""
 
     def restart(self, config: Config) -> str:

@@ -3,9 +3,9 @@ The files of a session: each written whole, or not at all, and on the disk when 
 
 A file is written under another name, synced, and renamed; then metadata.yaml is written in the
 same way, and the folder synced. Whenever the process ends: all files are complete bags, and
-metadata.yaml lists all of them but perhaps the last one, which nobody was told of. Where the power
-ends, all that somebody was told of is there as well; metadata.yaml, which is not waited for, may
-be an older one, or damaged: it says nothing that the files do not, and is written anew.
+metadata.yaml lists all of them but perhaps the last one, which nobody was told of. The same where
+the power ends, but for the moment until metadata.yaml is synced, which nobody waits for: it says
+nothing that the files do not, and is written anew.
 """
 from __future__ import annotations
 
@@ -169,6 +169,11 @@ def write_metadata(folder: Path, files: Sequence[BagFile], types: dict[str, str]
     sync_folder(folder)
 
 
+def sync_metadata(folder: Path) -> None:
+    """Let metadata.yaml be on the disk; raises OSError."""
+    _sync(folder / METADATA)
+
+
 def _metadata(files: Sequence[BagFile], types: dict[str, str]) -> str:
     """Return its text, in a hundredth of the time that a YAML library takes for many files."""
     first, last = min(file.first for file in files), max(file.last for file in files)
@@ -191,7 +196,11 @@ def _hash(kind: str) -> str:
 
 def sync_folder(folder: Path) -> None:
     """Let the names in a folder be on the disk; raises OSError."""
-    handle = os.open(folder, os.O_RDONLY)
+    _sync(folder)
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:

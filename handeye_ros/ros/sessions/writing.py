@@ -23,6 +23,7 @@ from handeye_ros.ros.sessions.bag_files import (
     BagFile,
     SUFFIX,
     sync_folder,
+    sync_metadata,
     write_file,
     write_metadata,
 )
@@ -101,6 +102,12 @@ class SessionStore:
         """Keep another configuration; raises UnwritableError."""
         if self._folder:
             self._append(Event(CONFIGURED, config), config)
+
+    def settle(self) -> None:
+        """Let the list of files be on the disk, which no answer waits for: they tell the same."""
+        if self._folder:
+            with suppress(OSError):
+                sync_metadata(self._folder)
 
     def restart(self, config: Config) -> str:
         """Begin another session; return what to say of the one before; UnwritableError."""
