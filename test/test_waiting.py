@@ -90,7 +90,9 @@ def everything_else(live: LiveVerify) -> None:
     assert ' taken again, ' in live.take_sample()
     assert live.remove_last_sample().startswith('removed sample ')
     live.configure(changed(live.config, 'limits.translation', 0.004))
-    assert str(live.place.folder(live.config)) in live.save()
+    saved = live.save()
+    assert str(live.place.folder(live.config)) in saved
+    assert saved.endswith('the calibration is computed anew: save it again after that')
 
 
 def test_nobody_waits_for_a_solve(tmp_path: Path) -> None:

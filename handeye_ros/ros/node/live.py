@@ -37,6 +37,7 @@ from handeye_ros.sampling.stops import Outcome
 from handeye_ros.sampling.wording import calibration_summary
 import numpy as np
 
+COMPUTED = 'the calibration is computed'
 KNOWN_FREEDOM = 6  # conditions more than unknowns, from which on angles are believed
 
 
@@ -198,7 +199,7 @@ class LiveSession(LiveSamples):
             session, config = self.copied(), self.config
         self._wake.set()
         session.require_stations()
-        with self._doing('the calibration is computed'):
+        with self._doing(COMPUTED):
             found = pipeline.solve_session(
                 session, config, partial(self._second.run, pipeline.solve, urgent=True))
         inputs = [{'topic': config.profile_topic},
@@ -226,7 +227,8 @@ class LiveSession(LiveSamples):
         name = calibration_file.folder_name(self.config)
         saved = exports.save_all(replace(calibration, name=name), self.place.folder(self.config),
                                  self.config.save.formats)
-        return f'{saved}{self.answer.changes(now)}'
+        again = f'; {COMPUTED} anew: save it again after that' if COMPUTED in self.working else ''
+        return f'{saved}{self.answer.changes(now)}{again}'
 
     # what is set
 
