@@ -6,6 +6,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 LARGEST_STD = 1e3  # stands for infinity (m or rad)
+FEWEST, AT_ONCE, MOST_ROWS = 50, 200, 24  # triangles, and rows of each, inverted row by row
 FREE = 1e-13  # relative information of a direction that is not seen
 
 
@@ -86,3 +87,23 @@ def from_conditions(A: Array, r: Array, known: int) -> tuple[Array, Array]:
     every = np.arange(free, len(covariance))
     covariance[every, every] += 1.0
     return np.append(x, -K.T @ (r + J @ x)), covariance
+
+
+def inverse_of_lower(L: Array) -> Array:
+    """Return the inverses (n, c, c) of lower triangles, of small ones many at a time."""
+    n, c, _ = L.shape
+    if c > MOST_ROWS or n < FEWEST:
+        return np.asarray(np.linalg.inv(L))
+    parts = [_row_by_row(L[first:first + AT_ONCE]) for first in range(0, n, AT_ONCE)]
+    return np.concatenate(parts)
+
+
+def _row_by_row(L: Array) -> Array:
+    """Return the inverses (n, c, c) of lower triangles by forward substitution."""
+    last = np.ascontiguousarray(np.moveaxis(L, 0, 2))
+    found = np.zeros_like(last)
+    for i in range(len(found)):
+        found[i, i] = 1 / last[i, i]
+        np.einsum('kn,kjn->jn', last[i, :i], found[:i, :i], out=found[i, :i])
+        found[i, :i] *= -found[i, i]
+    return np.moveaxis(found, 2, 0)

@@ -124,17 +124,20 @@ def pose_errors(problem: Problem, found: Sequence[Doubt], values: Array) -> Arra
     """
     Return the errors (n, 6) of the poses that doubts found by so much stand for.
 
-    values: (q,) of the unknowns of all doubts, one after the other, in their present sigmas.
+    values: (q,) of the unknowns of all doubts, one after the other, in their present sigmas; or
+    (n, q), of each pose its own.
     """
-    errors = np.zeros((len(problem.poses), 6))
+    n = len(problem.poses)
+    errors, values = np.zeros((n, 6)), np.broadcast_to(values, (n, values.shape[-1]))
     first = 0
     for doubt in found:
         last = first + doubt.count
         if doubt.name == 'scale':
-            errors[:, :3] += _scaled(problem) * (values[first] * doubt.std)
+            errors[:, :3] += _scaled(problem) * (values[:, first, None] * doubt.std)
         elif doubt.name in SMOOTH:
-            by_axis = values[first:last].reshape(3, -1).T * doubt.std
-            errors[:, SMOOTH[doubt.name]] += problem.smooth @ by_axis
+            by_axis = values[:, first:last].reshape(n, 3, -1)
+            errors[:, SMOOTH[doubt.name]] += doubt.std * np.einsum(
+                'nak,nk->na', by_axis, problem.smooth)
         first = last
     return errors
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, TypeAlias, TypeVar
+from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 from handeye_ros.data import Array
 import numpy as np
@@ -75,27 +75,47 @@ def least_squares(system: System[S], start: S, weights: Array | None = None,
     by less ends it.
     """
     root = np.ones(len(system.block)) if weights is None else np.sqrt(weights)[system.block]
-    damping, state, rows = FIRST_DAMPING, start, system.rows(start)
-    for _ in range(iterations):
+
+    def weighted(rows: Rows) -> tuple[White, Array, Array]:
         white = rows.white()
-        r, J = white(rows.residuals) * root, white(rows.jacobian()) * root[:, None]
-        cost = float(r @ r)
-        for _attempt in range(MAX_DAMPINGS):
-            step = _damped_steps(J, r, np.array(damping))
-            moved = system.retract(state, step)
-            moved_rows = system.rows(moved)
-            after = float(((white(moved_rows.residuals) * root) ** 2).sum())
-            if after <= cost * (1 + ROUNDING):
-                break
-            damping *= DAMPING_FACTOR
-        else:
+        return white, white(rows.residuals) * root, white(rows.jacobian()) * root[:, None]
+
+    state, damping, taken, refused = start, FIRST_DAMPING, 0, 0
+    white, r, J = weighted(system.rows(start))
+    while True:
+        step = _damped_steps(J, r, np.array(damping))
+        moved = system.retract(state, step)
+        rows = system.rows(moved)
+        after = float(((white(rows.residuals) * root) ** 2).sum())
+        tried = _judged(float(r @ r), after, float(np.linalg.norm(J @ step)), converged)
+        damping = max(damping * float(tried.damping), SMALLEST_DAMPING)
+        taken, refused = (taken + 1, 0) if tried.better else (taken, refused + 1)
+        state = moved if tried.better else state
+        if tried.done or taken == iterations or refused == MAX_DAMPINGS:
             return state
-        state, rows = moved, moved_rows
-        damping = max(damping / DAMPING_FACTOR ** 2, SMALLEST_DAMPING)
-        if (np.linalg.norm(J @ step) < converged * (1.0 + cost ** 0.5)
-                or after >= cost * (1 - STANDSTILL)):
-            break
-    return state
+        if tried.better:
+            white, r, J = weighted(rows)
+
+
+class _Judged(NamedTuple):
+    """What becomes of steps: whether they are taken, and the last; factors of their damping."""
+
+    better: NDArray[np.bool_]
+    done: NDArray[np.bool_]
+    damping: Array
+
+
+def _judged(before: Array | float, after: Array | float, length: Array | float, converged: float
+            ) -> _Judged:
+    """
+    Return what becomes of steps, by the sums of squares before and after them.
+
+    length: of the change of the residuals that they promised.
+    """
+    better = np.less_equal(after, np.multiply(before, 1 + ROUNDING))
+    done = better & ((length < converged * (1 + np.sqrt(before)))
+                     | np.greater_equal(after, np.multiply(before, 1 - STANDSTILL)))
+    return _Judged(better, done, np.where(better, DAMPING_FACTOR ** -2, DAMPING_FACTOR))
 
 
 def _damped_steps(J: Array, r: Array, damping: Array) -> Array:
@@ -104,12 +124,12 @@ def _damped_steps(J: Array, r: Array, damping: Array) -> Array:
 
     J: (..., m, u), r: (..., m), damping: (...).
     """
-    scale = np.maximum(np.sqrt(np.einsum('...mi,...mi->...i', J, J)), 1e-300)
-    scaled = J / scale[..., None, :]
-    transposed = np.swapaxes(scaled, -1, -2)
-    A, every = transposed @ scaled, np.arange(J.shape[-1])
+    transposed, every = np.swapaxes(J, -1, -2), np.arange(J.shape[-1])
+    A = transposed @ J
+    scale = np.maximum(np.sqrt(A[..., every, every]), 1e-300)
+    A /= scale[..., None, :] * scale[..., None]
     A[..., every, every] += damping[..., None]
-    step = np.linalg.solve(A, transposed @ r[..., None])[..., 0]
+    step = np.linalg.solve(A, (transposed @ r[..., None]) / scale[..., None])[..., 0]
     return np.asarray(-step / scale)
 
 
@@ -130,18 +150,16 @@ def many_least_squares(linear: Callable[[States], tuple[Array, Array]],
         step = _damped_steps(J, r, damping[going])
         moved = retract(tuple(states), step)
         new = [*moved, *linear(moved)]
+        length = np.linalg.norm((J @ step[..., None])[..., 0], axis=1)
         before, after = (np.einsum('km,km->k', e, e) for e in (r, new[-2]))
-        better = after <= before * (1 + ROUNDING)
+        tried = _judged(before, after, length, converged)
         for values, part in zip(now, new, strict=True):
-            values[going[better]] = part[better]
-        damping[going] *= np.where(better, DAMPING_FACTOR ** -2, DAMPING_FACTOR)
-        damping = np.maximum(damping, SMALLEST_DAMPING)
-        taken[going] += better
-        refused[going] = np.where(better, 0, refused[going] + 1)
-        length = np.linalg.norm(np.einsum('kmu,ku->km', J, step), axis=1)
-        done = better & ((length < converged * (1 + before ** 0.5))
-                         | (after >= before * (1 - STANDSTILL)))
-        going = going[~done & (taken[going] < iterations) & (refused[going] < MAX_DAMPINGS)]
+            values[going[tried.better]] = part[tried.better]
+        damping[going] = np.maximum(damping[going] * tried.damping, SMALLEST_DAMPING)
+        taken[going] += tried.better
+        refused[going] = np.where(tried.better, 0, refused[going] + 1)
+        going = going[~tried.done & (taken[going] < iterations)
+                      & (refused[going] < MAX_DAMPINGS)]
     *states, r, _ = now
     return tuple(states), np.einsum('km,km->k', r, r)
 

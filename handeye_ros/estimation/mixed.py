@@ -55,7 +55,7 @@ def settled(problem: Problem, start: Estimate, noise: Noise | None = None) -> So
     """
     noise, nothing = noise or Noise(lumped=False), np.zeros(len(problem.method.labels))
     system, least = _System.of(problem, start, noise, nothing), np.inf
-    best = system
+    best, resting = system, False
     for count in range(ROUNDS):
         x, covariance = system.solved
         size = float(np.abs(x[:system.u] / np.sqrt(np.diag(covariance)[:system.u])).max())
@@ -65,8 +65,11 @@ def settled(problem: Problem, start: Estimate, noise: Noise | None = None) -> So
         best, least = best if astray else system, min(size, least)
         estimate, deviation = system.moved(x)
         noise, before = system.with_noise(x, covariance), system.noise.factors
-        system, _ = system.at(estimate, noise, deviation).sized(STEPS)
-        if size < CONVERGED and np.abs(np.log(noise.factors / before)).max() < SETTLED_NOISE:
+        change = np.abs(np.log(noise.factors / before)).max()
+        there, steady = system.at(estimate, noise, deviation), change < SETTLED_NOISE
+        system = there if resting and steady else there.sized(STEPS)[0]
+        resting = system is there
+        if size < CONVERGED and steady:
             break
     return system.answer()
 

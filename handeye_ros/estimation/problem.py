@@ -45,6 +45,13 @@ class Problem:
         return np.ascontiguousarray(T[:, :3, :3]), T[:, :3, 3].copy()
 
     @cached_property
+    def by_columns(self) -> Array:
+        """Return the derivatives (9, m * 3) of points turned to the base, by x, z and t of X."""
+        x, z = self.observations.points.T[:, :, None, None]
+        R, _ = self.flanges
+        return np.stack([R * x, R * z, R]).transpose(0, 3, 1, 2).reshape(9, -1)
+
+    @cached_property
     def stations(self) -> tuple[Stations, ...]:
         """Return what the observations of each station have in common."""
         return stations_of(self.observations)
@@ -140,8 +147,10 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     """
     obs, X = problem.observations, estimate.X
     R, a = problem.flanges
-    lever = obs.points @ np.swapaxes(X[..., :3, [0, 2]], -1, -2)
-    p = np.einsum('mij,...mj->...mi', R, lever + X[..., None, :3, 3]) + a
+    columns = np.swapaxes(X[..., :3, [0, 2, 3]], -1, -2)
+    lever = obs.points @ columns[..., :2, :]
+    turned = columns.reshape(*X.shape[:-2], 9) @ problem.by_columns
+    p = turned.reshape(*X.shape[:-2], len(obs), 3) + a
     conditions = problem.method.conditions(p, obs.kind, estimate.target, problem.config)
     by_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
     jacobian = np.concatenate([by_mount, se3.cross(lever, by_mount), conditions.dg_dtarget],

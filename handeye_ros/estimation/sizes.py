@@ -72,6 +72,9 @@ def sizes(covariance: Array, value: Array, first: NDArray[np.intp], size: Array,
     blocks = [slice(*ends) for ends in pairwise([*first.tolist(), len(value)])]
     shares, along = np.empty(len(value)), np.empty(len(value))
     for block in blocks:
+        if block.stop == block.start + 1:
+            shares[block], along[block] = covariance[block, block], value[block]
+            continue
         own, axes = np.linalg.eigh(covariance[block, block])
         shares[block], along[block] = own, axes.T @ value[block]
     shares = np.clip(shares, 1e-12, 1 - 1e-9)

@@ -197,33 +197,39 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
     return statistic, np.bincount(station, minlength=n)
 
 
-def poses_of(solution: Solution) -> Array:
-    """Return the poses (n, 4, 4) without the smooth error of the robot that was found."""
-    return _poses_with(solution, solution.doubtful)
+def poses_of(solution: Solution, doubtful: Array | None = None) -> Array:
+    """
+    Return the poses (n, 4, 4) without the smooth error of the robot that was found.
 
-
-def _poses_with(solution: Solution, doubtful: Array) -> Array:
-    """Return the poses (n, 4, 4) without the error of the robot that doubts (q,) stand for."""
-    errors = pose_errors(solution.problem, solution.doubts, doubtful)
+    doubtful: (n, q) what the doubts are at each pose, None: as found.
+    """
+    errors = pose_errors(solution.problem, solution.doubts,
+                         solution.doubtful if doubtful is None else doubtful)
     T = solution.problem.poses
     return se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
                          T[:, :3, 3] + errors[:, :3])
 
 
-def without(solution: Solution, stations: NDArray[np.intp]) -> tuple[Estimate, Array]:
+def predictions(solution: Solution, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
     """
-    Return the estimate from all stations but the given ones, to first order.
+    Return the estimates from all stations but those of a fold, for each fold, to first order.
 
-    And the poses (n, 4, 4) without the smooth error of the robot that the others show.
+    fold: (n,) from 0, that each station is of. And the poses (n, 4, 4) of the stations without
+    the smooth error of the robot that those of the other folds show.
     """
+    problem, estimate, u = solution.problem, solution.estimate, solution.unknowns
+    steps = np.array([_step_without(solution, np.flatnonzero(fold == k))
+                      for k in range(fold.max() + 1)])
+    return ([move(problem, estimate, step[:u]) for step in steps],
+            poses_of(solution, solution.doubtful + steps[fold, u:]))
+
+
+def _step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
+    """Return by how much the unknowns (u + q,) differ without some stations."""
     columns, part = solution.columns, solution.columns.of(stations)
     rows = np.concatenate([some.ravel() for some in part])
     if len(rows) < columns.count:
-        step = blocks.step_without(solution.white[rows], columns.dense_rows(rows),
+        return blocks.step_without(solution.white[rows], columns.dense_rows(rows),
                                    solution.covariance)
-    else:
-        step = blocks.step_without_many(solution.information, columns.gram_of(part),
-                                        columns.gradient_of(solution.white, part))
-    u = solution.unknowns
-    return (move(solution.problem, solution.estimate, step[:u]),
-            _poses_with(solution, solution.doubtful + step[u:]))
+    return blocks.step_without_many(solution.information, columns.gram_of(part),
+                                    columns.gradient_of(solution.white, part))

@@ -28,6 +28,12 @@ class Stations:
     edge: Array
     rest: Array
 
+    def of(self, values: Array) -> Array:
+        """Return values (m, k) of all observations by stations, (s, c, k)."""
+        if self.rows.size == len(values):  # all of them, in their order
+            return values.reshape(*self.rows.shape, -1)
+        return values[self.rows]
+
     def every(self, step: int) -> Stations:
         """Return each so manieth of the stations."""
         return Stations(self.rows[::step], self.near[::step], self.shared[::step],

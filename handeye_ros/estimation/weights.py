@@ -11,7 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
+from handeye_ros.estimation.algebra import inverse_of_lower
 from handeye_ros.estimation.problem import Linear, Problem
 from handeye_ros.estimation.stations import Stations
 import numpy as np
@@ -77,15 +79,11 @@ def covariances(problem: Problem, linear: Linear, at: Stations) -> Array:
     Of features, edges, the distortion that is each station's own, and poses.
     """
     noise = problem.config.noise
-    H = linear.by_feature[at.rows]
-    feature = (H @ np.swapaxes(H, 1, 2)) * at.shared
-    every = np.arange(at.rows.shape[1])
-    feature[:, every, every] += SMALLEST_STD ** 2
-    local = _distortion(at, linear.by_point[at.rows], LOCAL * noise.distortion)
-    G = linear.by_pose[at.rows] * np.repeat([noise.robot_translation, noise.robot_rotation], 3)
+    feature = _feature(linear, at)
     # no covariance between edges and the rest, so that any factors keep the sum positive
-    return np.array([feature * at.rest, feature * at.edge, local,
-                     G @ np.swapaxes(G, 1, 2)])
+    return np.array([feature * at.rest, feature * at.edge,
+                     at.near * _squared(at.of(linear.by_point), _local(problem)),
+                     _squared(at.of(linear.by_pose), _pose(noise))])
 
 
 def lumped(problem: Problem, linear: Linear, at: Stations) -> Array:
@@ -94,36 +92,70 @@ def lumped(problem: Problem, linear: Linear, at: Stations) -> Array:
 
     The distortion of a sensor is smooth: points near each other in its plane share it.
     """
-    config, by_point = problem.config, linear.by_point[at.rows]
-    outward = problem.observations.outward[at.rows]
-    along = (by_point * outward).sum(axis=2) * config.target.setback_std
-    robot = config.noise.robot_smooth * np.repeat([1.0, 1 / TURN_LENGTH], 3)
-    G = linear.by_pose[at.rows] * robot
-    return np.asarray(_distortion(at, by_point, config.noise.distortion)
-                      + along[:, :, None] * along[:, None, :] * at.shared
-                      + G @ np.swapaxes(G, 1, 2))
+    noise = problem.config.noise
+    return np.asarray(at.near * _squared(at.of(linear.by_point), noise.distortion ** 2)
+                      + _setback(problem, linear, at)
+                      + _squared(at.of(linear.by_pose), _smooth(noise)))
 
 
-def _distortion(at: Stations, by_point: Array, sigma: float) -> Array:
-    """Return the covariances (n, c, c) of a smooth field of the sensor, by_point (n, c, 2)."""
-    if not sigma:
-        return np.zeros(at.near.shape)
-    return np.asarray(sigma ** 2 * at.near * (by_point @ np.swapaxes(by_point, 1, 2)))
+def _total(problem: Problem, linear: Linear, at: Stations, noise: Noise) -> Array:
+    """Return the sum (stations, c, c) of covariances, and of what is lumped with them."""
+    told, shared = problem.config.noise, float(noise.lumped)
+    total = _feature(linear, at)
+    total *= noise.sensor * at.rest + noise.edge * at.edge
+    distortion = noise.local * _local(problem) + shared * told.distortion ** 2
+    if distortion:
+        total += at.near * _squared(at.of(linear.by_point), distortion)
+    total += _squared(at.of(linear.by_pose), noise.robot * _pose(told) + shared * _smooth(told))
+    return total + _setback(problem, linear, at) if shared else total
+
+
+def _feature(linear: Linear, at: Stations) -> Array:
+    """Return the covariances (stations, c, c) of the features' own errors."""
+    feature = _squared(at.of(linear.by_feature)) * at.shared
+    every = np.arange(at.rows.shape[1])
+    feature[:, every, every] += SMALLEST_STD ** 2
+    return feature
+
+
+def _setback(problem: Problem, linear: Linear, at: Stations) -> Array:
+    """Return the covariances (stations, c, c) from where edges are taken to be."""
+    outward = at.of(problem.observations.outward)
+    along = (at.of(linear.by_point) * outward).sum(axis=2) * problem.config.target.setback_std
+    return np.asarray(along[:, :, None] * along[:, None, :] * at.shared)
+
+
+def _local(problem: Problem) -> float:
+    """Return the variance of the distortion that is each station's own."""
+    return (LOCAL * problem.config.noise.distortion) ** 2
+
+
+def _pose(noise: NoiseConfig) -> Array:
+    """Return the variances (6,) of a pose's own error."""
+    return np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
+
+
+def _smooth(noise: NoiseConfig) -> Array:
+    """Return the variances (6,) of the robot's smooth error at a pose."""
+    return noise.robot_smooth ** 2 * np.repeat([1.0, TURN_LENGTH ** -2], 3)
+
+
+def _squared(factor: Array, variances: Array | float = 1.0) -> Array:
+    """Return factor @ diag(variances) @ factor.T of factors (stations, c, k)."""
+    scaled = factor * np.sqrt(variances)
+    return np.asarray(scaled @ np.swapaxes(scaled, 1, 2))
 
 
 def whitening(problem: Problem, linear: Linear, noise: Noise) -> Whitening:
     """Return the map to residuals of unit covariance."""
-    factors = []
-    for at in problem.stations:
-        total = np.tensordot(noise.factors, covariances(problem, linear, at), 1)
-        if noise.lumped:
-            total = total + lumped(problem, linear, at)
-        factors.append(inverse_roots(total))
-    return Whitening(tuple(at.rows for at in problem.stations), tuple(factors))
+    return Whitening(tuple(at.rows for at in problem.stations), tuple(
+        inverse_roots(_total(problem, linear, at, noise)) for at in problem.stations))
 
 
 def inverse_roots(covariance: Array) -> Array:
     """Return the whitening factors (n, c, c) of covariances (n, c, c)."""
-    size = np.einsum('nii->n', covariance)[:, None, None]
-    regular = covariance + ROUNDING * size * np.eye(covariance.shape[1])
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(regular)))
+    every = np.arange(covariance.shape[1])
+    own = covariance[:, every, every]
+    regular = covariance.copy()
+    regular[:, every, every] += ROUNDING * own.sum(axis=1)[:, None]
+    return inverse_of_lower(np.asarray(np.linalg.cholesky(regular)))

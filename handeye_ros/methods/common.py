@@ -125,4 +125,4 @@ def nearest_transform(x: Array) -> Array:
     """Return the transform (4, 4) nearest to r1, r3, t of a linear solution (9, ...)."""
     U, _, Vt = np.linalg.svd(x[:6].reshape(2, 3), full_matrices=False)
     r1, r3 = U @ Vt
-    return se3.transform(np.column_stack([r1, np.cross(r3, r1), r3]), x[6:9])
+    return se3.transform(np.column_stack([r1, se3.cross(r3, r1), r3]), x[6:9])

@@ -102,8 +102,9 @@ def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:
 
 def _estimate(x: Array, normal: Array, a_mean: Array) -> Estimate:
     """Return the estimate nearest to a linear solution x (10,) for a normal."""
-    tangent = np.linalg.svd(normal[None])[2][1:]
-    R = np.column_stack([tangent[0], np.cross(normal, tangent[0]), normal])
+    across = np.eye(3)[np.argmin(np.abs(normal))]
+    tangent = se3.cross(across, normal) / np.linalg.norm(se3.cross(across, normal))
+    R = np.column_stack([tangent, se3.cross(normal, tangent), normal])
     T = se3.transform(R, a_mean + x[9] * normal)
     return Estimate(nearest_transform(x), T.ravel())
 

@@ -37,6 +37,8 @@ from scipy.spatial.transform import Rotation
 
 ROTATIONS = 600
 CANDIDATES = 16
+LONG = 9  # points, of an arc of which some are enough for a start
+AT_ONCE = 50  # rotations, of which the offset across the plane is looked for
 
 
 def observe(samples: Sequence[Sample]) -> Observations:
@@ -56,7 +58,7 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
 def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
     """Return the distance from the sphere's surface of points p (..., m, 3) in base."""
     offset = p - target[..., None, :3]
-    distance = np.sqrt((offset * offset).sum(axis=-1))
+    distance = np.sqrt(np.einsum('...i,...i->...', offset, offset))
     outward = offset / distance[..., None]
     return Conditions(distance - target[..., 3:], outward,
                       np.concatenate([-outward, -np.ones((*p.shape[:-1], 1))], axis=-1))
@@ -87,8 +89,17 @@ def guess(observations: Observations, poses: Array, config: Config, rng: np.rand
     """
     chosen = some_stations(len(poses), GUESS_STATIONS, rng)
     problem = Problem(SPHERE, poses, observations, config).subset(chosen)
+    some = replace(problem, observations=_fewer(problem.observations))
     for finer in (1, FINER):
-        yield from best_of(problem, _candidates(problem, config.target.radius, finer), finer)
+        yield from best_of(some, _candidates(problem, config.target.radius, finer), finer)
+
+
+def _fewer(observations: Observations) -> Observations:
+    """Return every third point of long arcs, which tell as well where to start."""
+    station = observations.station
+    place = np.arange(len(station)) - np.searchsorted(station, station)
+    short = np.bincount(station)[station] < LONG
+    return observations.select(short | (place % 3 == 1))
 
 
 def _candidates(problem: Problem, radius: float, finer: int) -> list[Estimate]:
@@ -112,8 +123,14 @@ def _candidates(problem: Problem, radius: float, finer: int) -> list[Estimate]:
     x = np.linalg.solve(At @ A + 1e-9 * np.eye(5), At @ b[..., None])[..., 0]
     rms = np.sqrt(((np.einsum('kij,kj->ki', A, x) - b) ** 2).mean(axis=1))
     y = np.einsum('knl,knl->kn', axes[:, :, 1], x[:, None, :3] - (a - a_mean))
-    t_y, rms_y = _side(y, height)
-    best = np.argsort(np.hypot(rms, rms_y))[:CANDIDATES * finer]
+    t_y, rms_y = np.zeros(k), np.full(k, np.inf)
+    count, order = CANDIDATES * finer, np.argsort(rms)
+    for first in range(0, k, AT_ONCE):  # those that fit poorly whatever the side are not tried
+        some = order[first:first + AT_ONCE]
+        if np.partition(np.hypot(rms, rms_y), count)[count] < rms[some[0]]:
+            break
+        t_y[some], rms_y[some] = _side(y[some], height)
+    best = np.argsort(np.hypot(rms, rms_y))[:count]
     return [Estimate(se3.transform(R_sensor[i], R_sensor[i] @ [x[i, 3], t_y[i], x[i, 4]]),
                      np.append(a_mean + x[i, :3], radius)) for i in best]
 

@@ -14,13 +14,13 @@ from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, Sample
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus
-from handeye_ros.estimation.solve import poses_of, Solution, without
+from handeye_ros.estimation.solve import poses_of, predictions, Solution
 import numpy as np
 from numpy.typing import NDArray
 
 MOST_POINTS = 200_000
 LARGEST_SCALE_STD = 0.1  # of a scale worth telling
-MOST_FOLDS = 20  # of the left-out check: with fewer stations each is left out by itself
+MOST_FOLDS = 20  # of the left-out check
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
 
@@ -117,16 +117,21 @@ def _dropped_reports(samples: Sequence[Sample], agreed: Consensus) -> list[Sampl
             for i, square in agreed.dropped.items()]
 
 
-def left_out(solution: Solution, measured: Measured) -> Array:
-    """Return the residuals (k,) of stations that are predicted without them, fold by fold."""
-    n = len(solution.problem.poses)
-    folds = min(n, MOST_FOLDS)
-    found = np.empty(len(measured.station))
-    for fold in range(folds):
-        stations = np.arange(fold, n, folds)
-        part = np.isin(measured.station, stations)
-        found[part] = measured.select(part).residuals(
-            solution.problem, *without(solution, stations))
+def left_out(solution: Solution, measured: Measured, most: int = MOST_FOLDS) -> Array:
+    """
+    Return the residuals (k,) of stations that are predicted without them, fold by fold.
+
+    most: of the folds; with fewer stations each is left out by itself.
+    """
+    problem, n = solution.problem, len(solution.problem.poses)
+    fold = np.arange(n) % min(n, most)
+    estimates, poses = predictions(solution, fold)
+    p = measured.mapped(poses @ np.array([estimate.X for estimate in estimates])[fold])
+    found = np.empty(len(p))
+    for k, estimate in enumerate(estimates):
+        part = fold[measured.station] == k
+        found[part] = problem.method.conditions(p[part], measured.kind[part], estimate.target,
+                                                problem.config).g
     return found
 
 
@@ -157,10 +162,15 @@ class Measured:
 
         poses: (n, 4, 4) instead of the reported ones, such as without the robot's smooth error.
         """
-        in_mount = self.points @ estimate.X[:3, [0, 2]].T + estimate.X[:3, 3]
-        T = (problem.poses if poses is None else poses)[self.station]
-        p = np.einsum('kij,kj->ki', T[:, :3, :3], in_mount) + T[:, :3, 3]
+        p = self.mapped((problem.poses if poses is None else poses) @ estimate.X)
         return problem.method.conditions(p, self.kind, estimate.target, problem.config).g
+
+    def mapped(self, T: Array) -> Array:
+        """Return the points (k, 3) in the frame that T (n, 4, 4) of the stations lead to."""
+        x, z = self.points.T[:, :, None]
+        along, across, origin = np.moveaxis(T[:, :3, [0, 2, 3]], 2, 0)
+        at = self.station
+        return np.asarray(along[at] * x + across[at] * z + origin[at])
 
 
 def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:

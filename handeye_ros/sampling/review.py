@@ -12,11 +12,11 @@ from handeye_ros import methods
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.method import Estimate, UNUSED
+from handeye_ros.estimation.method import UNUSED
 from handeye_ros.estimation.problem import points_in_base, Problem
 from handeye_ros.estimation.robust import consensus
-from handeye_ros.estimation.solve import Solution, without
-from handeye_ros.results.outcome import Measured, measured_points, mounted
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.results.outcome import left_out, Measured, measured_points, mounted
 import numpy as np
 
 FEWEST = 3  # samples that can say anything of each other
@@ -74,10 +74,10 @@ def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) 
     used = {chosen[place]: k for k, place in enumerate(agreed.used)}
     found = [None if np.isnan(value) else Agreement(float(value), float(value), i in used)
              for i, value in enumerate(rms)]
-    left_out = _left_out([samples[i] for i in used], solution)
+    predicted = _left_out([samples[i] for i in used], solution)
     for i, k in used.items():
         if np.isfinite(rms[i]):
-            found[i] = Agreement(float(rms[i]), float(left_out[k]), True)
+            found[i] = Agreement(float(rms[i]), float(predicted[k]), True)
     return Review(tuple(found), solution)
 
 
@@ -88,20 +88,20 @@ def _residuals(samples: Sequence[Sample], solution: Solution, config: Config) ->
     labelled = method.relabel(whole.observations, points_in_base(whole, estimate.X),
                               estimate.target, config)
     problem = Problem(method, whole.poses, labelled.select(labelled.kind != UNUSED), config)
-    return _rms(measured_points(samples, problem), problem, estimate)
+    measured = measured_points(samples, problem)
+    return _rms(measured, measured.residuals(problem, estimate), len(samples))
 
 
 def _left_out(used: Sequence[Sample], solution: Solution) -> Array:
     """Return the RMS residual (n,) of each used sample from the fit to the others."""
     measured = measured_points(used, solution.problem)
-    return np.array([
-        _rms(measured, solution.problem, without(solution, np.array([k]))[0])[k]
-        for k in range(len(used))])
+    n = len(used)
+    return _rms(measured, left_out(solution, measured, most=n), n)
 
 
-def _rms(measured: Measured, problem: Problem, estimate: Estimate) -> Array:
-    squares = measured.residuals(problem, estimate) ** 2
-    n = len(problem.poses)
+def _rms(measured: Measured, residuals: Array, n: int) -> Array:
+    """Return the RMS (n,) of the residuals (k,) of each station."""
+    squares = residuals ** 2
     count = np.bincount(measured.station, minlength=n)
     with np.errstate(invalid='ignore', divide='ignore'):
         return np.asarray(np.sqrt(np.bincount(measured.station, squares, minlength=n) / count))

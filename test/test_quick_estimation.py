@@ -1,0 +1,37 @@
+"""What is done quickly in estimating gives what the plain way of the same gives."""
+from __future__ import annotations
+
+from cells import cell
+from handeye_ros.estimation.algebra import inverse_of_lower
+from handeye_ros.estimation.problem import points_in_base
+from handeye_ros.methods import sphere
+from handeye_ros.results.outcome import Measured
+import numpy as np
+import pytest
+
+
+@pytest.mark.parametrize('count', [1, 60, 450])
+@pytest.mark.parametrize('rows', [1, 3, 12, 30])
+def test_triangles_are_inverted(count: int, rows: int) -> None:
+    rng = np.random.default_rng(rows)
+    lower = np.tril(rng.normal(size=(count, rows, rows))) + 5.0 * np.eye(rows)
+    np.testing.assert_allclose(inverse_of_lower(lower), np.linalg.inv(lower), atol=1e-12)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_rotations_that_are_not_tried_on_both_sides_fit_worse(
+        seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = cell('sphere', seed)
+    quick = sphere._candidates(made.problem, made.config.target.radius, 1)
+    monkeypatch.setattr(sphere, 'AT_ONCE', sphere.ROTATIONS)
+    for some, all_tried in zip(quick, sphere._candidates(
+            made.problem, made.config.target.radius, 1), strict=True):
+        np.testing.assert_array_equal(some.X, all_tried.X)
+
+
+def test_measured_points_are_mapped_as_observed_ones_are() -> None:
+    problem, X = cell('plate').problem, np.linalg.inv(cell('sphere').truth.T_flange_sensor)
+    obs = problem.observations
+    measured = Measured(obs.points, obs.kind, obs.station)
+    np.testing.assert_allclose(measured.mapped(problem.poses @ X), points_in_base(problem, X),
+                               atol=1e-12)
