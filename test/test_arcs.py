@@ -159,6 +159,46 @@ def test_corners_steps_and_waves_are_no_arcs(shape: Callable[[Array], Array]) ->
                 arc_features(points, config)
 
 
+def beside(low: float, high: float, step: float) -> Callable[[Array], Array]:
+    """Return a face that something stands beside, and nothing between the two."""
+    return lambda x: np.where(x < low, face(x, -0.45), np.where(
+        x > high, face(x, -0.45) + step, np.nan))
+
+
+def beyond(end: float) -> Callable[[Array], Array]:
+    """Return a surface up to its end, nothing, and a steep wall and its foot."""
+    def height(x: Array) -> Array:
+        wall = np.where(x < 0.0065, 0.1825 + 2.1 * (0.0065 - x), 0.1825 + 0.35 * (x - 0.0065))
+        return np.where(x < end, 0.2 + 0.4 * (x - end), np.where(x < 0.002, np.nan, wall))
+    return height
+
+
+@pytest.mark.parametrize('radius', [0.0, 0.0127, 0.04])
+def test_circles_through_straight_pieces_are_no_arcs(radius: float) -> None:
+    config = with_values(Config(), {'target.type': 'sphere', 'target.radius': radius}, 'test')
+    drawings = [wide(beyond(end), seed) for end in np.linspace(-0.0195, -0.015, 8)
+                for seed in range(3)]
+    drawings += [drawn(beside(at, at + width, step)) for at in (-0.004, 0.003)
+                 for width in (0.003, 0.005) for step in (0.001, 0.003, -0.002)]
+    found = []
+    for k, points in enumerate(drawings):
+        try:
+            found.append((k, arc_features(points, config)[0].radius))
+        except FeatureError as error:
+            assert 'arc' in str(error)
+    assert not found
+
+
+def test_an_arc_with_a_hole_in_it_is_one() -> None:
+    # what shines too brightly is lost, in the middle of the ball
+    for seed in range(10):
+        points = wide(lambda x: ball(x, 0.012), seed)
+        points[np.abs(points[:, 0] - CENTRE[0]) < 0.004, 1] = np.nan
+        for config in (with_values(KNOWN, {'target.radius': 0.0127}, 'test'), UNKNOWN):
+            arc, = arc_features(points, config)
+            assert np.linalg.norm(arc.centre - CENTRE) < 2e-4
+
+
 def test_points_on_both_sides_of_a_circle_are_no_arc() -> None:
     # half of each side: as many points of the circle in all as an arc has
     points = wide(ball)

@@ -5,6 +5,8 @@ A profile is (n, 2): along the laser line, range; NaN where there was no return.
 """
 from __future__ import annotations
 
+import math
+
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array
 from handeye_ros.profiles.circles import candidates, fit_circle, fit_to_columns
@@ -29,6 +31,10 @@ RIM_WIDTH = 0.24  # of the arc before its rim (rad) that is not used
 RIM_COSINE = 0.5  # points at a larger angle of incidence, the rim of the arc, are bad
 LEAST_SAGITTA = 2.5  # tolerances that an arc must bulge, or a corner is as well one
 SMALLEST_ANGLE = 0.5  # of an arc that fixes its circle (rad)
+ROUNDER = 2.0  # times the squares of the circle are those of two lines, at least
+LINE_POINTS = 4  # fewest of each of the two
+JUDGED_POINTS = 128  # of the arc, that are looked at for that
+TINY = 1e-30  # (m^2)
 
 
 def arc_features(points: Array, config: Config) -> tuple[Arc]:
@@ -62,11 +68,11 @@ def _arc(points: Array, circle: Array, noise: float, config: Config) -> Arc:
     min_points, radius = config.sampling.min_points, config.target.radius
     if inliers.sum() < min_points:
         raise FeatureError(f'fewer than {min_points} points on an arc of the sphere')
-    rows = np.flatnonzero(inliers)
+    rows = inliers.nonzero()[0]
     if len(rows) < SMALLEST_DENSITY * (rows[-1] - rows[0] + 1):
         raise FeatureError('no arc of the sphere in the profile, only scattered points')
     arc = normal_points(points.take(rows, axis=0))
-    if _wanders(arc, noise, config):
+    if _wanders(arc, noise, config) or _is_corner(arc):
         raise FeatureError('no arc of the sphere in the profile, only something like it')
     if 0 < LARGEST_SHARE * radius < arc.radius:
         raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
@@ -99,6 +105,34 @@ def _wanders(arc: Arc, noise: float, config: Config) -> bool:
                                         or slow > SLOWEST * scatter)
 
 
+def _is_corner(arc: Arc) -> bool:
+    """
+    Return whether two straight lines fit the points of an arc about as well as the circle does.
+
+    A circle that lies in a corner, or passes through two surfaces, finds many points near it; but
+    the halves of an arc are bent as well.
+    """
+    x, z = (arc.raw[::-(-len(arc.raw) // JUDGED_POINTS)] - arc.centre).T
+    off = np.sqrt(x * x + z * z) - arc.radius
+    to_x, to_z = float(np.add.reduce(x)), float(np.add.reduce(z))
+    length = max(math.hypot(to_x, to_z), TINY)
+    u, v = (to_x * z - to_z * x) / length, (to_x * x + to_z * z) / length
+    order = u.argsort()
+    u, v = u[order], v[order] - np.add.reduce(v) / len(v)
+    sums = np.array([np.ones(len(u)), u, v, u * u, u * v, v * v]).cumsum(axis=1)
+    first = sums[:, LINE_POINTS - 1:-LINE_POINTS]
+    squares = _squares_of_lines(first) + _squares_of_lines(sums[:, -1:] - first)
+    return bool(squares.min() < ROUNDER * (off @ off))
+
+
+def _squares_of_lines(sums: Array) -> Array:
+    """Return the squared distances (k,) of points from their lines, of sums of 1, u, v, ..."""
+    n, u, v, uu, uv, vv = sums
+    uu, uv, vv = np.maximum(uu - u * u / n, TINY), uv - u * v / n, vv - v * v / n
+    slope = uv / uu
+    return np.asarray((vv - slope * uv) / (1 + slope * slope))
+
+
 def _refined(points: Array, circle: Array, tolerance: float) -> NDArray[np.bool_]:
     """Return which points lie on the circle, fitted again to those that do, rims left out."""
     used = on = np.zeros(len(points), dtype=bool)
@@ -111,7 +145,7 @@ def _refined(points: Array, circle: Array, tolerance: float) -> NDArray[np.bool_
         towards = away if away @ on > 0 else -away
         on &= towards > 0
         used = on & (towards > RIM_COSINE * distance)
-        rows = np.flatnonzero(used)
+        rows = used.nonzero()[0]
         if len(rows) < 5:
             break
         circle = fit_to_columns(x.take(rows), z.take(rows), steps=1)
