@@ -40,8 +40,9 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.estimation.trial import refined
 from handeye_ros.guidance.advice import advise
 from handeye_ros.guidance.limits import limits_of
+from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.score import mapping
-from handeye_ros.guidance.view import learn_view, View
+from handeye_ros.guidance.view import extremes, learn_view, View
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.results.outcome import mounted
 from handeye_ros.results.truth_errors import mapped_point_error
@@ -86,6 +87,7 @@ class World:
     wanted: float = 1e-4  # m, of mapped points
     samples: list[Sample] = field(default_factory=list)
     last: Solution | None = None
+    seen: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))  # by all profiles
 
     @property
     def view(self) -> View:
@@ -110,6 +112,12 @@ class World:
         frame = plate.edge_frames(target)['pq'[edge]]
         return frame[:3, 3] + frame[:3, 0] * self.rng.uniform(0.03, length - 0.03)
 
+    def beside(self, R: np.ndarray, share: float, off: float) -> np.ndarray:
+        """Return the point (3,) of a ball that is seen with its middle so far off the plane."""
+        radius = self.scenario.target.radius
+        y = np.clip(share * radius + off, -0.9 * radius, 0.9 * radius)
+        return -R @ [0.0, y, np.sqrt(radius ** 2 - y ** 2)]
+
     def looking(self, R: np.ndarray, spot: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Return T_base_flange of a sensor turned by R that sees a spot at a place (2,)."""
         T_target_sensor = se3.transform(R, spot - R @ [place[0], 0.0, place[1]])
@@ -126,6 +134,7 @@ class World:
         method = methods.of(self.config)
         profiles = [Profile(k, 'laser', points) for k, points in enumerate(
             sensor.plane_points(self.scenario.sensor, measured))]
+        self.seen = extremes(np.concatenate([self.seen, profiles[-1].points]))
         used, features = station_features.of_station(
             profiles, lambda points: method.extract(points, self.config))
         require_inside(features, used)
@@ -203,27 +212,43 @@ def anywhere(cell: World) -> np.ndarray | None:
     return T if limits.allow(T[None], cell.T_flange_sensor)[0] else None
 
 
+def wandering(cell: World) -> np.ndarray | None:
+    """Return a random pose within the limits, as far off as that of who follows the advice."""
+    T = anywhere(cell)
+    return None if T is None else missed(cell, T, 1.0)
+
+
+def missed(cell: World, T: np.ndarray, away: float) -> np.ndarray:
+    """Return a pose (4, 4) off by so many times what operators are."""
+    shift = cell.rng.normal(size=3) * 3e-3 * away
+    return se3.transform(T[:3, :3] @ turned(cell.rng, 2.0 * away), T[:3, 3] + shift)
+
+
 def advised(cell: World, solution: Solution | None) -> Callable[[], np.ndarray | None]:
     """Return what draws poses near the one that the advice asks for, at last from anywhere."""
-    told = advise(cell.samples, cell.config, solution, seen=np.array([
-        [cell.view.low[0], cell.view.low[1]], cell.view.high]))
-    rng, tries = cell.rng, iter(range(10**6))
+    told = advise(cell.samples, cell.config, solution, seen=cell.seen)
+    tries = iter(range(10**6))
 
     def near() -> np.ndarray | None:
         count = next(tries)
         if count > PATIENCE:
-            return anywhere(cell)
+            return wandering(cell)
         away = min(1.0 + 0.2 * count, 2.5)  # who sees nothing jogs about
-        shift = rng.normal(size=3) * 3e-3 * away
-        if told.next:
-            T = told.next.T_base_flange
-            return se3.transform(T[:3, :3] @ turned(rng, 2.0 * away), T[:3, 3] + shift)
-        move = told.move
-        R = (cell.facing(move.edge) @ se3.exp_rotation(np.array([0.0, 0.0, move.turn]))
-             @ se3.exp_rotation(np.append(move.tilt, 0.0)) @ turned(rng, 4.0))
-        return cell.looking(R, cell.spot(move.edge), move.place + away * shift[:2])
+        return missed(cell, told.next.T_base_flange, away) if told.next else moved(
+            cell, told.move, away)
 
     return near
+
+
+def moved(cell: World, move: Move, away: float) -> np.ndarray:
+    """Return the pose after a move by the look of the laser."""
+    rng, first = cell.rng, cell.samples[0].T_base_flange @ cell.T_flange_sensor
+    shift = rng.normal(size=3) * 3e-3 * away
+    R = (cell.T_base_target[:3, :3].T @ first[:3, :3]
+         @ se3.exp_rotation(np.array([0.0, 0.0, move.turn]))
+         @ se3.exp_rotation(np.append(move.tilt, 0.0)) @ turned(rng, 4.0))
+    spot = (cell.beside(R, move.beside, shift[2]) if move.beside else cell.spot(move.edge))
+    return cell.looking(R, spot, move.place + shift[:2])
 
 
 def session(cell: World, operator: str) -> tuple[int, int]:
@@ -244,7 +269,7 @@ def session(cell: World, operator: str) -> tuple[int, int]:
                 by_error = min(by_error, count - every)
             if known.std(solution.stated[:6, :6]) < cell.wanted:
                 by_sigma = min(by_sigma, count)
-        insist(cell, advised(cell, solution) if operator == 'advice' else lambda: anywhere(cell))
+        insist(cell, advised(cell, solution) if operator == 'advice' else lambda: wandering(cell))
     return by_error, by_sigma
 
 

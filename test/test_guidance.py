@@ -11,7 +11,7 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.guidance.advice import Advice, advise, ROUGHLY_KNOWN
 from handeye_ros.guidance.candidates import anchor_of, prototypes, Search
 from handeye_ros.guidance.limits import limits_of, twist_of
-from handeye_ros.guidance.moves import DESIGN, next_move
+from handeye_ros.guidance.moves import design, next_move
 from handeye_ros.guidance.score import mapping, with_rows
 from handeye_ros.guidance.view import learn_view, seen_points
 from handeye_ros.simulate import SCENARIOS
@@ -191,14 +191,16 @@ def test_before_there_is_an_answer_it_tells_moves(target: str) -> None:
     first = advise(found.samples[:1], found.config, None)
     assert first.next is None and first.move is not None and not first.enough
     assert 'turn the sensor' in first.text and 'in view' in first.text
-    moves = [next_move(n, methods.of(found.config), found.config, learn_view(found.samples))
-             for n in range(1, 2 * len(DESIGN))]
+    method = methods.of(found.config)
+    length = len(design(method))
+    moves = [next_move(n, method, found.config, learn_view(found.samples))
+             for n in range(1, 2 * length)]
     for move in moves:
         assert np.linalg.norm(move.tilt) <= found.config.guidance.tilt
         assert abs(move.turn) <= found.config.guidance.turn
-    assert len({(m.turn, *m.tilt, *m.place) for m in moves}) > len(DESIGN)
+    assert len({(m.turn, *m.tilt, *m.place) for m in moves}) > length
     edges = {m.edge for m in moves}
-    assert edges == ({0, 1} if len(methods.of(found.config).edges) > 1 else {0})
+    assert edges == ({0, 1} if len(method.edges) > 1 else {0})
 
 
 def test_nothing_yet() -> None:
