@@ -1,24 +1,24 @@
-#!/usr/bin/env python3
 """
 How many stations the advice saves, against poses at random within the same limits.
 
 usage: python bench/guidance.py [--seeds N] [--first S] [--targets plate,line,sphere] [--robot R]
-           [--doubts none|shipped] [--wanted METRES]
+           [--doubts none|shipped] [--wanted METRES] [--stations N]
 
 Per seed a new cell: rendered profiles (4 a stop), a robot whose repeatability is that of --robot
 (common: 0.05 mm and 0.02 degrees; fine: 0.02 mm and 0.004 degrees), and nothing systematic in
 it, nor believed in; with --doubts shipped the settings doubt sensor, target and robot as they do
-by default. One operator follows the
-advice, off by 3 mm and 2 degrees (1 sigma; the moves before the sensor is roughly known: by 4
-degrees); the other goes anywhere within guidance.reach, guidance.tilt and guidance.turn from
-the same first pose. Where the sensor shows no target, or the laser is nowhere near an edge of
-it, both try again, and that counts nothing.
-A row per target: the median number of stations, and its quartiles, until points mapped over
-x +-20 mm, range 160-190 mm are off by less than --wanted (0.1 mm) at two stations running, and
-until their stated 1 sigma is less; sessions that never got there count as the most, and are told.
-Counts go to stderr as they come. The samples of the other operator are solved at every third
-station only, and counted as one less (the middle). Each solution starts from the one before, and
-no other answers are looked for, which takes most of the time of `handeye solve`.
+by default. One operator goes where the advice says, the other anywhere within guidance.reach,
+guidance.tilt and guidance.turn from the same first pose; both are off by 3 mm and 2 degrees (1
+sigma; the moves before the sensor is roughly known: by 4 degrees). Where the sensor shows no
+target, or the laser is nowhere near an edge of it, both try again, and that counts nothing.
+A row per target: the median number of stations, and its quartiles, until points mapped over the
+sensor's field of view are off by less than --wanted (0.1 mm), and until their stated 1 sigma is
+less; each for the first time, and from then on up to the last of --stations (60). Sessions that
+never got there count as all stations, and are told. The error of one session may be small by
+luck long before anybody could know: for the first time counts this luck, from then on does not.
+ratio: of the medians; paired: the median of the ratios of each seed.
+Counts go to stderr as they come. Each solution starts from the one before, and no other answers
+are looked for, which takes most of the time of `handeye solve`.
 """
 from __future__ import annotations
 
@@ -27,7 +27,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 import math
 import sys
-import time
 
 from handeye_ros import config as configs
 from handeye_ros import methods, se3
@@ -61,13 +60,12 @@ from handeye_ros.simulate.scenario import PlateTarget
 from handeye_ros.simulate.scenes import SCENES
 import numpy as np
 
-FIELD = learn_view((), np.array([[-0.02, 0.16], [0.02, 0.16], [-0.02, 0.19], [0.02, 0.19]]))
 KNOWN_WELL = 1e-3  # m: 1 sigma of mapped points, from which on the last answer is the start
-EVERY = 3  # stations of the other operator
 PROFILES = 4
 NEAR_THE_EDGE = 0.015  # m: what is taken for an edge farther away is another, or the view's end
 PATIENCE = 40  # tries near a pose that was advised
-MOST = {'advice': 30, 'random': 60}
+OPERATORS = ('advice', 'random')
+READINGS = ('error, first', 'error, from then on', '1 sigma, first', '1 sigma, from then on')
 ROBOTS = {'common': (5e-5, math.radians(0.02)), 'fine': (2e-5, math.radians(0.004))}
 # What this cell does not have, and what is therefore not believed in.
 KNOWN = {'noise.robot_smooth': 0.0, 'noise.robot_scale': 0.0, 'noise.distortion': 0.0,
@@ -84,7 +82,6 @@ class World:
     rng: np.random.Generator
     T_flange_sensor: np.ndarray
     T_base_target: np.ndarray
-    wanted: float = 1e-4  # m, of mapped points
     samples: list[Sample] = field(default_factory=list)
     last: Solution | None = None
     seen: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))  # by all profiles
@@ -162,8 +159,7 @@ def reported(T: np.ndarray, error: np.ndarray) -> np.ndarray:
     return se3.transform(se3.exp_rotation(error[3:]) @ T[:3, :3], T[:3, 3] + error[:3])
 
 
-def world(target: str, robot: tuple[float, float], seed: int, known: dict[str, float],
-          wanted: float) -> World:
+def world(target: str, robot: tuple[float, float], seed: int, known: dict[str, float]) -> World:
     """Return a new cell with the first sample taken: roughly square, roughly in the middle."""
     made = SCENARIOS[target]
     made = replace(made, sensor=replace(made.sensor, columns=640),
@@ -171,7 +167,7 @@ def world(target: str, robot: tuple[float, float], seed: int, known: dict[str, f
     rng = np.random.default_rng(seed)
     _, truth = simulate_samples(made, rng)
     new = World(made, configs.with_values(Config(), settings(made) | known, 'bench'), rng,
-                truth.T_flange_sensor, truth.T_base_target, wanted)
+                truth.T_flange_sensor, truth.T_base_target)
     nearer = 0.2 if made.scene == 'sphere' else 0.0  # of the view's depth: its top is seen
     middle = (new.view.low + new.view.high) / 2 - [0, nearer * new.view.size[1]]
     insist(new, lambda: new.looking(new.facing(0) @ turned(rng, 6.0), new.spot(0),
@@ -251,26 +247,28 @@ def moved(cell: World, move: Move, away: float) -> np.ndarray:
     return cell.looking(R, spot, move.place + shift[:2])
 
 
-def session(cell: World, operator: str) -> tuple[int, int]:
-    """Return the number of stations until the error, and the stated sigma, are as wanted."""
-    method, most = methods.of(cell.config), MOST[operator]
-    by_error, by_sigma, running = most, most, 0
-    every = 1 if operator == 'advice' else EVERY
-    while len(cell.samples) < most and most in (by_error, by_sigma):
-        solution = None
-        if len(cell.samples) >= method.minimum and len(cell.samples) % every == 0:
-            solution = solved(cell)
-        count = len(cell.samples) - every // 2
+def session(cell: World, operator: str, stations: int) -> np.ndarray:
+    """Return error and stated 1 sigma (stations, 2) after each station, inf without an answer."""
+    found = np.full((stations, 2), np.inf)
+    while True:
+        count = len(cell.samples)
+        solution = solved(cell)
         if solution is not None:
-            known = mapping(solution.estimate.X, FIELD)
-            off = mapped_point_error(solution.estimate.X, cell.T_flange_sensor)
-            running = running + 1 if off < cell.wanted else 0
-            if running == 2:
-                by_error = min(by_error, count - every)
-            if known.std(solution.stated[:6, :6]) < cell.wanted:
-                by_sigma = min(by_sigma, count)
+            X, (low, high) = solution.estimate.X, (cell.view.low, cell.view.high)
+            found[count - 1] = (
+                mapped_point_error(X, cell.T_flange_sensor, (low[0], high[0]), (low[1], high[1])),
+                mapping(X, cell.view).std(solution.stated[:6, :6]))
+        if count == stations:
+            return found
         insist(cell, advised(cell, solution) if operator == 'advice' else lambda: wandering(cell))
-    return by_error, by_sigma
+
+
+def readings(found: np.ndarray, wanted: float) -> list[int]:
+    """Return the numbers of stations (4,), as in READINGS, of a session's (stations, 2)."""
+    good = found < wanted
+    first = np.where(good.any(axis=0), good.argmax(axis=0) + 1, len(good))
+    kept = [min(int(np.flatnonzero(~column).max(initial=-1)) + 2, len(good)) for column in good.T]
+    return [int(first[0]), kept[0], int(first[1]), kept[1]]
 
 
 def solved(cell: World) -> Solution | None:
@@ -289,7 +287,7 @@ def solved(cell: World) -> Solution | None:
         found = settle(agreed, method.minimum).solution
     except (DataError, np.linalg.LinAlgError):
         return None
-    std = mapping(found.estimate.X, FIELD).std(found.stated[:6, :6])
+    std = mapping(found.estimate.X, cell.view).std(found.stated[:6, :6])
     cell.last = found if std < KNOWN_WELL else None
     return found
 
@@ -303,30 +301,32 @@ def main() -> None:
     parser.add_argument('--robot', choices=list(ROBOTS), default='common')
     parser.add_argument('--doubts', choices=['none', 'shipped'], default='none')
     parser.add_argument('--wanted', type=float, default=1e-4)
+    parser.add_argument('--stations', type=int, default=60)
     arguments = parser.parse_args()
     known = KNOWN if arguments.doubts == 'none' else {}
     known = known | {'guidance.accuracy': arguments.wanted}
-    print(f'{"target":8} {"operator":8} {"error":>20} {"1 sigma":>20} '
-          f'{"never":>8} {"s":>6}')
+    print(f'{"target":8} {"":8}', *(f'{reading:>22}' for reading in READINGS))
     for target in arguments.targets.split(','):
-        start = time.perf_counter()
-        counts: dict[str, list[tuple[int, int]]] = {operator: [] for operator in MOST}
+        counts = []
         for seed in range(arguments.first, arguments.first + arguments.seeds):
-            for operator, found in counts.items():
-                found.append(session(world(target, ROBOTS[arguments.robot], seed, known,
-                                           arguments.wanted), operator))
-            print(target, seed, *(found[-1] for found in counts.values()), file=sys.stderr,
-                  flush=True)
-        medians = {}
-        for operator, found in counts.items():
-            low, medians[operator], high = np.percentile(found, (25, 50, 75), axis=0)
-            told = [f'{m:.0f} ({a:.0f}-{b:.0f})' for m, a, b in zip(
-                medians[operator], low, high, strict=True)]
-            never = '/'.join(map(str, (np.array(found) >= MOST[operator]).sum(axis=0)))
-            print(f'{target:8} {operator:8} {told[0]:>20} {told[1]:>20} {never:>8}', flush=True)
-        ratio = medians['advice'] / medians['random']
-        print(f'{target:8} {"ratio":8} {ratio[0]:20.2f} {ratio[1]:20.2f} '
-              f'{time.perf_counter() - start:15.0f}', flush=True)
+            counts.append([readings(session(
+                world(target, ROBOTS[arguments.robot], seed, known), operator,
+                arguments.stations), arguments.wanted) for operator in OPERATORS])
+            print(target, seed, *counts[-1], file=sys.stderr, flush=True)
+        tell(target, np.array(counts), arguments.stations)
+
+
+def tell(target: str, counts: np.ndarray, stations: int) -> None:
+    """Print the rows of a target: counts (seeds, operators, readings)."""
+    low, middle, high = np.percentile(counts, (25, 50, 75), axis=0)
+    never = (counts >= stations).sum(axis=0)
+    for i, operator in enumerate(OPERATORS):
+        told = [f'{m:.0f} ({a:.0f}-{b:.0f})' + (f', {n} never' if n else '') for m, a, b, n in zip(
+            middle[i], low[i], high[i], never[i], strict=True)]
+        print(f'{target:8} {operator:8}', *(f'{text:>22}' for text in told))
+    for name, ratio in (('ratio', middle[0] / middle[1]),
+                        ('paired', np.median(counts[:, 0] / counts[:, 1], axis=0))):
+        print(f'{target:8} {name:8}', *(f'{value:22.2f}' for value in ratio), flush=True)
 
 
 if __name__ == '__main__':

@@ -30,7 +30,8 @@ class Batch:
     n stations that all see what a prototype saw, each elsewhere.
 
     problem: c observations for each station; places: (n, 2) the prototype's anchor in the sensor
-    plane; groups: which of the c observations are of one point; seen: (c,) the prototype's
+    plane; groups: by how many of the c observations are of one point,
+    which they are, shape points, observations; seen: (c,) the prototype's
     derivatives of the conditions by the range.
     """
 
@@ -49,6 +50,10 @@ class Batch:
         """Return the observed places (n, c, 2) in the sensor plane."""
         return self.problem.observations.points.reshape(len(self), -1, 2)
 
+    def subset(self, stations: NDArray[np.intp]) -> Batch:
+        """Return the batch with only the given stations (ascending indices)."""
+        return replace(self, problem=self.problem.subset(stations), places=self.places[stations])
+
     def moved(self, points: Array) -> Batch:
         """Return the batch with its points elsewhere, shape n, c, 2."""
         observations = replace(self.problem.observations, points=points.reshape(-1, 2))
@@ -64,7 +69,9 @@ def batch_of(prototype: Problem, estimate: Estimate, anchor: Array, poses: Array
     """
     obs, n = prototype.observations, len(poses)
     _, which = np.unique(obs.points, axis=0, return_inverse=True)
-    groups = tuple(np.flatnonzero(which.reshape(-1) == k) for k in range(which.max() + 1))
+    count = np.bincount(which.reshape(-1))
+    order = np.argsort(which.reshape(-1), kind='stable')
+    groups = tuple(order[np.repeat(count, count) == r].reshape(-1, r) for r in np.unique(count))
     points = obs.points[None] + (places - anchor)[:, None]
     many = Observations(np.repeat(np.arange(n), len(obs)), points.reshape(-1, 2),
                         np.tile(obs.kind, n), np.tile(obs.noise, (n, 1, 1)),
@@ -76,18 +83,22 @@ def batch_of(prototype: Problem, estimate: Estimate, anchor: Array, poses: Array
 
 def following(batch: Batch, view: View) -> tuple[Problem, NDArray[np.intp]]:
     """Return the stations that see the target as the prototype did, and which they are."""
+    kept = np.arange(len(batch))
+    if len(batch):
+        batch, share = _fitted(_on_target(batch), view)
+        kept = np.flatnonzero(share > SMALLEST_SHARE)
+        batch = batch.subset(kept)
     if not len(batch):
-        return batch.problem, np.zeros(0, dtype=np.intp)
-    batch, share = _fitted(_on_target(batch), view)
+        return batch.problem, kept
     batch = _on_target(batch)
     linear = linearise(batch.problem, batch.estimate)
     by_point = linear.by_point.reshape(len(batch), -1, 2)
     near = np.abs(linear.residuals).reshape(len(batch), -1).max(axis=1) < ON_TARGET
     inside = view.room(batch.points).min(axis=1) > -BORDER
-    good = near & inside & (share > SMALLEST_SHARE) & _steep(batch, by_point)
+    good = near & inside & _steep(batch, by_point)
     good &= _facing(batch, by_point) & _recognised(batch)
     stations = np.flatnonzero(good)
-    return batch.problem.subset(stations), stations
+    return batch.problem.subset(stations), kept[stations]
 
 
 def _on_target(batch: Batch) -> Batch:
@@ -99,18 +110,22 @@ def _on_target(batch: Batch) -> Batch:
         points = batch.points.copy()
         for rows in batch.groups:
             step = _least_step(A[:, rows], g[:, rows])
-            points[:, rows] -= np.clip(step, -LARGEST_STEP, LARGEST_STEP)[:, None]
+            points[:, rows] -= np.clip(step, -LARGEST_STEP, LARGEST_STEP)[:, :, None]
         batch = batch.moved(points)
     return batch
 
 
 def _least_step(A: Array, g: Array) -> Array:
-    """Return the shortest x (n, 2) with A x = g, for A (n, r, 2), r = 1 or 2; nearly, if flat."""
-    At = np.swapaxes(A, 1, 2)
-    if A.shape[1] == 1:
-        return np.asarray(A[:, 0] * g / np.maximum((A[:, 0] ** 2).sum(axis=1), 1e-3)[:, None])
-    return np.asarray((At @ np.linalg.solve(A @ At + 1e-6 * np.eye(A.shape[1]), g[..., None])
-                       )[..., 0])
+    """
+    Return the shortest x (n, k, 2) with A x = g for each of k points; nearly, if flat.
+
+    A: (n, k, r, 2) and g: (n, k, r) of their r conditions, 1 or 2.
+    """
+    r = A.shape[2]
+    if r == 1:
+        return np.asarray(A[:, :, 0] * g / np.maximum((A ** 2).sum(axis=3), 1e-3))
+    At = np.swapaxes(A, 2, 3)
+    return np.asarray((At @ np.linalg.solve(A @ At + 1e-6 * np.eye(r), g[..., None]))[..., 0])
 
 
 def _fitted(batch: Batch, view: View) -> tuple[Batch, Array]:
@@ -133,7 +148,8 @@ def _steep(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
     good = np.ones(len(batch), dtype=bool)
     for rows in batch.groups:
         A = by_point[:, rows]
-        good &= np.linalg.eigvalsh(A @ np.swapaxes(A, 1, 2))[:, 0] > np.sin(angle) ** 2
+        steepness = np.linalg.eigvalsh(A @ np.swapaxes(A, 2, 3))[..., 0].min(axis=1)
+        good &= steepness > np.sin(angle) ** 2
     return good
 
 

@@ -142,9 +142,9 @@ def _shown(method: Method, place: Array, share: Array) -> str:
 
 
 def _beside(share: float) -> str:
-    """Return how far from the middle of a sphere it is cut, in words."""
+    """Tell how far from its middle a sphere is cut."""
     if not share:
         return ''
     side = 'positive' if share > 0 else 'negative'
-    return (f', and let the line cross the ball {abs(share):.1f} of its radius beside the top: its '
+    return (f', and let the line cross the ball {abs(share):.1f} of its radius beside the top, its '
             f'middle on the {side} side of the light plane')

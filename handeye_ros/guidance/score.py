@@ -9,7 +9,7 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.guidance.view import View
 import numpy as np
 
-STEPS = 3  # points of the field of view along each side
+STEPS = 13  # points of the field of view along each side: fewer would be mostly its corners
 
 
 @dataclass(frozen=True, eq=False)
