@@ -203,6 +203,33 @@ def test_before_there_is_an_answer_it_tells_moves(target: str) -> None:
     assert edges == ({0, 1} if len(method.edges) > 1 else {0})
 
 
+@pytest.mark.parametrize('target', TARGETS)
+@pytest.mark.parametrize('turn', [0.1, 0.9, 1.75])
+def test_no_move_leads_beyond_the_limits(target: str, turn: float) -> None:
+    found = cell(target, 2)
+    config = with_values(found.config, {'guidance.turn': turn}, 'test')
+    for n in range(1, 20):
+        move = next_move(n, methods.of(config), config, learn_view(found.samples))
+        assert abs(move.turn) <= turn
+        assert np.linalg.norm(move.tilt) <= config.guidance.tilt
+
+
+def test_the_line_crosses_the_other_edge_steeply_enough() -> None:
+    found = cell('plate', 2)
+    method, angle = methods.of(found.config), found.config.sampling.min_crossing_angle
+    for n in range(1, 20):
+        move = next_move(n, method, found.config, learn_view(found.samples))
+        from_square = abs(move.turn) if move.edge == 0 else np.pi / 2 - abs(move.turn)
+        assert from_square < np.pi / 2 - angle - 0.2
+
+
+def test_only_a_sphere_is_cut_beside_its_top() -> None:
+    for target in TARGETS:
+        found = cell(target, 2)
+        move = next_move(1, methods.of(found.config), found.config, learn_view(found.samples))
+        assert (move.beside != 0) == ('beside the top' in move.text) == (target == 'sphere')
+
+
 def test_nothing_yet() -> None:
     told = advise((), cell('plate', 0).config, None)
     assert told.text.startswith('Take the first sample: look squarely at the target')

@@ -30,9 +30,8 @@ class Batch:
     n stations that all see what a prototype saw, each elsewhere.
 
     problem: c observations for each station; places: (n, 2) the prototype's anchor in the sensor
-    plane; groups: by how many of the c observations are of one point,
-    which they are, shape points, observations; seen: (c,) the prototype's
-    derivatives of the conditions by the range.
+    plane; groups: which of the c observations are of one point, (points, r) of those with r; seen:
+    (c,) the prototype's derivatives of the conditions by the range.
     """
 
     problem: Problem

@@ -75,7 +75,7 @@ class Move:
 
 
 def design(method: Method) -> Array:
-    """Return the design (n, 6) of a method's moves."""
+    """Return the moves (n, 6) that a method's target asks for."""
     if _round(method):
         return SPHERE
     return TWO_EDGES if len(method.edges) > 1 else ONE_EDGE
@@ -146,5 +146,5 @@ def _beside(share: float) -> str:
     if not share:
         return ''
     side = 'positive' if share > 0 else 'negative'
-    return (f', and let the line cross the ball {abs(share):.1f} of its radius beside the top, its '
+    return (f'; let the line cross the ball {abs(share):.1f} of its radius beside the top, its '
             f'middle on the {side} side of the light plane')
