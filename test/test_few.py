@@ -9,9 +9,10 @@ from handeye_ros.checks.errors import TooFewConditionsError, TooFewSamplesError
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.rivals import rival
-from handeye_ros.estimation.robust import consensus
+from handeye_ros.estimation.robust import consensus, settle
 from handeye_ros.estimation.solve import evaluate, redundancy
 from handeye_ros.estimation.weights import Noise
+from handeye_ros.results.truth_errors import errors_against
 from handeye_ros.simulate import SCENARIOS
 import numpy as np
 import pytest
@@ -71,6 +72,35 @@ def test_what_is_left_after_dropping_must_judge() -> None:
                for i, s in enumerate(made.samples)]
     with pytest.raises(TooFewConditionsError, match='take more'):
         pipeline.solve(samples, [], made.config, 'laser')
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_one_wrong_of_ten_stands_out_though_a_poor_robot_would_explain_it(seed: int) -> None:
+    made = cell(replace(SCENARIOS['plate'], stations=(5, 5)), seed)
+    rng = np.random.default_rng(seed)
+    samples = [wrong(s, rng) if i == seed else s for i, s in enumerate(made.samples)]
+    answer = pipeline.solve(samples, [], made.config, 'laser')
+    assert [report.used for report in answer.samples] == [i != seed for i in range(10)]
+    assert errors_against(answer.T_flange_sensor, made.truth.T_flange_sensor).mapped_points < 2e-4
+
+
+def test_no_station_of_a_poor_robot_is_taken_for_wrong() -> None:
+    poor = replace(SCENARIOS['plate'].robot, systematic=(3e-4, 1e-3))
+    made = cell(replace(SCENARIOS['plate'], stations=(5, 5), robot=poor), 0,
+                noise__robot_smooth=1.5e-4)
+    answer = pipeline.solve(made.samples, [], made.config, 'laser')
+    assert answer.quality.samples_rejected == 0
+
+
+def test_what_a_wrong_station_would_do_is_stated_of_few_and_next_to_nothing_of_many() -> None:
+    grown = []
+    for stations in ((3, 3), (9, 9)):
+        made = cell(replace(SCENARIOS['plate'], stations=stations), 0)
+        solution = settle(consensus(made.problem, np.random.default_rng(0)), 6).solution
+        without = replace(solution, suspicion=None)
+        grown.append(np.diag(solution.stated)[:6] / np.diag(without.stated)[:6])
+    few, many = grown
+    assert few.max() > 1.01 > many.max()
 
 
 def test_many_good_samples_have_one_answer() -> None:

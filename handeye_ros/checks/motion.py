@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 ENOUGH_TURN = 0.12  # rad: RMS about the second axis, of tilts to both sides by 12 degrees
 FEWEST_REDUNDANT = 3  # conditions that judge an answer
-REDUNDANT_PER_DROP = 2  # more for each station that was left out: which one was a choice
+REDUNDANT_DROPPED, REDUNDANT_PER_DROP = 1, 3  # more where stations were left out: a choice
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 
 
@@ -136,10 +136,13 @@ def require_certain(agreed: Consensus, config: Config) -> None:
 
 def require_judged(agreed: Consensus) -> None:
     """Raise TooFewConditionsError where too little is left to judge an answer by."""
-    needed = FEWEST_REDUNDANT + REDUNDANT_PER_DROP * len(agreed.dropped)
+    dropped = len(agreed.dropped)
+    needed = FEWEST_REDUNDANT
+    if dropped:
+        needed += REDUNDANT_DROPPED + REDUNDANT_PER_DROP * dropped
     left = redundancy(agreed.solution)
     if left < needed:
-        raise TooFewConditionsError(len(agreed.used), len(agreed.dropped), left, needed)
+        raise TooFewConditionsError(len(agreed.used), dropped, left, needed)
 
 
 def require_only_answer(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> None:

@@ -20,7 +20,7 @@ from handeye_ros.estimation.solve import redundancy, Solution, station_squares
 from handeye_ros.estimation.trial import guesses, refined
 import numpy as np
 
-ENOUGH = 20  # redundant conditions beyond which the first guess is the only answer
+ENOUGH = 15  # redundant conditions beyond which the first guess is the only answer
 LOST_SHARE = 0.1  # of the stations dropped from which the others might be the right ones
 SUBSETS = 10
 HOPELESS = 16.0  # squared residual, over that of the found answer, of no rival

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 ASKED = 100  # stations, beyond which there are enough poses
-SAME = 1e-6  # relative singular value of what a station says twice
+SAME = 1e-3  # relative singular value of what a station says twice, but for its noise
 
 
 def move(problem: Problem, estimate: Estimate, step: Array) -> Estimate:
@@ -59,7 +59,8 @@ class Solution:
     u unknowns, X's six first, then q of the doubts in units of their sigma; covariance: of all
     of them, infinite variances cut at LARGEST_STD; doubtful: (q,) how large those of the doubts
     are; doubts: the doubts, their sigmas as estimated; cautious: the solution with doubts as large
-    as they may be, which moves the estimate further than it should, but tells how uncertain it is.
+    as they may be, which moves the estimate further than it should, but tells how uncertain it is;
+    suspicion: (6, 6) what the covariance grows by as a station may be wrong.
     """
 
     problem: Problem
@@ -72,6 +73,7 @@ class Solution:
     doubtful: Array = field(default_factory=lambda: np.empty(0))
     doubts: tuple[Doubt, ...] = ()
     cautious: Solution | None = None
+    suspicion: Array | None = None
 
     @property
     def stated(self) -> Array:
@@ -81,6 +83,8 @@ class Solution:
         delta = se3.difference(self.cautious.estimate.X, self.estimate.X)
         stated = self.cautious.stated.copy()
         stated[:6, :6] += np.outer(delta, delta)
+        if self.suspicion is not None:
+            stated[:6, :6] += self.suspicion
         return stated
 
     @property
