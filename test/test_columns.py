@@ -4,7 +4,7 @@ from __future__ import annotations
 from handeye_ros.data import Array
 from handeye_ros.estimation.algebra import from_conditions, from_information, LARGEST_STD
 from handeye_ros.estimation.blocks import groups
-from handeye_ros.estimation.columns import Columns
+from handeye_ros.estimation.columns import Columns, products
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -15,8 +15,9 @@ def columns(counts: list[int], single: int, axes: int, functions: int, seed: int
     """Return random derivatives of stations with so many rows each."""
     rng = np.random.default_rng(seed)
     station = np.repeat(np.arange(len(counts)), counts)
-    return Columns(rng.normal(size=(len(station), single + axes)),
-                   rng.normal(size=(len(counts), functions)), axes, groups(station), station)
+    shared = rng.normal(size=(len(counts), functions))
+    return Columns(rng.normal(size=(len(station), single + axes)), shared, products(shared), axes,
+                   groups(station), station)
 
 
 def spelt_out(made: Columns) -> Array:

@@ -1,11 +1,17 @@
 """What is done quickly in estimating gives what the plain way of the same gives."""
 from __future__ import annotations
 
-from cells import cell
+from dataclasses import replace
+
+from cells import cell, solved
+from handeye_ros import se3
+from handeye_ros.estimation import mixed
 from handeye_ros.estimation.algebra import inverse_of_lower
+from handeye_ros.estimation.mixed import settled
 from handeye_ros.estimation.problem import points_in_base
 from handeye_ros.methods import sphere
 from handeye_ros.results.outcome import Measured
+from handeye_ros.simulate import SCENARIOS
 import numpy as np
 import pytest
 
@@ -35,3 +41,15 @@ def test_measured_points_are_mapped_as_observed_ones_are() -> None:
     measured = Measured(obs.points, obs.kind, obs.station)
     np.testing.assert_allclose(measured.mapped(problem.poses @ X), points_in_base(problem, X),
                                atol=1e-12)
+
+
+def test_some_of_many_stations_lead_to_the_answer_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = cell(replace(SCENARIOS['plate'], stations=(30, 30)), noise__robot_smooth=1e-4)
+    start = solved(made.problem).estimate
+    plain = settled(made.problem, start)
+    monkeypatch.setattr(mixed, 'ASKED', 20)
+    quick = settled(made.problem, start)
+    off = se3.difference(quick.estimate.X, plain.estimate.X)
+    std = np.sqrt(np.diag(plain.stated)[:6])
+    assert 0 < np.abs(off / std).max() < 0.2
+    np.testing.assert_allclose(np.sqrt(np.diag(quick.stated)[:6]), std, rtol=0.2)

@@ -75,7 +75,7 @@ def turning(poses: Array) -> tuple[Array, Array]:
     """
     rotations = Rotation.from_matrix(poses[:, :3, :3])
     vectors = (rotations.mean().inv() * rotations).as_rotvec()
-    _, s, axes = np.linalg.svd(vectors - vectors.mean(axis=0), full_matrices=True)
+    _, s, axes = np.linalg.svd(vectors - vectors.mean(axis=0), full_matrices=len(vectors) < 3)
     turns = np.zeros(3)
     turns[:len(s)] = s / len(poses) ** 0.5
     return turns, axes

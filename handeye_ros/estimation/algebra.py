@@ -13,7 +13,7 @@ FREE = 1e-13  # relative information of a direction that is not seen
 def covariance_of(J: Array) -> Array:
     """Return that (u, u) of the unknowns of whitened J (m, u); what it leaves free is cut."""
     few = len(J) < J.shape[1]  # then the free directions come with the whole basis only
-    _, s, Vt = np.linalg.svd(J, full_matrices=few)
+    _, s, Vt = np.linalg.svd(J if few else np.linalg.qr(J, mode='r'))
     values = np.zeros(len(Vt))
     values[:len(s)] = s
     root = Vt / np.maximum(values, 1 / LARGEST_STD)[:, None]

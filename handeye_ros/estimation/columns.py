@@ -24,12 +24,13 @@ class Columns:
     Derivatives (m, p) of residuals by p = c + a * k unknowns; the last are axis by axis.
 
     own: (m, c + a) by the first c, and by a numbers of each station; shared: (n, k) what makes
-    each of these of k unknowns. rows: of stations with equally many rows, arrays (s, count);
-    station: (m,) of each row.
+    each of these of k unknowns; products: (n, k * k) of each two of that. rows: of stations with
+    equally many rows, arrays (s, count); station: (m,) of each row.
     """
 
     own: Array
     shared: Array
+    products: Array
     axes: int
     rows: Rows
     station: NDArray[np.intp]
@@ -92,7 +93,7 @@ class Columns:
             N[:c, :c] += flat.T @ flat
             by_axes = np.swapaxes(own, 1, 2) @ own[..., c:]
             N[:c, c:] += (by_axes[:, :c].reshape(len(some), c * a).T @ functions).reshape(c, a * k)
-            both = by_axes[:, c:].reshape(len(some), a * a).T @ _squares(functions)
+            both = by_axes[:, c:].reshape(len(some), a * a).T @ self._at(self.products, some)
             N[c:, c:] += both.reshape(a, a, k, k).swapaxes(1, 2).reshape(a * k, a * k)
         N[c:, :c] = N[:c, c:].T
         return N
@@ -103,7 +104,7 @@ class Columns:
 
     def blocks(self, rows: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return factors (s, count, c + a) of s stations' rows, and the functions (s, k) there."""
-        return self._of_rows(self.own, rows), self.shared[self.station[rows[:, 0]]]
+        return self._of_rows(self.own, rows), self._at(self.shared, rows)
 
     def seen(self, covariance: Array, rows: NDArray[np.intp]) -> Array:
         """Return the covariance (s, count, count) of s stations' rows, from that of unknowns."""
@@ -115,7 +116,7 @@ class Columns:
         C[:, :c, c:] = cross.reshape(len(rows), c, a)
         C[:, c:, :c] = np.swapaxes(C[:, :c, c:], 1, 2)
         both = covariance[c:, c:].reshape(a, k, a, k).swapaxes(1, 2).reshape(a * a, k * k)
-        C[:, c:, c:] = (_squares(functions) @ both.T).reshape(len(rows), a, a)
+        C[:, c:, c:] = (self._at(self.products, rows) @ both.T).reshape(len(rows), a, a)
         return np.asarray(own @ C @ np.swapaxes(own, 1, 2))
 
     def _of_rows(self, values: Array, rows: NDArray[np.intp]) -> Array:
@@ -123,8 +124,12 @@ class Columns:
             return values.reshape(*rows.shape, -1)
         return values[rows]
 
+    def _at(self, values: Array, rows: NDArray[np.intp]) -> Array:
+        """Return those of values (n, j) that are of the stations of rows (s, count)."""
+        return values if len(rows) == len(values) else values[self.station[rows[:, 0]]]
 
-def _squares(functions: Array) -> Array:
-    """Return the products (s, k * k) of each two of functions (s, k)."""
-    return np.asarray((functions[:, :, None] * functions[:, None, :]).reshape(
-        len(functions), functions.shape[1] ** 2))
+
+def products(functions: Array) -> Array:
+    """Return what each two of k functions are at n places, multiplied: (n, k * k)."""
+    n, k = functions.shape
+    return np.asarray((functions[:, :, None] * functions[:, None, :]).reshape(n, k * k))

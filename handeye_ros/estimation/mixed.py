@@ -51,17 +51,28 @@ def settled(problem: Problem, start: Estimate, noise: Noise | None = None) -> So
     """
     Return the solution near a start with its doubts and noise as large as the residuals show.
 
-    start: with the target as stated; noise: from which to settle it, None: as configured.
+    start: with the target as stated; noise: from which to settle it, None: as configured. Of
+    very many stations some lead near it first.
     """
     noise, nothing = noise or Noise(lumped=False), np.zeros(len(problem.method.labels))
-    system, least = _System.of(problem, start, noise, nothing), np.inf
-    best, resting = system, False
+    near, every = (start, noise, nothing), len(problem.poses) // ASKED
+    if every > 1:
+        some = problem.subset(np.arange(0, len(problem.poses), every))
+        found, astray = _approached(_System.of(some, *near))
+        near = near if astray else (found.estimate, found.noise, found.deviation)
+    system, astray = _approached(_System.of(problem, *near))
+    return system.solution() if astray else system.answer()
+
+
+def _approached(system: _System) -> tuple[_System, bool]:
+    """Return the system at its solution, and whether the way there led astray and was left."""
+    least, best, resting = np.inf, system, False
     for count in range(ROUNDS):
         x, covariance = system.solved
         size = float(np.abs(x[:system.u] / np.sqrt(np.diag(covariance)[:system.u])).max())
         astray = size > DIVERGED * max(least, 1.0)
         if astray and count > SIZING:
-            return best.solution()
+            return best, True
         best, least = best if astray else system, min(size, least)
         estimate, deviation = system.moved(x)
         noise, before = system.with_noise(x, covariance), system.noise.factors
@@ -71,7 +82,7 @@ def settled(problem: Problem, start: Estimate, noise: Noise | None = None) -> So
         resting = system is there
         if size < CONVERGED and steady:
             break
-    return system.answer()
+    return system, False
 
 
 def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
@@ -86,7 +97,8 @@ class _System:
     The whitened least squares at an estimate.
 
     r: (m,), of which the doubts are not taken out; columns: derivatives by u unknowns and by q
-    of the doubts at their configured size; group: (q,) the doubt of each of these.
+    of the doubts at their configured size; gradient: (u + q,) by all of them; group: (q,) the
+    doubt of each.
     """
 
     problem: Problem
@@ -97,6 +109,7 @@ class _System:
     white: Whitening
     r: Array
     columns: Columns
+    gradient: Array
     group: NDArray[np.intp]
     deviation: Array
     bent: Bent
@@ -119,8 +132,9 @@ class _System:
         own = white(np.column_stack([*parts, residuals]))
         axes = sum(d.columns.shape[1] for d in found if d.functions > 1)
         group = np.repeat(np.arange(len(found)), [d.count for d in found])
-        return cls(problem, estimate, linear, noise, found, white, own[:, -1],
-                   columns_of(problem, own[:, :-1], axes), group, deviation, near)
+        columns, r = columns_of(problem, own[:, :-1], axes), own[:, -1]
+        return cls(problem, estimate, linear, noise, found, white, r, columns,
+                   columns.gradient_of(r, columns.rows), group, deviation, near)
 
     def at(self, estimate: Estimate, noise: Noise, deviation: Array) -> _System:
         """Return the system at another estimate, from which what may be bent looks alike."""
@@ -156,8 +170,7 @@ class _System:
         s, q = self.scales, len(self.group)
         if len(self.r) < len(s):
             return from_conditions(self.columns.dense * s, self.r, q)
-        gradient = self.columns.gradient_of(self.r, self.columns.rows)
-        return from_information(self.columns.gram, gradient, s, q)
+        return from_information(self.columns.gram, self.gradient, s, q)
 
     def sized(self, steps: int) -> tuple[_System, Sizes]:
         """
@@ -184,8 +197,8 @@ class _System:
 
     def with_noise(self, x: Array, covariance: Array, believed: Array = CONFIGURED) -> Noise:
         """Return the noise with the factors that the residuals show, held to those believed."""
-        columns = self.columns.scaled(self.scales)
-        residuals, sums = self.r + columns.times(x), np.zeros((4, 2))
+        s, sums = self.scales, np.zeros((4, 2))
+        residuals, covariance = self.r + self.columns.times(s * x), covariance * s * s[:, None]
         every = -(-len(self.problem.poses) // ASKED)
         for stations, factors in zip(self.problem.stations, self.white.factors, strict=True):
             at, root = stations.every(every), factors[::every]
@@ -193,7 +206,7 @@ class _System:
                 self.problem, self.linear, at)
             W = root @ V @ np.swapaxes(root, 1, 2)
             r = residuals[at.rows]
-            left = np.eye(r.shape[1]) - columns.seen(covariance, at.rows)
+            left = np.eye(r.shape[1]) - self.columns.seen(covariance, at.rows)
             sums[:, 0] += ((W @ r[..., None])[..., 0] * r).sum(axis=(1, 2))
             sums[:, 1] += (W * left).sum(axis=(1, 2, 3))
         before = self.noise.factors

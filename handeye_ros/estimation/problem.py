@@ -12,6 +12,7 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
+from handeye_ros.estimation.columns import products
 from handeye_ros.estimation.fields import places, process
 from handeye_ros.estimation.method import Estimate, Method, Observations
 from handeye_ros.estimation.stations import Ends, ends_of, Stations, stations_of
@@ -72,6 +73,11 @@ class Problem:
         robot = self.poses if self.config.calibration_type == 'eye_in_hand' else se3.inverse(
             self.poses)
         return process(places(robot))
+
+    @cached_property
+    def smooth_products(self) -> Array:
+        """Return the products (n, r * r) of each two columns of this root."""
+        return products(self.smooth)
 
     def subset(self, stations: NDArray[np.intp]) -> Problem:
         """Return the problem with only the given stations (ascending indices)."""

@@ -161,8 +161,9 @@ def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
 
 def columns_of(problem: Problem, own: Array, axes: int) -> Columns:
     """Return derivatives, the last axes of own (m, c + axes) by the robot's smooth errors."""
-    shared = problem.smooth if axes else np.empty((len(problem.poses), 0))
-    return Columns(own, shared, axes, [at.rows for at in problem.stations],
+    nothing = np.empty((len(problem.poses), 0))
+    shared, both = (problem.smooth, problem.smooth_products) if axes else (nothing, nothing)
+    return Columns(own, shared, both, axes, [at.rows for at in problem.stations],
                    problem.observations.station)
 
 

@@ -10,6 +10,7 @@ from handeye_ros.estimation.method import ENDS, Observations
 import numpy as np
 from numpy.typing import NDArray
 
+NOWHERE = np.zeros(2)  # is out of a face at points that are no edges
 FACE = 0  # the kind of a condition on a face, in every method that has them
 SOURCES = 64  # of one feature at most
 GUESS_STATIONS = 40  # more add time to a guess, nothing else
@@ -18,45 +19,37 @@ FINER = 4  # times as many directions tried, and candidates refined, when the fi
 
 @dataclass
 class ObservationRows:
-    """Collects the conditions of a method, station by station."""
+    """Collects the conditions of a method, station by station, a few of one feature at a time."""
 
-    station: list[int] = field(default_factory=list)
     points: list[Array] = field(default_factory=list)
-    kind: list[int] = field(default_factory=list)
     noise: list[Array] = field(default_factory=list)
-    source: list[int] = field(default_factory=list)
-    end: list[int] = field(default_factory=list)
+    numbers: list[tuple[int, int, int, int]] = field(default_factory=list)
     outward: list[Array] = field(default_factory=list)
 
     def add(self, station: int, point: Array, kind: int, noise: Array, source: int,
             edge: EdgePoint | None = None) -> None:
         """Append one condition; see Observations. edge: that the point is."""
-        self.station.append(station)
-        self.points.append(point)
-        self.kind.append(kind)
-        self.noise.append(noise)
-        self.source.append(source)
-        self.end.append(1 + ENDS.index(edge.kind) if edge else 0)
-        self.outward.append(edge.direction if edge else np.zeros(2))
+        self.add_points(station, point[None], kind, noise[None], source, edge)
 
-    def add_points(self, station: int, points: Array, kind: int, noise: Array) -> None:
-        """Append a condition for each of points (k, 2), no edges, with factors (k, 2, 2)."""
-        count = len(points)
-        self.station += [station] * count
-        self.points += list(points)
-        self.kind += [kind] * count
-        self.noise += list(noise)
-        self.source += range(count)
-        self.end += [0] * count
-        self.outward += [np.zeros(2)] * count
+    def add_points(self, station: int, points: Array, kind: int, noise: Array, source: int = 0,
+                   edge: EdgePoint | None = None) -> None:
+        """Append a condition for each of points (k, 2), with factors (k, 2, 2)."""
+        self.points.append(points)
+        self.noise.append(noise)
+        self.numbers.append((station, kind, source, 1 + ENDS.index(edge.kind) if edge else 0))
+        self.outward.append(edge.direction if edge else NOWHERE)
 
     def observations(self) -> Observations:
-        """Return what was collected."""
+        """Return what was collected; each point of a feature has an error of its own."""
+        count = [len(points) for points in self.points]
+        first = np.repeat(np.cumsum(count, dtype=np.intp) - count, count)
+        numbers = np.array(self.numbers, dtype=np.intp).reshape(-1, 4).T
+        station, kind, source, end = np.repeat(numbers, count, axis=1)
         return Observations(
-            np.array(self.station, dtype=np.intp), np.array(self.points).reshape(-1, 2),
-            np.array(self.kind, dtype=np.intp), np.array(self.noise).reshape(-1, 2, 2),
-            np.array(self.source, dtype=np.intp), np.array(self.end, dtype=np.intp),
-            np.array(self.outward).reshape(-1, 2))
+            station, np.concatenate([np.empty((0, 2)), *self.points]), kind,
+            np.concatenate([np.empty((0, 2, 2)), *self.noise]),
+            source + np.arange(len(first)) - first, end,
+            np.repeat(np.array(self.outward).reshape(-1, 2), count, axis=0))
 
 
 def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int,
@@ -67,9 +60,9 @@ def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int,
     if not len(points):
         points = line.centre + np.outer([-1.0, 1.0], line.spread * line.direction)
         std = np.full(2, line.std * 2 ** 0.5)
-    for i, (point, sigma) in enumerate(zip(points, std, strict=True)):
-        noise = np.column_stack([across * sigma, np.zeros(2)])
-        rows.add(station, point, kind, noise, source + i)
+    noise = np.zeros((len(points), 2, 2))
+    noise[:, :, 0] = std[:, None] * across
+    rows.add_points(station, points, kind, noise, source)
 
 
 def collect(samples: Sequence[Sample],

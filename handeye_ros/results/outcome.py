@@ -127,9 +127,9 @@ def left_out(solution: Solution, measured: Measured, most: int = MOST_FOLDS) -> 
     fold = np.arange(n) % min(n, most)
     estimates, poses = predictions(solution, fold)
     p = measured.mapped(poses @ np.array([estimate.X for estimate in estimates])[fold])
-    found = np.empty(len(p))
+    found, of_point = np.empty(len(p)), fold[measured.station]
     for k, estimate in enumerate(estimates):
-        part = fold[measured.station] == k
+        part = of_point == k
         found[part] = problem.method.conditions(p[part], measured.kind[part], estimate.target,
                                                 problem.config).g
     return found
@@ -187,4 +187,4 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:
     measured = Measured(np.concatenate([points for points, _ in parts]),
                         np.concatenate([kind for _, kind in parts]), station)
     every = -(-len(station) // MOST_POINTS)
-    return measured.select(np.arange(len(station)) % every == 0)
+    return measured.select(np.arange(len(station)) % every == 0) if every > 1 else measured
