@@ -30,7 +30,7 @@ def sigma(target, seed, operator):
     cell = bench.world(target, ROBOT, seed, bench.KNOWN)
     for _ in range(methods.of(cell.config).minimum):
         bench.insist(cell, bench.advised(cell, None) if operator == 'advice'
-                     else lambda: bench.wandering(cell))
+                     else lambda: bench.anywhere(cell))
     solution = bench.solved(cell)
     return mapping(solution.estimate.X, cell.view).std(solution.stated[:6, :6])
 

@@ -2,10 +2,10 @@
 What to do before the sensor is roughly known: moves that a person does by the look of the laser.
 
 The first samples are those of a fixed design, told from the first pose in axes that can be seen:
-the laser line, the light plane, the viewing direction. Out of 567 turns, tilts and places an
-exchange search found for each sort of target the moves that leave mapped points least uncertain
-once there are as many samples as an answer needs, and one more: with the noise of a common robot
-(0.05 mm, 0.02 degrees), over several sensors on the flange, with moves that are off by 3 degrees
+the laser line, the light plane, the viewing direction. Searches by exchange, and for a sphere by
+small steps after it, found for each sort of target the moves that leave mapped points least
+uncertain once there are as many samples as an answer needs: with the noise of a common robot
+(0.05 mm, 0.02 degrees), over several sensors on the flange, with moves that are off by 4 degrees
 and 3 mm.
 """
 from __future__ import annotations
@@ -24,11 +24,11 @@ import numpy as np
 # looks squarely.
 SPHERE = np.array([
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    [-0.7, 0.67, 0.67, 0.7, 0.7, -0.6],
-    [-1.0, -0.67, -0.67, 0.0, -0.7, -0.6],
-    [0.7, -0.67, -0.67, 0.7, 0.7, 0.6],
-    [1.0, 0.67, 0.67, 0.0, -0.7, -0.6],
-    [1.0, -0.95, 0.0, -0.7, 0.7, 0.6],
+    [-1.0, 0.81, 0.5, 0.55, 0.68, -0.6],
+    [-1.0, -0.85, -0.43, -0.26, -0.7, -0.6],
+    [0.0, -0.93, -0.18, 0.31, -0.7, 0.6],
+    [1.0, 0.9, 0.31, -0.29, -0.7, -0.6],
+    [1.0, -0.77, -0.55, -0.47, 0.7, 0.6],
     [-1.0, 0.95, 0.0, -0.7, 0.7, 0.6],
 ])
 ONE_EDGE = np.array([
