@@ -48,6 +48,23 @@ def test_those_who_vote_are_evenly_spread(size: int) -> None:
     assert not len(others) or len(first) >= line_search.FIRST_VOTERS
 
 
+@pytest.mark.parametrize('share', [0.55, 0.7, 0.95])
+def test_a_line_that_most_vote_for_first_is_that_of_all(share: float) -> None:
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        x = np.linspace(-0.02, 0.02, 900)
+        z = 0.2 + rng.uniform(-0.6, 0.6) * x + rng.normal(0.0, 3e-5, len(x))
+        z[int(share * len(x)):] += 0.004 * rng.choice([-1, 1])
+        wrong = rng.random(len(x)) < 0.04
+        z[wrong] += rng.uniform(-0.01, 0.01, wrong.sum())
+        terms = line_search.line_terms(x, z)
+        found = line_search.dominant_line(terms, 1.2e-4, 20)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(line_search, 'SURE', 2.0)
+            np.testing.assert_array_equal(found, line_search.dominant_line(terms, 1.2e-4, 20))
+        assert found is not None and found.sum() > 0.94 * share * len(x)
+
+
 @given(SEEDS, st.integers(30, 300), st.floats(-1.0, 1.0))
 def test_lines_from_sums(seed: int, n: int, away: float) -> None:
     rng = np.random.default_rng(seed)

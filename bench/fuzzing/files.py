@@ -8,6 +8,7 @@ from typing import Any
 
 from fuzzing.damage import Case, damaged
 from handeye_ros.config import Config, load
+from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
 from handeye_ros.files.tables import Table
 from handeye_ros.results.calibration_file import read_calibration
@@ -51,12 +52,31 @@ def text_case(name: str, read: Callable[[Path], Any]) -> Case:
     return case
 
 
+def truth_case(rng: np.random.Generator, folder: Path) -> None:
+    """Read a damaged truth.yaml from beside its recording; what comes out is a transform."""
+    text = (folder / 'good' / 'truth.yaml').read_bytes()
+    file = folder / 'bag' / 'truth.yaml'
+    file.write_bytes(damaged(text, rng, text=True))
+    try:
+        found = true_transform(folder / 'bag')
+    finally:
+        file.unlink()
+    assert found is not None
+    assert_transform(found)
+
+
+def assert_transform(T: Array) -> None:
+    """Raise AssertionError unless T (4, 4) moves and turns, no more."""
+    R = T[:3, :3]
+    assert T.shape == (4, 4) and np.isfinite(T).all() and (T[3] == [0, 0, 0, 1]).all()
+    assert np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0
+
+
 def check_calibration(file: Path) -> None:
     """Read a calibration; what comes out is a transform."""
     found = read_calibration(file)
-    R = found.T_flange_sensor[:3, :3]
-    assert np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0
-    assert np.isfinite(found.T_flange_sensor).all() and np.isfinite(found.covariance).all()
+    assert_transform(found.T_flange_sensor)
+    assert np.isfinite(found.covariance).all()
 
 
 def session_case(rng: np.random.Generator, folder: Path) -> None:
@@ -77,6 +97,6 @@ FILES: dict[str, Case] = {
     'db3': bag_case('small.db3'),
     'metadata.yaml': metadata_case,
     'calibration.yaml': text_case('calibration.yaml', check_calibration),
-    'truth.yaml': text_case('truth.yaml', lambda file: true_transform(file.parent)),
+    'truth.yaml': truth_case,
     'CSV': text_case('tracker.csv', Table), 'config YAML': text_case('plate.yaml', load),
     'session': session_case}

@@ -72,7 +72,7 @@ def _arc(points: Array, circle: Array, noise: float, config: Config) -> Arc:
     if len(rows) < SMALLEST_DENSITY * (rows[-1] - rows[0] + 1):
         raise FeatureError('no arc of the sphere in the profile, only scattered points')
     arc = normal_points(points.take(rows, axis=0))
-    if _wanders(arc, noise, config) or _is_corner(arc):
+    if _wanders(arc, noise, config):
         raise FeatureError('no arc of the sphere in the profile, only something like it')
     if 0 < LARGEST_SHARE * radius < arc.radius:
         raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
@@ -85,6 +85,8 @@ def _arc(points: Array, circle: Array, noise: float, config: Config) -> Arc:
     if arc.radius < SMALLEST_RADIUS or angle < SMALLEST_ANGLE or (
             sagitta < LEAST_SAGITTA * TOLERANCE_SIGMAS * noise):
         raise FeatureError('the arc of the sphere in the profile is too short')
+    if _is_corner(arc):
+        raise FeatureError('no arc of the sphere in the profile, only straight pieces')
     return arc
 
 

@@ -18,7 +18,8 @@ SPANS = np.array([3, 8, 20])  # of the pairs, parts of the profile
 KEPT_PAIRS = 1000  # sizes of profiles whose pairs are remembered
 SEARCH_POINTS = 256  # points that vote for a hypothesis
 FIRST_VOTERS = 64  # of these that vote first, and
-BEST_HYPOTHESES = 24  # how many hypotheses all of them vote on
+BEST_HYPOTHESES = 24  # how many hypotheses all of them vote on, unless
+SURE = 0.5  # of the first ones agree: then no other line has more
 LEAST_SPREAD = 1e-9  # of points along x, as a share of that from the middle: less is rounding
 NARROWEST = 1e-6  # part of the laser line that points of a line lie on (m)
 
@@ -52,7 +53,7 @@ def dominant_line(terms: Array, tolerance: float, min_points: int) -> NDArray[np
     first, others = _voters(terms.shape[1])
     voters = terms[:3].take(first, axis=1)
     votes = _votes(lines, voters, 2 * tolerance)
-    if len(others):
+    if len(others) and votes.max() < SURE * len(first):
         best = (-votes).argsort()[:BEST_HYPOTHESES]
         lines, votes = lines.take(best, axis=1), votes.take(best)
         votes += _votes(lines, terms[:3].take(others, axis=1), 2 * tolerance)
@@ -86,18 +87,20 @@ def _near(lines: Array, points: Array, tolerance: float) -> NDArray[np.bool_]:
     """Return (n,) or (n, k), which of points (3, n), 1, x and z, are near lines (3,) or (3, k)."""
     # products of matrices are by far the quickest way to multiply, and to count
     away = points.T @ lines
-    return np.asarray(np.abs(away, out=away) < tolerance)
+    near: NDArray[np.bool_] = np.abs(away, out=away) < tolerance
+    return near
 
 
 def _votes(lines: Array, voters: Array, tolerance: float) -> NDArray[np.float32]:
     """Return how many of the points (3, n), 1, x and z, lie on each of the lines (3, k)."""
     near = _near(lines, voters, tolerance)
-    return np.asarray(_ones(voters.shape[1]) @ near.astype(np.float32))
+    votes: NDArray[np.float32] = _ones(voters.shape[1]) @ near.astype(np.float32)
+    return votes
 
 
 @lru_cache(KEPT_PAIRS)
 def _voters(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return which of so many points vote first, and which others vote on the best lines."""
+    """Return which of so many points vote first, and which others may vote on the best lines."""
     voters = np.arange(0, size, -(-size // SEARCH_POINTS))
     if len(voters) <= 2 * FIRST_VOTERS:
         return voters, voters[:0]
@@ -118,7 +121,8 @@ def _hypotheses(x: Array, z: Array) -> Array:
     apart = np.abs(dx) > NARROWEST
     if np.count_nonzero(apart) < len(apart):
         x, z, dx, dz = x[apart], z[apart], dx[apart], dz[apart]
-    lines = np.full((3, len(x)), -1.0)
+    lines = np.empty((3, len(x)))
+    lines[2] = -1.0
     slope = np.divide(dz, dx, out=lines[1])
     np.subtract(z, slope * x, out=lines[0])
     return lines

@@ -133,7 +133,8 @@ def _segment(rows: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> 
     margin = min(max(2, len(rows) // 50), (len(rows) - 3) // 2)
     inner = slice(margin, len(rows) - margin)
     offset, slope, residual, noise = _fit_with_noise(x, z, inner)
-    first, last = (_bent_end(r, max(noise, least_noise)) for r in (residual, residual[::-1]))
+    noise = max(noise, least_noise)
+    first, last = _bent_end(residual, noise), _bent_end(residual[::-1], noise)
     if max(first, last) > margin:
         inner = slice(max(margin, first), len(rows) - max(margin, last))
         offset, slope, _, noise = _fit_with_noise(x, z, inner)

@@ -96,7 +96,8 @@ class End:
     def frame(self) -> Frame:
         """Return the frame of the face here."""
         segment, points = self.segment, self.seen.points
-        x, middle = points[[self.row, segment.rows[len(segment.rows) // 2]], 0].tolist()
+        x, middle = (points.item(row, 0) for row in
+                     (self.row, segment.rows.item(len(segment.rows) // 2)))
         outward = -1.0 if x < middle else 1.0
         length, near = math.hypot(1.0, segment.slope), self.seen.near
         frame = np.array([[x, segment.height(x)],
