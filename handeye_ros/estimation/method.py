@@ -44,6 +44,12 @@ class Observations:
         """Return the number of conditions."""
         return len(self.station)
 
+    def same(self, other: Observations) -> bool:
+        """Return whether others are the same points with the same labels."""
+        return (np.array_equal(self.kind, other.kind)
+                and np.array_equal(self.station, other.station)
+                and np.array_equal(self.points, other.points))
+
     def select(self, keep: NDArray[np.bool_]) -> Observations:
         """Return the observations where keep (m,) is true."""
         return Observations(self.station[keep], self.points[keep], self.kind[keep],

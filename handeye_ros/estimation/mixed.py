@@ -181,12 +181,13 @@ class _System:
         system, now = self, self.variances
         found = Sizes(now, now, np.zeros(len(now)))
         for _ in range(steps if self.doubts else 0):
-            before, found = system.variances, system.shown()
+            before, found = system.variances, system.shown
             if np.abs(np.log(found.stated / before)).max() < SETTLED:
                 break
             system = system.with_sizes(found.stated)
         return system, found
 
+    @cached_property
     def shown(self) -> Sizes:
         """Return how large the doubts show themselves."""
         (x, covariance), u, before = self.solved, self.u, self.variances

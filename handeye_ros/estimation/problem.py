@@ -81,6 +81,8 @@ class Problem:
 
     def subset(self, stations: NDArray[np.intp]) -> Problem:
         """Return the problem with only the given stations (ascending indices)."""
+        if len(stations) == len(self.poses):
+            return self
         obs = self.observations
         keep = np.isin(obs.station, stations)
         fewer = obs.select(keep)

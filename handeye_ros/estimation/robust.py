@@ -152,14 +152,6 @@ def settle(agreed: Consensus, minimum: int) -> Consensus:
     What fits only now, as the target is not as stated, is taken back. Of few stations each may
     be wrong without being seen to be: the stated covariance holds that.
     """
-    found = _settled_with_all(agreed, minimum)
-    doubted = suspicion(found.solution, len(found.dropped))
-    return found if doubted is None else replace(
-        found, solution=replace(found.solution, suspicion=doubted.covariance))
-
-
-def _settled_with_all(agreed: Consensus, minimum: int) -> Consensus:
-    """Return the consensus with all doubts, and all stations that fit with these."""
     found = _settled(agreed, minimum)
     labelled = relabelled(agreed.whole, found.solution.estimate)
     near = mean_squares(labelled, found.solution.estimate) <= CONVINCING
@@ -189,20 +181,16 @@ def _settled(agreed: Consensus, minimum: int, noise: Noise | None = None) -> Con
         mean_square, freedom = _mean_squares(solution.cautious or solution)
         spare = len(used) - minimum
         worst = unexplained(mean_square, freedom, total, spare)
-        if not len(worst) and spare > 0:
-            worst = _suspected(solution, len(dropped))
+        doubted = None if len(worst) else suspicion(solution, len(dropped))
+        if doubted and spare > 0 and doubted.worst is not None:
+            worst = np.array([doubted.worst], dtype=np.intp)
         if not len(worst):
+            if doubted:
+                solution = replace(solution, suspicion=doubted.covariance)
             return replace(agreed, solution=solution, used=used, dropped=dropped)
         dropped |= {int(used[k]): float(mean_square[k]) for k in worst}
         used = np.delete(used, worst)
         part = part.subset(np.delete(np.arange(len(part.poses)), worst))
-
-
-def _suspected(solution: Solution, dropped: int) -> NDArray[np.intp]:
-    """Return the station (1,) that is wrong if the noise is as configured, (0,) if none is."""
-    doubted = suspicion(solution, dropped)
-    worst = None if doubted is None else doubted.worst
-    return np.array([] if worst is None else [worst], dtype=np.intp)
 
 
 def _mean_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:

@@ -225,7 +225,7 @@ def predictions(solution: Solution, fold: NDArray[np.intp]) -> tuple[list[Estima
     problem, estimate, u = solution.problem, solution.estimate, solution.unknowns
     steps = np.array([_step_without(solution, np.flatnonzero(fold == k))
                       for k in range(fold.max() + 1)])
-    return ([move(problem, estimate, step[:u]) for step in steps],
+    return ([move(problem, estimate, step) for step in steps[:, :u]],
             poses_of(solution, solution.doubtful + steps[fold, u:]))
 
 

@@ -92,7 +92,7 @@ def refined(problem: Problem, estimate: Estimate) -> Trial:
         labelled, estimate = trial
         estimate = least_squares(system(labelled, Noise()), estimate, weights, ANNEALING_STEPS,
                                  NEAR)
-        return relabelled(problem, estimate), estimate
+        return relabelled(problem, estimate, labelled), estimate
 
     labelled, estimate = graduated((relabelled(problem, estimate), estimate),
                                    lambda trial: mean_squares(*trial), refit)
@@ -109,11 +109,20 @@ def _hollow(whole: Problem, labelled: Problem, estimate: Estimate) -> bool:
     return float(np.linalg.eigvalsh(solution.covariance)[-1]) > LARGEST_VARIANCE
 
 
-def relabelled(problem: Problem, estimate: Estimate) -> Problem:
-    """Return the problem with its observations as they fit an estimate, the unfit left out."""
+def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = None) -> Problem:
+    """
+    Return the problem with its observations as they fit an estimate, the unfit left out.
+
+    before: with the labels of another estimate; it is returned where these are the same, as what
+    it has found out about its stations still holds.
+    """
     p = points_in_base(problem, estimate.X)
     labelled = problem.method.relabel(problem.observations, p, estimate.target, problem.config)
-    return replace(problem, observations=labelled.select(labelled.kind != UNUSED))
+    found = labelled.select(labelled.kind != UNUSED)
+    for known in (problem, before):
+        if known and found.same(known.observations):
+            return known
+    return replace(problem, observations=found)
 
 
 def mean_squares(problem: Problem, estimate: Estimate) -> Array:
