@@ -92,7 +92,7 @@ def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:
     R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
     a_mean = problem.poses[:, :3, 3].mean(axis=0)
     normals = hemisphere(NORMALS * finer)
-    nR = np.einsum('kj,mji->kmi', normals, R)
+    nR = np.tensordot(normals, R, axes=(1, 1))
     u, v = obs.points.T[:, None, :, None]
     A = np.concatenate([u * nR, v * nR, nR, -np.ones_like(nR[:, :, :1])], axis=2)
     b = -np.einsum('kj,mj->km', normals, a - a_mean)

@@ -105,7 +105,7 @@ def _fewer(observations: Observations) -> Observations:
 def _candidates(problem: Problem, radius: float, finer: int) -> list[Estimate]:
     """Return the best linear solutions over a sweep of rotations of the sensor."""
     obs = problem.observations
-    circles = np.array([fit_circle(obs.points[obs.station == i])
+    circles = np.array([fit_circle(obs.points[obs.station == i], steps=1)
                         for i in range(len(problem.poses))])
     radius = radius or 1.05 * float(circles[:, 2].max())
     height = np.sqrt(np.maximum(radius ** 2 - circles[:, 2] ** 2, 0.0))
@@ -113,11 +113,11 @@ def _candidates(problem: Problem, radius: float, finer: int) -> list[Estimate]:
     a_mean = a.mean(axis=0)
     R_sensor = rotations(ROTATIONS * finer)
     # rows of the sensor's axes in base, (rotation, station, axis, 3)
-    axes = np.einsum('kji,nlj->knil', R_sensor, R)
-    plane = axes[:, :, [0, 2]]
-    k, n = plane.shape[:2]
-    offset = np.broadcast_to(-np.eye(2), (k, n, 2, 2))
-    A = np.concatenate([plane, offset], axis=3).reshape(k, 2 * n, 5)
+    axes = np.swapaxes(R_sensor, 1, 2)[:, None] @ np.swapaxes(R, 1, 2)
+    k, n = axes.shape[:2]
+    plane, by_rows = axes[:, :, ::2], np.empty((k, n, 2, 5))
+    by_rows[..., :3], by_rows[..., 3:] = plane, -np.eye(2)
+    A = by_rows.reshape(k, 2 * n, 5)
     b = (circles[:, :2] + np.einsum('knil,nl->kni', plane, a - a_mean)).reshape(k, 2 * n)
     At = np.swapaxes(A, 1, 2)
     x = np.linalg.solve(At @ A + 1e-9 * np.eye(5), At @ b[..., None])[..., 0]

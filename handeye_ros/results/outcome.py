@@ -168,9 +168,8 @@ class Measured:
     def mapped(self, T: Array) -> Array:
         """Return the points (k, 3) in the frame that T (n, 4, 4) of the stations lead to."""
         x, z = self.points.T[:, :, None]
-        along, across, origin = np.moveaxis(T[:, :3, [0, 2, 3]], 2, 0)
-        at = self.station
-        return np.asarray(along[at] * x + across[at] * z + origin[at])
+        columns = np.swapaxes(T[:, :3, [0, 2, 3]], 1, 2).reshape(len(T), 9)[self.station]
+        return np.asarray(columns[:, :3] * x + columns[:, 3:6] * z + columns[:, 6:])
 
 
 def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:
