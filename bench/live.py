@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 import os
 from pathlib import Path
+import re
 import struct
 import subprocess
 import sys
@@ -168,11 +169,12 @@ def listener(kind: str, folder: str, *settings: str
 
 
 def usage(pid: int) -> tuple[float, float]:
-    """Return the processor time (s) and the resident memory (MB) of a process."""
+    """Return the processor time (s) and the resident memory (MB; none as it ends) of a process."""
     fields = Path(f'/proc/{pid}/stat').read_text().rsplit(')', 1)[1].split()
     status = Path(f'/proc/{pid}/status').read_text()
+    resident = re.search(r'VmRSS:\s+(\d+)', status)
     return ((int(fields[11]) + int(fields[12])) / TICKS,
-            int(status.split('VmRSS:')[1].split()[0]) / 1024)
+            int(resident[1]) / 1024 if resident else 0.0)
 
 
 class Watcher:

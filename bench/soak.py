@@ -182,11 +182,14 @@ def look(port: int) -> None:
         assert b'200 OK' in line.recv(1000)
 
 
-def others_of(pid: int) -> float:
-    """Return the resident memory (MB) of the processes that a process has started."""
-    children = Path(f'/proc/{pid}/task').glob('*/children')
-    return sum(LIVE['usage'](int(child))[1] for file in children
-               for child in file.read_text().split())
+def others_of(pid: int) -> dict[int, float]:
+    """Return the resident memory (MB) of the processes that a process has started, by their id."""
+    found = {}
+    for file in Path(f'/proc/{pid}/task').glob('*/children'):
+        with suppress(OSError):  # a thread, or a process, that has ended since
+            found |= {int(child): LIVE['usage'](int(child))[1]
+                      for child in file.read_text().split()}
+    return found
 
 
 def free_port() -> int:
@@ -265,7 +268,7 @@ def soak(minutes: float, rate: float) -> None:
     user, memory, port = User(), [], free_port()
     with (tempfile.TemporaryDirectory() as folder, pulse(folder) as still,
           telling(SYNCING, f'{folder}/synced', Path(folder) / 'synced.log') as synced,
-          LIVE['listener']('node', folder, f'page.port:={port}') as (node, _)):
+          LIVE['listener']('node', folder, f'page.port:={port}') as (node, log)):
         user.wait()
         shared = Path(folder) / 'shared.xml'
         shared.write_text(SHARED)
@@ -273,7 +276,7 @@ def soak(minutes: float, rate: float) -> None:
             [sys.executable, LIVE['HERE'], '--publish', str(rate), '--seconds', str(60 * minutes),
              '--stops', '--cycle', str(CYCLE)], stdout=subprocess.PIPE, text=True,
             env={'FASTRTPS_DEFAULT_PROFILES_FILE': str(shared), **os.environ})
-        told = 1
+        told, started = 1, set[int]()
         while driver.poll() is None and node.poll() is None:
             watcher.wait(0.02, False)
             user.rest(PAUSE)
@@ -281,7 +284,12 @@ def soak(minutes: float, rate: float) -> None:
             look(port)
             now = time.monotonic() - begin
             _, resident = LIVE['usage'](node.pid)
-            memory.append((now, resident, others_of(node.pid)))
+            others = others_of(node.pid)
+            if len(started) > 1 and others.keys() - started:
+                print(f'a process was started again at {now:.0f} s; the node said:\n'
+                      f'{log.read_text()[-2000:]}', flush=True)
+            started |= others.keys()
+            memory.append((now, resident, sum(others.values())))
             if now > 60 * told:
                 told += 1
                 slowest = ', '.join(f'{name} {np.diff(spans).max():.2f} s'
@@ -289,6 +297,9 @@ def soak(minutes: float, rate: float) -> None:
                 print(f'{now / 60:5.1f} min: load {os.getloadavg()[0]:.0f}, {watcher.count()} '
                       f'profiles, {resident:.0f} and {memory[-1][2]:.0f} MB; slowest {slowest}',
                       flush=True)
+        if node.poll() is not None:
+            driver.kill()
+            sys.exit(f'the node ended with {node.returncode}:\n{log.read_text()[-2000:]}')
         watcher.wait(4.0, False)
         sent = int(driver.stdout.read())
         print(f'{sent} profiles sent, {sent - watcher.count()} lost; {watcher.notes}')
