@@ -28,6 +28,8 @@ def _belief(freedom: float, scale: float) -> Array:
 
 # As configured in the mean square, with so heavy a tail that it may be several times as much.
 STATED = _belief(3.0, 0.8)
+# The same of a doubt of one unknown, of whose size a single number tells: Cauchy's tail.
+ALONE = _belief(1.0, 1.0)
 # Nothing, unless the data show something: what an estimate is best made with.
 LEAN = _belief(1.0, 0.01)
 
@@ -87,13 +89,15 @@ def sizes(covariance: Array, value: Array, first: NDArray[np.intp], size: Array,
     evidence = 0.5 * np.add.reduceat(fitted - np.log(f), first, axis=1)
     evidence[v > largest] = -np.inf
     square = np.add.reduceat(v / f + (v * gradient / f) ** 2, first, axis=1)
-    return Sizes(_matched(LEAN, evidence, np.add.reduceat(fitted, first, axis=1)),
-                 _matched(STATED, evidence, square), _gain(evidence, size))
+    counts = np.array([block.stop - block.start for block in blocks])
+    stated = np.where(counts == 1, ALONE[:, None], STATED[:, None])
+    return Sizes(_matched(LEAN[:, None], evidence, np.add.reduceat(fitted, first, axis=1)),
+                 _matched(stated, evidence, square), _gain(stated, evidence, size))
 
 
-def _gain(evidence: Array, size: Array) -> Array:
+def _gain(belief: Array, evidence: Array, size: Array) -> Array:
     """Return the logarithms (d,) of the evidence (s, d) over all sizes, less that at the size."""
-    posterior = (STATED - np.logaddexp.reduce(STATED))[:, None] + evidence
+    posterior = belief - np.logaddexp.reduce(belief) + evidence
     now = [np.interp(np.log(own), np.log(VARIANCES), of_size)
            for own, of_size in zip(size, evidence.T, strict=True)]
     return np.asarray(np.logaddexp.reduce(posterior) - now)
@@ -101,7 +105,7 @@ def _gain(evidence: Array, size: Array) -> Array:
 
 def _matched(belief: Array, evidence: Array, moment: Array) -> Array:
     """Return the variances (d,) whose moments are the means of those (s, d) of all sizes."""
-    posterior = belief[:, None] + evidence
+    posterior = belief + evidence
     weights = np.exp(posterior - posterior.max(axis=0))
     means = (weights * moment).sum(axis=0) / weights.sum(axis=0)
     return np.exp([np.interp(mean, of_size, np.log(VARIANCES))
