@@ -21,6 +21,8 @@ when recordings that could carry an answer are refused. The rows of the first bl
 fault; those of the last one may well be refused, but must never be answered with a large TRE.
 
 --samples makes the features directly, with the noise of ideal edges: quick, but of robots only.
+--faces also solves the same samples as a plane, from their face lines alone, and adds
+  faces     mm, median mapped error of that: edges that are not sharp should never make it worse
 """
 from __future__ import annotations
 
@@ -35,7 +37,14 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
 from handeye_ros.results.truth_errors import errors_against, field_points
-from handeye_ros.simulate import FAULTS, Scenario, settings, simulate, simulate_samples
+from handeye_ros.simulate import (
+    FAULTS,
+    Scenario,
+    settings,
+    simulate,
+    simulate_samples,
+    Simulated,
+)
 from handeye_ros.simulate.layout import FRAMES
 import numpy as np
 from scipy.stats import chi2
@@ -47,12 +56,17 @@ HEADER = (f'{"cell":32} {"answered":>9} {"TRE, mm":>7} {"90 %":>7} {"NEES":>7} {
 
 @dataclass(frozen=True)
 class Outcome:
-    """An answer's errors (mapped points in m, squared Mahalanobis), or what was refused."""
+    """
+    An answer's errors (mapped points in m, squared Mahalanobis), or what was refused.
+
+    faces: mapped points of the answer of the face lines alone (m).
+    """
 
     seconds: float
     mapped: float = np.nan
     squared: float = np.nan
     refusal: str = ''
+    faces: float = np.nan
 
 
 def field(scenario: Scenario) -> Array:
@@ -64,9 +78,20 @@ def field(scenario: Scenario) -> Array:
     return se3.apply(se3.inverse(T_standard_sensor), points)
 
 
-def trial(job: tuple[str, int, bool]) -> Outcome:
-    """Return what becomes of a recording of a cell, by its name, seed, and whether of samples."""
-    name, seed, of_samples = job
+def of_faces(recording: Simulated, scenario: Scenario, config: Config) -> float:
+    """Return the error of points mapped by the answer of the face lines alone (m), or nan."""
+    plane = with_values(config, {'target.type': 'plane'}, config.name)
+    try:
+        session = pipeline.gather(recording.profiles, recording.poses, config)
+        X = pipeline.solve(session.samples, (), plane, session.frame_id).T_flange_sensor
+    except HandeyeError:
+        return np.nan
+    return errors_against(X, recording.truth.T_flange_sensor, field(scenario)).mapped_points
+
+
+def trial(job: tuple[str, int, bool, bool]) -> Outcome:
+    """Return what becomes of a recording: name of the cell, seed, if of samples, if of faces."""
+    name, seed, of_samples, faces = job
     scenario, rng = FAULTS[name], np.random.default_rng(seed)
     config = with_values(Config(), settings(scenario), name)
     if of_samples:
@@ -84,7 +109,8 @@ def trial(job: tuple[str, int, bool]) -> Outcome:
     X, X_true = answer.T_flange_sensor, truth.T_flange_sensor
     delta = se3.difference(X, X_true)
     return Outcome(seconds, errors_against(X, X_true, field(scenario)).mapped_points,
-                   float(delta @ np.linalg.solve(answer.covariance, delta)))
+                   float(delta @ np.linalg.solve(answer.covariance, delta)),
+                   faces=of_faces(recording, scenario, config) if faces else np.nan)
 
 
 def row(name: str, outcomes: list[Outcome]) -> str:
@@ -100,6 +126,8 @@ def row(name: str, outcomes: list[Outcome]) -> str:
     else:
         text += ' ' * 41
     text += f' {np.median(seconds):5.2f} {max(seconds):5.2f}'
+    if not np.isnan([o.faces for o in good]).all():
+        text += f' {1e3 * np.nanmedian([o.faces for o in good]):7.3f}'
     # figures differ from seed to seed; the kind of the refusal does not
     refusals = Counter(o.refusal.partition(':')[0] for o in outcomes if o.refusal)
     if refusals:
@@ -117,11 +145,13 @@ def main() -> None:
     parser.add_argument('--jobs', type=int, default=1)
     parser.add_argument('--refusals', action='store_true', help='print every refusal')
     parser.add_argument('--samples', action='store_true', help='make features, no profiles')
+    parser.add_argument('--faces', action='store_true', help='the face lines alone, too')
     arguments = parser.parse_args()
-    names = [name for name in FAULTS if arguments.only in name]
+    names = [name for name in FAULTS if arguments.only in name
+             and not (arguments.faces and FAULTS[name].scene != 'plate')]
     seeds = range(arguments.first, arguments.first + arguments.seeds)
-    jobs = [(name, seed, arguments.samples) for name in names for seed in seeds]
-    print(HEADER, flush=True)
+    jobs = [(name, seed, arguments.samples, arguments.faces) for name in names for seed in seeds]
+    print(HEADER.replace('worst', 'worst   faces') if arguments.faces else HEADER, flush=True)
     with multiprocessing.Pool(arguments.jobs) as pool:
         outcomes = pool.imap(trial, jobs)
         for name in names:
