@@ -19,7 +19,8 @@ from handeye_ros.estimation.solve import redundancy, Solution
 from handeye_ros.estimation.weights import whitening
 import numpy as np
 
-CONTRADICTION = 4.0  # sigmas
+CONTRADICTION = 4.0  # sigmas that make an answer wrong
+TOLD_CONTRADICTION = 3.0  # sigmas of a measure of the target that is told: it costs a look
 DOUBTFUL = 4.0  # variance factor from which another shape is tried from the start
 CONVINCING = 4.0  # by which it must lower it
 LARGEST_CHANGE = 0.5  # of a stated measure, relative: more is no tolerance but another target
@@ -76,13 +77,13 @@ def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
     labels = method.labels
     used = {d.name: value for d, value, _, _ in sizes(replace(solution, cautious=None))}
     for doubt, _, std, z in sizes(solution):
-        if doubt.parameter is not None and abs(z) > CONTRADICTION:
+        if doubt.parameter is not None and abs(z) > TOLD_CONTRADICTION:
             estimated = float(target[doubt.parameter - len(labels)])
             yield Shape(doubt.name, estimated - used[doubt.name], estimated, std)
     given_up = method.free(solution.problem.config) & ~method.free(config)
     for i in np.flatnonzero(given_up).tolist():  # to make the stations agree
         first, std = float(method.configured(config)[i]), float(solution.target_std[i])
-        if abs(target[i - len(labels)] - first) > CONTRADICTION * math.hypot(std, stated[i]):
+        if abs(target[i - len(labels)] - first) > TOLD_CONTRADICTION * math.hypot(std, stated[i]):
             yield Shape(labels[i], first, float(target[i - len(labels)]), std)
 
 
