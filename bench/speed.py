@@ -7,8 +7,9 @@ usage: python bench/speed.py [--profiles]
 Prints, for the bags of plate (1280 points) and sphere (640 points), how many profiles a second
 of the processor are segmented, as the best of seven rounds, beside the 96 a second of the network
 of a published method; with --profiles nothing else. Then, for plate and sphere, the median
-seconds from samples to answer for 18 and for 2000 stations and the ratio of the two, and the wall
-time of `handeye solve` (import included) on a simulated 40 s bag of 1280-point profiles at 30 Hz.
+seconds of the processor from samples to answer for 18 and for 2000 stations and the ratio of the
+two, and the wall time of `handeye solve` (import included) on a simulated 40 s bag of 1280-point
+profiles at 30 Hz.
 """
 from __future__ import annotations
 
@@ -36,15 +37,15 @@ NETWORK = 96  # profiles a second that a published network segments
 
 
 def solve_seconds(target: str, stations: int, runs: int) -> float:
-    """Return the median time of a solve in seconds."""
+    """Return the median seconds of the processor that a solve takes."""
     scenario = replace(SCENARIOS[target], stations=(stations // 2, stations // 2))
     samples, _ = simulate_samples(scenario, np.random.default_rng(0))
     config = configs.with_values(Config(), settings(scenario), target)
     times = []
     for _ in range(runs):
-        start = time.perf_counter()
+        start = time.process_time()
         pipeline.solve(samples, (), config, 'laser')
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     return float(np.median(times))
 
 
