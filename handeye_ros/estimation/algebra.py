@@ -8,6 +8,7 @@ from scipy.linalg import lapack
 LARGEST_STD = 1e3  # stands for infinity (m or rad)
 FEWEST, AT_ONCE, MOST_ROWS = 50, 200, 24  # triangles, and rows of each, inverted row by row
 FREE = 1e-13  # relative information of a direction that is not seen
+NOTHING = 1e-280  # information, so small that its inverse is still a number
 
 
 def covariance_of(J: Array) -> Array:
@@ -22,7 +23,7 @@ def covariance_of(J: Array) -> Array:
 
 def inverse(information: Array) -> Array:
     """Return the inverse of a symmetric positive matrix, directions not seen cut."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), NOTHING))
     return _inverse_of_scaled(information * scale * scale[:, None], scale)
 
 
@@ -53,7 +54,7 @@ def from_information(N: Array, b: Array, sizes: Array, known: int) -> tuple[Arra
     """
     prior = (np.arange(len(b)) >= len(b) - known).astype(float)
     diagonal = np.diag(N) * sizes ** 2 + prior
-    scale = 1 / np.sqrt(np.maximum(diagonal, 1e-300))
+    scale = 1 / np.sqrt(np.maximum(diagonal, NOTHING))
     both = sizes * scale
     scaled = N * both * both[:, None]
     scaled[np.diag_indices_from(scaled)] = diagonal * scale ** 2
