@@ -65,6 +65,13 @@ def test_one_that_was_killed_is_told_and_started_again(second: Second) -> None:
     assert second.run(os.getpid) != pid
 
 
+def test_what_cannot_be_sent_spoils_nothing_that_comes_next(second: Second) -> None:
+    with pytest.raises(TypeError):
+        second.run(len, (bytes(200_000), threading.Lock()))
+    word = 'told twice, sent once'
+    assert second.run(os.path.join, word, word) == os.path.join(word, word)
+
+
 def test_what_is_urgent_is_the_next(second: Second, tmp_path: Path) -> None:
     gate, order = tmp_path / 'gate', []
     os.mkfifo(gate)

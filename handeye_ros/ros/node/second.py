@@ -77,10 +77,11 @@ class Second:
             self._busy = True
 
     def _asked(self, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
+        asked = pickle.dumps((function, args))  # all of it or, where that fails, nothing is sent
         process = self._running()
         assert process.stdin and process.stdout
         try:
-            pickle.dump((function, args), process.stdin)
+            process.stdin.write(asked)
             process.stdin.flush()
             result, error = pickle.load(process.stdout)
         except (EOFError, OSError) as ended:
