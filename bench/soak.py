@@ -34,7 +34,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -280,7 +280,10 @@ def soak(minutes: float, rate: float) -> None:
         while driver.poll() is None and node.poll() is None:
             watcher.wait(0.02, False)
             user.rest(PAUSE)
-            user.call()
+            try:
+                user.call()
+            except AssertionError as error:
+                ended(f'{error}; the node: {node.poll()}', driver, log)
             look(port)
             now = time.monotonic() - begin
             _, resident = LIVE['usage'](node.pid)
@@ -298,12 +301,17 @@ def soak(minutes: float, rate: float) -> None:
                       f'profiles, {resident:.0f} and {memory[-1][2]:.0f} MB; slowest {slowest}',
                       flush=True)
         if node.poll() is not None:
-            driver.kill()
-            sys.exit(f'the node ended with {node.returncode}:\n{log.read_text()[-2000:]}')
+            ended(f'the node ended with {node.returncode}', driver, log)
         watcher.wait(4.0, False)
         sent = int(driver.stdout.read())
         print(f'{sent} profiles sent, {sent - watcher.count()} lost; {watcher.notes}')
         report(user, still(), synced(), memory, minutes)
+
+
+def ended(why: str, driver: subprocess.Popen[str], log: Path) -> NoReturn:
+    """Tell why it ends before its time, and what the node said last."""
+    driver.kill()
+    sys.exit(f'{why}\n{log.read_text()[-2000:]}')
 
 
 def before_others() -> None:

@@ -10,10 +10,10 @@ import sys
 from handeye_ros.errors import HandeyeError, InputError
 import rclpy
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
-__all__ = ['exit_code', 'InvalidHandle', 'RCLError', 'ros']
+__all__ = ['exit_code', 'InvalidHandle', 'RCLError', 'ros', 'spin']
 
 
 def exit_code(run: Callable[[], None]) -> int:
@@ -52,6 +52,19 @@ def ros(args: Sequence[str] | None = None, *, interruptible: bool = False) -> It
         yield
     finally:
         rclpy.try_shutdown()
+
+
+def spin(executor: Executor) -> None:
+    """
+    Spin until ROS is shut down.
+
+    What another thread destroys while the executor prepares to wait for it would end it.
+    """
+    while rclpy.ok():
+        try:
+            return executor.spin()
+        except InvalidHandle:
+            pass  # the next round knows that it is gone
 
 
 def _first_sentence(text: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.errors import TopicsError
-from handeye_ros.ros.executable import RCLError, ros
+from handeye_ros.ros.executable import RCLError, ros, spin
 from handeye_ros.ros.node import params
 from handeye_ros.ros.node.graph import namesake
 from handeye_ros.ros.node.intake import Intake
@@ -233,7 +233,7 @@ def run() -> None:
         executor = MultiThreadedExecutor(THREADS)
         executor.add_node(node)
         try:
-            executor.spin()
+            spin(executor)
         except KeyboardInterrupt:
             pass
         except RCLError:

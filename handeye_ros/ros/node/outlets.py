@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import threading
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped
@@ -26,10 +27,14 @@ from handeye_ros.ros.node.scene import current_markers, Seen, session_markers
 from handeye_ros.ros.node.telling import state_of
 from handeye_ros.sampling.state import GuidanceState, samples_message, State, status_message
 from handeye_ros.sampling.stops import Outcome
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
+
+UNWATCHED = PublisherEventCallbacks(use_default_callbacks=False)
 
 
 class Outlets:
@@ -52,13 +57,12 @@ class Outlets:
             node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
                                       '~/calibration only, not on /tf_static')
         self._advised: GuidanceState | None = None
-        self._next_pose = node.create_publisher(PoseStamped, '~/next_pose', LATCHED)
+        self._next_pose = made_anew(node, PoseStamped, '~/next_pose')
         self._advertise_answer()
 
     def _advertise_answer(self) -> None:
-        create = self._node.create_publisher
-        self._calibration = create(TransformStamped, '~/calibration', LATCHED)
-        self._tf_static = create(TFMessage, '/tf_static', LATCHED) if TFMessage else None
+        self._calibration = made_anew(self._node, TransformStamped, '~/calibration')
+        self._tf_static = made_anew(self._node, TFMessage, '/tf_static') if TFMessage else None
 
     def show(self) -> None:
         """Publish what has changed since the last time."""
@@ -107,7 +111,7 @@ class Outlets:
         self._say('guidance', guidance.text)
         if guidance.translation is None or guidance.rotation is None:
             self._node.destroy_publisher(self._next_pose)
-            self._next_pose = self._node.create_publisher(PoseStamped, '~/next_pose', LATCHED)
+            self._next_pose = made_anew(self._node, PoseStamped, '~/next_pose')
         else:
             self._next_pose.publish(pose_stamped(
                 guidance.translation, guidance.rotation, self._live.config.robot_base_frame,
@@ -151,3 +155,12 @@ class Outlets:
         name = self._node.get_fully_qualified_name().lstrip('/')
         self._diagnostics.publish(diagnostics(state, self._live.arrivals, name,
                                               self._node.get_clock().now().to_msg()))
+
+
+def made_anew(node: Node, kind: Any, name: str) -> Publisher:
+    """
+    Create a latched publisher that may be destroyed while an executor waits.
+
+    It would wait for the events of the publisher, too, and end where they are gone.
+    """
+    return node.create_publisher(kind, name, LATCHED, event_callbacks=UNWATCHED)
