@@ -45,6 +45,12 @@ class Here:
         """Do nothing."""
 
 
+class Parts(list[bytes]):
+    """What is pickled, in parts: a whole of some MB would leave holes in the memory."""
+
+    write = list.append
+
+
 class Second:
     """
     Runs them in a process, one after the other; what is urgent is the next.
@@ -77,11 +83,12 @@ class Second:
             self._busy = True
 
     def _asked(self, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
-        asked = pickle.dumps((function, args))  # all of it or, where that fails, nothing is sent
+        asked = Parts()  # all of it or, where that fails, nothing is sent
+        pickle.dump((function, args), asked)
         process = self._running()
         assert process.stdin and process.stdout
         try:
-            process.stdin.write(asked)
+            process.stdin.writelines(asked)
             process.stdin.flush()
             result, error = pickle.load(process.stdout)
         except (EOFError, OSError) as ended:
