@@ -121,7 +121,8 @@ def stand(live: LiveVerify, profiles: Any, poses: Any) -> None:
                 live.take_sample()
 
 
-def test_nobody_waits_for_a_verdict(tmp_path: Path) -> None:
+def verifying(tmp_path: Path) -> tuple[LiveVerify, Gate]:
+    """Return what has seen all that a verification needs, and what will tell its verdict."""
     second = Gate()
     live = running(tmp_path, second, sampling__mode='manual', verify__routine='sphere',
                    verify__radius=0.04)
@@ -129,6 +130,11 @@ def test_nobody_waits_for_a_verdict(tmp_path: Path) -> None:
     live.compute()
     live.verify_start()
     stand(live, *PARTS[1])
+    return live, second
+
+
+def test_nobody_waits_for_a_verdict(tmp_path: Path) -> None:
+    live, second = verifying(tmp_path)
     with second.closed(live.verify_result) as told:
         assert live.working == 'the calibration is verified'
         # the verification goes on until it has an answer, and stops count for it
@@ -141,13 +147,7 @@ def test_nobody_waits_for_a_verdict(tmp_path: Path) -> None:
 
 
 def test_a_verification_that_was_ended_meanwhile_is_told_and_stays_ended(tmp_path: Path) -> None:
-    second = Gate()
-    live = running(tmp_path, second, sampling__mode='manual', verify__routine='sphere',
-                   verify__radius=0.04)
-    stand(live, *PARTS[0])
-    live.compute()
-    live.verify_start()
-    stand(live, *PARTS[1])
+    live, second = verifying(tmp_path)
     with second.closed(live.verify_result) as told:
         live.configure(changed(live.config, 'verify.routine', ''))
         live.configure(changed(live.config, 'verify.routine', 'sphere'))
