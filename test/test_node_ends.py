@@ -1,0 +1,118 @@
+"""How the node ends, idle and while it solves, and what it answers meanwhile."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs rclpy')
+from command import PATIENCE, running  # noqa: E402, I100
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.task import Future  # noqa: E402
+from ros_helpers import (  # noqa: E402
+    Client,
+    pose_message,
+    ROOT,
+    running_node,
+    sphere_profile,
+)
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+SECOND = """
+import threading
+from handeye_ros import pipeline
+from handeye_ros.ros.node.second import main
+
+def solve(*args):
+    print('solving', flush=True)
+    threading.Event().wait()
+
+pipeline.solve = solve
+main()
+"""
+SLOW = f"""
+import sys
+from handeye_ros.ros.node import second
+second.COMMAND = (sys.executable, '-c', {SECOND!r})
+from handeye_ros.ros.node.main import main
+sys.exit(main())
+"""
+
+
+@contextmanager
+def solving(tmp_path: Path, client: Client) -> Iterator[tuple[subprocess.Popen[bytes], Future]]:
+    """Run a node that solves and never ends to; give it, and what will have its answer."""
+    log = tmp_path / 'node.log'
+    command = [sys.executable, '-c', SLOW, '--ros-args', '-p', 'target.type:=sphere', '-p',
+               'target.radius:=0.04', '-p', f'output_dir:={tmp_path}']
+    with log.open('w') as stream, running(command, cwd=ROOT, stdout=stream,
+                                          stderr=stream) as process:
+        client.connect()
+        for stamp in range(10**18, 10**18 + 10**9, 10**9 // 20):
+            client.poses.publish(pose_message(stamp))
+            client.profiles.publish(sphere_profile(stamp + 1))
+        client.until_counted(profiles=20, poses=20)
+        service = client.node.create_client(Trigger, '/handeye/compute_calibration')
+        client.until(service.service_is_ready, 'the service is there')
+        future = service.call_async(Trigger.Request())
+        client.until(lambda: 'solving' in log.read_text(), 'it solves')
+        yield process, future
+
+
+def test_all_other_services_answer_while_it_solves(tmp_path: Path, client: Client) -> None:
+    with solving(tmp_path, client) as (_, future):
+        told = client.call('take_sample')
+        assert told.success and told.message.startswith('sample 1 taken again'), told.message
+        words = {'save_calibration': 'there is no calibration to save',
+                 'verify_start': 'verify.routine is not set',
+                 'verify_result': 'no verification was started'}
+        for name, word in words.items():
+            told = client.call(name)
+            assert (told.success, word in told.message) == (False, True), told.message
+        request = SetParameters.Request(parameters=[
+            Parameter('limits.translation', value=0.004).to_parameter_msg()])
+        assert client.request(SetParameters, 'set_parameters', request).results[0].successful
+        assert client.call('auto_sample', SetBool.Request(data=False)).success
+        assert client.call('remove_last_sample').message.startswith('removed sample 1')
+        assert client.call('clear_samples').success
+        assert not future.done(), 'it solves still'
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_the_node_ends_cleanly_while_it_solves(
+        tmp_path: Path, client: Client, number: int) -> None:
+    with solving(tmp_path, client) as (process, _):
+        log = tmp_path / 'node.log'
+        process.send_signal(number)
+        assert process.wait(PATIENCE) == 0
+    said = log.read_text().splitlines()
+    assert [line for line in said if '[INFO]' not in line and '[WARN]' not in line] == ['solving']
+
+
+@pytest.mark.parametrize('module', ['node.main', 'replay'])
+def test_without_a_place_for_logs(module: str) -> None:
+    block = ('import os; [os.environ.pop(name, 0) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR")]'
+             f'; import sys; from handeye_ros.ros.{module} import main; sys.exit(main())')
+    arguments = ['bags/sphere'] if module == 'replay' else []
+    run = subprocess.run([sys.executable, '-c', block, *arguments], cwd=ROOT, text=True,
+                         capture_output=True, check=False, timeout=PATIENCE)
+    assert run.returncode == 2
+    assert run.stderr.startswith('ROS does not start: it has no place for its logs')
+    assert run.stderr.count('\n') == 1
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_the_node_ends_cleanly(tmp_path: Path, client: Client, number: int) -> None:
+    with running_node(tmp_path) as process:
+        client.state()
+        process.send_signal(number)
+        assert process.wait(PATIENCE) == 0
+    assert 'Traceback' not in (tmp_path / 'node.log').read_text()
