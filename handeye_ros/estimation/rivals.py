@@ -2,8 +2,8 @@
 Whether another answer, well apart from the one that was found, explains the samples as well.
 
 Each answer is scored by the squared residuals of all stations, each limited to what makes a
-station count as wrong: the difference of two scores is judged like one of chi-squared (Wilks
-1938, Ann. Math. Statist. 9:60).
+station, or an edge that it shows, count as wrong: the difference of two scores is judged like one
+of chi-squared (Wilks 1938, Ann. Math. Statist. 9:60).
 """
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ ENOUGH = 15  # redundant conditions beyond which the first guess is the only ans
 LOST_SHARE = 0.1  # of the stations dropped from which the others might be the right ones
 SUBSETS = 10
 HOPELESS = 16.0  # squared residual, over that of the found answer, of no rival
+ENOUGH_IN_VAIN = 8  # hopeless starts, best first, one after the other: so are those after them
 WRONG = 1e-4  # chance of a good station's squared residual being limited
 APART = 1e-6  # chance of one answer lying so far from another within its uncertainty
 AS_GOOD = 1e-3  # chance of the right one of two answers scoring so much worse
@@ -32,13 +33,15 @@ SMALLEST_DISTANCE = 1e-4  # m or rad between answers worth parting
 
 def rival(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> Solution | None:
     """Return another answer that explains the samples as well, None where there is none."""
-    found, limit = agreed.solution, chi2_above(AS_GOOD, 1)
+    found, limit, in_vain = agreed.solution, chi2_above(AS_GOOD, 1), 0
     best = _score(problem, agreed, found)
     for start in _starts(problem, agreed, rng):
-        trial = refined(problem, start)
+        trial, in_vain = refined(problem, start), in_vain + 1
+        if in_vain > ENOUGH_IN_VAIN:
+            break
         if trial.misfit > HOPELESS * max(1.0, found.variance_factor):
             continue
-        other = without_outliers(trial)
+        other, in_vain = without_outliers(trial), 0
         if _apart(found, other.solution) and _score(problem, other, found) < best + limit:
             return other.solution
     return None
@@ -71,5 +74,6 @@ def _score(problem: Problem, agreed: Consensus, scale: Solution) -> float:
     ranks = agreed.solution.ranks
     squares: Array = station_squares(agreed.solution) / max(1.0, scale.variance_factor)
     limits = chi2_above(WRONG / n, np.maximum(ranks, 1))
-    typical = float(np.median(limits))
-    return float(np.minimum(squares, limits).sum()) + typical * len(agreed.dropped)
+    lost = (float(np.median(limits)) * len(agreed.dropped)
+            + float(chi2_above(WRONG / n, 1)) * len(agreed.lost))
+    return float(np.minimum(squares, limits).sum()) + lost

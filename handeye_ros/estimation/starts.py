@@ -15,13 +15,15 @@ from handeye_ros.estimation.solve import move
 import numpy as np
 
 COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on after them
+MOST = 20  # answers that are worth looking at
 SOME_START = 1e-6  # step of the residuals that ends the way of a start among others (m)
 FEW_STATIONS, MORE_STARTS = 12, 6  # with few stations there may be several answers
+SAME = 1e-3  # m or rad: starts nearer to each other than this lead to the same answer
 
 
 def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:
     """
-    Return the estimates that the starts lead to, best first, poor ones given up early.
+    Return the different estimates that the starts lead to, best first, poor ones given up early.
 
     more: times as many go on.
     """
@@ -37,8 +39,18 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
     states: States = (np.array([start.X for start in starts]),
                       np.array([start.target for start in starts]))
     for iterations, kept in COMPETITION:
-        kept = more * (max(kept, MORE_STARTS) if few else kept)
+        kept = max(more * kept, MORE_STARTS if few else 0)
         states, cost = many_least_squares(linear, retract, states, iterations, SOME_START)
-        best = np.argsort(cost, kind='stable')[:kept]
+        order = np.argsort(cost, kind='stable')
+        best = order[different(states[0][order])][:kept]
         states = tuple(values[best] for values in states)
-    return [Estimate(X, target) for X, target in zip(*states, strict=True)]
+    return [Estimate(X, target) for X, target in zip(*states, strict=True)][:MOST]
+
+
+def different(X: Array) -> list[int]:
+    """Return which transforms (k, 4, 4) are next to no earlier one."""
+    kept: list[int] = []
+    for i in range(len(X)):
+        if not kept or np.abs(X[kept] - X[i]).max(axis=(1, 2)).min() > SAME:
+            kept.append(i)
+    return kept

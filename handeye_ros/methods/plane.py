@@ -20,7 +20,7 @@ from handeye_ros.estimation.method import (
     observed_points,
 )
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.starts import best_of
+from handeye_ros.estimation.starts import best_of, different, FEW_STATIONS
 from handeye_ros.methods.common import (
     add_face,
     best_linear,
@@ -38,6 +38,8 @@ from numpy.typing import NDArray
 
 NORMALS = 400
 CANDIDATES = 10
+SWEEPS = ((1, 1), (FINER, FINER))  # finer, and more candidates
+CROWD = 10  # times as many where few stations nearly fit in many wrong ways
 
 
 def observe(samples: Sequence[Sample]) -> Observations:
@@ -77,16 +79,20 @@ def guess(observations: Observations, poses: Array, config: Config, rng: np.rand
     """Yield estimates from nothing, best first; from a finer sweep when these do not do."""
     problem = Problem(PLANE, poses, observations, config)
     problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
-    for finer in (1, FINER):
-        yield from best_of(problem, linear_candidates(problem, finer), finer)
+    few = len(poses) <= FEW_STATIONS
+    found: list[Estimate] = []
+    for finer, more in ((1, CROWD), (1, NORMALS // CANDIDATES)) if few else SWEEPS:
+        known = len(found)
+        found += best_of(problem, linear_candidates(problem, finer, more), more)
+        yield from (found[i] for i in different(np.array([e.X for e in found])) if i >= known)
 
 
-def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:
+def linear_candidates(problem: Problem, finer: int = 1, more: int = 1) -> list[Estimate]:
     """
     Return the best of the linear solutions over a sweep of plane normals.
 
-    finer: so many times the usual number. For a known normal n, n . (R (x r1 + z r3 + t) + a) = d
-    is linear in r1, r3, t, d.
+    finer: so many times the usual number of normals; more: the same of solutions. For a known
+    normal n, n . (R (x r1 + z r3 + t) + a) = d is linear in r1, r3, t, d.
     """
     obs = problem.observations
     R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
@@ -96,7 +102,7 @@ def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:
     u, v = obs.points.T[:, None, :, None]
     A = np.concatenate([u * nR, v * nR, nR, -np.ones_like(nR[:, :, :1])], axis=2)
     b = -np.einsum('kj,mj->km', normals, a - a_mean)
-    best, x = best_linear(A, b, CANDIDATES * finer)
+    best, x = best_linear(A, b, CANDIDATES * more)
     return [_estimate(x[k], normals[k], a_mean) for k in best]
 
 
