@@ -18,7 +18,9 @@ SMALLEST_ANGLE = 1e-30  # rad: keeps sin(a) / a defined
 
 def transform(rotation: Array, translation: Array) -> Array:
     """Return the (..., 4, 4) transform of (..., 3, 3) rotation and (..., 3) translation."""
-    shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    shape = rotation.shape[:-2]
+    if shape != translation.shape[:-1]:
+        shape = np.broadcast_shapes(shape, translation.shape[:-1])
     T = np.zeros((*shape, 4, 4))
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rotation, translation, 1.0
     return T

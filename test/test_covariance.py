@@ -17,10 +17,10 @@ from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import TooUncertainError
 from handeye_ros.config import with_values
 from handeye_ros.estimation.method import Estimate
+from handeye_ros.estimation.predictions import predictions
 from handeye_ros.estimation.solve import (
     evaluate,
     fitted,
-    predictions,
     Solution,
     station_statistic,
 )

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 from handeye_ros.config.answer import (
@@ -62,6 +63,7 @@ class Config:
     page: PageConfig = field(default_factory=PageConfig)
 
 
+@cache
 def parameters() -> tuple[Parameter, ...]:
     """Return every key, in their order."""
     return tuple(parameters_of(Config(), ''))

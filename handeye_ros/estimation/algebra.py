@@ -8,6 +8,7 @@ from scipy.linalg import lapack
 LARGEST_STD = 1e3  # stands for infinity (m or rad)
 FEWEST, AT_ONCE, MOST_ROWS = 50, 200, 24  # triangles, and rows of each, inverted row by row
 FREE = 1e-13  # relative information of a direction that is not seen
+HALVED = 100  # rows from which a matrix is inverted by halves
 NOTHING = 1e-280  # information, so small that its inverse is still a number
 
 
@@ -29,19 +30,44 @@ def inverse(information: Array) -> Array:
 
 def _inverse_of_scaled(scaled: Array, scale: Array) -> Array:
     """Return the inverse of a matrix that times scale (p,) from both sides has a diagonal of 1."""
-    every = np.arange(len(scaled))
-    scaled[every, every] += FREE
-    root, failed = lapack.dpotrf(scaled.T, lower=1)  # and zeros above it
-    if failed:
+    _diagonal(scaled)[:] += FREE
+    try:
+        full = _regular_inverse(scaled)
+    except np.linalg.LinAlgError:
         values, vectors = np.linalg.eigh(scaled)
         full = (vectors / np.maximum(values, FREE)) @ vectors.T
-    else:
-        lower, _ = lapack.dpotri(root, lower=1, overwrite_c=1)
-        full = lower + lower.T
-        full[every, every] /= 2
     full *= scale
     full *= scale[:, None]
     return np.asarray(full)
+
+
+def _regular_inverse(S: Array) -> Array:
+    """
+    Return the inverse of a symmetric positive matrix (p, p), of a large one by halves.
+
+    Products of matrices are quicker than what LAPACK does. Raises LinAlgError.
+    """
+    if len(S) < HALVED:
+        root, failed = lapack.dpotrf(S.T, lower=1)  # and zeros above it
+        if failed:
+            raise np.linalg.LinAlgError
+        lower, _ = lapack.dpotri(root, lower=1, overwrite_c=1)
+        full = lower + lower.T
+        _diagonal(full)[:] /= 2
+        return np.asarray(full)
+    h, full = len(S) // 2, np.empty_like(S)
+    first = _regular_inverse(S[:h, :h])
+    across = S[h:, :h] @ first
+    last = _regular_inverse(S[h:, h:] - across @ S[:h, h:])
+    both = last @ across
+    full[:h, :h], full[h:, h:] = first + across.T @ both, last
+    full[h:, :h], full[:h, h:] = -both, -both.T
+    return full
+
+
+def _diagonal(matrix: Array) -> Array:
+    """Return a view of the diagonal (p,), to change it."""
+    return np.asarray(np.einsum('ii->i', matrix))
 
 
 def from_information(N: Array, b: Array, sizes: Array, known: int) -> tuple[Array, Array]:
@@ -52,14 +78,15 @@ def from_information(N: Array, b: Array, sizes: Array, known: int) -> tuple[Arra
     sizes: (p,) by which they are larger; of the last so many, known, the variance is known to be
     1 beforehand.
     """
-    prior = (np.arange(len(b)) >= len(b) - known).astype(float)
-    diagonal = np.diag(N) * sizes ** 2 + prior
+    diagonal = _diagonal(N) * sizes ** 2
+    diagonal[len(b) - known:] += 1.0
     scale = 1 / np.sqrt(np.maximum(diagonal, NOTHING))
     both = sizes * scale
-    scaled = N * both * both[:, None]
-    scaled[np.diag_indices_from(scaled)] = diagonal * scale ** 2
+    scaled = N * both
+    scaled *= both[:, None]
+    _diagonal(scaled)[:] = diagonal * scale ** 2
     covariance = _inverse_of_scaled(scaled, scale)
-    return -covariance @ (sizes * b), covariance
+    return covariance @ (-sizes * b), covariance
 
 
 def from_conditions(A: Array, r: Array, known: int) -> tuple[Array, Array]:
@@ -72,7 +99,7 @@ def from_conditions(A: Array, r: Array, known: int) -> tuple[Array, Array]:
     free = A.shape[1] - known
     K = A[:, free:]
     V = K @ K.T
-    V[np.diag_indices_from(V)] += 1.0
+    _diagonal(V)[:] += 1.0
     root, _ = lapack.dpotrf(V.T, lower=1, overwrite_a=1)
     whitener, _ = lapack.dtrtri(root, lower=1, overwrite_c=1)
     white, r = whitener @ A, whitener @ r
@@ -85,8 +112,7 @@ def from_conditions(A: Array, r: Array, known: int) -> tuple[Array, Array]:
     covariance[free:, :free] = covariance[:free, free:].T
     left = K - seen @ (J.T @ K)
     covariance[free:, free:] = -K.T @ left
-    every = np.arange(free, len(covariance))
-    covariance[every, every] += 1.0
+    _diagonal(covariance)[free:] += 1.0
     return np.append(x, -K.T @ (r + J @ x)), covariance
 
 

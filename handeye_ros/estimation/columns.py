@@ -68,6 +68,13 @@ class Columns:
         return np.asarray(self.own[:, :c] @ x[:c]
                           + (self.own[:, c:] * at_station[self.station]).sum(axis=1))
 
+    def change(self, x: Array, rows: NDArray[np.intp]) -> Array:
+        """Return what times does (s, count), of s stations' rows."""
+        c, (own, functions) = self.single, self.blocks(rows)
+        by_axes = functions @ x[c:].reshape(self.axes, self.shared.shape[1]).T
+        by_own = np.concatenate([np.broadcast_to(x[:c], (len(rows), c)), by_axes], axis=1)
+        return np.asarray((own @ by_own[..., None])[..., 0])
+
     def gradient_of(self, r: Array, rows: Rows) -> Array:
         """Return the gradient (p,) of half the squares of some rows of residuals r (m,)."""
         c, total = self.single, np.zeros(self.count)
@@ -77,6 +84,13 @@ class Columns:
             total[:c] += by_station[:, :c].sum(axis=0)
             total[c:] += (by_station[:, c:].T @ functions).ravel()
         return total
+
+    def gradients(self, r: Array, rows: NDArray[np.intp]) -> Array:
+        """Return what gradient_of does (s, p), of each of s stations' residuals r (s, count)."""
+        c, (own, functions) = self.single, self.blocks(rows)
+        by_station = (r[:, None] @ own)[:, 0]
+        by_axes = by_station[:, c:, None] * functions[:, None]
+        return np.concatenate([by_station[:, :c], by_axes.reshape(len(r), self.count - c)], axis=1)
 
     @cached_property
     def gram(self) -> Array:

@@ -86,6 +86,8 @@ def _stated(problem: Problem, linear: Linear) -> Iterator[Doubt]:
 def _setbacks(problem: Problem, linear: Linear) -> Iterator[Doubt]:
     """Yield by how much the faces end short of each edge, for each way in which they end."""
     obs, std, ends = problem.observations, problem.config.target.setback_std, problem.ends
+    if not ends.parts:
+        return
     outwards = ends.outwards((linear.by_point * obs.outward).sum(axis=1))
     for (kind, end), here in ends.parts.items():
         name = f'setback_{problem.method.kinds[kind]}_{end}'
@@ -100,7 +102,7 @@ def _setbacks(problem: Problem, linear: Linear) -> Iterator[Doubt]:
 def _scale(problem: Problem, linear: Linear) -> Iterator[Doubt]:
     """Yield the scale of the robot."""
     std, station = problem.config.noise.robot_scale, problem.observations.station
-    by_scale = (linear.by_pose[:, :3] * _scaled(problem)[station]).sum(axis=1)
+    by_scale = np.einsum('mi,mi->m', linear.by_pose[:, :3], _scaled(problem)[station])
     yield Doubt('scale', by_scale[:, None] * std, std)
 
 
@@ -147,7 +149,8 @@ def _sensor(problem: Problem, linear: Linear, fields: list[Array]) -> Iterator[D
     if not std:
         return
     for (degree, share), field in zip(DISTORTION.items(), fields, strict=True):
-        columns = (linear.by_point[:, None] @ field)[:, 0] * (std * share)
+        by_x, by_z = (linear.by_point * (std * share)).T[:, :, None]
+        columns = by_x * field[:, 0] + by_z * field[:, 1]
         yield Doubt(f'distortion_{degree}', columns, std * share)
 
 

@@ -51,9 +51,13 @@ def bending(points: Array, degrees: Sequence[int]) -> list[Array]:
     one, none = np.ones(m), np.zeros(m)
     rigid = np.concatenate([np.column_stack([one, none, z]), np.column_stack([none, one, -x])])
     terms = polynomials(x, z, degrees)
-    both = np.concatenate([np.kron(np.eye(2), some) for some in terms], axis=1)
-    bent = without(both, rigid).reshape(2, m, -1).swapaxes(0, 1)
-    return _each_of_unit_size(bent, [some.shape[1] for some in terms], 2)
+    counts = [some.shape[1] for some in terms]
+    both = np.zeros((2, m, 2 * sum(counts)))
+    for some, last in zip(terms, 2 * np.cumsum(counts), strict=True):
+        k = some.shape[1]
+        both[0, :, last - 2 * k:last - k] = both[1, :, last - k:last] = some
+    bent = without(both.reshape(2 * m, -1), rigid).reshape(2, m, -1).swapaxes(0, 1)
+    return _each_of_unit_size(bent, counts, 2)
 
 
 def bent_faces(p: Array, here: NDArray[np.bool_], degrees: Sequence[int]) -> list[Array]:

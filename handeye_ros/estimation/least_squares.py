@@ -142,26 +142,38 @@ def many_least_squares(linear: Callable[[States], tuple[Array, Array]],
     starts: arrays (k, ...); linear(states): residuals (k, m) and their derivatives (k, m, u);
     retract(states, steps (k, u)): the moved states; converged: see least_squares.
     """
-    count, now = len(starts[0]), [part.copy() for part in (*starts, *linear(starts))]
-    damping, taken = np.full(count, FIRST_DAMPING), np.zeros(count, dtype=int)
-    refused, going = np.zeros(count, dtype=int), np.arange(count)
+    going, now = np.arange(len(starts[0])), [*starts, *linear(starts)]
+    ends, squares = [part.copy() for part in starts], np.empty(len(going))
+    damping = np.full(len(going), FIRST_DAMPING)
+    taken, refused = np.zeros((2, len(going)), dtype=int)
     while len(going):
-        *states, r, J = (values[going] for values in now)
-        step = _damped_steps(J, r, damping[going])
+        *states, r, J = now
+        step = _damped_steps(J, r, damping)
         moved = retract(tuple(states), step)
         new = [*moved, *linear(moved)]
         length = np.linalg.norm((J @ step[..., None])[..., 0], axis=1)
         before, after = (np.einsum('km,km->k', e, e) for e in (r, new[-2]))
         tried = _judged(before, after, length, converged)
-        for values, part in zip(now, new, strict=True):
-            values[going[tried.better]] = part[tried.better]
-        damping[going] = np.maximum(damping[going] * tried.damping, SMALLEST_DAMPING)
-        taken[going] += tried.better
-        refused[going] = np.where(tried.better, 0, refused[going] + 1)
-        going = going[~tried.done & (taken[going] < iterations)
-                      & (refused[going] < MAX_DAMPINGS)]
-    *states, r, _ = now
-    return tuple(states), np.einsum('km,km->k', r, r)
+        now = _better_of(now, new, tried.better)
+        damping = np.maximum(damping * tried.damping, SMALLEST_DAMPING)
+        taken, refused = taken + tried.better, np.where(tried.better, 0, refused + 1)
+        left = ~tried.done & (taken < iterations) & (refused < MAX_DAMPINGS)
+        if left.all():
+            continue
+        reached = [*now[:-2], np.where(tried.better, after, before)]
+        for end, values in zip([*ends, squares], reached, strict=True):
+            end[going[~left]] = values[~left]
+        now = [values[left] for values in now]
+        going, damping, taken, refused = (v[left] for v in (going, damping, taken, refused))
+    return tuple(ends), squares
+
+
+def _better_of(now: list[Array], new: list[Array], better: NDArray[np.bool_]) -> list[Array]:
+    """Return arrays (k, ...) of states with the new ones where these are better (k,)."""
+    if better.all():
+        return new
+    return [np.where(better.reshape(-1, *[1] * (values.ndim - 1)), part, values)
+            for values, part in zip(now, new, strict=True)]
 
 
 def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array], S]) -> S:

@@ -172,14 +172,13 @@ class _System:
             return from_conditions(self.columns.dense * s, self.r, q)
         return from_information(self.columns.gram, self.gradient, s, q)
 
-    def sized(self, steps: int) -> tuple[_System, Sizes]:
+    def sized(self, steps: int) -> tuple[_System, Sizes | None]:
         """
         Return the system with the doubts as large as they show themselves, and these sizes.
 
-        A last step that changes next to nothing is not made.
+        A last step that changes next to nothing is not made. Without a doubt there are no sizes.
         """
-        system, now = self, self.variances
-        found = Sizes(now, now, np.zeros(len(now)))
+        system, found = self, None
         for _ in range(steps if self.doubts else 0):
             before, found = system.variances, system.shown
             if np.abs(np.log(found.stated / before)).max() < SETTLED:
@@ -192,21 +191,19 @@ class _System:
         """Return how large the doubts show themselves."""
         (x, covariance), u, before = self.solved, self.u, self.variances
         largest = np.array([MOST if d.parameter is None else LARGEST for d in self.doubts])
-        alone = np.bincount(self.group, minlength=len(before)) == 1
-        found = sizes(covariance[u:, u:], x[u:], self.first, before, largest)
-        return found.one_grown(before, alone)
+        return sizes(covariance[u:, u:], x[u:], self.first, before, largest)
 
     def with_noise(self, x: Array, covariance: Array, believed: Array = CONFIGURED) -> Noise:
         """Return the noise with the factors that the residuals show, held to those believed."""
         s, sums = self.scales, np.zeros((4, 2))
-        residuals, covariance = self.r + self.columns.times(s * x), covariance * s * s[:, None]
+        covariance = covariance * s * s[:, None]
         every = -(-len(self.problem.poses) // ASKED)
         for stations, factors in zip(self.problem.stations, self.white.factors, strict=True):
             at, root = stations.every(every), factors[::every]
             V = self.noise.factors[:, None, None, None] * covariances(
                 self.problem, self.linear, at)
             W = root @ V @ np.swapaxes(root, 1, 2)
-            r = residuals[at.rows]
+            r = self.r[at.rows] + self.columns.change(s * x, at.rows)
             left = np.eye(r.shape[1]) - self.columns.seen(covariance, at.rows)
             sums[:, 0] += ((W @ r[..., None])[..., 0] * r).sum(axis=(1, 2))
             sums[:, 1] += (W * left).sum(axis=(1, 2, 3))
@@ -235,7 +232,8 @@ class _System:
     def answer(self) -> Solution:
         """Return the solution, with what is stated of it."""
         _, found = self.sized(LAST_STEPS)
-        lean, wide = self.with_sizes(found.lean), self.with_sizes(found.stated)
+        lean, wide = (self.with_sizes(found.lean), self.with_sizes(found.stated)) if found else (
+            self, self)
         for _ in range(LEAN_STEPS):
             lean = lean.weighed(lean.with_noise(*lean.solved, LEAN))
         estimate, deviation = lean.moved(lean.solved[0])

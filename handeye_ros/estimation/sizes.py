@@ -9,6 +9,7 @@ but summed over.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 from handeye_ros.data import Array
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 SIZES = np.geomspace(0.001, 1e4, 43)  # that are summed over
 VARIANCES = SIZES ** 2
+LOGARITHMS = np.log(VARIANCES)
 GROWN = 2.0  # times the variance before: less is no new cause
 
 
@@ -37,29 +39,60 @@ LEAN = _belief(1.0, 0.01)
 @dataclass(frozen=True, eq=False)
 class Sizes:
     """
-    Variances (d,) of doubts over the configured: for an estimate, and for what is stated.
+    How large d doubts show themselves, as variances over the configured ones.
 
-    gain: (d,) logarithm of how much likelier the data are, were each as large as it may be.
+    before: (d,) their variances so far; evidence: (s, d) logarithm of how likely the data are,
+    were a doubt of each of SIZES; fitted, square: (s, d) what they then are, without and with
+    what is not known of them; alone: (d,) whether they are of one unknown.
     """
 
-    lean: Array
-    stated: Array
-    gain: Array
+    before: Array
+    evidence: Array
+    fitted: Array
+    square: Array
+    alone: NDArray[np.bool_]
 
-    def one_grown(self, before: Array, alone: NDArray[np.bool_]) -> Sizes:
-        """
-        Return the sizes with only one of the doubts of one unknown (alone, (d,)) grown.
+    @cached_property
+    def lean(self) -> Array:
+        """Return the variances (d,) for an estimate."""
+        grown = _matched(LEAN[:, None], self.evidence, self.fitted)
+        return np.where(self._waiting, np.minimum(grown, self.before), grown)
 
-        before: (d,) their variances so far. Two doubts may explain the same, and were both
-        large, neither would seem needed: that which explains most grows first.
+    @cached_property
+    def stated(self) -> Array:
+        """Return the variances (d,) for what is stated of an estimate."""
+        return np.where(self._waiting, self.before, self._each_stated)
+
+    @cached_property
+    def _waiting(self) -> NDArray[np.bool_]:
         """
-        growing = alone & (self.stated > GROWN * before)
-        if growing.sum() < 2:
-            return self
-        best = int(np.argmax(np.where(growing, self.gain, -np.inf)))
-        waits = growing & (np.arange(len(before)) != best)
-        return Sizes(np.where(waits, np.minimum(self.lean, before), self.lean),
-                     np.where(waits, before, self.stated), self.gain)
+        Return which of the doubts of one unknown (d,) do not grow while another does.
+
+        Two of them may explain the same, and were both large, neither would seem needed: that
+        which explains most grows first.
+        """
+        growing = self.alone & (self._each_stated > GROWN * self.before)
+        if growing.sum() > 1:
+            growing[np.argmax(np.where(growing, self._gain, -np.inf))] = False
+            return growing
+        return np.zeros(len(growing), dtype=bool)
+
+    @cached_property
+    def _each_stated(self) -> Array:
+        return _matched(self._belief, self.evidence, self.square)
+
+    @property
+    def _belief(self) -> Array:
+        return np.where(self.alone, ALONE[:, None], STATED[:, None])
+
+    @property
+    def _gain(self) -> Array:
+        """Return how much likelier (d,) the data are over all sizes than at that before."""
+        belief = self._belief
+        posterior = belief - np.logaddexp.reduce(belief) + self.evidence
+        now = [np.interp(np.log(own), LOGARITHMS, of_size)
+               for own, of_size in zip(self.before, self.evidence.T, strict=True)]
+        return np.asarray(np.logaddexp.reduce(posterior) - now)
 
 
 def sizes(covariance: Array, value: Array, first: NDArray[np.intp], size: Array, largest: Array
@@ -85,22 +118,13 @@ def sizes(covariance: Array, value: Array, first: NDArray[np.intp], size: Array,
     information, gradient = (1 / shares - 1) / now, along / (shares * np.sqrt(now))
     v = VARIANCES[:, None]
     f = 1 + v * information
-    fitted = v * gradient ** 2 / f
+    known = v / f
+    fitted = known * gradient ** 2
     evidence = 0.5 * np.add.reduceat(fitted - np.log(f), first, axis=1)
     evidence[v > largest] = -np.inf
-    square = np.add.reduceat(v / f + (v * gradient / f) ** 2, first, axis=1)
-    counts = np.array([block.stop - block.start for block in blocks])
-    stated = np.where(counts == 1, ALONE[:, None], STATED[:, None])
-    return Sizes(_matched(LEAN[:, None], evidence, np.add.reduceat(fitted, first, axis=1)),
-                 _matched(stated, evidence, square), _gain(stated, evidence, size))
-
-
-def _gain(belief: Array, evidence: Array, size: Array) -> Array:
-    """Return the logarithms (d,) of the evidence (s, d) over all sizes, less that at the size."""
-    posterior = belief - np.logaddexp.reduce(belief) + evidence
-    now = [np.interp(np.log(own), np.log(VARIANCES), of_size)
-           for own, of_size in zip(size, evidence.T, strict=True)]
-    return np.asarray(np.logaddexp.reduce(posterior) - now)
+    square = np.add.reduceat(known * (1 + fitted), first, axis=1)
+    alone = np.array([block.stop == block.start + 1 for block in blocks])
+    return Sizes(size, evidence, np.add.reduceat(fitted, first, axis=1), square, alone)
 
 
 def _matched(belief: Array, evidence: Array, moment: Array) -> Array:
@@ -108,5 +132,5 @@ def _matched(belief: Array, evidence: Array, moment: Array) -> Array:
     posterior = belief + evidence
     weights = np.exp(posterior - posterior.max(axis=0))
     means = (weights * moment).sum(axis=0) / weights.sum(axis=0)
-    return np.exp([np.interp(mean, of_size, np.log(VARIANCES))
+    return np.exp([np.interp(mean, of_size, LOGARITHMS)
                    for mean, of_size in zip(means, moment.T, strict=True)])

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.data import Array
@@ -11,10 +11,10 @@ from handeye_ros.estimation.algebra import covariance_of
 from handeye_ros.estimation.columns import Columns
 from handeye_ros.estimation.doubts import Doubt, pose_errors
 from handeye_ros.estimation.fields import spread
-from handeye_ros.estimation.least_squares import as_they_are, least_squares, Rows, System, White
+from handeye_ros.estimation.least_squares import least_squares, Rows, System
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Linear, linearise, Problem
-from handeye_ros.estimation.weights import Noise, whitening
+from handeye_ros.estimation.weights import Noise, Whitening, whitening
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,24 +30,39 @@ def move(problem: Problem, estimate: Estimate, step: Array) -> Estimate:
                     problem.method.retract(estimate.target, delta[..., 6:]))
 
 
-def system(problem: Problem, noise: Noise | None) -> System[Estimate]:
-    """
-    Return what is to be made small; a station is a block.
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A problem linearised at an estimate, weighed by a noise as soon as that is asked for."""
 
-    noise: None for plain residuals, which is best far from the solution.
-    """
-    def rows(estimate: Estimate) -> Rows:
-        linear = linearise(problem, estimate)
+    linear: Linear
+    noise: Noise
 
-        def white() -> White:
-            return whitening(problem, linear, noise) if noise else as_they_are
-        return Rows(linear.residuals, lambda: linear.jacobian[:, problem.columns], white)
-    return System(rows, partial(move, problem), problem.observations.station)
+    @cached_property
+    def white(self) -> Whitening:
+        """Return the map to residuals of unit covariance."""
+        return whitening(self.linear.problem, self.linear, self.noise)
+
+
+def weighed(problem: Problem, estimate: Estimate, noise: Noise) -> Weighed:
+    """Return a problem linearised at an estimate, to be weighed by a noise."""
+    return Weighed(linearise(problem, estimate), noise)
+
+
+def system(problem: Problem, noise: Noise) -> System[Weighed]:
+    """Return what is to be made small; a station is a block."""
+    def rows(at: Weighed) -> Rows:
+        return Rows(at.linear.residuals, lambda: at.linear.jacobian[:, problem.columns],
+                    lambda: at.white)
+
+    def moved(at: Weighed, step: Array) -> Weighed:
+        return weighed(problem, move(problem, at.linear.estimate, step), noise)
+    return System(rows, moved, problem.observations.station)
 
 
 def fitted(problem: Problem, start: Estimate, noise: Noise) -> Estimate:
     """Return the estimate with the least squared whitened residuals."""
-    return least_squares(system(problem, noise), start)
+    there = least_squares(system(problem, noise), weighed(problem, start, noise))
+    return there.linear.estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,28 +228,3 @@ def poses_of(solution: Solution, doubtful: Array | None = None) -> Array:
     T = solution.problem.poses
     return se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
                          T[:, :3, 3] + errors[:, :3])
-
-
-def predictions(solution: Solution, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
-    """
-    Return the estimates from all stations but those of a fold, for each fold, to first order.
-
-    fold: (n,) from 0, that each station is of. And the poses (n, 4, 4) of the stations without
-    the smooth error of the robot that those of the other folds show.
-    """
-    problem, estimate, u = solution.problem, solution.estimate, solution.unknowns
-    steps = np.array([_step_without(solution, np.flatnonzero(fold == k))
-                      for k in range(fold.max() + 1)])
-    return ([move(problem, estimate, step) for step in steps[:, :u]],
-            poses_of(solution, solution.doubtful + steps[fold, u:]))
-
-
-def _step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
-    """Return by how much the unknowns (u + q,) differ without some stations."""
-    columns, part = solution.columns, solution.columns.of(stations)
-    rows = np.concatenate([some.ravel() for some in part])
-    if len(rows) < columns.count:
-        return blocks.step_without(solution.white[rows], columns.dense_rows(rows),
-                                   solution.covariance)
-    return blocks.step_without_many(solution.information, columns.gram_of(part),
-                                    columns.gradient_of(solution.white, part))

@@ -15,8 +15,8 @@ from handeye_ros.estimation.least_squares import (
 )
 from handeye_ros.estimation.method import Estimate, UNUSED
 from handeye_ros.estimation.problem import linearise, points_in_base, Problem
-from handeye_ros.estimation.solve import evaluate, system
-from handeye_ros.estimation.weights import Noise, whitening
+from handeye_ros.estimation.solve import evaluate, system, Weighed, weighed
+from handeye_ros.estimation.weights import Noise
 import numpy as np
 from numpy.typing import NDArray
 
@@ -88,15 +88,15 @@ def guesses(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
 
 def refined(problem: Problem, estimate: Estimate) -> Trial:
     """Return the trial that graduated non-convexity leads to from an estimate."""
-    def refit(trial: tuple[Problem, Estimate], weights: Array) -> tuple[Problem, Estimate]:
-        labelled, estimate = trial
-        estimate = least_squares(system(labelled, Noise()), estimate, weights, ANNEALING_STEPS,
-                                 NEAR)
-        return relabelled(problem, estimate, labelled), estimate
+    def refit(at: Weighed, weights: Array) -> Weighed:
+        before = at.linear.problem
+        at = least_squares(system(before, at.noise), at, weights, ANNEALING_STEPS, NEAR)
+        now = relabelled(problem, at.linear.estimate, before)
+        return at if now is before else weighed(now, at.linear.estimate, at.noise)
 
-    labelled, estimate = graduated((relabelled(problem, estimate), estimate),
-                                   lambda trial: mean_squares(*trial), refit)
-    squares = mean_squares(labelled, estimate)
+    start = weighed(relabelled(problem, estimate), estimate, Noise())
+    at = graduated(start, _mean_squares, refit)
+    labelled, estimate, squares = at.linear.problem, at.linear.estimate, _mean_squares(at)
     squares = np.where(edge_lost(problem, labelled), np.maximum(squares, LOST_EDGE), squares)
     return Trial(problem, labelled, estimate, squares, _hollow(problem, labelled, estimate))
 
@@ -127,8 +127,11 @@ def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = No
 
 def mean_squares(problem: Problem, estimate: Estimate) -> Array:
     """Return the mean squared whitened residual (n,) of each station, 0 of one with none."""
-    linear = linearise(problem, estimate)
-    r = whitening(problem, linear, Noise())(linear.residuals)
+    return _mean_squares(weighed(problem, estimate, Noise()))
+
+
+def _mean_squares(at: Weighed) -> Array:
+    problem, r = at.linear.problem, at.white(at.linear.residuals)
     station, n = problem.observations.station, len(problem.poses)
     count = np.bincount(station, minlength=n)
     return np.bincount(station, r ** 2, minlength=n) / np.maximum(count, 1)

@@ -120,6 +120,8 @@ def _feature(linear: Linear, at: Stations) -> Array:
 
 def _setback(problem: Problem, linear: Linear, at: Stations) -> Array:
     """Return the covariances (stations, c, c) from where edges are taken to be."""
+    if not problem.ends.parts:
+        return np.zeros(1)
     outward = at.of(problem.observations.outward)
     along = (at.of(linear.by_point) * outward).sum(axis=2) * problem.config.target.setback_std
     return np.asarray(along[:, :, None] * along[:, None, :] * at.shared)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 from handeye_ros import se3
@@ -38,6 +39,7 @@ from scipy.spatial.transform import Rotation
 ROTATIONS = 600
 CANDIDATES = 16
 LONG = 9  # points, of an arc of which some are enough for a start
+REGULAR = 1e-9  # stations more, that see every centre at the middle of the poses
 AT_ONCE = 50  # rotations, of which the offset across the plane is looked for
 
 
@@ -57,11 +59,13 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
 
 def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
     """Return the distance from the sphere's surface of points p (..., m, 3) in base."""
-    offset = p - target[..., None, :3]
-    distance = np.sqrt(np.einsum('...i,...i->...', offset, offset))
-    outward = offset / distance[..., None]
-    return Conditions(distance - target[..., 3:], outward,
-                      np.concatenate([-outward, -np.ones((*p.shape[:-1], 1))], axis=-1))
+    outward = p - target[..., None, :3]
+    x, y, z = outward[..., 0], outward[..., 1], outward[..., 2]
+    distance = np.sqrt(x * x + y * y + z * z)
+    outward /= distance[..., None]
+    by_target = np.full((*p.shape[:-1], 4), -1.0)
+    np.negative(outward, out=by_target[..., :3])
+    return Conditions(distance - target[..., 3:], outward, by_target)
 
 
 def retract(target: Array, delta: Array) -> Array:
@@ -105,34 +109,62 @@ def _fewer(observations: Observations) -> Observations:
 def _candidates(problem: Problem, radius: float, finer: int) -> list[Estimate]:
     """Return the best linear solutions over a sweep of rotations of the sensor."""
     obs = problem.observations
-    circles = np.array([fit_circle(obs.points[obs.station == i], steps=1)
-                        for i in range(len(problem.poses))])
+    bounds = np.searchsorted(obs.station, np.arange(1, len(problem.poses)))
+    circles = np.array([fit_circle(p, steps=1) for p in np.split(obs.points, bounds)])
     radius = radius or 1.05 * float(circles[:, 2].max())
     height = np.sqrt(np.maximum(radius ** 2 - circles[:, 2] ** 2, 0.0))
-    R, a = problem.poses[:, :3, :3], problem.poses[:, :3, 3]
-    a_mean = a.mean(axis=0)
+    a_mean = problem.poses[:, :3, 3].mean(axis=0)
     R_sensor = rotations(ROTATIONS * finer)
-    # rows of the sensor's axes in base, (rotation, station, axis, 3)
-    axes = np.swapaxes(R_sensor, 1, 2)[:, None] @ np.swapaxes(R, 1, 2)
-    k, n = axes.shape[:2]
-    plane, by_rows = axes[:, :, ::2], np.empty((k, n, 2, 5))
-    by_rows[..., :3], by_rows[..., 3:] = plane, -np.eye(2)
-    A = by_rows.reshape(k, 2 * n, 5)
-    b = (circles[:, :2] + np.einsum('knil,nl->kni', plane, a - a_mean)).reshape(k, 2 * n)
-    At = np.swapaxes(A, 1, 2)
-    x = np.linalg.solve(At @ A + 1e-9 * np.eye(5), At @ b[..., None])[..., 0]
-    rms = np.sqrt(((np.einsum('kij,kj->ki', A, x) - b) ** 2).mean(axis=1))
-    y = np.einsum('knl,knl->kn', axes[:, :, 1], x[:, None, :3] - (a - a_mean))
-    t_y, rms_y = np.zeros(k), np.full(k, np.inf)
+    centre, t, rms, y = _centres(R_sensor, problem.poses[:, :3, :3],
+                                 problem.poses[:, :3, 3] - a_mean, circles)
+    k = len(R_sensor)
+    rms_y = np.full(k, np.inf)
     count, order = CANDIDATES * finer, np.argsort(rms)
     for first in range(0, k, AT_ONCE):  # those that fit poorly whatever the side are not tried
         some = order[first:first + AT_ONCE]
         if np.partition(np.hypot(rms, rms_y), count)[count] < rms[some[0]]:
             break
-        t_y[some], rms_y[some] = _side(y[some], height)
+        t[some, 1], rms_y[some] = _side(y[some], height)
     best = np.argsort(np.hypot(rms, rms_y))[:count]
-    return [Estimate(se3.transform(R_sensor[i], R_sensor[i] @ [x[i, 3], t_y[i], x[i, 4]]),
-                     np.append(a_mean + x[i, :3], radius)) for i in best]
+    X = se3.transform(R_sensor[best], (R_sensor[best] @ t[best, :, None])[..., 0])
+    return [Estimate(*both) for both in zip(X, np.column_stack(
+        [a_mean + centre[best], np.full(count, radius)]), strict=True)]
+
+
+def _centres(R_sensor: Array, R: Array, a: Array, circles: Array
+             ) -> tuple[Array, Array, Array, Array]:
+    """
+    Return for k rotations of the sensor what the circles (n, 3) in it say of the rest.
+
+    R (n, 3, 3), a (n, 3): of the poses, about their middle. The centre in base (k, 3), the
+    position of the sensor (k, 3), that across its plane 0, the RMS (k,) of what remains in the
+    plane, and the coordinates (k, n) of the centre across it. Sums over the stations are formed
+    first: what they are for a rotation is then a product with its axes.
+    """
+    n, turns, own = len(R), R.transpose(2, 1, 0).reshape(9, -1), np.einsum('nlj,nl->jn', R, a)
+    x, y, z = np.moveaxis(R_sensor, 2, 0)
+
+    def coordinate(axis: Array, centre: Array) -> Array:
+        return np.asarray(_outer(axis, centre) @ turns - axis @ own)
+    normal = (n + REGULAR) * np.eye(3) - (_outer(y, y) @ np.einsum(
+        'nlj,nqm->jmlq', R, R).reshape(9, 9)).reshape(-1, 3, 3)
+    right = -_outer(y, y) @ np.einsum('nlj,mn->jml', R, own).reshape(9, 3)
+    for axis, seen in ((x, circles[:, 0]), (z, circles[:, 1])):
+        mean = axis @ R.mean(axis=0).T
+        normal -= n * mean[:, :, None] * mean[:, None]
+        right += axis @ np.einsum('nlj,n->jl', R, seen) - mean * (
+            seen.sum() + axis @ own.sum(axis=1))[:, None]
+    centre = np.linalg.solve(normal, right[..., None])[..., 0]
+    left = [coordinate(x, centre) - circles[:, 0], coordinate(z, centre) - circles[:, 1]]
+    t = np.zeros((len(centre), 3))
+    t[:, 0], t[:, 2] = left[0].mean(axis=1), left[1].mean(axis=1)
+    rms = np.sqrt((left[0].var(axis=1) + left[1].var(axis=1)) / 2)
+    return centre, t, rms, coordinate(y, centre)
+
+
+def _outer(a: Array, b: Array) -> Array:
+    """Return the products (k, 9) of each two components of vectors (k, 3)."""
+    return np.asarray((a[:, :, None] * b[:, None]).reshape(-1, 9))
 
 
 def _side(y: Array, height: Array) -> tuple[Array, Array]:
@@ -145,6 +177,7 @@ def _side(y: Array, height: Array) -> tuple[Array, Array]:
     return offsets[rows, best], np.sqrt(total[rows, best])
 
 
+@cache
 def rotations(count: int) -> Array:
     """Return (count, 3, 3) rotations spread evenly (super-Fibonacci spiral)."""
     s = np.arange(count) + 0.5

@@ -12,9 +12,10 @@ from handeye_ros.checks.shape import contradictions, found_doubts
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport
 from handeye_ros.estimation.method import Estimate
+from handeye_ros.estimation.predictions import predictions
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus
-from handeye_ros.estimation.solve import poses_of, predictions, Solution
+from handeye_ros.estimation.solve import poses_of, Solution
 import numpy as np
 from numpy.typing import NDArray
 
@@ -127,11 +128,12 @@ def left_out(solution: Solution, measured: Measured, most: int = MOST_FOLDS) -> 
     fold = np.arange(n) % min(n, most)
     estimates, poses = predictions(solution, fold)
     p = measured.mapped(poses @ np.array([estimate.X for estimate in estimates])[fold])
-    found, of_point = np.empty(len(p)), fold[measured.station]
-    for k, estimate in enumerate(estimates):
-        part = of_point == k
-        found[part] = problem.method.conditions(p[part], measured.kind[part], estimate.target,
-                                                problem.config).g
+    order = np.argsort(fold[measured.station], kind='stable')
+    by_fold, kind, found = p.T.take(order, axis=1).T, measured.kind[order], np.empty(len(p))
+    ends = np.cumsum(np.bincount(fold[measured.station], minlength=len(estimates))).tolist()
+    for first, last, estimate in zip([0, *ends], ends, estimates, strict=False):
+        found[order[first:last]] = problem.method.conditions(
+            by_fold[first:last], kind[first:last], estimate.target, problem.config).g
     return found
 
 
@@ -167,9 +169,14 @@ class Measured:
 
     def mapped(self, T: Array) -> Array:
         """Return the points (k, 3) in the frame that T (n, 4, 4) of the stations lead to."""
-        x, z = self.points.T[:, :, None]
-        columns = np.swapaxes(T[:, :3, [0, 2, 3]], 1, 2).reshape(len(T), 9)[self.station]
-        return np.asarray(columns[:, :3] * x + columns[:, 3:6] * z + columns[:, 6:])
+        x, z = np.ascontiguousarray(self.points.T)
+        mapped = np.empty((3, len(x)))  # of many points each coordinate by itself is quicker
+        for row, of_station in zip(mapped, np.moveaxis(T[:, :3, [0, 2, 3]], 0, 2), strict=True):
+            by_x, by_z, origin = of_station.take(self.station, axis=1)
+            np.multiply(by_x, x, out=row)
+            row += by_z * z
+            row += origin
+        return mapped.T
 
 
 def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:
