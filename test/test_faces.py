@@ -270,3 +270,13 @@ def test_a_bent_end_is_not_in_the_line() -> None:
         line, _ = found(np.concatenate([points, np.full((5, 2), np.nan)]))
         errors.append((line.points[:, 1] - 0.17) / line.points_std)
     assert np.abs(np.mean(errors, axis=0)).max() < 1.5
+
+
+@pytest.mark.parametrize('slope', [-0.3, 0.0, 0.3])
+def test_of_two_surfaces_side_by_side_the_nearer_is_the_face(slope: float) -> None:
+    def height(x: Array) -> Array:
+        lower = 0.17 + slope * x
+        beyond = np.where(x > -0.0065, 0.175 + 4 * (x + 0.0065), lower - 0.003)  # foot, wall, top
+        return np.where(x > -0.0065, np.where(x > -0.005, lower, beyond), beyond)
+    line, _ = found(marked(height))
+    assert line.centre[0] < -0.0065, 'the lower one is longer, and ends in a step too'

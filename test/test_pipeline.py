@@ -20,7 +20,7 @@ from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.sampling.errors import NoPosesError, NoStationsError, TwoFramesError
-from handeye_ros.simulate import SCENARIOS, settings
+from handeye_ros.simulate import FAULTS, SCENARIOS, settings
 import numpy as np
 import pytest
 
@@ -78,6 +78,14 @@ def test_surroundings_drivers_and_mounts_change_nothing(name: str) -> None:
     assert squared_error(made, found) < 4
     frames = ('base', 'laser') if name == 'eye_on_base' else ('flange', 'laser')
     assert (found.parent_frame, found.child_frame) == frames
+
+
+@pytest.mark.parametrize('what', ['lower', 'higher'])
+def test_of_a_surface_beside_the_plate_all_stations_take_the_same(what: str) -> None:
+    made = recorded(FAULTS[f'neighbour {what}, 3 mm'], rate=6.0)
+    found = calibrated(made)
+    assert found.quality.samples_rejected == 0
+    assert made.error(found.T_flange_sensor) < 9e-5
 
 
 @pytest.mark.parametrize('name', ['sphere', 'sphere_on_flange'])

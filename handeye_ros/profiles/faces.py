@@ -27,6 +27,7 @@ MIN_STEP_SIGMAS = 8.0
 SURE_EDGE = 1.5  # a face with a sure edge is worth this many times its points
 BEHIND = 0.3  # one with something nearer beside it, this many times
 SHADOW_SLOPE = 2.0  # a step hides less than this many times its height behind it
+WIDEST_GAP = 0.01  # between two surfaces side by side, of which the nearer is the face (m)
 LARGEST_BEVEL = 2.5e-3  # of the piece between a face and its wall; a larger one is a face (m)
 STEEP_ERROR = 1.0  # of a surface seen steeply, as a share of the noise that it adds
 EDGE_KINDS = ('roof', 'step', 'gap', 'open')  # a step may turn out as a shadow
@@ -91,8 +92,23 @@ def _preference(segment: Segment, edges: Sequence[EdgePoint], behind: bool) -> f
 def _edges(segment: Segment, segments: Sequence[Segment], seen: Returns
            ) -> tuple[list[EdgePoint], bool]:
     """Return the edges of a segment, and whether something beside it is nearer."""
-    found = [_edge(End(segment, outward, seen), segments) for outward in (-1, 1)]
-    return [edge for _, edge in found if edge], any(kind == 'nearer' for kind, _ in found)
+    ends = [End(segment, outward, seen) for outward in (-1, 1)]
+    found = [_edge(end, segments) for end in ends]
+    behind = any(kind == 'nearer' for kind, _ in found) or any(
+        _is_above(end, other) for end in ends for other in _following(end, segments))
+    return [edge for _, edge in found if edge], behind
+
+
+def _following(end: End, segments: Sequence[Segment]) -> list[Segment]:
+    """Return the segments of a profile behind an end, the nearest first."""
+    return [s for s in segments[::end.outward] if s is not end.segment
+            and (s.first - end.row) * end.outward > 0]
+
+
+def _is_above(end: End, other: Segment) -> bool:
+    """Return whether another surface, across a gap or the foot of its wall, is nearer."""
+    u, v = end.along_and_below(other.rows[[0, len(other.rows) // 2, -1]])
+    return bool(u.min() < WIDEST_GAP and v[1] < -_smallest_step(end, other))
 
 
 def _edge(end: End, segments: Sequence[Segment]) -> tuple[str, EdgePoint | None]:
@@ -101,8 +117,7 @@ def _edge(end: End, segments: Sequence[Segment]) -> tuple[str, EdgePoint | None]
 
     segments: all of the profile, in the order of their first rows.
     """
-    following = [s for s in segments[::end.outward] if s is not end.segment
-                 and (s.first - end.row) * end.outward > 0]
+    following = _following(end, segments)
     rows = tail(end)
     if following and _is_bevel(end, following[0], rows):
         following = following[1:]
