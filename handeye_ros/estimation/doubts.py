@@ -74,13 +74,15 @@ def doubts(problem: Problem, linear: Linear, near: Bent) -> tuple[Doubt, ...]:
     found = [*_stated(problem, linear), *_setbacks(problem, linear), *_scale(problem, linear),
              *_sensor(problem, linear, near.sensor), *_faces(problem, near.faces),
              *_robot(problem, linear)]
-    return tuple(doubt for doubt in found if doubt.std > 0 and np.any(doubt.columns))
+    return tuple(doubt for doubt in found if doubt.std > 0 and doubt.columns.any())
 
 
 def _stated(problem: Problem, linear: Linear) -> Iterator[Doubt]:
-    for i, std in enumerate(tolerances(problem)):
+    stds = tolerances(problem)
+    for i in np.flatnonzero(stds).tolist():
+        std = float(stds[i])
         column = linear.jacobian[:, 6 + i:7 + i] * std
-        yield Doubt(problem.method.labels[i], column, float(std), i)
+        yield Doubt(problem.method.labels[i], column, std, i)
 
 
 def _setbacks(problem: Problem, linear: Linear) -> Iterator[Doubt]:

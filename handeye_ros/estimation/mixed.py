@@ -195,19 +195,18 @@ class _System:
 
     def with_noise(self, x: Array, covariance: Array, believed: Array = CONFIGURED) -> Noise:
         """Return the noise with the factors that the residuals show, held to those believed."""
-        s, sums = self.scales, np.zeros((4, 2))
-        covariance = covariance * s * s[:, None]
+        sums, columns = np.zeros((4, 2)), self.columns.scaled(self.scales)
         every = -(-len(self.problem.poses) // ASKED)
         for stations, factors in zip(self.problem.stations, self.white.factors, strict=True):
             at, root = stations.every(every), factors[::every]
-            V = self.noise.factors[:, None, None, None] * covariances(
-                self.problem, self.linear, at)
-            W = root @ V @ np.swapaxes(root, 1, 2)
-            r = self.r[at.rows] + self.columns.change(s * x, at.rows)
-            left = np.eye(r.shape[1]) - self.columns.seen(covariance, at.rows)
-            sums[:, 0] += ((W @ r[..., None])[..., 0] * r).sum(axis=(1, 2))
-            sums[:, 1] += (W * left).sum(axis=(1, 2, 3))
+            V = covariances(self.problem, self.linear, at)
+            W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(4, -1)
+            r = self.r[at.rows] + columns.change(x, at.rows)
+            left = np.eye(r.shape[1]) - columns.seen(covariance, at.rows)
+            both = r[:, :, None] * r[:, None]
+            sums += W @ np.column_stack([both.ravel(), left.ravel()])
         before = self.noise.factors
+        sums *= before[:, None]
         after = before * (sums[:, 0] + BELIEF_NOISE * believed / before) / (
             np.maximum(sums[:, 1], 0.0) + BELIEF_NOISE)
         sensor, edge, local, robot = np.clip(after, SMALLEST, LARGEST).tolist()

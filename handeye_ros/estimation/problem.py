@@ -13,7 +13,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.columns import products
-from handeye_ros.estimation.fields import places, process
+from handeye_ros.estimation.fields import places, process, spread
 from handeye_ros.estimation.method import Estimate, Method, Observations
 from handeye_ros.estimation.stations import Ends, ends_of, Stations, stations_of
 import numpy as np
@@ -66,6 +66,11 @@ class Problem:
     def places(self) -> Array:
         """Return where the poses are (n, 6), in units over which the robot's error is alike."""
         return places(self.poses)
+
+    @cached_property
+    def apart(self) -> list[int]:
+        """Return the stations that are at places of their own: a pose may be taken again."""
+        return spread(self.places, len(self.poses))
 
     @cached_property
     def smooth(self) -> Array:

@@ -10,7 +10,6 @@ from handeye_ros.estimation import blocks
 from handeye_ros.estimation.algebra import covariance_of
 from handeye_ros.estimation.columns import Columns
 from handeye_ros.estimation.doubts import Doubt, pose_errors
-from handeye_ros.estimation.fields import spread
 from handeye_ros.estimation.least_squares import least_squares, Rows, System
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Linear, linearise, Problem
@@ -190,7 +189,7 @@ def redundancy(solution: Solution) -> int:
     """
     ranks = solution.ranks
     if len(ranks) <= ASKED:
-        ranks = ranks[spread(solution.problem.places, ASKED)]
+        ranks = ranks[solution.problem.apart]
     return int(ranks.sum()) - solution.unknowns
 
 

@@ -145,9 +145,9 @@ def edge_lost(whole: Problem, labelled: Problem) -> NDArray[np.bool_]:
 def shows_edge(problem: Problem) -> NDArray[np.bool_]:
     """Return which stations (n,) of a problem have an edge among their observations."""
     method, obs = problem.method, problem.observations
-    names = [i for i, name in enumerate(method.kinds) if name in method.edges]
+    edge = np.array([*(name in method.edges for name in method.kinds), False])  # last: UNUSED
     shows = np.zeros(len(problem.poses), dtype=bool)
-    shows[obs.station[np.isin(obs.kind, names)]] = True
+    shows[obs.station[edge[obs.kind]]] = True
     return shows
 
 

@@ -95,19 +95,21 @@ def hemisphere(count: int) -> Array:
     return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
 
 
-def best_linear(A: Array, b: Array, count: int) -> tuple[NDArray[np.intp], Array]:
+def best_linear(products: Array, rows: int, count: int) -> tuple[NDArray[np.intp], Array]:
     """
     Return which of k linear systems fit best, best first, and all their solutions (k, u).
 
-    A: (k, m, u), b: (k, m). The first six unknowns are r1 and r3 of the sensor: systems with
-    small residuals and these near orthonormal come first.
+    products: (k, u + 1, u + 1) of each two columns of A and b of systems A x = b of so many
+    rows. The first six unknowns are r1 and r3 of the sensor: systems with small residuals and
+    these near orthonormal come first.
     """
-    scale = np.linalg.norm(A, axis=1, keepdims=True)
-    A = A / scale
-    At = np.swapaxes(A, 1, 2)
-    x = np.linalg.solve(At @ A + 1e-12 * np.eye(A.shape[2]), At @ b[..., None])
-    rms = np.sqrt(((A @ x - b[..., None]) ** 2).mean(axis=(1, 2)))
-    x = x[..., 0] / scale[:, 0]
+    N, right = products[:, :-1, :-1], products[:, :-1, -1:]
+    scale = np.sqrt(np.einsum('kii->ki', N))
+    scaled = N / scale[:, None] / scale[..., None] + 1e-12 * np.eye(N.shape[1])
+    x = np.linalg.solve(scaled, right / scale[..., None]) / scale[..., None]
+    both = np.concatenate([x, np.full((len(x), 1, 1), -1.0)], axis=1)
+    squares = (np.swapaxes(both, 1, 2) @ products @ both)[:, 0, 0]
+    rms, x = np.sqrt(np.maximum(squares, 0.0) / rows), x[..., 0]
     r1, r3 = x[:, :3], x[:, 3:6]
     defect = (np.abs((r1 ** 2).sum(1) - 1) + np.abs((r3 ** 2).sum(1) - 1)
               + np.abs((r1 * r3).sum(1)))
@@ -115,7 +117,7 @@ def best_linear(A: Array, b: Array, count: int) -> tuple[NDArray[np.intp], Array
 
 
 def nearest_transform(x: Array) -> Array:
-    """Return the transform (4, 4) nearest to r1, r3, t of a linear solution (9, ...)."""
-    U, _, Vt = np.linalg.svd(x[:6].reshape(2, 3), full_matrices=False)
-    r1, r3 = U @ Vt
-    return se3.transform(np.column_stack([r1, se3.cross(r3, r1), r3]), x[6:9])
+    """Return the transforms (..., 4, 4) nearest to r1, r3, t of linear solutions (..., 9+)."""
+    U, _, Vt = np.linalg.svd(x[..., :6].reshape(*x.shape[:-1], 2, 3), full_matrices=False)
+    r1, r3 = np.moveaxis(U @ Vt, -2, 0)
+    return se3.transform(np.stack([r1, se3.cross(r3, r1), r3], axis=-1), x[..., 6:9])

@@ -171,8 +171,9 @@ def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:
     u, v = obs.points.T[:, None, :, None, None]
     offset = np.broadcast_to(-np.eye(2), (*nR.shape[:3], 2))
     A = np.concatenate([u * nR, v * nR, nR, offset], axis=3).reshape(len(across), -1, 11)
-    b = -np.einsum('kji,mj->kmi', across, a - a_mean).reshape(len(across), -1)
-    best, x = best_linear(A, b, CANDIDATES * finer)
+    b = -np.einsum('kji,mj->kmi', across, a - a_mean).reshape(len(across), -1, 1)
+    both = np.concatenate([A, b], axis=2)
+    best, x = best_linear(np.swapaxes(both, 1, 2) @ both, both.shape[1], CANDIDATES * finer)
     return [_estimate(x[k], frames[k], a_mean) for k in best]
 
 

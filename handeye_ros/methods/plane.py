@@ -98,21 +98,25 @@ def linear_candidates(problem: Problem, finer: int = 1, more: int = 1) -> list[E
     R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
     a_mean = problem.poses[:, :3, 3].mean(axis=0)
     normals = hemisphere(NORMALS * finer)
-    nR = np.tensordot(normals, R, axes=(1, 1))
-    u, v = obs.points.T[:, None, :, None]
-    A = np.concatenate([u * nR, v * nR, nR, -np.ones_like(nR[:, :, :1])], axis=2)
-    b = -np.einsum('kj,mj->km', normals, a - a_mean)
-    best, x = best_linear(A, b, CANDIDATES * more)
-    return [_estimate(x[k], normals[k], a_mean) for k in best]
+    # a row of A and b is (n, 1) times what stands here: its products are sums, formed once
+    rows = np.zeros((len(R), 4, 11))
+    u, v = obs.points.T[:, :, None, None]
+    rows[:, :3, :9] = np.concatenate([u * R, v * R, R], axis=2)
+    rows[:, 3, 9], rows[:, :3, 10] = -1.0, a_mean - a
+    flat, by_normal = rows.reshape(-1, 44), np.column_stack([normals, np.ones(len(normals))])
+    sums = (flat.T @ flat).reshape(4, 11, 4, 11).swapaxes(1, 2).reshape(16, 121)
+    products = (by_normal[:, :, None] * by_normal[:, None]).reshape(-1, 16) @ sums
+    best, x = best_linear(products.reshape(-1, 11, 11), len(R), CANDIDATES * more)
+    return _estimates(x[best], normals[best], a_mean)
 
 
-def _estimate(x: Array, normal: Array, a_mean: Array) -> Estimate:
-    """Return the estimate nearest to a linear solution x (10,) for a normal."""
-    across = np.eye(3)[np.argmin(np.abs(normal))]
-    tangent = se3.cross(across, normal) / np.linalg.norm(se3.cross(across, normal))
-    R = np.column_stack([tangent, se3.cross(normal, tangent), normal])
-    T = se3.transform(R, a_mean + x[9] * normal)
-    return Estimate(nearest_transform(x), T.ravel())
+def _estimates(x: Array, normal: Array, a_mean: Array) -> list[Estimate]:
+    """Return the estimates nearest to linear solutions x (c, 10) for normals (c, 3)."""
+    tangent = se3.cross(np.eye(3)[np.argmin(np.abs(normal), axis=1)], normal)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    R = np.stack([tangent, se3.cross(normal, tangent), normal], axis=2)
+    T = se3.transform(R, a_mean + x[:, 9:] * normal).reshape(-1, 16)
+    return [Estimate(*both) for both in zip(nearest_transform(x), T, strict=True)]
 
 
 def describe(target: Array, std: Array) -> dict[str, Any]:

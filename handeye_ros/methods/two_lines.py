@@ -21,9 +21,11 @@ def two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
     c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
     u, v = c * voters[:, 0] + s * voters[:, 1], c * voters[:, 1] - s * voters[:, 0]
     limit = 0.03 * float(np.ptp(voters, axis=0).max() + 1e-9)
-    to_q, to_p = (np.minimum(np.abs(w[:, :, None] - w[:, None, :]), limit).astype(np.float32)
-                  for w in (u, v))  # (angle, line through, point)
-    total = np.minimum(to_q[:, :, None], to_p[:, None, :]).sum(axis=3)
+    to_q, to_p = (np.minimum(np.abs(w.T[:, :, None] - w), limit).astype(np.float32)
+                  for w in (u, v))  # (point, angle, line through)
+    total = np.zeros((*u.shape, len(voters)), dtype=np.float32)
+    for of_q, of_p in zip(to_q, to_p, strict=True):
+        total += np.minimum(of_q[:, :, None], of_p[:, None])
     k, i, j = np.unravel_index(int(np.argmin(total)), total.shape)
     turn = float(angles[k])
     return _fitted(points, turned(turn) @ np.array([u[k, i], v[k, j]]), turn, limit)
