@@ -1,6 +1,7 @@
 """When the robot stood still, cut out of a stream of poses, and where it was in between."""
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Sequence
 from copy import copy
@@ -141,12 +142,27 @@ def _turned(a: TimedPose, b: TimedPose) -> float:
     return 2 * (apart if apart < 1.0 else min(apart, math.dist(a.quaternion, -b.quaternion)))
 
 
+def around(poses: Sequence[TimedPose], stamps: Sequence[int]) -> list[TimedPose]:
+    """Return the poses next to stamps, and the first and the last: what interpolate needs."""
+    last = len(poses) - 1
+    places = {0, last}
+    for stamp in stamps:
+        places.add(max(bisect_right(poses, stamp, key=_stamp) - 1, 0))
+        places.add(min(bisect_left(poses, stamp, key=_stamp), last))
+    return [poses[place] for place in sorted(places)]
+
+
+def _stamp(pose: TimedPose) -> int:
+    return pose.stamp
+
+
 def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
     """
     Return the poses T_base_flange (n, 4, 4) at n stamps within the time of the given poses.
 
     Linear in the translation, slerp in the rotation. Raises ValueError outside.
     """
+    poses = around(poses, stamps)
     times = np.array([p.stamp - poses[0].stamp for p in poses], dtype=float)
     at = np.array([s - poses[0].stamp for s in stamps], dtype=float)
     if at.min() < times[0] or at.max() > times[-1]:

@@ -18,7 +18,7 @@ from handeye_ros.errors import UnusableMessageError
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.sampling import station_features
 from handeye_ros.sampling.errors import NoProfilesError
-from handeye_ros.sampling.stations import interpolate, NS, Station
+from handeye_ros.sampling.stations import around, interpolate, NS, Station
 from handeye_ros.sampling.view_end import require_inside
 import numpy as np
 
@@ -88,7 +88,9 @@ def _held(seen: Seen, config: Config) -> Seen:
 def needed(stop: Stop, config: Config) -> Stop:
     """Return a stop with no more than what its sample is made of, to be judged elsewhere."""
     seen = stop.load(config)
-    return Stop(stop.began, partial(_held, Seen(seen.poses, tuple(_unread(seen, config)))))
+    profiles = _unread(seen, config)
+    poses = around(seen.poses, [profile.stamp for profile in profiles])
+    return Stop(stop.began, partial(_held, Seen(tuple(poses), tuple(profiles))))
 
 
 def _inside(profiles: Sequence[AnyProfile], station: Station) -> Sequence[AnyProfile]:
