@@ -9,6 +9,7 @@ LARGEST_STD = 1e3  # stands for infinity (m or rad)
 FEWEST, AT_ONCE, MOST_ROWS = 50, 200, 24  # triangles, and rows of each, inverted row by row
 FREE = 1e-13  # relative information of a direction that is not seen
 HALVED = 100  # rows from which a matrix is inverted by halves
+SMALLEST_SHARE = 1e-14  # of a covariance, which rounding may make negative
 NOTHING = 1e-280  # information, so small that its inverse is still a number
 
 
@@ -134,3 +135,14 @@ def _row_by_row(L: Array) -> Array:
         np.einsum('kn,kjn->jn', last[i, :i], found[:i, :i], out=found[i, :i])
         found[i, :i] *= -found[i, i]
     return np.moveaxis(found, 2, 0)
+
+
+def covering(first: Array, second: Array) -> Array:
+    """Return the least covariance (k, k) of which neither of two has more in any direction."""
+    std = np.sqrt(np.diag(first))
+    values, vectors = np.linalg.eigh(first / np.outer(std, std))
+    roots = np.sqrt(np.maximum(values, SMALLEST_SHARE))
+    root, inverse = std[:, None] * vectors * roots, (vectors / roots).T / std
+    values, vectors = np.linalg.eigh(inverse @ second @ inverse.T)
+    along = root @ vectors
+    return np.asarray((along * np.maximum(values, 1.0)) @ along.T)

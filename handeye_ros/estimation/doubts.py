@@ -160,7 +160,7 @@ def bent(linear: Linear) -> Bent:
     """Return in which ways sensor and target may be bent, near an estimate."""
     problem = linear.problem
     noise, kind = problem.config.noise, problem.observations.kind
-    sensor = bending(_without_error(linear), list(DISTORTION)) if noise.distortion else []
+    sensor = bending(without_error(linear), list(DISTORTION)) if noise.distortion else []
     if not noise.flatness:
         return Bent(sensor, [])
     p = points_in_base(problem, linear.estimate.X)
@@ -169,7 +169,7 @@ def bent(linear: Linear) -> Bent:
                          if name.startswith('face')])
 
 
-def _without_error(linear: Linear) -> Array:
+def without_error(linear: Linear) -> Array:
     """
     Return the points (m, 2) of the sensor's plane where their conditions hold.
 

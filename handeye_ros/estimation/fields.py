@@ -18,12 +18,18 @@ ALIKE_POSITION = 0.6  # poses this far apart (m), or turned this far (rad), shar
 ALIKE_ROTATION = 1.0
 SAME_PLACE = 0.01  # of these lengths: nearer poses err alike
 MOST_PLACES = 24  # that span the robot's error
+FIELD, GRID = 1.25, 11  # how far the field of view goes beyond the points; its points each way
 
 
 def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> list[Array]:
     """Return products of Legendre polynomials of u and v (m,), each of RMS 1, by their degree."""
+    return _products(_normalised(u), _normalised(v), degrees)
+
+
+def _products(u: Array, v: Array, degrees: Sequence[int]) -> list[Array]:
+    """Return the polynomials of u and v (m,) that go from -1 to 1 where they are of RMS 1."""
     norm = np.sqrt(2 * np.arange(max(degrees) + 1) + 1)
-    a, b = (legendre.legvander(_normalised(w), max(degrees)) * norm for w in (u, v))
+    a, b = (legendre.legvander(w, max(degrees)) * norm for w in (u, v))
     return [a[:, :degree + 1] * b[:, degree::-1] for degree in degrees]
 
 
@@ -46,18 +52,49 @@ def bending(points: Array, degrees: Sequence[int]) -> list[Array]:
 
     A list, by the degrees of the polynomials. No motion of the plane in itself is in them.
     """
-    m = len(points)
-    x, z = (points - points.mean(axis=0)).T
-    one, none = np.ones(m), np.zeros(m)
-    rigid = np.concatenate([np.column_stack([one, none, z]), np.column_stack([none, one, -x])])
-    terms = polynomials(x, z, degrees)
-    counts = [some.shape[1] for some in terms]
+    terms = polynomials(points[:, 0], points[:, 1], degrees)
+    bent = without(_each_way(terms), _rigid(points - points.mean(axis=0)))
+    return _each_of_unit_size(bent.reshape(2, len(points), -1).swapaxes(0, 1),
+                              [some.shape[1] for some in terms], 2)
+
+
+def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
+    """
+    Return the motions (3, k) that serve the field of view best where it is bent as by bending.
+
+    Along x and z, and the turn about the origin, of which none serves the points (m, 2). The
+    field is FIELD times the box of these, which are means of many and lie inside it.
+    """
+    across = np.linspace(-FIELD, FIELD, GRID)
+    u, v = (w.ravel() for w in np.meshgrid(across, across))
+    terms = polynomials(points[:, 0], points[:, 1], degrees)
+    fitted = [np.linalg.lstsq(_rigid(where), _each_way(some), rcond=None)[0]
+              for where, some in ((box(points, across), _products(u, v, degrees)),
+                                  (points, terms))]
+    return _each_of_unit_size(fitted[0] - fitted[1], [some.shape[1] for some in terms], 2)
+
+
+def box(points: Array, across: Sequence[float] | Array) -> Array:
+    """Return a grid (k, 2) over the box of points (m, 2), which goes from -1 to 1 each way."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    u, v = (w.ravel() for w in np.meshgrid(across, across))
+    return np.asarray((low + high) / 2 + np.column_stack([u, v]) * (high - low) / 2)
+
+
+def _rigid(points: Array) -> Array:
+    """Return the displacements (2 m, 3), all x first, of points (m, 2) that move together."""
+    x, z = points.T
+    one, none = np.ones(len(x)), np.zeros(len(x))
+    return np.concatenate([np.column_stack([one, none, z]), np.column_stack([none, one, -x])])
+
+
+def _each_way(terms: Sequence[Array]) -> Array:
+    """Return functions (m, k) as displacements (2 m, 2 k in all), all x first."""
+    m, counts = len(terms[0]), [some.shape[1] for some in terms]
     both = np.zeros((2, m, 2 * sum(counts)))
-    for some, last in zip(terms, 2 * np.cumsum(counts), strict=True):
-        k = some.shape[1]
+    for some, k, last in zip(terms, counts, 2 * np.cumsum(counts), strict=True):
         both[0, :, last - 2 * k:last - k] = both[1, :, last - k:last] = some
-    bent = without(both.reshape(2 * m, -1), rigid).reshape(2, m, -1).swapaxes(0, 1)
-    return _each_of_unit_size(bent, counts, 2)
+    return both.reshape(2 * m, -1)
 
 
 def bent_faces(p: Array, here: NDArray[np.bool_], degrees: Sequence[int]) -> list[Array]:

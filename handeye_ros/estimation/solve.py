@@ -7,12 +7,13 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation import blocks
-from handeye_ros.estimation.algebra import covariance_of
+from handeye_ros.estimation.algebra import covariance_of, covering
 from handeye_ros.estimation.columns import Columns
 from handeye_ros.estimation.doubts import Doubt, pose_errors
 from handeye_ros.estimation.least_squares import least_squares, Rows, System
 from handeye_ros.estimation.method import Estimate
 from handeye_ros.estimation.problem import Linear, linearise, Problem
+from handeye_ros.estimation.serving import by_doubts
 from handeye_ros.estimation.weights import Noise, Whitening, whitening
 import numpy as np
 from numpy.typing import NDArray
@@ -89,17 +90,30 @@ class Solution:
     cautious: Solution | None = None
     suspicion: Array | None = None
 
-    @property
+    @cached_property
     def stated(self) -> Array:
-        """Return the covariance (u, u) of the unknowns that is stated of the estimate."""
-        if self.cautious is None:
+        """
+        Return the covariance (u, u) of the unknowns that is stated of the estimate.
+
+        Both the transform of the mount and the one that serves best are within it.
+        """
+        cautious = self.cautious
+        if cautious is None:
             return self.covariance[:self.unknowns, :self.unknowns]
-        delta = se3.difference(self.cautious.estimate.X, self.estimate.X)
-        stated = self.cautious.stated.copy()
-        stated[:6, :6] += np.outer(delta, delta)
+        away = se3.difference(cautious.estimate.X, self.estimate.X)
+        stated = cautious.stated.copy()
+        stated[:6, :6] = covering(stated[:6, :6] + np.outer(away, away), self._serving(away))
         if self.suspicion is not None:
             stated[:6, :6] += self.suspicion
         return stated
+
+    def _serving(self, away: Array) -> Array:
+        """Return the mean square (6, 6) of what serves best, about the estimate."""
+        assert (cautious := self.cautious) is not None
+        moving = by_doubts(self.linear, cautious.doubts)
+        columns = np.hstack([np.eye(6, cautious.unknowns), moving])
+        away = away + moving @ cautious.doubtful
+        return np.asarray(columns @ cautious.covariance @ columns.T + np.outer(away, away))
 
     @property
     def unknowns(self) -> int:
