@@ -124,8 +124,12 @@ class EdgePoint:
     kind: 'step', 'shadow' (a step whose foot is hidden), 'roof' (its wall is seen), 'gap' (nothing
     behind it) or 'open' (the driver does not say).
     bend: (2,) from the point to the surface below it, of a rounded or bevelled edge whose wall
-    is not in sight, 0 of others; radius: of that end, were it round; roundness: logarithm of how
-    much more likely that is than a bevel.
+    is not in sight, 0 of others; shapes: (k + 1,) logarithms of how likely it is rounded by each
+    of k radii, and bevelled, 0 for the likeliest, empty where nothing bends. arc: (2,) from the
+    point to the middle of the end's arc, were it round; arc_std: 1 sigma of where that is along
+    the direction.
+    shape_std: 1 sigma of how far the edge is off since its shape is not known exactly, which all
+    ends share.
     """
 
     point: Array
@@ -134,8 +138,10 @@ class EdgePoint:
     std_across: float
     kind: str = 'step'
     bend: Array = field(default_factory=lambda: np.zeros(2))
-    radius: float = 0.0
-    roundness: float = 0.0
+    shapes: Array = field(default_factory=lambda: np.empty(0))
+    arc: Array = field(default_factory=lambda: np.zeros(2))
+    arc_std: float = 0.0
+    shape_std: float = 0.0
 
     @property
     def bevel(self) -> float:

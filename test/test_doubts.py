@@ -236,3 +236,19 @@ def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
     assert np.abs(off).max() < 1e-4
     lengths = [d.std for d in found.doubts if d.name in ('scale', 'radius')]
     assert lengths and max(lengths) < 1e-4, 'nothing is wrong with them'
+
+
+@pytest.mark.parametrize('off', [-1.5, 0.0, 1.5])
+def test_edges_whose_shape_was_misjudged_move_the_answer_little(off: float) -> None:
+    made = cell(MANY, 3)
+    rng, doubt = np.random.default_rng(5), 2e-4
+
+    def misplaced(feature: object) -> object:
+        if not isinstance(feature, EdgePoint):
+            return feature
+        share = rng.uniform(0.2, 0.8)  # how much of a rounding is seen differs
+        return replace(feature, shape_std=share * doubt,
+                       point=feature.point + off * share * doubt * feature.direction)
+    wrong = replace(made, samples=[replace(s, features=tuple(map(misplaced, s.features)))
+                                   for s in made.samples])
+    assert squared(wrong) < squared(made) + 2

@@ -5,11 +5,12 @@ from dataclasses import replace
 from typing import Any
 
 from cells import recorded
-from handeye_ros import pipeline
+from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Sample
+from handeye_ros.profiles.bends import RADII
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.sampling.all_edges import judged_together, typical_radius, with_bevel
+from handeye_ros.sampling.all_edges import judged_together, typical_shape, with_bevel
 from handeye_ros.simulate.faults import PLATE
 import numpy as np
 from profiles import COLUMNS, drawn, NOISE, PITCH, step_up_to, with_lost, X
@@ -65,30 +66,32 @@ def test_a_bent_end_is_set_back_to_its_edge(shape: str, size: float) -> None:
     ends = 1 - np.sin(np.radians([45, 60, 75])) if shape == 'rounded' else [0.0] * 3
     samples = [Sample(k, np.eye(4), (LINE, ended(shape, size, size * end, k)))
                for k, end in enumerate([*ends] * 5)]
-    assert typical_radius(samples) == pytest.approx(size, rel=0.5)
+    found = typical_shape(samples)
+    assert found.size == pytest.approx(size, rel=4 * found.doubt)
+    assert found.is_round == (shape == 'rounded') or size < 1e-3, 'few points show no shape'
     edges = [s.features[1] for s in with_bevel(samples)]
     places = np.array([edge.point[0] for edge in edges])
-    assert abs(places.mean()) < PITCH and places.std() < PITCH
-    assert np.abs(places / [edge.std for edge in edges]).max() < 4
+    shared = np.array([edge.shape_std for edge in edges])
+    assert abs(places.mean()) < PITCH + shared.mean() and places.std() < 1.5 * PITCH
+    assert np.abs(places / np.hypot(shared, [edge.std for edge in edges])).max() < 4
 
 
-@pytest.mark.parametrize('slant', [-0.5, 0.0, 0.5])
+@pytest.mark.parametrize('steepest', [0.0, 0.25, 0.5])
 @pytest.mark.parametrize('shape', ['rounded', 'bevelled'])
-def test_the_wall_below_the_edge_is_found_however_the_laser_crosses_it(shape: str, slant: float
-                                                                       ) -> None:
-    size, out = 1e-3, []
+def test_the_wall_below_the_edge_is_found_however_the_laser_crosses_it(
+        shape: str, steepest: float) -> None:
+    size, slants, samples = 1e-3, steepest * np.linspace(-1, 1, 9), []
     t = np.linspace(0, 1, 400)
     across, down = (np.sin(t * 1.2), 1 - np.cos(t * 1.2)) if shape == 'rounded' else (t, t)
-    # a slant shears what is seen: deeper points appear further out or in
-    seen = np.concatenate([[0.03], size * (1 - across) + slant * size * down])
     below = np.concatenate([[0.0], size * down])
-    for seed in range(8):
+    for seed, slant in enumerate(slants):
+        # a slant shears what is seen: deeper points appear further out or in
+        seen = np.concatenate([[0.03], size * (1 - across) + slant * size * down])
         z = np.where(seen[-1] > X, np.nan, np.interp(X, seen[::-1], below[::-1]))
         points = np.column_stack([X, 0.17 + z + np.random.default_rng(seed).normal(
             0, NOISE / 3, COLUMNS)])
-        out.append(edge_of(points))
-    samples = [Sample(k, np.eye(4), (LINE, edge)) for k, edge in enumerate(out)]
-    for sample in with_bevel(samples):
+        samples.append(Sample(seed, np.eye(4), (LINE, edge_of(points))))
+    for slant, sample in zip(slants, with_bevel(samples), strict=True):
         edge = sample.features[1]
         x, z = edge.point + edge.bend
         assert abs(x - slant * (z - 0.17)) < 1.5 * PITCH, 'the wall leads through x = 0'
@@ -113,27 +116,38 @@ def test_a_foot_in_shadow_is_told_from_one_in_sight() -> None:
     assert edge_of(points).kind == 'shadow'
 
 
-def plates(depths: list[float], kind: str = 'gap') -> list[Sample]:
+def plates(depths: list[float], kind: str = 'gap', bevelled: bool = False) -> list[Sample]:
+    shapes = np.append(-10 * np.abs(np.log(RADII[:, 0] / 5e-4)), 0.0 if bevelled else -20.0)
     edges = [EdgePoint(np.array([0.001, 0.17]), np.array([-1.0, 0]), 1e-5, 1e-6, kind,
-                       np.array([0.0, depth]), 5e-4) for depth in depths]
+                       np.array([0.0, depth]), shapes) for depth in depths]
     return [Sample(k, np.eye(4), (LINE, edge)) for k, edge in enumerate(edges)]
 
 
 def test_ends_seen_less_far_are_set_back_more_and_walls_are_not() -> None:
     samples = [*plates([5e-4, 2e-4, 1e-4, 0.0]), *plates([0.0, 0.0], 'roof')]
     moved = with_bevel(samples)
-    assert typical_radius(samples) == pytest.approx(5e-4)
+    found = typical_shape(samples)
+    assert found.size == pytest.approx(5e-4, rel=0.05) and found.is_round
     steps = np.array([0.001 - s.features[1].point[0] for s in moved[:4]])
-    assert steps[0] == pytest.approx(0, abs=1e-9)
+    assert steps[0] == pytest.approx(0, abs=1e-6)
     assert (np.diff(steps) > 5e-5).all() and 3e-4 < steps[3] < 5e-4
     assert (np.diff([s.features[1].std for s in moved[:4]]) > 0).all()
+    assert (np.diff([s.features[1].shape_std for s in moved[:4]]) > 0).all()
     assert [s.features[1] for s in moved[4:]] == [s.features[1] for s in samples[4:]]
     assert all(s.features[0] is LINE for s in moved)
 
 
+def test_a_bevel_that_is_seen_ends_at_its_edge_and_one_that_is_not_before_it() -> None:
+    samples = plates([3e-4, 2.8e-4, 3.3e-4, 0.0], bevelled=True)
+    found = typical_shape(samples)
+    assert found.size == pytest.approx(3e-4) and not found.is_round
+    steps = [0.001 - s.features[1].point[0] for s in with_bevel(samples)]
+    assert steps == pytest.approx([0, 0, 0, 3e-4], abs=1e-9)
+
+
 def test_sharp_ends_stay_where_they_are() -> None:
     for samples in (plates([0.0, 1e-6, 2e-5, 0.0]), plates([5e-4, 5e-4])):
-        assert typical_radius(samples) == 0.0, 'of two ends nothing is believed'
+        assert typical_shape(samples).size == 0.0, 'of two ends nothing is believed'
         for before, after in zip(samples, with_bevel(samples), strict=True):
             assert (after.features[1].point == before.features[1].point).all()
             assert after.features[1].std == before.features[1].std and after.features[1].bevel == 0
@@ -155,8 +169,11 @@ def test_simulated_ends_are_as_near_to_the_edge_as_they_say(
         for station in made.truth.stations:
             sample, = (s for s in kept if station.start <= s.stamp <= station.end)
             edge, = (f for f in sample.features if isinstance(f, EdgePoint))
-            away.append((edge.point - station.point) @ edge.direction)
-            std.append(edge.std)
+            x, z = edge.point + edge.bend  # of the wall, wherever the laser crosses it
+            in_target = se3.apply(se3.inverse(made.truth.T_base_target) @ station.T_base_flange
+                                  @ made.truth.T_flange_sensor, np.array([[x, 0.0, z]]))[0]
+            away.append(in_target[1 if station.label == 'p' else 0])
+            std.append(np.hypot(edge.std, edge.shape_std))
     z = np.array(away) / std
     assert np.sqrt(np.mean(np.square(away))) < worst
     assert 0.3 < np.sqrt((z ** 2).mean()) < 1.8 and np.abs(z).max() < 5

@@ -71,9 +71,9 @@ def doubts(problem: Problem, linear: Linear, near: Bent) -> tuple[Doubt, ...]:
 
     near: the ways to be bent there.
     """
-    found = [*_stated(problem, linear), *_setbacks(problem, linear), *_scale(problem, linear),
-             *_sensor(problem, linear, near.sensor), *_faces(problem, near.faces),
-             *_robot(problem, linear)]
+    found = [*_stated(problem, linear), *_setbacks(problem, linear), *_shapes(problem, linear),
+             *_scale(problem, linear), *_sensor(problem, linear, near.sensor),
+             *_faces(problem, near.faces), *_robot(problem, linear)]
     return tuple(doubt for doubt in found if doubt.std > 0 and doubt.columns.any())
 
 
@@ -99,6 +99,18 @@ def _setbacks(problem: Problem, linear: Linear) -> Iterator[Doubt]:
     for end in sorted({end for _, end in ends.parts}):
         tilted = np.where(obs.end == end, outwards, 0.0)[:, None] * by_slope
         yield Doubt(f'incidence_{end}', tilted * std, std)
+
+
+def _shapes(problem: Problem, linear: Linear) -> Iterator[Doubt]:
+    """Yield by how much the rounding or the bevel of each edge is not as the profiles show it."""
+    obs, ends = problem.observations, problem.ends
+    if not obs.shape.any():
+        return
+    outwards = ends.outwards((linear.by_point * obs.outward).sum(axis=1)) * obs.shape
+    for kind in sorted({kind for kind, _ in ends.parts}):
+        here = np.any([rows for (other, _), rows in ends.parts.items() if other == kind], axis=0)
+        name = f'shape_{problem.method.kinds[kind]}'
+        yield Doubt(name, np.where(here, outwards, 0.0)[:, None], 1.0)
 
 
 def _scale(problem: Problem, linear: Linear) -> Iterator[Doubt]:

@@ -23,7 +23,8 @@ class Observations:
     index into the method's kinds; noise: (m, 2, 2) factor L, the point's error is L @ e with
     e of unit covariance; source: (m,) observations of equal source share their e. end: (m,) how
     the face ends where an edge point is, 0 of any other point; outward: (m, 2) unit vector out
-    of the face there.
+    of the face there; shape: (m,) 1 sigma of how far outwards its edge is off since the edge's
+    shape is not known exactly, alike at all.
     """
 
     station: NDArray[np.intp]
@@ -33,12 +34,14 @@ class Observations:
     source: NDArray[np.intp]
     end: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     outward: Array = field(default_factory=lambda: np.empty((0, 2)))
+    shape: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         """Take points of which nothing is said for no edge points."""
         if len(self.end) < len(self.station):
             object.__setattr__(self, 'end', np.zeros(len(self.station), dtype=np.intp))
             object.__setattr__(self, 'outward', np.zeros((len(self.station), 2)))
+            object.__setattr__(self, 'shape', np.zeros(len(self.station)))
 
     def __len__(self) -> int:
         """Return the number of conditions."""
@@ -54,7 +57,7 @@ class Observations:
         """Return the observations where keep (m,) is true."""
         return Observations(self.station[keep], self.points[keep], self.kind[keep],
                             self.noise[keep], self.source[keep], self.end[keep],
-                            self.outward[keep])
+                            self.outward[keep], self.shape[keep])
 
 
 @dataclass(frozen=True, eq=False)

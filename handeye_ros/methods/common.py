@@ -25,6 +25,7 @@ class ObservationRows:
     noise: list[Array] = field(default_factory=list)
     numbers: list[tuple[int, int, int, int]] = field(default_factory=list)
     outward: list[Array] = field(default_factory=list)
+    shape: list[float] = field(default_factory=list)
 
     def add(self, station: int, point: Array, kind: int, noise: Array, source: int,
             edge: EdgePoint | None = None) -> None:
@@ -38,6 +39,7 @@ class ObservationRows:
         self.noise.append(noise)
         self.numbers.append((station, kind, source, 1 + ENDS.index(edge.kind) if edge else 0))
         self.outward.append(edge.direction if edge else NOWHERE)
+        self.shape.append(edge.shape_std if edge else 0.0)
 
     def observations(self) -> Observations:
         """Return what was collected; each point of a feature has an error of its own."""
@@ -49,7 +51,8 @@ class ObservationRows:
             station, np.concatenate([np.empty((0, 2)), *self.points]), kind,
             np.concatenate([np.empty((0, 2, 2)), *self.noise]),
             source + np.arange(len(first)) - first, end,
-            np.repeat(np.array(self.outward).reshape(-1, 2), count, axis=0))
+            np.repeat(np.array(self.outward).reshape(-1, 2), count, axis=0),
+            np.repeat(np.array(self.shape), count))
 
 
 def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int,

@@ -11,11 +11,18 @@ from dataclasses import dataclass
 
 from handeye_ros.data import Array
 import numpy as np
+from numpy.typing import NDArray
 
-SMALLEST, LARGEST = 1e-5, 4e-3  # radius of a rounding (m)
-SMALLEST_SLOPE = 0.3  # of a bevel
-FEWEST = 2  # points behind where a bend begins
-TINY = 1e-30  # of points that lie on each other
+SMALLEST, LARGEST = 5e-5, 4e-3  # radius of a rounding (m)
+RADII = np.geomspace(SMALLEST, LARGEST, 40)[:, None]  # of roundings that are tried
+SLOPES = np.geomspace(0.6, 1.7, 8)[:, None]  # of bevels
+STEEPEST = 0.97  # sine of the slope where an arc ends that is fitted: no light comes back beyond
+ALONG_DOUBT = 0.3  # 1 sigma of where a point lies along the laser line, in columns
+STRAY = 3.0  # sigmas beyond which a point counts ever less: near the rim most are wrong
+LOW = 2.0  # sigmas below the face line, where points tell of a bend
+STEPS = 6  # of fitting where a bend begins
+LEAST = -100.0  # logarithm of how likely a shape is, below which it does not matter
+TINY = 1e-30  # of the slopes of points that all lie on the face
 
 
 def reach(radius: float, depth: float) -> float:
@@ -29,41 +36,95 @@ class Bend:
     """
     The bend at the end of a face, as one profile shows it.
 
-    depth: of its end (m); radius: of it, were it a rounding; roundness: logarithm of how much
-    more likely it is one than a bevel.
+    depth: of its end (m); shapes: (k + 1,) logarithms of how likely roundings of the k RADII
+    are, and a bevel, 0 for the likeliest.
+    middle: (out, below) of the part of the rounding that says best where it is (m); middle_std:
+    1 sigma of that outwards, the radius given. The points that are steepest say most, so the
+    middle hardly depends on the radius that fits them best.
     """
 
     depth: float
-    radius: float
-    roundness: float
+    shapes: Array
+    middle: tuple[float, float]
+    middle_std: float
 
 
-def bend_of(u: Array, v: Array, end: float, noise: float) -> Bend:
+@dataclass(frozen=True, eq=False)
+class _Fits:
+    """
+    Roundings of RADII, then bevels of SLOPES, each fitted to an end of a face.
+
+    begin: (k, 1) where each leaves the face line; slope, weights: (k, n) of each at the points,
+    and what these count; misfit: (k,) twice the logarithm of how unlikely each is.
+    """
+
+    begin: Array
+    slope: Array
+    weights: Array
+    misfit: Array
+
+
+def bend_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> Bend:
     """
     Return the bend at an end of a face.
 
-    u (n,): outwards along the face; v (n,): below it; noise: 1 sigma of these. Circles that leave
-    the face line, and straight lines that do, from every point of it, as they are likely.
+    u (n,): outwards along the face; v (n,): below it; pitch: of the points along it; noise: 1
+    sigma of v. Circles that leave the face line, and straight lines that do, as they are likely.
     """
-    begin = np.concatenate([u[:-FEWEST], (u[:-FEWEST] + u[1:1 - FEWEST]) / 2])[:, None]
-    a = np.maximum(u - begin, 0.0)
-    q = np.where(a > 0, a * a + v * v, 0.0)
-    curvature = np.maximum((q @ v) / np.maximum((q * q).sum(axis=1), TINY), 1 / (2 * LARGEST))
-    slope = np.maximum((a @ v) / np.maximum((a * a).sum(axis=1), TINY), SMALLEST_SLOPE)
-    out = np.maximum(end - begin[:, 0], 0.0)
-    radius, bevel = 0.5 / curvature, np.maximum(slope * out, SMALLEST)
-    depth = radius - np.sqrt(np.maximum(radius ** 2 - out ** 2, 0.0))
-    misfit = np.array([_squares(v, curvature, q), _squares(v, slope, a)]) / noise ** 2
-    # few points fit large radii as well as small ones
-    weights = np.exp((misfit.min(axis=1, keepdims=True) - misfit) / 2) / [radius, bevel]
-    total = weights.sum(axis=1)
-    roundness = float(np.log(total[0] / total[1]) + (misfit[1].min() - misfit[0].min()) / 2)
-    depths = (weights * [depth, bevel]).sum(axis=1) / total
-    share = 1 / (1 + np.exp(-np.clip(roundness, -50.0, 50.0)))
-    return Bend(float(depths @ [share, 1 - share]),
-                float(np.exp(weights[0] @ np.log(radius) / total[0])), roundness)
+    fits, k = _fitted(u, v, pitch, noise), len(RADII)
+    out = np.maximum(end - fits.begin, 0.0)
+    depths = np.concatenate([RADII - np.sqrt(np.maximum(RADII ** 2 - out[:k] ** 2, 0.0)),
+                             SLOPES * out[k:]])[:, 0]
+    likely = np.maximum((fits.misfit.min() - fits.misfit) / 2, LEAST)
+    shapes = np.append(likely[:k], np.log(np.exp(likely[k:]).mean()))
+    weights = np.exp(likely) * np.repeat([1 / k, 1 / len(SLOPES)], [k, len(SLOPES)])
+    best = int(likely[:k].argmax())
+    steep, radius = (fits.weights * fits.slope ** 2)[best], float(RADII[best, 0])
+    sine = fits.slope[best] / np.sqrt(1 + fits.slope[best] ** 2)
+    middle = float(steep @ sine) / max(float(steep.sum()), TINY)
+    return Bend(float(weights @ depths / weights.sum()), shapes - shapes.max(),
+                (float(fits.begin[best, 0]) + radius * middle,
+                 radius * (1 - (1 - middle ** 2) ** 0.5)),
+                max(float(steep.sum()), TINY) ** -0.5)
 
 
-def _squares(v: Array, factor: Array, shape: Array) -> Array:
-    """Return the squared residuals (k,) of v (n,) against factors (k,) of shapes (k, n)."""
-    return np.asarray(((v - factor[:, None] * shape) ** 2).sum(axis=1))
+def _fitted(u: Array, v: Array, pitch: float, noise: float) -> _Fits:
+    """
+    Return roundings and bevels with what leaves the face line fitted, all at once.
+
+    By reweighted least squares with Cauchy's weights: where hardly any light comes back, ranges
+    are wrong by many sigmas.
+    """
+    begin = _first_guess(u, v, v >= min(LOW * noise, v.max()))
+    longest = np.maximum(u[-1] - begin, pitch) / 3
+    for _ in range(STEPS):
+        depth, slope = _shapes(u - begin)
+        off = v - depth
+        variance = noise ** 2 + (ALONG_DOUBT * pitch * slope) ** 2
+        strays = off ** 2 / (variance * STRAY ** 2)
+        weights = 1 / (variance * (1 + strays))
+        steep = weights * slope
+        information = np.maximum((steep * slope).sum(axis=1, keepdims=True), TINY)
+        begin = begin - np.clip((steep * off).sum(axis=1, keepdims=True) / information,
+                                -longest, longest)
+    misfit = (STRAY ** 2 * np.log1p(strays) + np.log(variance / noise ** 2)).sum(axis=1)
+    return _Fits(begin, slope, weights, misfit)
+
+
+def _first_guess(u: Array, v: Array, low: NDArray[np.bool_]) -> Array:
+    """Return where shapes begin (k, 1) that lead through the middle of what is low."""
+    depth = max(float(v[low].mean()), 0.0)
+    within = np.minimum(depth, STEEPEST * RADII)
+    out = np.concatenate([np.sqrt(within * (2 * RADII - within)), depth / SLOPES])
+    return np.asarray(u[low].mean() - out)
+
+
+def _shapes(away: Array) -> tuple[Array, Array]:
+    """Return depths and slopes (k, n) of shapes, so far away (k, n) from where they begin."""
+    away, k = np.maximum(away, 0.0), len(RADII)
+    sine = np.minimum(away[:k] / RADII, STEEPEST)
+    cosine = np.sqrt(1 - sine * sine)
+    slope = sine / cosine
+    depth = RADII * (1 - cosine) + slope * np.maximum(away[:k] - STEEPEST * RADII, 0.0)
+    return (np.concatenate([depth, SLOPES * away[k:]]),
+            np.concatenate([slope, SLOPES * (away[k:] > 0)]))

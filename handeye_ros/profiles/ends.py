@@ -24,6 +24,7 @@ BEND_SIGMAS = 2.0  # an end that is lower than this is bent
 FLAT_SIGMAS = 3.0  # below the face line, up to which its points are on it
 STEEPEST_BEND = 1.5  # slope of a bent end from where it leaves the face line
 SHORTEST_BEND = 20  # points of the face before its last one that may be bent
+RIM_SHARE, LARGEST_RIM = 4, 3  # of a bent end: its last points, where hardly any light comes back
 LOST_DOUBT = 0.17  # 1 sigma of what lost points do to an edge, in columns
 LAST_POINTS = 3  # that tell how deep the end lies
 MOST_STRAY = 2  # points between two levels that only straddle the edge
@@ -95,12 +96,16 @@ def _bent(end: End, edge: EdgePoint, rows: NDArray[np.intp], place: float, beyon
           ) -> EdgePoint:
     """Return an edge at a place, with its bend; beyond: how far the tail leads out of the face."""
     segment, before = end.segment, max(2 * len(rows), SHORTEST_BEND)
-    rows = np.concatenate([segment.rows[::end.outward][-before:], rows])
-    bend = bend_of(*end.along_and_below(rows), place, segment.noise)
+    believed = rows[:len(rows) - min(len(rows) // RIM_SHARE, LARGEST_RIM)]
+    rows = np.concatenate([segment.rows[::end.outward][-before:], believed])
+    bend = bend_of(*end.along_and_below(rows), place,
+                   end.column * math.hypot(1.0, segment.slope), segment.noise)
     # what goes down without going out is no bend, but a wall that is hardly seen
     depth = min(bend.depth, STEEPEST_BEND * beyond + FLAT_SIGMAS * segment.noise)
-    return replace(edge, bend=depth * end.frame.below, radius=bend.radius,
-                   roundness=bend.roundness)
+    out, below = bend.middle
+    arc = (out - place) * end.frame.along + below * end.frame.below
+    return replace(edge, bend=depth * end.frame.below, shapes=bend.shapes, arc=arc,
+                   arc_std=bend.middle_std)
 
 
 def _transition(end: End, last: int, ground: Segment | None) -> tuple[int, float]:

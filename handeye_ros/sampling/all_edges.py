@@ -2,19 +2,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from handeye_ros.data import EdgePoint, Feature, Reject, Sample
-from handeye_ros.profiles.bends import reach
+from handeye_ros.data import Array, EdgePoint, Feature, Reject, Sample
+from handeye_ros.profiles.bends import RADII, reach
 from handeye_ros.sampling.view_border import without_border_ends
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 FEWEST_EDGES = 3
 SHARPEST = 2.5e-5  # depth of ends that are as good as sharp (m)
-SURE = 5.0  # logarithm of odds: the most that one end says of its shape
-SHAPE_DOUBT = 0.1  # 1 sigma of how far an end is from its edge, as a share of that
+SURE = 8.0  # logarithm of odds: the most that one end says against a shape
+SHAPE_DOUBT = 0.1  # 1 sigma of a radius or of the legs of a bevel, relative
+SLANT_DOUBT = 0.1  # the same of the radius that a laser sees that crosses at a slant
+NOTHING = [np.zeros(len(RADII) + 1)]  # said of the shape
 OBLIQUE_DOUBT = 0.03  # the same of the radius: a laser that crosses at a slant sees an ellipse
 DEPTH_DOUBT = 1.5e-5  # 1 sigma of the depth of an end (m)
+FINER = 8  # steps from one radius that was tried to the next
+SHALLOWEST = 1e-6  # middle of an arc (m)
+
+
+@dataclass(frozen=True)
+class EdgeShape:
+    """
+    What the edges of a target are like.
+
+    size: radius or legs (m), 0 of sharp ones; doubt: 1 sigma of it, relative.
+    """
+
+    size: float = 0.0
+    doubt: float = 0.0
+    is_round: bool = True
 
 
 def judged_together(samples: Sequence[Sample]) -> tuple[list[Sample], list[Reject]]:
@@ -28,48 +46,93 @@ def with_bevel(samples: Sequence[Sample]) -> list[Sample]:
     Return the samples with their edges where the planes of face and wall meet.
 
     How a rounded or bevelled end bends is alike at all stations, but one profile shows it only
-    roughly, or not at all when the bevel sends no light back. So the radius that most of the ends
-    show is taken for all; where a wall was seen nothing is to be done.
+    roughly, or not at all when the bevel sends no light back. So the shape that is likeliest for
+    all ends together is taken; where a wall was seen nothing is to be done.
     """
-    radius = typical_radius(samples)
-    return [replace(s, features=tuple(_moved(f, radius) for f in s.features)) for s in samples]
+    shape = typical_shape(samples)
+    return [replace(s, features=tuple(_moved(f, shape) for f in s.features)) for s in samples]
 
 
-def typical_radius(samples: Sequence[Sample]) -> float:
-    """
-    Return the radius that the ends of faces are rounded with, 0.0 for sharp edges (m).
-
-    The legs of the bevel instead, where most look like one; see bends.
-    """
+def typical_shape(samples: Sequence[Sample]) -> EdgeShape:
+    """Return the shape that the ends of faces have, of which the radius is alike at all."""
     ends = [f for s in samples for f in s.features
             if isinstance(f, EdgePoint) and f.kind != 'roof']
     if len(ends) < FEWEST_EDGES or np.median([end.bevel for end in ends]) <= SHARPEST:
-        return 0.0
-    depth, radius = np.array([(end.bevel, end.radius) for end in ends]).T
-    votes = np.clip([end.roundness for end in ends], -SURE, SURE)
-    found = radius if votes.sum() > 0 else depth
-    order = np.argsort(found)
+        return EdgeShape()
+    told = np.sum([_blurred(end.shapes) for end in ends if len(end.shapes)] or NOTHING, axis=0)
+    if np.logaddexp.reduce(told[:-1]) - np.log(len(RADII)) > told[-1]:
+        return EdgeShape(*_radius(told[:-1]))
+    depth = np.array([end.bevel for end in ends])
     # what was seen further down tells more of its shape
+    order = np.argsort(depth)
     share = np.cumsum(depth[order] ** 2)
-    return float(found[order][np.searchsorted(share, share[-1] / 2)])
+    most = depth[order][np.searchsorted(share, share[-1] / 2)]
+    return EdgeShape(float(np.median(depth[depth > most / 2])), SHAPE_DOUBT, is_round=False)
 
 
-def _moved(feature: Feature, radius: float) -> Feature:
+def _blurred(shapes: Array) -> Array:
     """
-    Return a feature, an edge point where face and wall meet, and its bend as far as the wall.
+    Return what one end says of shapes (k + 1,), as far as it may be believed.
 
-    To first order in the slants at which the laser crosses the edge, the wall is as far below
-    the edge of a sheared circle as this leads outwards.
+    A laser that crosses at a slant sees an ellipse: other radii nearby are as likely.
     """
+    logs = np.log(RADII[:, 0])
+    kernel = -0.5 * ((logs[:, None] - logs) / SLANT_DOUBT) ** 2
+    radii = np.logaddexp.reduce(kernel + shapes[:-1], axis=1)
+    radii += shapes[:-1].max() - radii.max()
+    return np.asarray(np.maximum(np.append(radii, shapes[-1]), -SURE))
+
+
+def _radius(told: Array) -> tuple[float, float]:
+    """Return a radius (m) and its relative 1 sigma, of logarithms (k,) of how likely each is."""
+    tried = np.log(RADII[:, 0])
+    logs = np.linspace(tried[0], tried[-1], FINER * len(told))
+    likely = CubicSpline(tried, told)(logs)
+    weights = np.exp(likely - likely.max())
+    mean = float(weights @ logs / weights.sum())
+    spread = float(weights @ (logs - mean) ** 2 / weights.sum()) ** 0.5
+    return float(np.exp(mean)), float(np.hypot(spread, SHAPE_DOUBT))
+
+
+def _moved(feature: Feature, shape: EdgeShape) -> Feature:
+    """Return a feature; an edge point where face and wall meet, its bend as far as the wall."""
     if not isinstance(feature, EdgePoint) or feature.kind == 'roof':
         return feature
-    if not radius:
+    if not shape.size:
         return replace(feature, bend=np.zeros(2))
-    depth = max(feature.bevel, DEPTH_DOUBT)
+    if shape.is_round and 0 < feature.arc_std < shape.size:
+        return _from_arc(feature, shape)
+    return _from_end(feature, shape)
+
+
+def _from_arc(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
+    """
+    Return the edge of a rounding: the middle of its arc in sight, carried outwards to the wall.
+
+    That is a point of the wall however the laser crosses the edge, since the middle was measured.
+    """
+    radius, back = shape.size, float(edge.arc @ edge.direction)
+    below = edge.arc - back * edge.direction
+    depth = min(max(float(np.hypot(*below)), SHALLOWEST), radius)
     out = reach(radius, depth)
-    by_depth = max(radius - depth, 0.0) / out * DEPTH_DOUBT
-    away = radius - out
-    std = np.sqrt(feature.std ** 2 + (SHAPE_DOUBT * away) ** 2 + by_depth ** 2
-                  + (OBLIQUE_DOUBT * radius) ** 2)
-    return replace(feature, point=feature.point + away * feature.direction, std=float(std),
-                   bend=feature.bend * (out / depth))
+    std = np.sqrt(edge.std ** 2 + edge.arc_std ** 2 + (OBLIQUE_DOUBT * radius) ** 2)
+    return replace(edge, point=edge.point + (back + radius - out) * edge.direction, bend=below,
+                   std=float(std), shape_std=shape.doubt * radius * (1 - depth / out))
+
+
+def _from_end(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
+    """
+    Return the edge of a bevel, or of a rounding that is hardly seen: its end, carried outwards.
+
+    A bevel sends light back as a whole or not at all, and leads as far outwards as down.
+    """
+    size, depth = shape.size, min(max(edge.bevel, DEPTH_DOUBT), shape.size)
+    if shape.is_round:
+        out = reach(size, depth)
+        by_depth, share = (size - depth) / out * DEPTH_DOUBT, 1 - depth / out
+    else:
+        share = float(np.clip(1.5 - 2 * depth / size, 0.0, 1.0))
+        out, by_depth = (1 - share) * size, 0.0
+    std = np.sqrt(edge.std ** 2 + by_depth ** 2 + (OBLIQUE_DOUBT * size) ** 2)
+    return replace(edge, point=edge.point + (size - out) * edge.direction, std=float(std),
+                   shape_std=shape.doubt * size * share)

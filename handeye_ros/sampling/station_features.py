@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 LARGEST_DISAGREEMENT = 5e-4  # between profiles of a robot that stands still (m)
 SMALLEST_DISAGREEMENT = 1e-4  # the same of arcs, beyond their scatter
 LEAST_AGREEING = 0.6  # of the profiles of a stop
+MOST_TIMES = 4  # that profiles of one stop say more of an edge than a single one
 MOST_RAW = 50_000  # points of an arc that are held for its residuals: 0.8 MB of a sample
 
 
@@ -104,11 +105,24 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     scatter = float(along[good].std(ddof=1)) if n > 1 else single
     # a robot that stands still repeats the rounding to a column, and mixed and lost points pull
     # the edge inwards in every profile: that does not average out
-    std = np.hypot(single, scatter / min(np.sqrt(n), 2.0))
+    std = np.hypot(single, scatter / min(n, MOST_TIMES) ** 0.5)
     return EdgePoint(points[good].mean(axis=0), direction, float(std), expected, kind,
                      np.median([e.bend for e in edges], axis=0),
-                     float(np.median([e.radius for e in edges])),
-                     float(np.median([e.roundness for e in edges])))
+                     *_combined_ends(points, edges, good))
+
+
+def _combined_ends(points: Array, edges: Sequence[EdgePoint], good: NDArray[np.bool_]
+                   ) -> tuple[Array, Array, float]:
+    """Return shapes, arc and arc_std of edges at points (n, 2), where most of them are bent."""
+    bent = good & [len(edge.shapes) > 0 for edge in edges]
+    if 2 * bent.sum() <= good.sum():
+        return np.empty(0), np.zeros(2), 0.0
+    used = [edge for edge, chosen in zip(edges, bent, strict=True) if chosen]
+    middles = points[bent] + [edge.arc for edge in used]
+    times = min(len(used), MOST_TIMES)
+    shapes = np.mean([edge.shapes for edge in used], axis=0) * times
+    std = float(np.median([edge.arc_std for edge in used])) / times ** 0.5
+    return shapes - shapes.max(), middles.mean(axis=0) - points[good].mean(axis=0), std
 
 
 def _agreeing(values: Array, times: float, least: float, what: str) -> NDArray[np.bool_]:
