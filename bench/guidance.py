@@ -129,12 +129,11 @@ class World:
         shape = (PROFILES, z.shape[1])
         measured = sensor.measure(self.scenario.sensor, np.broadcast_to(z, shape).copy(),
                                   np.broadcast_to(angle, shape), self.rng)
-        method = methods.of(self.config)
         profiles = [Profile(k, 'laser', points) for k, points in enumerate(
             sensor.plane_points(self.scenario.sensor, measured))]
         self.seen = extremes(np.concatenate([self.seen, profiles[-1].points]))
-        used, features = station_features.of_station(
-            profiles, lambda points: method.extract(points, self.config))
+        used, features = station_features.of_station(profiles, methods.of(self.config),
+                                                     self.config)
         require_inside(features, used)
         self._look(features, T)
         error = np.repeat(self.scenario.robot.repeatability, 3) * self.rng.normal(size=6)

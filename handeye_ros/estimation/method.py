@@ -7,6 +7,7 @@ from typing import Any
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Feature, Sample
+from handeye_ros.errors import DataError
 import numpy as np
 from numpy.typing import NDArray
 
@@ -116,6 +117,8 @@ class Method:
     where it is; configured(config): (k,) the stated values of those parameters that are stated.
     elsewhere(observations of stations whose edges are none of the target's, points in base,
     target, config): where these edges are, in words, '' where nothing is to be said.
+    extract_each(profiles, config): what extract gives of each, or the error that it raises; where
+    many at once are quicker.
     """
 
     name: str
@@ -136,6 +139,8 @@ class Method:
     tolerances: Callable[[Config], Array] = _nothing_stated
     relax: Callable[[Config], Config | None] = _known_shape
     configured: Callable[[Config], Array] = _nothing_stated
+    extract_each: Callable[[Sequence[Array], Config],
+                           Sequence[tuple[Feature, ...] | DataError]] | None = None
     elsewhere: Callable[[Observations, Array, Array, Config], str] = _nothing_to_say
 
 

@@ -30,7 +30,7 @@ from handeye_ros.methods.common import (
     ObservationRows,
     some_stations,
 )
-from handeye_ros.profiles.arcs import arc_features
+from handeye_ros.profiles.arcs import arc_features, arcs_of_each
 from handeye_ros.profiles.circles import fit_circle
 import numpy as np
 from numpy.typing import NDArray
@@ -215,4 +215,5 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 
 SPHERE = Method('sphere', ('arc',), ('x', 'y', 'z', 'radius'), arc_features, observe, guess,
                 conditions, retract, free, kind_unchanged, describe, arc_points, edges=(),
-                minimum=6, relax=relax, configured=configured, tolerances=tolerances)
+                minimum=6, relax=relax, configured=configured, tolerances=tolerances,
+                extract_each=arcs_of_each)

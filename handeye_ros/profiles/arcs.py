@@ -5,34 +5,37 @@ A profile is (n, 2): along the laser line, range; NaN where there was no return.
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 import math
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array
-from handeye_ros.profiles.circles import candidates, fit_circle, fit_to_columns
+from handeye_ros.profiles.arc_search import (
+    ArcSearch,
+    LARGEST_SHARE,
+    refined,
+    SMALLEST_RADIUS,
+    SMALLEST_SHARE,
+    TOLERANCE_SIGMAS,
+)
+from handeye_ros.profiles.circles import fit_circle
 from handeye_ros.profiles.errors import FeatureError
-from handeye_ros.profiles.segment import noise_level, returned
+from handeye_ros.profiles.segment import noise_level
 from handeye_ros.profiles.shares import means, SURELY_MORE, variance_of_means
 import numpy as np
 from numpy.typing import NDArray
 
 NORMAL_POINTS = 12
 BLOCKS = 4  # of each share of an arc, whose scatter tells that of its normal point
-SMALLEST_RADIUS, LARGEST_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown radius (m)
-SMALLEST_SHARE = 0.29  # of an arc's radius in that of the sphere: less is seen too steeply
-LARGEST_SHARE = 1.05  # the same, for short and noisy arcs
-TOLERANCE_SIGMAS = 6.0
 MOST_SCATTER = 2.5  # RMS distance of an arc's points from their circle, in sigmas
 BELIEVED_SCATTER = 1.5  # the same, in sigmas of the configured noise, that needs no test
 SLOWEST = 0.5  # share of the scatter that the normal points may have
 SMALLEST_DENSITY = 0.5  # of an arc's points among those between its ends
-STEEP = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its rim
-RIM_WIDTH = 0.24  # of the arc before its rim (rad) that is not used
-RIM_COSINE = 0.5  # points at a larger angle of incidence, the rim of the arc, are bad
 LEAST_SAGITTA = 2.5  # tolerances that an arc must bulge, or a corner is as well one
 SMALLEST_ANGLE = 0.5  # of an arc that fixes its circle (rad)
 ROUNDER = 2.0  # times the squares of the circle are those of two lines, at least
 LINE_POINTS = 4  # fewest of each of the two
+AT_ONCE = 32  # profiles
 JUDGED_POINTS = 128  # of the arc, that are looked at for that
 TINY = 1e-30  # (m^2)
 
@@ -44,27 +47,41 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
     points: (n, 2) in the sensor plane, NaN where there was no return.
     Raises FeatureError when there is none.
     """
-    valid = points.take(returned(points), axis=0)
-    min_points, radius = config.sampling.min_points, config.target.radius
-    if len(valid) < min_points:
-        raise FeatureError(f'fewer than {min_points} returns in the profile')
-    # speckle that is alike over some columns does not show in the noise level
-    noise = max(noise_level(valid[:, 1], config.noise.sensor), config.noise.sensor / 2)
-    limits = (SMALLEST_RADIUS, LARGEST_RADIUS)
-    if radius > 0:
-        limits = SMALLEST_SHARE * radius, (LARGEST_SHARE + 0.1) * radius
-    reason = 'no arc of the sphere in the profile'
-    for i, circle in enumerate(candidates(valid, *limits, TOLERANCE_SIGMAS * noise)):
+    (found,) = arcs_of_each([points], config)
+    if isinstance(found, FeatureError):
+        raise found
+    return found
+
+
+def arcs_of_each(profiles: Sequence[Array], config: Config) -> list[tuple[Arc] | FeatureError]:
+    """Return what arc_features does of profiles, many at once, or the error that it raises."""
+    if len(profiles) > AT_ONCE:
+        return [found for first in range(0, len(profiles), AT_ONCE)
+                for found in arcs_of_each(profiles[first:first + AT_ONCE], config)]
+    found: dict[int, tuple[Arc] | FeatureError] = {}
+    going: dict[int, ArcSearch] = {}
+    for i, points in enumerate(profiles):
         try:
-            return (_arc(valid, circle, noise, config),)
+            going[i] = ArcSearch.of(points, config)
         except FeatureError as error:
-            reason = str(error) if i == 0 else reason
-    raise FeatureError(reason)
+            found[i] = error
+    while going:
+        circles = {i: next(search.circles, None) for i, search in going.items()}
+        found |= {i: FeatureError(search.reason or 'no arc of the sphere in the profile')
+                  for i, search in going.items() if circles[i] is None}
+        going = {i: search for i, search in going.items() if i not in found}
+        tried = refined(list(going.values()), [c for c in circles.values() if c is not None])
+        for (i, search), inliers in zip(going.items(), tried, strict=True):
+            try:
+                found[i] = (_arc(search.points, inliers, search.noise, config),)
+            except FeatureError as error:
+                search.reason = search.reason or str(error)
+        going = {i: search for i, search in going.items() if i not in found}
+    return [found[i] for i in range(len(profiles))]
 
 
-def _arc(points: Array, circle: Array, noise: float, config: Config) -> Arc:
-    """Return the arc of the points near a circle; raises FeatureError when it is none."""
-    inliers = _refined(points, circle, TOLERANCE_SIGMAS * noise)
+def _arc(points: Array, inliers: NDArray[np.bool_], noise: float, config: Config) -> Arc:
+    """Return the arc of some points; raises FeatureError when it is none."""
     min_points, radius = config.sampling.min_points, config.target.radius
     if inliers.sum() < min_points:
         raise FeatureError(f'fewer than {min_points} points on an arc of the sphere')
@@ -133,49 +150,6 @@ def _squares_of_lines(sums: Array) -> Array:
     uu, uv, vv = np.maximum(uu - u * u / n, TINY), uv - u * v / n, vv - v * v / n
     slope = uv / uu
     return np.asarray((vv - slope * uv) / (1 + slope * slope))
-
-
-def _refined(points: Array, circle: Array, tolerance: float) -> NDArray[np.bool_]:
-    """Return which points lie on the circle, fitted again to those that do, rims left out."""
-    used = on = np.zeros(len(points), dtype=bool)
-    x, z = points.T.copy()
-    for width in (3.0, 2.0, 1.0, 1.0):
-        along, away = x - circle[0], z - circle[1]
-        distance = np.sqrt(along * along + away * away)
-        on = np.abs(distance - circle[2]) < width * tolerance
-        # the light falls on one side of a ball only
-        towards = away if away @ on > 0 else -away
-        on &= towards > 0
-        used = on & (towards > RIM_COSINE * distance)
-        rows = used.nonzero()[0]
-        if len(rows) < 5:
-            break
-        circle = fit_to_columns(x.take(rows), z.take(rows), steps=1)
-    return used & ~_rim(points, on, circle)
-
-
-def _rim(points: Array, on: NDArray[np.bool_], circle: Array) -> NDArray[np.bool_]:
-    """
-    Return which points are near an end of the arc where the surface turns away.
-
-    The light comes back badly before it stops to come back at all; how steep that is depends on
-    the part of the tilt that a profile does not show, so it is told by where the arc ends.
-    """
-    if not on.any():
-        return on
-    along, away = points[:, 0] - circle[0], points[:, 1] - circle[1]
-    turn = np.arctan2(along, away if away @ on > 0 else -away)
-    first, last = _quantiles(turn[on], (0.005, 0.995))
-    left = (turn < first + RIM_WIDTH) & (first < -STEEP)
-    return np.asarray(left | ((turn > last - RIM_WIDTH) & (last > STEEP)))
-
-
-def _quantiles(values: Array, shares: tuple[float, ...]) -> list[float]:
-    """Return what np.quantile does of finite values, with less ado."""
-    ordered = np.sort(values)
-    places = [share * (len(ordered) - 1) for share in shares]
-    return [float(ordered[int(p)] + (ordered[min(int(p) + 1, len(ordered) - 1)]
-                                     - ordered[int(p)]) * (p - int(p))) for p in places]
 
 
 def normal_points(raw: Array) -> Arc:

@@ -57,6 +57,41 @@ def fit_to_columns(x: Array, z: Array, steps: int) -> Array:
     return np.array([x_c + mean_x, z_c + mean_z, r])
 
 
+def fit_each(x: Array, z: Array, used: NDArray[np.bool_]) -> Array:
+    """
+    Return (k, 3) what fit_to_columns does in one step, of k profiles at once.
+
+    x, z: (k, n) of their points; used: (k, n) those that count.
+    """
+    weight = used.astype(float)
+    n = np.maximum(weight.sum(axis=1), 1.0)
+    mean_x, mean_z = (np.einsum('kn,kn->k', w, weight) / n for w in (x, z))
+    rows = np.empty((len(x), 3, x.shape[1]))
+    np.multiply(x - mean_x[:, None], weight, out=rows[:, 0])
+    np.multiply(z - mean_z[:, None], weight, out=rows[:, 1])
+    x, z = rows[:, 0].copy(), rows[:, 1].copy()
+    np.add(x * x, z * z, out=rows[:, 2])
+    sums = rows @ np.swapaxes(rows, 1, 2)
+    x_c, z_c = _each_solved(2 * sums[:, :2, :2], sums[:, :2, 2]).T
+    r = np.sqrt(rows[:, 2].sum(axis=1) / n + x_c * x_c + z_c * z_c)
+    dx, dz = x - x_c[:, None], z - z_c[:, None]
+    distance = np.sqrt(dx * dx + dz * dz)
+    share = weight / np.maximum(distance, TINY)  # equal points have their centre in them
+    np.multiply(dx, share, out=rows[:, 0])
+    np.multiply(dz, share, out=rows[:, 1])
+    rows[:, 2] = weight
+    step = _each_solved(rows @ np.swapaxes(rows, 1, 2),
+                        (rows @ (distance - r[:, None])[..., None])[..., 0])
+    return np.column_stack([x_c + mean_x, z_c + mean_z, r]) + step
+
+
+def _each_solved(A: Array, b: Array) -> Array:
+    """Return what _solved does (k, u), of k normal equations A (k, u, u) and b (k, u)."""
+    more = TINY * np.einsum('kii->k', A) + SMALLEST
+    return np.asarray(np.linalg.solve(A + more[:, None, None] * np.eye(A.shape[1]),
+                                      b[..., None])[..., 0])
+
+
 def _solved(A: Array, b: Array) -> list[float]:
     """Return the solution of normal equations, of nearly least norm when they say too little."""
     diagonal = A.ravel()[::len(b) + 1]

@@ -117,12 +117,10 @@ def _still(profiles: list[Profile], pose: Array, start: int, end: int, limit: fl
 
 
 def _sample(profiles: list[Profile], pose: Array, config: Config) -> Sample | None:
-    method = methods.of(config)
     if len(profiles) < FEWEST_PROFILES:
         return None
     try:
-        used, features = station_features.of_station(
-            profiles, lambda points: method.extract(points, config))
+        used, features = station_features.of_station(profiles, methods.of(config), config)
     except FeatureError:
         return None
     return Sample(used[0].stamp, pose, features, len(used))

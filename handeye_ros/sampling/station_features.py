@@ -6,10 +6,14 @@ The scatter between the profiles gives the uncertainty of what they share.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
+from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature, Profile
+from handeye_ros.errors import DataError
+from handeye_ros.estimation.method import Method
 from handeye_ros.profiles.arcs import normal_points
 from handeye_ros.profiles.errors import DisagreeingProfilesError, FeatureError
 from handeye_ros.profiles.lines import combined_line, on_line
@@ -23,24 +27,37 @@ MOST_TIMES = 4  # that profiles of one stop say more of an edge than a single on
 MOST_RAW = 50_000  # points of an arc that are held for its residuals: 0.8 MB of a sample
 
 
-def of_station(profiles: Sequence[Profile], extract: Callable[[Array], tuple[Feature, ...]]
+def of_station(profiles: Sequence[Profile], method: Method, config: Config
                ) -> tuple[list[Profile], tuple[Feature, ...]]:
     """
     Return the profiles of a station that show the target, and their features combined.
 
-    extract: gives the features of the points (n, 2) of one profile, or raises FeatureError.
     Raises FeatureError when most do not show it, or do not agree.
     """
     used, found, reasons = [], [], Counter[str]()
-    for profile in profiles:
-        try:
-            found.append(extract(profile.points))
+    several = method.extract_each or partial(_one_by_one, method)
+    seen = several([profile.points for profile in profiles], config)
+    for profile, features in zip(profiles, seen, strict=True):
+        if isinstance(features, DataError):
+            reasons[str(features)] += 1
+        else:
+            found.append(features)
             used.append(profile)
-        except FeatureError as error:
-            reasons[str(error)] += 1
     if not found or 2 * len(found) < len(profiles):
         raise FeatureError(reasons.most_common(1)[0][0])
     return used, combine(found)
+
+
+def _one_by_one(method: Method, profiles: Sequence[Array], config: Config
+                ) -> list[tuple[Feature, ...] | DataError]:
+    """Return the features of each profile, or why there are none."""
+    found: list[tuple[Feature, ...] | DataError] = []
+    for points in profiles:
+        try:
+            found.append(method.extract(points, config))
+        except FeatureError as error:
+            found.append(error)
+    return found
 
 
 def combine(found: Sequence[tuple[Feature, ...]]) -> tuple[Feature, ...]:

@@ -133,11 +133,9 @@ def sample_of(stop: Stop, config: Config) -> Sample:
 
 def _sample(seen: Seen, profiles: Sequence[Profile], config: Config) -> Sample:
     """Return the sample of what was seen at a stop; profiles: of when nothing swings any more."""
-    method = methods.of(config)
     if not profiles:
         raise NoProfilesError((seen.poses[-1].stamp - seen.poses[0].stamp) / NS)
-    used, combined = station_features.of_station(
-        profiles, lambda points: method.extract(points, config))
+    used, combined = station_features.of_station(profiles, methods.of(config), config)
     require_inside(combined, used)
     poses = interpolate(seen.poses, [p.stamp for p in used])
     return Sample(used[0].stamp, se3.mean_pose(poses), combined, len(used),
