@@ -112,8 +112,8 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     ordered, at_border = judged_together(sorted(samples, key=lambda sample: sample.stamp))
     rejects = [*rejects, *at_border]
     agreed, solution = estimate(ordered, rejects, config)
-    require_certain(agreed, config)
     require_judged(agreed)
+    require_certain(agreed, config)
     require_edges(agreed)
     calibration = describe_calibration(ordered, rejects, agreed, solution, config, frame_id)
     if not calibration.quality.holdout_rms <= config.limits.residual:

@@ -10,7 +10,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.clocks import require_same_clock
 from handeye_ros.sampling.errors import ClocksDifferError
-from handeye_ros.simulate import SCENARIOS, settings, simulate, Simulated
+from handeye_ros.simulate import FAULTS, SCENARIOS, settings, simulate, Simulated
 import numpy as np
 import pytest
 
@@ -51,6 +51,14 @@ def test_clocks_are_not_blamed_for_what_else_is_wrong() -> None:
     wrong = [replace(p, quaternion=p.quaternion[[3, 0, 1, 2]]) for p in made.poses]
     with pytest.raises(DataError, match='quaternions read as w x y z'):
         pipeline.calibrate(made.profiles, wrong, config)
+    require_same_clock(pipeline.gather(made.profiles, made.poses, config), config)
+
+
+@pytest.mark.thorough
+def test_clocks_are_not_blamed_for_few_samples_of_which_two_are_wrong() -> None:
+    scenario = FAULTS['4 + 3, two bad']
+    made = simulate(scenario, np.random.default_rng(16))
+    config = with_values(Config(), settings(scenario), 'the test')
     require_same_clock(pipeline.gather(made.profiles, made.poses, config), config)
 
 

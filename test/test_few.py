@@ -1,11 +1,17 @@
 """Few samples: no answer where they cannot judge it, or where another one fits as well."""
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 from cells import cell
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.errors import TooFewConditionsError, TooFewSamplesError
+from handeye_ros.checks.errors import (
+    SuspectedError,
+    TooFewConditionsError,
+    TooFewSamplesError,
+    TooUncertainError,
+)
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError
@@ -15,7 +21,7 @@ from handeye_ros.estimation.solve import evaluate, redundancy
 from handeye_ros.estimation.trial import guesses
 from handeye_ros.estimation.weights import Noise
 from handeye_ros.results.truth_errors import errors_against
-from handeye_ros.simulate import FAULTS, SCENARIOS, settings, simulate
+from handeye_ros.simulate import FAULTS, SCENARIOS, settings, simulate, simulate_samples
 import numpy as np
 import pytest
 
@@ -134,3 +140,27 @@ def test_six_poses_visited_four_times_carry_an_answer(name: str, seed: int) -> N
     assert answer.quality.samples_used == 6, 'a pose that is taken again says nothing new'
     error = se3.difference(answer.T_flange_sensor, recording.truth.T_flange_sensor)
     assert error @ np.linalg.solve(answer.covariance, error) < 20
+
+
+@pytest.mark.thorough
+def test_six_stations_of_which_one_is_wrong_are_refused_and_why() -> None:
+    scenario = FAULTS['3 + 3, one bad']
+    config = with_values(Config(), settings(scenario), 'test')
+    suspected = 0
+    for seed in range(6):
+        samples, _ = simulate_samples(scenario, np.random.default_rng(seed))
+        with pytest.raises(DataError) as refusal:
+            pipeline.solve(samples, [], config, 'laser')
+        suspected += isinstance(refusal.value, SuspectedError)
+    assert suspected >= 4, 'two answers, of others'
+
+
+@pytest.mark.parametrize('stations', [(3, 3), (4, 3)])
+def test_few_stations_of_a_robot_a_little_worse_than_told_are_not_suspected(
+        stations: tuple[int, int]) -> None:
+    scenario = replace(FAULTS['smooth 0.2 mm'], stations=stations)
+    config = with_values(Config(), settings(scenario), 'test')
+    for seed in range(4):
+        samples, _ = simulate_samples(scenario, np.random.default_rng(seed))
+        with suppress(TooUncertainError):
+            assert pipeline.solve(samples, [], config, 'laser').quality.samples_rejected == 0

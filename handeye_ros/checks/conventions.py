@@ -63,7 +63,7 @@ def require_no_slip(problem: Problem, agreed: Consensus, flipped: Problem | None
     tried = [(name, quick_consensus(_undone(problem, undo))) for name, slip in SLIPS.items()
              for undo in (slip.undo, slip.other) if undo]
     good = [(name, better) for name, better in tried
-            if better and _explains(better, agreed)]
+            if better and explains(better, agreed)]
     if good:
         name, better = min(good, key=lambda pair: pair[1].solution.variance_factor)
         raise _slip_error(name, better, misfit.rms)
@@ -74,7 +74,7 @@ def require_no_slip(problem: Problem, agreed: Consensus, flipped: Problem | None
 def _require_not_flipped(flipped: Problem, agreed: Consensus, before: float) -> None:
     other = quick_consensus(flipped)
     # both read the same points with the same doubts, which make both fit better than their noise
-    if not other or not _explains(other, agreed, floor=0.0):
+    if not other or not explains(other, agreed, floor=0.0):
         return
     after = residual_rms(other.solution)
     if after < FLIPPED_SHARE * before or _more(other, agreed):
@@ -118,9 +118,9 @@ def orientations_scatter(poses: Array) -> bool:
     return float(np.linalg.norm(poses[:, :3, :3].mean(axis=0), 2)) < SCATTERED
 
 
-def _explains(better: Consensus, agreed: Consensus, floor: float = 1.0) -> bool:
+def explains(better: Consensus, agreed: Consensus, floor: float = 1.0) -> bool:
     """
-    Return whether a slip explains what the answer does not, down to the configured noise.
+    Return whether a cause explains what the answer does not, down to the configured noise.
 
     floor: of the variance factor, below which fitting better says nothing.
 

@@ -24,6 +24,16 @@ class TooFewConditionsError(DataError):
                          f'judge an answer by; {needed} are needed: take more samples')
 
 
+class SuspectedError(DataError):
+    """Samples one of which seems to be wrong, too few to tell which, or if the robot is."""
+
+    def __init__(self, used: int, more: int) -> None:
+        super().__init__(f'these {used} samples contradict each other: at least one is wrong (its '
+                         'pose is off by a millimetre or so, or it saw something else), or the '
+                         'robot is less accurate than noise.robot_smooth says, and so few cannot '
+                         f'tell; take {more} more, or all of them anew')
+
+
 class TwoAnswersError(DataError):
     """Two answers that explain the samples equally well."""
 

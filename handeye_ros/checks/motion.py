@@ -10,6 +10,7 @@ from handeye_ros.checks.errors import (
     missing_turn,
     OneAxisError,
     OneOrientationError,
+    SuspectedError,
     TooFewConditionsError,
     TooFewSamplesError,
     TooUncertainError,
@@ -28,6 +29,7 @@ from scipy.spatial.transform import Rotation
 ENOUGH_TURN = 0.12  # rad: RMS about the second axis, of tilts to both sides by 12 degrees
 FEWEST_REDUNDANT = 3  # conditions that judge an answer
 REDUNDANT_DROPPED, REDUNDANT_PER_DROP = 1, 3  # more where stations were left out: a choice
+SUSPECTED = 0.1  # chance of one of few samples being wrong that is too large
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 
 
@@ -135,14 +137,25 @@ def require_certain(agreed: Consensus, config: Config) -> None:
 
 
 def require_judged(agreed: Consensus) -> None:
-    """Raise TooFewConditionsError where too little is left to judge an answer by."""
-    dropped = len(agreed.dropped)
-    needed = FEWEST_REDUNDANT
-    if dropped:
-        needed += REDUNDANT_DROPPED + REDUNDANT_PER_DROP * dropped
-    left = redundancy(agreed.solution)
+    """
+    Refuse an answer where too little is left to judge it by.
+
+    Raises TooFewConditionsError, and SuspectedError where that would be so without the one sample
+    that seems to be wrong.
+    """
+    dropped, left = len(agreed.dropped), redundancy(agreed.solution)
+    needed = _redundant(dropped)
     if left < needed:
         raise TooFewConditionsError(len(agreed.used), dropped, left, needed)
+    each = int(agreed.solution.ranks.max())
+    missing = _redundant(dropped + 1) - (left - each)
+    if agreed.suspected > SUSPECTED and missing > 0:
+        raise SuspectedError(len(agreed.used), -(-missing // each))
+
+
+def _redundant(dropped: int) -> int:
+    """Return how many conditions are to judge an answer for which so many samples were dropped."""
+    return FEWEST_REDUNDANT + (REDUNDANT_DROPPED + REDUNDANT_PER_DROP * dropped if dropped else 0)
 
 
 def require_only_answer(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> None:

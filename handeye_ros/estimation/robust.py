@@ -45,13 +45,15 @@ class Consensus:
     """
     A solution from the stations used (ascending), and the squared residual of the rest.
 
-    whole: the problem with all stations and all that they show.
+    whole: the problem with all stations and all that they show; suspected: the chance that one
+    of few stations used is wrong.
     """
 
     whole: Problem
     solution: Solution
     used: NDArray[np.intp]
     dropped: dict[int, float]
+    suspected: float = 0.0
 
     @property
     def lost(self) -> NDArray[np.intp]:
@@ -187,7 +189,8 @@ def _settled(agreed: Consensus, minimum: int, noise: Noise | None = None) -> Con
         if not len(worst):
             if doubted:
                 solution = replace(solution, suspicion=doubted.covariance)
-            return replace(agreed, solution=solution, used=used, dropped=dropped)
+            return replace(agreed, solution=solution, used=used, dropped=dropped,
+                           suspected=doubted.of_any if doubted else 0.0)
         dropped |= {int(used[k]): float(mean_square[k]) for k in worst}
         used = np.delete(used, worst)
         part = part.subset(np.delete(np.arange(len(part.poses)), worst))

@@ -46,6 +46,11 @@ class Suspicion:
         return worst if sure and self.rest[worst] > EXPLAINED else None
 
     @property
+    def of_any(self) -> float:
+        """Return the chance that one of the stations is wrong."""
+        return float(self.chance.sum())
+
+    @property
     def covariance(self) -> Array:
         """Return (6, 6) by what the covariance of the transform has to grow."""
         moved = self.covariances + self.moves[:, :, None] * self.moves[:, None, :]

@@ -11,11 +11,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from handeye_ros import methods, se3
+from handeye_ros.checks.conventions import explains
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, Sample
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.quick import quick_consensus
+from handeye_ros.estimation.robust import Consensus
 from handeye_ros.estimation.solve import redundancy
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.results.outcome import mounted
@@ -65,9 +67,10 @@ def require_same_clock(session: Session, config: Config) -> None:
     rest = float(np.quantile(changes, STILL_SHARE)) if len(changes) else 0.0
     limit = max(MOVING * rest, SMALLEST_CHANGE)
     stills = [_still(*part, limit, config) for part in seen]
+    as_told = _agreed(session.samples, config)
     for behind in (0, 1, -1):
         offset = _offset(stills, behind)
-        if abs(offset) > SMALLEST and _fits(stills, behind, config):
+        if abs(offset) > SMALLEST and _fits(stills, behind, config, as_told):
             raise ClocksDifferError(offset, config.time_offset)
 
 
@@ -142,15 +145,25 @@ def _pairs(stills: Sequence[_Still], behind: int) -> list[tuple[_Still, _Still]]
             if 0 <= k - behind < len(stills)]
 
 
-def _fits(stills: Sequence[_Still], behind: int, config: Config) -> bool:
-    """Return whether the samples fit the poses of the stops that many before."""
-    samples = [replace(still.sample, T_base_flange=stop.pose)
-               for still, stop in _pairs(stills, behind) if still.sample]
-    method = methods.of(config)
-    if len(samples) < method.minimum:
-        return False
-    agreed = quick_consensus(Problem(method, mounted(samples, config), method.observe(samples),
-                                     config))
+def _fits(stills: Sequence[_Still], behind: int, config: Config, as_told: Consensus | None
+          ) -> bool:
+    """
+    Return whether the samples fit the poses of the stops that many before.
+
+    as_told: what they agree on with the poses of their time, None if on nothing; it must be worse.
+    """
+    agreed = _agreed([replace(still.sample, T_base_flange=stop.pose)
+                      for still, stop in _pairs(stills, behind) if still.sample], config)
     return bool(agreed and agreed.unexplained < LARGEST_UNEXPLAINED
                 and agreed.solution.variance_factor < BELIEVABLE
-                and redundancy(agreed.solution) >= FEWEST_CONDITIONS)
+                and redundancy(agreed.solution) >= FEWEST_CONDITIONS
+                and (as_told is None or explains(agreed, as_told)))
+
+
+def _agreed(samples: Sequence[Sample], config: Config) -> Consensus | None:
+    """Return what samples agree on, None if on nothing."""
+    method = methods.of(config)
+    if len(samples) < method.minimum:
+        return None
+    return quick_consensus(Problem(method, mounted(samples, config), method.observe(samples),
+                                   config))
