@@ -19,7 +19,7 @@ class Stations:
 
     rows: (s, c) of them; near: (s, c, c) how alike a smooth error of the sensor is at each two;
     shared: (s, c, c) 1 where they share the error of one feature; edge, rest: (s, c, c) 1 where
-    both are points of edges, and where neither is.
+    both are points of edges, and where neither is. alone: whether none shares its error.
     """
 
     rows: NDArray[np.intp]
@@ -27,6 +27,7 @@ class Stations:
     shared: Array
     edge: Array
     rest: Array
+    alone: bool
 
     def of(self, values: Array) -> Array:
         """Return values (m, k) of all observations by stations, (s, c, k)."""
@@ -37,7 +38,7 @@ class Stations:
     def every(self, step: int) -> Stations:
         """Return each so manieth of the stations."""
         return Stations(self.rows[::step], self.near[::step], self.shared[::step],
-                        self.edge[::step], self.rest[::step])
+                        self.edge[::step], self.rest[::step], self.alone)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,4 +83,5 @@ def _of_rows(obs: Observations, rows: NDArray[np.intp]) -> Stations:
     near = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / DISTORTION_LENGTH ** 2)
     shared = source[:, :, None] == source[:, None, :]
     both, neither = (of[:, :, None] & of[:, None, :] for of in (edge, ~edge))
-    return Stations(rows, near, shared.astype(float), both.astype(float), neither.astype(float))
+    return Stations(rows, near, shared.astype(float), both.astype(float), neither.astype(float),
+                    alone=int(shared.sum()) == rows.size)

@@ -102,7 +102,7 @@ def _total(problem: Problem, linear: Linear, at: Stations, noise: Noise) -> Arra
     """Return the sum (stations, c, c) of covariances, and of what is lumped with them."""
     told, shared = problem.config.noise, float(noise.lumped)
     total = _feature(linear, at)
-    total *= noise.sensor * at.rest + noise.edge * at.edge
+    total *= noise.sensor * at.rest + noise.edge * at.edge if problem.ends.parts else noise.sensor
     distortion = noise.local * _local(problem) + shared * told.distortion ** 2
     if distortion:
         total += at.near * _squared(at.of(linear.by_point), distortion)
@@ -112,8 +112,12 @@ def _total(problem: Problem, linear: Linear, at: Stations, noise: Noise) -> Arra
 
 def _feature(linear: Linear, at: Stations) -> Array:
     """Return the covariances (stations, c, c) of the features' own errors."""
-    feature = _squared(at.of(linear.by_feature)) * at.shared
-    every = np.arange(at.rows.shape[1])
+    factor, every = at.of(linear.by_feature), np.arange(at.rows.shape[1])
+    if at.alone:
+        feature = np.zeros(at.near.shape)
+        feature[:, every, every] = np.einsum('sck,sck->sc', factor, factor)
+    else:
+        feature = _squared(factor) * at.shared
     feature[:, every, every] += SMALLEST_STD ** 2
     return feature
 

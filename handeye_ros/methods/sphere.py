@@ -191,7 +191,8 @@ def rotations(count: int) -> Array:
 def arc_points(sample: Sample, points: Array, kind: NDArray[np.intp]
                ) -> tuple[Array, NDArray[np.intp]]:
     """Return all points of the arcs of a sample, which its normal points stand for."""
-    points = np.concatenate([f.raw for f in sample.features if isinstance(f, Arc)])
+    arcs = [f.raw for f in sample.features if isinstance(f, Arc)]
+    points = np.concatenate(arcs) if len(arcs) > 1 else arcs[0]
     return points, np.zeros(len(points), dtype=np.intp)
 
 

@@ -189,8 +189,12 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:
     bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
     parts = [problem.method.measured(sample, obs.points[first:last], obs.kind[first:last])
              for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
+    count = np.array([len(kind) for _, kind in parts])
+    every = max(-(-int(count.sum()) // MOST_POINTS), 1)
+    # the first of each that is the so manieth of all
+    first = -(np.cumsum(count) - count) % every
+    parts = [(points[k::every], kind[k::every])
+             for (points, kind), k in zip(parts, first.tolist(), strict=True)]
     station = np.repeat(np.arange(len(used)), [len(kind) for _, kind in parts])
-    measured = Measured(np.concatenate([points for points, _ in parts]),
-                        np.concatenate([kind for _, kind in parts]), station)
-    every = -(-len(station) // MOST_POINTS)
-    return measured.select(np.arange(len(station)) % every == 0) if every > 1 else measured
+    return Measured(np.concatenate([points for points, _ in parts]),
+                    np.concatenate([kind for _, kind in parts]), station)
