@@ -21,7 +21,8 @@ class TooFewConditionsError(DataError):
     def __init__(self, used: int, dropped: int, redundant: int, needed: int) -> None:
         lost = f' (of which {dropped} contradict the others)' if dropped else ''
         super().__init__(f'{used + dropped} usable samples{lost} leave {redundant} conditions to '
-                         f'judge an answer by; {needed} are needed: take more samples')
+                         f'judge an answer by; {needed} are needed: take more samples, at new '
+                         'poses')
 
 
 class SuspectedError(DataError):
@@ -31,7 +32,7 @@ class SuspectedError(DataError):
         super().__init__(f'these {used} samples contradict each other: at least one is wrong (its '
                          'pose is off by a millimetre or so, or it saw something else), or the '
                          'robot is less accurate than noise.robot_smooth says, and so few cannot '
-                         f'tell; take {more} more, or all of them anew')
+                         f'tell; take {more} more at new poses, or all of them anew')
 
 
 class TwoAnswersError(DataError):

@@ -125,6 +125,7 @@ def _few() -> Iterator[Scenario]:
     yield replace(PLANE, name='plane, 5 stations', stations=(5, 0))
     yield replace(PLATE, name='3 + 3, one bad', stations=(3, 3), bumped=1)
     yield replace(PLATE, name='4 + 3, two bad', stations=(4, 3), bumped=2)
+    yield replace(PLATE, name='4 + 4, one bad', stations=(4, 4), bumped=1)
 
 
 FAULTS: dict[str, Scenario] = {s.name: s for s in (
