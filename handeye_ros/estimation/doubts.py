@@ -32,6 +32,7 @@ class Doubt:
     columns: (m, k) derivatives of the residuals by taking it out, each unknown in units of its
     prior sigma std (m, rad or 1); parameter: which of the target's it is of, None of none.
     functions: of each column so many unknowns, times the functions of the poses (see Columns).
+    least: variance over the configured one that it has at least, whatever the data show.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Doubt:
     std: float
     parameter: int | None = None
     functions: int = 1
+    least: float = 0.0
 
     @property
     def count(self) -> int:
@@ -110,7 +112,8 @@ def _shapes(problem: Problem, linear: Linear) -> Iterator[Doubt]:
     for kind in sorted({kind for kind, _ in ends.parts}):
         here = np.any([rows for (other, _), rows in ends.parts.items() if other == kind], axis=0)
         name = f'shape_{problem.method.kinds[kind]}'
-        yield Doubt(name, np.where(here, outwards, 0.0)[:, None], 1.0)
+        # it was told from few points of a curve, whatever that really goes on as
+        yield Doubt(name, np.where(here, outwards, 0.0)[:, None], 1.0, least=1.0)
 
 
 def _scale(problem: Problem, linear: Linear) -> Iterator[Doubt]:

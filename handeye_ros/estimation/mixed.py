@@ -225,7 +225,8 @@ class _System:
 
     def with_sizes(self, variances: Array) -> _System:
         """Return the system with other sizes of the doubts."""
-        named = {d.name: float(v) for d, v in zip(self.doubts, variances, strict=True)}
+        named = {d.name: max(float(v), d.least)
+                 for d, v in zip(self.doubts, variances, strict=True)}
         return replace(self, noise=replace(self.noise, doubts=named))
 
     def answer(self) -> Solution:

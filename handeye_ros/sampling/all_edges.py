@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 FEWEST_EDGES = 3
 SHARPEST = 2.5e-5  # depth of ends that are as good as sharp (m)
 SURE = 8.0  # logarithm of odds: the most that one end says against a shape
-SHAPE_DOUBT = 0.1  # 1 sigma of a radius or of the legs of a bevel, relative
+SHAPE_DOUBT = 0.2  # 1 sigma of a radius or of the legs of a bevel, relative: it may be an ellipse
 SLANT_DOUBT = 0.1  # the same of the radius that a laser sees that crosses at a slant
 NOTHING = [np.zeros(len(RADII) + 1)]  # said of the shape
 OBLIQUE_DOUBT = 0.03  # the same of the radius: a laser that crosses at a slant sees an ellipse
