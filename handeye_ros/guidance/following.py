@@ -75,7 +75,7 @@ def batch_of(prototype: Problem, estimate: Estimate, anchor: Array, poses: Array
     many = Observations(np.repeat(np.arange(n), len(obs)), points.reshape(-1, 2),
                         np.tile(obs.kind, n), np.tile(obs.noise, (n, 1, 1)),
                         np.tile(obs.source, n), np.tile(obs.end, n),
-                        np.tile(obs.outward, (n, 1)))
+                        np.tile(obs.outward, (n, 1)), np.tile(obs.shape, n))
     return Batch(replace(prototype, poses=poses, observations=many), estimate, places, groups,
                  linearise(prototype, estimate).by_point[:, 1])
 
