@@ -14,7 +14,7 @@ from handeye_ros.estimation.blocks import (
     step_without_many,
     unexplained,
 )
-from handeye_ros.estimation.least_squares import least_squares, Rows, System
+from handeye_ros.estimation.least_squares import least_squares, many_least_squares, Rows, System
 from handeye_ros.files import FILE_METHODS
 from handeye_ros.ros.bags import bag
 from handeye_ros.simulate import FILE_SCENES
@@ -66,6 +66,17 @@ def test_a_linear_system_is_solved_as_by_its_normal_equations(seed: int) -> None
     root = np.sqrt(weights)[block]
     expected = np.linalg.lstsq(A * root[:, None], b * root, rcond=None)[0]
     assert np.abs(least_squares(system, np.zeros(4), weights) - expected).max() < 1e-9
+
+
+def test_an_unknown_that_nothing_depends_on_stays_where_it_is() -> None:
+    _, A, b, _ = linear(0)
+    J = np.column_stack([A, np.zeros(len(A))])
+    (found,), squares = many_least_squares(
+        lambda states: (states[0] @ J.T - b, np.broadcast_to(J, (len(states[0]), *J.shape))),
+        lambda states, steps: (states[0] + steps,), (np.ones((3, 5)),), 20, 1e-9)
+    expected, least, _, _ = np.linalg.lstsq(A, b, rcond=None)
+    assert np.abs(found - [*expected, 1.0]).max() < 1e-9
+    assert np.abs(squares - least).max() < 1e-9
 
 
 @SEEDS

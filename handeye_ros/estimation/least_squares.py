@@ -126,7 +126,7 @@ def _damped_steps(J: Array, r: Array, damping: Array) -> Array:
     """
     transposed, every = np.swapaxes(J, -1, -2), np.arange(J.shape[-1])
     A = transposed @ J
-    scale = np.maximum(np.sqrt(A[..., every, every]), 1e-300)
+    scale = np.maximum(np.sqrt(A[..., every, every]), 1e-150)  # its square is a number, too
     A /= scale[..., None, :] * scale[..., None]
     A[..., every, every] += damping[..., None]
     step = np.linalg.solve(A, (transposed @ r[..., None]) / scale[..., None])[..., 0]
