@@ -23,7 +23,7 @@ SAME = 1e-3  # m or rad: starts nearer to each other than this lead to the same 
 
 def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:
     """
-    Return the different estimates that the starts lead to, best first, poor ones given up early.
+    Return the estimates that the starts lead to, best first, poor ones given up early.
 
     more: times as many go on.
     """
@@ -42,7 +42,8 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
         kept = max(more * kept, MORE_STARTS if few else 0)
         states, cost = many_least_squares(linear, retract, states, iterations, SOME_START)
         order = np.argsort(cost, kind='stable')
-        best = order[different(states[0][order])][:kept]
+        # many lead to the same where there are few stations
+        best = (order[different(states[0][order])] if few else order)[:kept]
         states = tuple(values[best] for values in states)
     return [Estimate(X, target) for X, target in zip(*states, strict=True)][:MOST]
 
