@@ -14,9 +14,9 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-ALIKE_POSITION = 0.6  # poses this far apart (m), or turned this far (rad), share half the error
-ALIKE_ROTATION = 1.0
-SAME_PLACE = 0.01  # of these lengths: nearer poses err alike
+ALIKE_POSITION = 1.0  # poses this far apart (m), or turned this far (rad), share half the error
+ALIKE_ROTATION = 1.4
+SAME_PLACE = 0.006  # of these lengths: nearer poses err alike
 MOST_PLACES = 24  # that span the robot's error
 FIELD, GRID = 1.25, 11  # how far the field of view goes beyond the points; its points each way
 
