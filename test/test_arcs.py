@@ -55,6 +55,18 @@ def test_many_profiles_at_once_give_what_each_gives_alone(config: Config) -> Non
     assert_each_as_alone(profiles, config)
 
 
+@pytest.mark.parametrize('step', [1e-5, 1e-4, 3e-4, 1e-3])
+def test_where_the_others_show_their_arcs_is_found_though_the_target_moves(step: float) -> None:
+    centres = [CENTRE + step * np.array([k, -k]) for k in range(6)]
+    profiles = [wide(lambda x, c=c: ball(x, 0.03, centre=c), seed)  # type: ignore[misc]
+                for seed, c in enumerate(centres)]
+    for points, found in zip(profiles, arcs_of_each(profiles, KNOWN), strict=True):
+        assert not isinstance(found, FeatureError)
+        (one,), (arc,) = arc_features(points, KNOWN), found
+        assert abs(len(one.raw) - len(arc.raw)) <= 3
+        assert np.abs(one.centre - arc.centre).max() < 2e-6
+
+
 @pytest.mark.parametrize('config', [KNOWN, UNKNOWN], ids=['known', 'unknown'])
 @pytest.mark.parametrize('radius', [0.012, 0.03, 0.0395])
 def test_an_exact_arc_is_recovered_exactly(config: Config, radius: float) -> None:

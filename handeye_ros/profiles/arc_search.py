@@ -25,6 +25,7 @@ RIM_WIDTH = 0.24  # of the arc before its rim (rad) that is not used
 RIM_COSINE = 0.5  # points at a larger angle of incidence, the rim of the arc, are bad
 FEWEST_FITTED = 5  # points on a circle, with which it is fitted again
 WIDTHS = (3.0, 2.0, 1.0, 1.0)  # tolerances, within which points are taken for the next circle
+ALIKE = (2.0, 1.0)  # the same of a circle that another profile of the stop shows
 
 
 @dataclass
@@ -51,19 +52,21 @@ class ArcSearch:
         return cls(valid, noise, candidates(valid, *limits, TOLERANCE_SIGMAS * noise))
 
 
-def refined(searches: Sequence[ArcSearch], circles: Sequence[Array]) -> list[NDArray[np.bool_]]:
+def refined(searches: Sequence[ArcSearch], circles: Sequence[Array],
+            widths: Sequence[float] = WIDTHS) -> list[NDArray[np.bool_]]:
     """Return which points of each search lie on its circle, fitted again to them, no rims."""
     if len(searches) == 1:
-        return [_refined_one(searches[0], circles[0])]
-    return _refined_together(searches, circles) if searches else []
+        return [_refined_one(searches[0], circles[0], widths)]
+    return _refined_together(searches, circles, widths) if searches else []
 
 
-def _refined_one(search: ArcSearch, circle: Array) -> NDArray[np.bool_]:
+def _refined_one(search: ArcSearch, circle: Array, widths: Sequence[float]
+                 ) -> NDArray[np.bool_]:
     """Return the same of one search: arrays of one dimension take half the time then."""
     points, tolerance = search.points, TOLERANCE_SIGMAS * search.noise
     used = on = np.zeros(len(points), dtype=bool)
     x, z = points.T.copy()
-    for width in WIDTHS:
+    for width in widths:
         along, away = x - circle[0], z - circle[1]
         distance = np.sqrt(along * along + away * away)
         on = np.abs(distance - circle[2]) < width * tolerance
@@ -78,8 +81,8 @@ def _refined_one(search: ArcSearch, circle: Array) -> NDArray[np.bool_]:
     return used & ~_rim(points, on, circle)
 
 
-def _refined_together(searches: Sequence[ArcSearch], circles: Sequence[Array]
-                      ) -> list[NDArray[np.bool_]]:
+def _refined_together(searches: Sequence[ArcSearch], circles: Sequence[Array],
+                      widths: Sequence[float]) -> list[NDArray[np.bool_]]:
     """Return the same of several, whose circles are fitted all at once."""
     count = np.array([len(search.points) for search in searches], dtype=int)
     valid = np.arange(count.max()) < count[:, None]
@@ -89,7 +92,7 @@ def _refined_together(searches: Sequence[ArcSearch], circles: Sequence[Array]
     tolerance = TOLERANCE_SIGMAS * np.array([search.noise for search in searches])
     used = on = np.zeros_like(valid)
     circle = np.array(circles)
-    for width in WIDTHS:
+    for width in widths:
         along, away = x - circle[:, :1], z - circle[:, 1:2]
         distance = np.sqrt(along * along + away * away)
         on = np.abs(distance - circle[:, 2:]) < (width * tolerance)[:, None]

@@ -6,11 +6,13 @@ A profile is (n, 2): along the laser line, range; NaN where there was no return.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 import math
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array
 from handeye_ros.profiles.arc_search import (
+    ALIKE,
     ArcSearch,
     LARGEST_SHARE,
     refined,
@@ -36,6 +38,7 @@ SMALLEST_ANGLE = 0.5  # of an arc that fixes its circle (rad)
 ROUNDER = 2.0  # times the squares of the circle are those of two lines, at least
 LINE_POINTS = 4  # fewest of each of the two
 AT_ONCE = 32  # profiles
+MOST_AWAY = 3.0  # sigmas of a point, that normal points of the same arc are apart
 JUDGED_POINTS = 128  # of the arc, that are looked at for that
 TINY = 1e-30  # (m^2)
 
@@ -54,7 +57,11 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
 
 
 def arcs_of_each(profiles: Sequence[Array], config: Config) -> list[tuple[Arc] | FeatureError]:
-    """Return what arc_features does of profiles, many at once, or the error that it raises."""
+    """
+    Return what arc_features does of profiles, many at once, or the error that it raises.
+
+    At a stop all show nearly the same arc, so where one does the others are looked at first.
+    """
     if len(profiles) > AT_ONCE:
         return [found for first in range(0, len(profiles), AT_ONCE)
                 for found in arcs_of_each(profiles[first:first + AT_ONCE], config)]
@@ -65,6 +72,32 @@ def arcs_of_each(profiles: Sequence[Array], config: Config) -> list[tuple[Arc] |
             going[i] = ArcSearch.of(points, config)
         except FeatureError as error:
             found[i] = error
+    for i in [*going][:1]:
+        found |= _searched({i: going.pop(i)}, config)
+        if isinstance(arc := found[i], tuple):
+            found |= _alike(arc[0], going, config)
+    found |= _searched({i: search for i, search in going.items() if i not in found}, config)
+    return [found[i] for i in range(len(profiles))]
+
+
+def _alike(arc: Arc, searches: dict[int, ArcSearch], config: Config) -> dict[int, tuple[Arc]]:
+    """Return the arcs of those profiles that show the same as another does."""
+    circle, found = np.append(arc.centre, arc.radius), {}
+    inliers = refined(list(searches.values()), [circle] * len(searches), ALIKE)
+    for (i, search), used in zip(searches.items(), inliers, strict=True):
+        with suppress(FeatureError):
+            one = _arc(search.points, used, search.noise, config)
+            away = np.linalg.norm(one.points - arc.centre, axis=1) - arc.radius
+            # of one that has moved only a part would be near enough
+            if np.abs(away).max() < MOST_AWAY * search.noise:
+                found[i] = (one,)
+    return found
+
+
+def _searched(going: dict[int, ArcSearch], config: Config
+              ) -> dict[int, tuple[Arc] | FeatureError]:
+    """Return the arcs of profiles, searched from nothing, or why there are none."""
+    found: dict[int, tuple[Arc] | FeatureError] = {}
     while going:
         circles = {i: next(search.circles, None) for i, search in going.items()}
         found |= {i: FeatureError(search.reason or 'no arc of the sphere in the profile')
@@ -77,7 +110,7 @@ def arcs_of_each(profiles: Sequence[Array], config: Config) -> list[tuple[Arc] |
             except FeatureError as error:
                 search.reason = search.reason or str(error)
         going = {i: search for i, search in going.items() if i not in found}
-    return [found[i] for i in range(len(profiles))]
+    return found
 
 
 def _arc(points: Array, inliers: NDArray[np.bool_], noise: float, config: Config) -> Arc:
