@@ -189,6 +189,21 @@ def test_numbers_are_never_given_twice() -> None:
     assert state_of(live).samples[len(numbers) - 1].number == numbers[-1] + 1
 
 
+def test_another_setting_takes_no_sample_of_where_the_robot_stands() -> None:
+    live = fed()
+    live.compute()
+    count = len(live.copied().outcomes)
+    shifted = [replace(item, stamp=item.stamp + 10**12)
+               for item in (*SPHERE.poses, *SPHERE.profiles)]
+    begun = shifted[0].stamp + 10**9
+    feed(live, [item for item in shifted if item.stamp <= begun])  # it stands in another stop
+    before = live.calibration
+    changed(live, noise__sensor=2 * live.config.noise.sensor)
+    assert live.calibration is not before and len(live.copied().outcomes) == count
+    live.compute()
+    assert len(live.copied().outcomes) == count + 1
+
+
 def test_cleared_and_refused_answers_are_withdrawn() -> None:
     live = fed()
     assert state_of(live).calibration.state == 'none'

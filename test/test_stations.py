@@ -75,9 +75,15 @@ def test_a_long_stop_uses_its_first_seconds() -> None:
 
 
 def test_a_fast_sensor_is_thinned_out_evenly() -> None:
+    settle = round(CONFIG.sampling.settle_time * NS)
     session = played(stops((0, 2)), profiles(0, 2, rate=500.0), finish=True)
     sample, = session.samples
     assert sample.profiles == MOST_PROFILES < 900
+    outcome, = session.outcomes
+    stamps = np.array([p.stamp for p in outcome.stop.load(CONFIG).profiles]) - START
+    inside = (stamps >= settle) & (stamps <= 2 * NS - settle)
+    assert [sum(stamps < settle), sum(inside), sum(stamps > 2 * NS - settle)] == [8, 73, 8]
+    assert np.diff(stamps[inside]).max() <= NS / 40 + NS / 500
     edge, = (f for f in sample.features if isinstance(f, EdgePoint))
     few, = played(stops((0, 2)), profiles(0, 2, rate=50.0)).samples
     other, = (f for f in few.features if isinstance(f, EdgePoint))

@@ -22,10 +22,12 @@ from handeye_ros.sampling.stations import around, interpolate, NS, Station
 from handeye_ros.sampling.view_end import require_inside
 import numpy as np
 
-# Of one stop, evenly spread. What is kept are all that are ever compared (in clocks.py, 50 ms
-# apart) of 7.5 s; a sample is of fewer: a robot that stands still sees the same speckle, and 32
-# bring the noise of single profiles far below that of its poses.
-MOST_KEPT, MOST_PROFILES = 150, 32
+# Of one stop, evenly spread. A robot that stands still sees the same speckle, and 32 profiles
+# bring the noise of single ones far below that of its poses: a sample is of no more. What is kept
+# leaves room for other settings, and for what is compared (in clocks.py, 50 ms apart) in 3.75 s.
+MOST_PROFILES, MOST_KEPT = 32, 150
+KEPT_AT_REST, KEPT_BESIDE = 64, 8  # at the least, of what may be used, and of when it may swing
+KEPT_APART = 1 / 40  # s, at the most
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +76,9 @@ def stop_of(station: Station, profiles: Sequence[AnyProfile], config: Config) ->
     inside = _inside(profiles, station)
     first, last = settled(station.start, station.end, config)
     begin, end = (bisect_left(inside, first, key=_stamp), bisect_right(inside, last, key=_stamp))
-    kept = [*evenly(inside[:begin], MOST_PROFILES), *evenly(inside[begin:end], MOST_KEPT),
-            *evenly(inside[max(begin, end):], MOST_PROFILES)]
-    seen = Seen(station.poses, tuple(kept))
+    kept = (*_kept(inside[:begin], KEPT_BESIDE), *_kept(inside[begin:end], KEPT_AT_REST),
+            *_kept(inside[max(begin, end):], KEPT_BESIDE))
+    seen = Seen(station.poses, kept)
     return Stop(station.began, partial(_held, seen))
 
 
@@ -116,6 +118,12 @@ def settled(start: int, end: int, config: Config) -> tuple[int, int]:
     """Return the first and last stamp of a stop at which nothing swings any more."""
     settle = round(config.sampling.settle_time * NS)
     return start + settle, end - settle
+
+
+def _kept(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
+    """Return those of a part of a stop that are kept: no more are written, or waited for."""
+    length = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
+    return evenly(profiles, min(MOST_KEPT, max(least, 1 + round(length / KEPT_APART))))
 
 
 def evenly(profiles: Sequence[AnyProfile], most: int) -> list[AnyProfile]:

@@ -117,7 +117,7 @@ class LiveSession(LiveSamples):
         self._review()
         if self._due:
             with suppress(HandeyeError):  # it is told by the state of the answer
-                self.compute()
+                self._compute(self.judge_all)
 
     def _review(self) -> None:
         """Tell how well the samples agree and what is missing, where they have changed."""
@@ -176,9 +176,14 @@ class LiveSession(LiveSamples):
         The stop that the robot stands in now counts as over. Raises DataError when there is no
         answer, or InputError; the answer before is then gone.
         """
-        self._asked, self._due, cleared = True, False, self._cleared
+        self._asked = True
+        return self._compute(self._judge_rest)
+
+    def _compute(self, judge: Callable[[], None]) -> tuple[Calibration, str]:
+        """Do so from the stops that judge() takes for over."""
+        self._due, cleared = False, self._cleared
         try:
-            found, stamps = self._solved()
+            found, stamps = self._solved(judge)
         except HandeyeError as error:
             self.answer.withdraw(f'the last attempt to compute it was refused ({error})')
             self.on_change()
@@ -190,12 +195,10 @@ class LiveSession(LiveSamples):
         self.on_change()
         return found, calibration_summary(found)
 
-    def _solved(self) -> tuple[Calibration, frozenset[int]]:
+    def _solved(self, judge: Callable[[], None]) -> tuple[Calibration, frozenset[int]]:
         self.extract_anew()
         with self._work:
-            self.judge_all()
-            for stop in self.copied().rest():
-                self._judge(stop)
+            judge()
             session, config = self.copied(), self.config
         self._wake.set()
         session.require_stations()

@@ -11,7 +11,7 @@ from dataclasses import replace
 import threading
 
 from handeye_ros.config import Config
-from handeye_ros.data import Reject
+from handeye_ros.data import Reject, Sample
 from handeye_ros.errors import HandeyeError, InputError
 from handeye_ros.ros.node.judging import Judge
 from handeye_ros.ros.node.live_streams import LiveStreams
@@ -73,6 +73,13 @@ class LiveSamples(LiveStreams):
             while self._stops:
                 self._judge(self._stops.popleft())
 
+    def _judge_rest(self) -> None:
+        """Judge every stop, also the one that the robot stands in."""
+        with self._work:
+            self.judge_all()
+            for stop in self.copied().rest():
+                self._judge(stop)
+
     def _judge(self, stop: Stop) -> None:
         result = self._judging.result(stop, self.config)
         with self._lock:
@@ -127,12 +134,11 @@ class LiveSamples(LiveStreams):
             self._wake.set()
 
     def _take(self) -> str:
-        stop, cleared = self._here()  # while it moves, that is told at once
+        stop, sample, known = self._sampled()  # while others are stored, and told at once if none
         with self._work:
             self.judge_all()
-            if self._cleared != cleared:
-                stop, _ = self._here()
-            sample = self._judging.sample(stop, self.config)
+            if known != (self._cleared, self.config):
+                stop, sample, _ = self._sampled()
             with self._lock:
                 outcome = self._session.outcome(stop, sample)
                 again = any(o.stop.began == stop.began for o in self._session.outcomes)
@@ -149,10 +155,16 @@ class LiveSamples(LiveStreams):
         self.on_outcome(outcome)
         return text
 
-    def _here(self) -> tuple[Stop, int]:
-        """Return the stop that the robot stands in, and how often all was forgotten before."""
+    def _sampled(self) -> tuple[Stop, Sample, tuple[int, Config]]:
+        """Return the stop that the robot stands in, its sample, and what was known with it."""
+        known = self._cleared, self.config
+        stop = self._here()
+        return stop, self._judging.sample(stop, known[1]), known
+
+    def _here(self) -> Stop:
+        """Return the stop that the robot stands in."""
         with self._lock:
-            return self._session.here(), self._cleared
+            return self._session.here()
 
     def _why_not(self, outcome: Outcome) -> str:
         """Return what of a new sample is no good, as far as the others tell; empty if all is."""

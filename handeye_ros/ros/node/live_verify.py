@@ -68,7 +68,7 @@ class LiveVerify(LiveSession):
     def _take(self) -> str:
         if self._course is None:
             return super()._take()
-        stop, _ = self._here()
+        stop = self._here()
         with self._work:
             self.judge_all()
             return self._wanted(self._course, stop)
