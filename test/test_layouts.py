@@ -11,7 +11,8 @@ import pytest
 import yaml
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from ros_helpers import Client, running_node  # noqa: E402, I100
+import contract  # noqa: E402, I100
+from ros_helpers import Client, running_node  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -56,8 +57,8 @@ def offered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]
     try:
         with running_node(tmp_path_factory.mktemp('node')):
             client.until(lambda: client.node.get_node_names().count('handeye'), 'it is there')
-            client.until(lambda: ('/handeye/save_calibration', ['std_srvs/srv/Trigger']) in
-                         client.node.get_service_names_and_types(), 'it serves')
+            client.until(lambda: contract.listed() <= contract.offered(client),
+                         'it offers all that the contract lists')
             topics = dict(client.node.get_topic_names_and_types())
             yield {'topics': topics, 'services': dict(client.node.get_service_names_and_types()),
                    'durable': {topic: info[0].qos_profile.durability.value for topic in topics
