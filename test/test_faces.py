@@ -280,3 +280,11 @@ def test_of_two_surfaces_side_by_side_the_nearer_is_the_face(slope: float) -> No
         return np.where(x > -0.0065, np.where(x > -0.005, lower, beyond), beyond)
     line, _ = found(marked(height))
     assert line.centre[0] < -0.0065, 'the lower one is longer, and ends in a step too'
+
+
+def test_a_splinter_beside_a_face_is_none() -> None:
+    def height(x: Array) -> Array:
+        splinter = (x > -0.009) & (x < -0.0075)
+        return np.where(x > -0.005, 0.17, np.where(splinter, 0.168, 0.18))
+    line, (edge, *_) = found(marked(height))
+    assert line.centre[0] > 0 and abs(edge.point[0] + 0.005) < 1e-4

@@ -21,6 +21,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.sampling.errors import NoPosesError, NoStationsError, TwoFramesError
 from handeye_ros.simulate import FAULTS, SCENARIOS, settings
+from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np
 import pytest
 
@@ -85,6 +86,16 @@ def test_of_a_surface_beside_the_plate_all_stations_take_the_same(what: str) -> 
     made = recorded(FAULTS[f'neighbour {what}, 3 mm'], rate=6.0)
     found = calibrated(made)
     assert found.quality.samples_rejected == 0
+    assert made.error(found.T_flange_sensor) < 9e-5
+
+
+@pytest.mark.parametrize(('height', 'gap', 'width'), [
+    (0.001, 0.008, 0.02), (0.001, 0.012, 0.06), (0.002, 0.002, 0.01), (0.002, 0.008, 0.06)])
+def test_it_does_not_depend_on_how_much_of_each_is_seen(height: float, gap: float, width: float
+                                                        ) -> None:
+    target = PlateTarget(clutter=height, clutter_gap=gap, clutter_width=width)
+    made = recorded(replace(SCENARIOS['plate'], target=target), rate=6.0)
+    found = calibrated(made)
     assert made.error(found.T_flange_sensor) < 9e-5
 
 

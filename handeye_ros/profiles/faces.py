@@ -25,9 +25,9 @@ ROOF_ANGLE = 0.15  # two pieces that meet at a smaller angle (rad) are one bent 
 ROOF_REACH = 8.0  # they meet when their ends are this many columns from the crossing
 MIN_STEP_SIGMAS = 8.0
 SURE_EDGE = 1.5  # a face with a sure edge is worth this many times its points
-BEHIND = 0.3  # one with something nearer beside it, this many times
+BEHIND = 0.02  # a surface with a nearer one beside it, this many times: all stations are to agree
 SHADOW_SLOPE = 2.0  # a step hides less than this many times its height behind it
-WIDEST_GAP = 0.01  # between two surfaces side by side, of which the nearer is the face (m)
+WIDEST_GAP, SPLINTER = 0.02, 0.002  # between surfaces side by side; one that is none (m)
 LARGEST_BEVEL = 2.5e-3  # of the piece between a face and its wall; a larger one is a face (m)
 STEEP_ERROR = 1.0  # of a surface seen steeply, as a share of the noise that it adds
 EDGE_KINDS = ('roof', 'step', 'gap', 'open')  # a step may turn out as a shadow
@@ -93,10 +93,8 @@ def _edges(segment: Segment, segments: Sequence[Segment], seen: Returns
            ) -> tuple[list[EdgePoint], bool]:
     """Return the edges of a segment, and whether something beside it is nearer."""
     ends = [End(segment, outward, seen) for outward in (-1, 1)]
-    found = [_edge(end, segments) for end in ends]
-    behind = any(kind == 'nearer' for kind, _ in found) or any(
-        _is_above(end, other) for end in ends for other in _following(end, segments))
-    return [edge for _, edge in found if edge], behind
+    behind = any(_is_above(end, other) for end in ends for other in _following(end, segments))
+    return [edge for end in ends if (edge := _edge(end, segments))], behind
 
 
 def _following(end: End, segments: Sequence[Segment]) -> list[Segment]:
@@ -108,12 +106,13 @@ def _following(end: End, segments: Sequence[Segment]) -> list[Segment]:
 def _is_above(end: End, other: Segment) -> bool:
     """Return whether another surface, across a gap or the foot of its wall, is nearer."""
     u, v = end.along_and_below(other.rows[[0, len(other.rows) // 2, -1]])
-    return bool(u.min() < WIDEST_GAP and v[1] < -_smallest_step(end, other))
+    return bool(np.hypot(u[2] - u[0], v[2] - v[0]) > SPLINTER and u.min() < WIDEST_GAP
+                and v[1] < -_smallest_step(end, other))
 
 
-def _edge(end: End, segments: Sequence[Segment]) -> tuple[str, EdgePoint | None]:
+def _edge(end: End, segments: Sequence[Segment]) -> EdgePoint | None:
     """
-    Return the kind of a segment's end, see EDGE_KINDS, 'nearer' or 'border'; its edge.
+    Return the edge at a segment's end, None where that is none.
 
     segments: all of the profile, in the order of their first rows.
     """
@@ -126,15 +125,15 @@ def _edge(end: End, segments: Sequence[Segment]) -> tuple[str, EdgePoint | None]
         rows = rows[:np.count_nonzero(np.abs(rows - end.row) < abs(end.start_of(other) - end.row))]
     kind = _kind(end, other, rows)
     if kind == 'roof' and other is not None:
-        return kind, _roof_edge(end, other)
+        return _roof_edge(end, other)
     if kind not in EDGE_KINDS:
-        return kind, None
+        return None
     wall = wall_edge(end, rows)
     if wall:
-        return 'roof', edge_point(end.frame, *wall, 'roof')
+        return edge_point(end.frame, *wall, 'roof')
     ground = other if kind == 'step' else None
     kind = 'shadow' if ground and _foot_hidden(end, rows, ground) else kind
-    return kind, end_edge(end, rows, ground, kind)
+    return end_edge(end, rows, ground, kind)
 
 
 def _is_bevel(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:

@@ -17,7 +17,7 @@ from handeye_ros.ros.node.latest import Latest
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 
-MOST_STOPS = 16  # that wait to be judged, of 9 MB at most with 1280 points a profile
+MOST_STOPS = 16  # that wait to be judged, of 7 MB at most with 1280 points a profile
 
 
 class LiveStreams:
