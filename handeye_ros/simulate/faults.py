@@ -70,6 +70,8 @@ def _targets() -> Iterator[Scenario]:
     for what, height in (('lower', -3 * MM), ('higher', 3 * MM)):
         yield _target(f'neighbour {what}, 3 mm', clutter=height, clutter_gap=3 * MM,
                       clutter_width=0.06)
+    for gap in (8, 16):
+        yield _target(f'neighbour 1 mm higher, {gap} mm', clutter=1 * MM, clutter_gap=gap * MM)
 
 
 def _sensors() -> Iterator[Scenario]:
