@@ -77,6 +77,17 @@ def test_from_files_and_profiles(tmp_path: Path, seed: int) -> None:
     assert 1e-6 < std[:3].max() < 0.25e-3 and 1e-6 < std[3:].max() < 1e-3
 
 
+@pytest.mark.parametrize('seed', [1003, 1004])
+def test_the_rim_of_the_ball_is_no_block(seed: int) -> None:
+    cell = simulate_tracker(np.random.default_rng(seed))
+    sweep = sweep_from(cell.profiles, cell.poses, CONFIG, cell.q3_first, cell.q30)
+    assert sweep.face_c[:, 2].min() > sweep.ball[:, 2].max()
+    faces = [jing2020.swept(points, sweep.q30, jing2020.fit_swept_ball(
+        sweep.published.ball, sweep.q30, jing2020.SWEEP)[0])
+        for points in (sweep.published.face_c, sweep.published.face_d)]
+    assert np.degrees(jing2020.face_angle(*faces)) == pytest.approx(90.0, abs=0.05)
+
+
 def test_wrong_points_are_left_out() -> None:
     measured, sweep = session(2, 2e-5, NOISE)
     measured.arc[5] += [1e-3, 0, 0]
