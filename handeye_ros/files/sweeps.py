@@ -31,7 +31,9 @@ SHARES = 12  # mean points that stand for a face in one profile
 LARGEST_TURN = 2e-3  # of a flange that only moves along a line (rad)
 LARGEST_ASIDE = 2e-4  # of its way (m, RMS)
 SMALLEST_WAY = 0.02
-FEWEST_PROFILES, FEWEST_IN_A_ROW = 5, 3
+FEWEST_PROFILES = 5
+MISSED = 3  # so many profiles without two faces do not end a run of those that show them
+STRAYS = 0.2  # of the longest run: a shorter one is not of the block
 
 
 def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], config: Config,
@@ -61,23 +63,26 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
 def _found(profiles: Sequence[AnyProfile], ways: Array, config: Config
            ) -> dict[str, list[tuple[int, Array]]]:
     """Return for each part of the sweep the stamps and the rows of the profiles that show it."""
-    faces: list[tuple[int, list[Array]]] = []
+    runs: list[list[tuple[int, list[Array]]]] = [[]]  # of profiles that show two faces
     arcs: list[tuple[int, float, Arc]] = []
-    run = 0  # how many profiles in a row show faces
+    missed = 0
     for profile, q3 in zip(profiles, ways, strict=True):
         try:
             points = profile.read().points
         except UnusableMessageError:
             continue
-        two = ridge(points, config)
-        if two:
-            run += 1
-            faces.append((profile.stamp, [_at(q3, *_face_points(s, points)) for s in two]))
+        if two := ridge(points, config):
+            runs += [[]] if missed > MISSED else []
+            runs[-1].append((profile.stamp,
+                             [_at(q3, *_face_points(face, points)) for face in two]))
+            missed = 0
             continue
-        faces, run = _without_strays(faces, run), 0
+        missed += 1
         if arc := _arc(points, config):
             arcs.append((profile.stamp, float(q3), arc))
-    faces = _without_strays(faces, run)
+    # the rim of the ball shows so little that two lines may fit it as well
+    longest = max(map(len, runs))
+    faces = [face for run in runs if len(run) > STRAYS * longest for face in run]
     found = {'ball': _ball(arcs, config.target.radius), **{
         name: [(stamp, rows[k]) for stamp, rows in faces] for k, name in enumerate(SWEPT[1:])}}
     for what, name in (('ball', 'ball'), ('block', 'face_c')):
@@ -85,13 +90,6 @@ def _found(profiles: Sequence[AnyProfile], ways: Array, config: Config
             raise DegenerateError(NAME, f'{len(found[name])} profiles show the {what}',
                                   f'sweep over it slowly, at least {FEWEST_PROFILES} profiles')
     return found
-
-
-def _without_strays(faces: list[tuple[int, list[Array]]], run: int
-                    ) -> list[tuple[int, list[Array]]]:
-    """Return the profiles with faces, without the last run of so many where these are few."""
-    # the rim of the ball shows so little that two lines may fit it as well
-    return faces if run >= FEWEST_IN_A_ROW else faces[:len(faces) - run]
 
 
 def _ways(T: Array) -> Array:
