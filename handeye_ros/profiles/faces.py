@@ -105,9 +105,12 @@ def _following(end: End, segments: Sequence[Segment]) -> list[Segment]:
 
 def _is_above(end: End, other: Segment) -> bool:
     """Return whether another surface, across a gap or the foot of its wall, is nearer."""
-    u, v = end.along_and_below(other.rows[[0, len(other.rows) // 2, -1]])
-    return bool(np.hypot(u[2] - u[0], v[2] - v[0]) > SPLINTER and u.min() < WIDEST_GAP
-                and v[1] < -_smallest_step(end, other))
+    x, z = end.seen.points[other.rows.item(len(other.rows) // 2)].tolist()
+    rise = end.seen.near * (z - end.segment.height(x)) / math.hypot(1.0, end.segment.slope)
+    if rise <= _smallest_step(end, other):
+        return False
+    u, v = end.along_and_below(other.rows[[0, -1]])
+    return math.hypot(u[1] - u[0], v[1] - v[0]) > SPLINTER and bool(u.min() < WIDEST_GAP)
 
 
 def _edge(end: End, segments: Sequence[Segment]) -> EdgePoint | None:
