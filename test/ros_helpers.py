@@ -12,9 +12,7 @@ from typing import Any
 from command import PATIENCE, ROOT, running
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
-from handeye_ros.ros.node.intake import TFMessage
 import numpy as np
-import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -24,7 +22,6 @@ from ros_clouds import cloud
 from sensor_msgs.msg import PointCloud2, PointField
 from std_srvs.srv import SetBool, Trigger
 
-needs_tf2 = pytest.mark.skipif(TFMessage is None, reason='tf2_msgs is not built: make tf2_msgs')
 RELIABLE = QoSProfile(depth=2000)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -16,9 +16,9 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402, I100
+from handeye_ros.ros.node.intake import TFMessage  # noqa: E402
 from ros_helpers import (  # noqa: E402
     Client,
-    needs_tf2,
     pose_message,
     RELIABLE,
     ROOT,
@@ -74,10 +74,11 @@ def test_two_publishers_with_two_clocks_on_one_topic(tmp_path: Path, client: Cli
         assert not answer.success and 'stamps are older than those before' in answer.message
 
 
-@needs_tf2  # to which the node then listens
 def test_the_policy_allows_what_the_node_does_and_nothing_else(tmp_path: Path, client: Client
                                                                ) -> None:
     text = POLICY['POLICY'].read_text(encoding='utf-8')
+    if not TFMessage:  # the node then publishes none
+        text = text.replace('            <topic>/tf_static</topic>\n', '')
     with running_node(tmp_path):
         client.connect()
         client.until(lambda: POLICY['policy'](POLICY['used'](client.node)) == text,

@@ -18,7 +18,6 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 from command import PATIENCE  # noqa: E402, I100
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped  # noqa: E402
 from handeye_ros.ros.node import params  # noqa: E402
-from handeye_ros.ros.node.intake import TFMessage  # noqa: E402
 from rcl_interfaces.srv import GetParameters  # noqa: E402
 import rclpy  # noqa: E402
 from rclpy.context import Context  # noqa: E402
@@ -29,7 +28,6 @@ from ros_helpers import (  # noqa: E402
     Client,
     cloud_message,
     LATCHED,
-    needs_tf2,
     pose_message,
     RELIABLE,
     replay,
@@ -42,8 +40,14 @@ from sensor_msgs.msg import PointCloud2  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:
+    TFMessage = None
+
 pytestmark = pytest.mark.ros
 
+needs_tf2 = pytest.mark.skipif(TFMessage is None, reason='tf2_msgs is not built: make tf2_msgs')
 PLATE = ROOT / 'config' / 'plate.yaml'
 SHARED = ROOT.parent / 'shared' / 'bags' / 'sphere_r40'
 needs_shared = pytest.mark.skipif(not SHARED.exists(), reason='sphere_r40 is not there')

@@ -121,6 +121,20 @@ def stand(live: LiveVerify, profiles: Any, poses: Any) -> None:
                 live.take_sample()
 
 
+def test_nobody_waits_for_a_take_and_what_changes_meanwhile_counts(tmp_path: Path) -> None:
+    judging = Gate()
+    live = running(tmp_path, judging=judging, sampling__mode='manual')
+    stand(live, *PARTS[0])
+    before = live.copied().outcomes
+    with judging.closed(live.take_sample) as told:
+        live.configure(changed(live.config, 'sampling.min_points', 10_000))
+    assert 'fewer than 10000 returns' in str(told[0]) and live.copied().outcomes == before
+    live.configure(changed(live.config, 'sampling.min_points', 20))
+    with judging.closed(live.take_sample) as told:
+        live.clear_samples()
+    assert isinstance(told[0], HandeyeError) and not live.copied().outcomes
+
+
 def verifying(tmp_path: Path) -> tuple[LiveVerify, Gate]:
     """Return what has seen all that a verification needs, and what will tell its verdict."""
     second = Gate()

@@ -128,9 +128,7 @@ class LiveVerify(LiveSession):
             course = self._course
             if course is None:
                 raise NotStartedError
-            self.judge_all()
-            for stop in self.copied().rest():
-                self._judge(stop)
+            self._judge_rest()
             asked = course.copied()
         found = self._found(asked)
         text = f'{verification.sentence(found)}; {self._written(found)}'
