@@ -102,14 +102,14 @@ class Solution:
             return self.covariance[:self.unknowns, :self.unknowns]
         away = se3.difference(cautious.estimate.X, self.estimate.X)
         stated = cautious.stated.copy()
-        stated[:6, :6] = covering(stated[:6, :6] + np.outer(away, away), self._serving(away))
+        stated[:6, :6] = covering(stated[:6, :6] + np.outer(away, away),
+                                  self._serving(cautious, away))
         if self.suspicion is not None:
             stated[:6, :6] += self.suspicion
         return stated
 
-    def _serving(self, away: Array) -> Array:
+    def _serving(self, cautious: Solution, away: Array) -> Array:
         """Return the mean square (6, 6) of what serves best, about the estimate."""
-        assert (cautious := self.cautious) is not None
         moving = by_doubts(self.linear, cautious.doubts)
         columns = np.hstack([np.eye(6, cautious.unknowns), moving])
         away = away + moving @ cautious.doubtful

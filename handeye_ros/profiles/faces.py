@@ -151,7 +151,7 @@ def _is_bevel(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
 
 
 def _kind(end: End, other: Segment | None, rows: NDArray[np.intp]) -> str:
-    """Return 'roof', 'step', 'gap', 'open', 'nearer' or 'border'; other: what follows."""
+    """Return one of EDGE_KINDS, or 'border' where the face only ends; other: what follows."""
     points, size = end.seen.points, len(end.seen.points)
     if other is None:
         behind = (end.row + 1, size) if end.outward > 0 else (0, end.row)
@@ -165,7 +165,7 @@ def _kind(end: End, other: Segment | None, rows: NDArray[np.intp]) -> str:
     rise = end.seen.near * (z - end.segment.height(x))
     if rise > 0 and (crossing or rise > _smallest_step(end, other)):
         gap = abs(x - points[end.row, 0])
-        return 'gap' if not crossing and gap > SHADOW_SLOPE * rise else 'nearer'
+        return 'gap' if not crossing and gap > SHADOW_SLOPE * rise else 'border'
     if crossing:
         return 'roof'
     return 'step' if -rise > _smallest_step(end, other) else 'border'
