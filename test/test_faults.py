@@ -153,8 +153,8 @@ def test_two_nodes_of_one_name_are_told_and_keep_apart(tmp_path: Path, client: C
                          == client.poses.get_subscription_count(), 'both hear the client')
             for i in range(50):
                 away = (0.1 if i > 45 else 0.0, 0.0, 0.0)
-                client.poses.publish(pose_message(START + i * PERIOD, away))
-                client.profiles.publish(sphere_profile(START + i * PERIOD + 1))
+                client.send(client.poses, [pose_message(START + i * PERIOD, away)], rate=200)
+                client.send(client.profiles, [sphere_profile(START + i * PERIOD + 1)], rate=200)
             client.until(lambda: len(list(tmp_path.glob('sphere/*/metadata.yaml'))) == 2,
                          'each keeps its own session')
         client.until(lambda: words not in client.state()['message'], 'it is over')
