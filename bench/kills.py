@@ -3,9 +3,10 @@ Kills a running session at random moments, and counts what is lost of what was a
 
     .venv/bin/python bench/kills.py
 
-The process runs the session of the node, fed directly instead of over ROS; test/test_cell.py kills
-the node itself. After each SIGKILL the session has to be readable, by handeye and by stock
-readers of rosbag2 and mcap, hold every sample that was acknowledged and not removed, and go on.
+The process runs the session of the node, fed directly instead of over ROS;
+test/ros/node/test_cell.py kills the node itself. After each SIGKILL the session has to be
+readable, by handeye and by stock readers of rosbag2 and mcap, hold every sample that was
+acknowledged and not removed, and go on.
 """
 from __future__ import annotations
 

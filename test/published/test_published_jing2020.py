@@ -4,76 +4,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros import se3
-from handeye_ros.data import Array
 from handeye_ros.published import jing2020
 from handeye_ros.published.errors import TooFewError
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-
-H0, H1, Q30, RADIUS = 0.02543, 0.031, 0.00298, 0.01905
-T_flange_sensor = se3.transform(Rotation.from_euler('xyz', [89.2, 0.9, -1.3], True).as_matrix(),
-                                np.array([0.057, -0.11, 0.049]))
-
-
-def link(turn: float, q3: float) -> Array:
-    """Return frame 3 (4, 4) in the frame of joint 1 (turn in degrees, q3 in metres)."""
-    R = (Rotation.from_euler('z', turn, degrees=True)
-         * Rotation.from_euler('x', np.pi / 2)).as_matrix()
-    return se3.transform(R, R[:, 2] * q3)
-
-
-def block(rng: np.random.Generator, skew: float) -> tuple[Array, tuple[Array, Array], Array]:
-    """Return a point on the ridge, the faces' normals and the ball's centre, sensor at q30."""
-    tilt = Rotation.from_euler('xyz', rng.uniform(-12, 12, 3), degrees=True).as_matrix()
-    slopes = np.deg2rad([-40.0, 50.0 + skew])
-    normals = np.column_stack([np.sin(slopes), np.zeros(2), -np.cos(slopes)]) @ tilt.T
-    return (np.array([0.004, 0.02, 0.172]), (normals[0], normals[1]),
-            np.array([-0.003, -0.025, 0.178]))
-
-
-def face_profiles(normal: Array, ridge: Array, x: Array, steps: Array, along: Array) -> Array:
-    """Return x, z and q3 (n, 3) of a face seen by a sensor moved by steps along a direction."""
-    across, step = (g.ravel() for g in np.meshgrid(x, steps))
-    z = (normal @ ridge - across * normal[0] - step * (along @ normal)) / normal[2]
-    return np.column_stack([across, z, step + Q30])
-
-
-def ball_profiles(ball: Array, steps: Array, along: Array) -> Array:
-    """Return x, z and q3 (n, 3) of the near side of the ball, sensor moved as above."""
-    rows = []
-    for step in steps:
-        centre = ball - step * along
-        room = RADIUS ** 2 - centre[1] ** 2
-        for angle in np.deg2rad(np.linspace(-60, 60, 41)) if room > 0 else ():
-            rows.append([centre[0] + np.sqrt(room) * np.sin(angle),
-                         centre[2] - np.sqrt(room) * np.cos(angle), step + Q30])
-    return np.array(rows)
-
-
-def session(seed: int, tracker_noise: float = 0.0, sensor_noise: float = 0.0,
-            skew: float = 0.0) -> tuple[jing2020.Tracker, jing2020.Sweep]:
-    """Return what tracker and profiler see of arm, ball and block (1 sigma in metres)."""
-    rng = np.random.default_rng(seed)
-    T_tracker_arm = se3.transform(Rotation.from_euler('xyz', [3, -4, 50], True).as_matrix(),
-                                  np.array([3.0, 1.7, -0.6]))
-    reflector = np.array([[0.02, H0 + H1, 0.25]])
-    arc = np.array([se3.apply(link(t, 0.0), reflector)[0] for t in np.linspace(-60, 60, 40)])
-    line = np.array([se3.apply(link(12, q), reflector)[0] for q in np.linspace(-0.1, 0.1, 30)])
-    ridge, normals, ball = block(rng, skew)
-    along = T_flange_sensor[2, :3]
-    x = np.linspace(0.002, 0.018, 30)
-    steps = np.linspace(-0.06, 0.06, 121)
-    faces = [face_profiles(n, ridge, ridge[0] + s * x, steps[60:], along)
-             for n, s in zip(normals, (-1, 1), strict=True)]
-    T_tracker_sensor = T_tracker_arm @ link(12, Q30) @ T_flange_sensor
-    spots = [se3.apply(T_tracker_sensor, jing2020.swept(f[::53], Q30, along)) for f in faces]
-    truth = [se3.apply(T_tracker_arm, arc), se3.apply(T_tracker_arm, line),
-             se3.apply(T_tracker_sensor, ball[None])[0], *spots]
-    noisy = [p + tracker_noise * rng.normal(size=p.shape) for p in truth]
-    swept = [p + sensor_noise * rng.normal(size=p.shape) * [1, 1, 0]
-             for p in (ball_profiles(ball, steps, along), *faces)]
-    return jing2020.Tracker(*noisy, H0, H1), jing2020.Sweep(*swept, Q30)
+from tracker_session import Q30, RADIUS, session, T_flange_sensor
 
 
 @pytest.mark.parametrize('seed', range(5))

@@ -21,7 +21,7 @@ import pytest
 from recordings import halves
 import yaml
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 SPHERE = load(ROOT / 'config' / 'sphere.yaml')
 
 

@@ -222,9 +222,9 @@ def test_a_bag_is_scanned_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp_pa
     pytest.importorskip('rclpy', reason='needs rclpy')
     from command import running
     from handeye_ros.results.calibration_file import write_calibration
+    from moving_scan import calibration
     from ros_helpers import Client
     from sensor_msgs.msg import PointCloud2
-    from test_scan import calibration
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
     started = nodes('scan', monkeypatch, calibration=str(tmp_path), namespace='cell', rate='20',
                     bag=str(ROOT / 'bags' / 'plate'), profile_topic='/profile',

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-DOCUMENT = Path(__file__).parents[1] / 'docs' / 'methods.md'
+DOCUMENT = Path(__file__).parents[2] / 'docs' / 'methods.md'
 ROWS = {'general': 'general', 'one orientation': 'one_orientation',
         'one orientation per edge': 'one_orientation_per_edge',
         'tilts about the laser line only': 'tilt_only',

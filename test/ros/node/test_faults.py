@@ -92,7 +92,7 @@ def test_the_network_goes_and_comes_back(tmp_path: Path) -> None:
             up, capture_output=True, check=False).returncode:
         pytest.skip('no network of its own may be made here')
     run = subprocess.run(
-        [*alone, sys.executable, 'lost_network.py', str(tmp_path)], cwd=ROOT / 'test',
+        [*alone, sys.executable, 'lost_network.py', str(tmp_path)], cwd=ROOT / 'test' / 'support',
         capture_output=True, text=True, check=False, timeout=180,
         env={**os.environ, 'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4',
              'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'})
@@ -105,8 +105,8 @@ def test_the_discovery_server_is_lost(tmp_path: Path) -> None:
     if not server:
         pytest.skip('needs fast-discovery-server')
     run = subprocess.run([sys.executable, 'lost_server.py', str(tmp_path), server],
-                         cwd=ROOT / 'test', capture_output=True, text=True, check=False,
-                         timeout=180)
+                         cwd=ROOT / 'test' / 'support', capture_output=True, text=True,
+                         check=False, timeout=180)
     assert run.returncode == 0, run.stdout + run.stderr
 
 
@@ -198,7 +198,8 @@ def test_every_test_that_a_page_names_is_there(page: str) -> None:
     named = re.findall(r'`(test_\w+)\.py::(test_\w+)`', text)
     assert named
     for module, test in named:
-        assert f'def {test}(' in (ROOT / 'test' / f'{module}.py').read_text(encoding='utf-8')
+        file, = (ROOT / 'test').rglob(f'{module}.py')
+        assert f'def {test}(' in file.read_text(encoding='utf-8')
 
 
 def listening(pid: int) -> set[str]:

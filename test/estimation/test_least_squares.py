@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SEEDS = pytest.mark.parametrize('seed', range(5))
 # As separate adjustments found them before: xyz (m) and rotation vector (rad).
 FROM_FILES = {

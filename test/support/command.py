@@ -9,7 +9,7 @@ import subprocess
 import sys
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PLATE = ROOT / 'config' / 'plate.yaml'
 PATIENCE = 150.0  # s until something that does not happen fails the test
 

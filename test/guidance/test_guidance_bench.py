@@ -10,7 +10,7 @@ from handeye_ros.guidance.score import mapping
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 spec = importlib.util.spec_from_file_location('bench_guidance', ROOT / 'bench' / 'guidance.py')
 bench = importlib.util.module_from_spec(spec)
 sys.modules[spec.name] = bench  # for its dataclasses

@@ -15,7 +15,7 @@ from handeye_ros.ros.bags import bag, bag_write
 from handeye_ros.simulate.tracker import RADIUS, simulate_tracker, TrackerCell
 import numpy as np
 import pytest
-from test_published_jing2020 import session, T_flange_sensor
+from tracker_session import session, T_flange_sensor
 
 NOISE = 3.7e-5
 CONFIG = with_values(Config(), {'noise.sensor': NOISE, 'target.radius': RADIUS}, 'test')

@@ -7,7 +7,7 @@ import tracemalloc
 from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig
-from handeye_ros.data import Calibration, Profile, Quality, TimedPose
+from handeye_ros.data import Profile, TimedPose
 from handeye_ros.measure.cloud_files import cloud_writer, read_cloud
 from handeye_ros.measure.errors import CloudFileError, EmptyScanError, NoPosesAroundError
 from handeye_ros.measure.point_std import point_std, variance_polynomial
@@ -16,48 +16,13 @@ from handeye_ros.measure.settings import settings_of
 from handeye_ros.measure.track import Track
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.ros.bags import bag_write
+from moving_scan import calibration, moving, plane_profiles, STEP, T0, true_flange
 import numpy as np
 from plyfile import PlyData, PlyElement
 import pypcd4
 import pytest
-from scipy.spatial.transform import Rotation
 
-T0, STEP = 1_700_000_000_000_000_000, 1_000_000
 GAP = 0.5
-
-
-def calibration(covariance=None, **config):
-    X = se3.transform(Rotation.from_euler('xyz', [0.3, -0.2, 1.1]).as_matrix(),
-                      np.array([0.05, -0.02, 0.11]))
-    quality = Quality(18, 0, 2e-5, 2e-5, 'z', 1e-5)
-    return Calibration('plate', 'plate', 'flange', 'laser', X,
-                       np.zeros((6, 6)) if covariance is None else covariance, {}, quality, (),
-                       {'config': config})
-
-
-def moving(count, rate=5):
-    """Return poses of a flange that moves evenly, every rate ms, around count ms."""
-    return [TimedPose(T0 + k * rate * STEP, np.array([0.6, 1e-4 * k * rate, 0.4]),
-                      Rotation.from_euler('x', 1e-4 * k * rate).as_quat())
-            for k in range(count // rate + 2)]
-
-
-def true_flange(ms):
-    return se3.transform(Rotation.from_euler('x', 1e-4 * ms).as_matrix(),
-                         np.array([0.6, 1e-4 * ms, 0.4]))
-
-
-def plane_profiles(count, columns=50, rng=None, intensity=False):
-    """Return profiles, each a ms, of the plane z = 0.1 of the base by the moving flange."""
-    profiles = []
-    X = calibration().T_flange_sensor
-    for ms in range(count):
-        T = true_flange(ms + 0.5) @ X
-        x = np.linspace(-0.02, 0.02, columns)
-        z = (0.1 - T[2, 3] - T[2, 0] * x) / T[2, 2]
-        profiles.append(Profile(T0 + ms * STEP + STEP // 2, 'laser', np.column_stack([x, z]),
-                                intensity=np.arange(columns) * 1.0 if intensity else None))
-    return profiles
 
 
 def scanned(scanner, profiles, poses):

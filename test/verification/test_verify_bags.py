@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from typer.testing import CliRunner
 import yaml
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 spec = importlib.util.spec_from_file_location('bench_verify', ROOT / 'bench' / 'verify.py')
 bench = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(bench)
