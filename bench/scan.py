@@ -21,11 +21,11 @@ import time
 
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, Profile, Quality, TimedPose
-from handeye_ros.measure.cloud_files import cloud_writer
-from handeye_ros.measure.scan import Scanner, ScanOptions
-from handeye_ros.measure.track import Track
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.ros.bags.flow import flow
+from handeye_ros.scanning.cloud_files import cloud_writer
+from handeye_ros.scanning.scan import Scanner, ScanOptions
+from handeye_ros.scanning.track import Track
 import numpy as np
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores

@@ -14,7 +14,7 @@ import sys
 import time
 
 from handeye_ros.data import Array
-from handeye_ros.measure.seam import find_seam, tool_frames
+from handeye_ros.scanning.seam import find_seam, tool_frames
 from handeye_ros.simulate.preform import Preform, preform_cloud, PreformCloud
 import numpy as np
 from scipy.spatial import cKDTree

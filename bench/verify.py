@@ -21,17 +21,17 @@ from functools import partial
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array, Calibration, Quality, Sample
-from handeye_ros.measure.routine import Nominal, Routine, Seen, TEETH
-from handeye_ros.measure.routines import ROUTINES
-from handeye_ros.measure.tooth_gauge import seen_in_pass
-from handeye_ros.measure.track import Track
-from handeye_ros.measure.verification import Verification
-from handeye_ros.measure.verify import seen_in, settings_for, verify
+from handeye_ros.scanning.track import Track
 from handeye_ros.simulate import gauges
 from handeye_ros.simulate.measuring import rendered
 from handeye_ros.simulate.scenario import RobotModel, Scenario, SensorModel
 from handeye_ros.simulate.stations import Stops
 from handeye_ros.simulate.tooth import Pass
+from handeye_ros.verification.routine import Nominal, Routine, Seen, TEETH
+from handeye_ros.verification.routines import ROUTINES
+from handeye_ros.verification.tooth_gauge import seen_in_pass
+from handeye_ros.verification.verification import Verification
+from handeye_ros.verification.verify import seen_in, settings_for, verify
 import numpy as np
 from scipy.stats import chi2
 

@@ -22,13 +22,14 @@ FLOORS = (
     ('profiles', 'estimation', 'published', 'simulate'),
     ('checks',),
     ('methods', 'results'),
-    ('sampling', 'files', 'measure', 'guidance'),
+    ('sampling', 'files', 'scanning', 'verification', 'guidance'),
     ('pipeline',),
     ('comparison',),
     ('cli', 'ros'),
     ('__main__',),
 )
-SIDEWAYS = {('measure', 'sampling'), ('files', 'sampling'), ('cli', 'ros')}
+SIDEWAYS = {('scanning', 'sampling'), ('verification', 'sampling'), ('verification', 'scanning'),
+            ('files', 'sampling'), ('cli', 'ros')}
 HEIGHTS = {room: height for height, rooms in enumerate(FLOORS) for room in rooms}
 ROOT_MODULES = {'__init__', '__main__', 'data', 'errors', 'pipeline', 'se3'}
 LONGEST_FUNCTION = 40  # lines

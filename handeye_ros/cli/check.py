@@ -4,11 +4,11 @@ from typing import Annotated, Optional, TYPE_CHECKING
 
 from handeye_ros.cli.app import app
 from handeye_ros.cli.common import Assignments, doing, NoPath, read_bag, show, warn
-from handeye_ros.cli.measure import calibrated, MeasureConfig
+from handeye_ros.cli.scan import calibrated, MeasureConfig
 import typer
 
 if TYPE_CHECKING:
-    from handeye_ros.measure.check import Check
+    from handeye_ros.verification.check import Check
 
 SomeBags = Annotated[Optional[list[Path]], typer.Argument(  # noqa: UP045 - see common.py
     metavar='[BAG]...', help='Short recordings of the same target, the oldest first.')]
@@ -32,7 +32,7 @@ def check(
     out: Out = None,
 ) -> None:
     """Tell whether a calibration still holds: what moved, by how much, since when."""
-    from handeye_ros.measure.errors import NothingToCheckError
+    from handeye_ros.verification.errors import NothingToCheckError
     if not (bags and against or folder):
         raise NothingToCheckError
     if bags and against:
@@ -44,8 +44,8 @@ def check(
 def _check_bags(bags: list[Path], against: Path, config: Path | None, assignments: list[str],
                 out: Path | None) -> None:
     from handeye_ros import pipeline
-    from handeye_ros.measure import check as checking
     from handeye_ros.results.calibration_file import write_whole
+    from handeye_ros.verification import check as checking
     import yaml
     calibration, settings = calibrated(against, config, assignments)
     checks: list[tuple[str, Check]] = []
@@ -66,8 +66,8 @@ def _check_bags(bags: list[Path], against: Path, config: Path | None, assignment
 
 
 def _tell_trend(folder: Path, against: Path | None, picture: Path | None) -> None:
-    from handeye_ros.measure import trend
     from handeye_ros.results.calibration_file import read_calibration
+    from handeye_ros.verification import trend
     entries, warnings = trend.trend(folder, read_calibration(against) if against else None)
     for warning in warnings:
         warn(warning)

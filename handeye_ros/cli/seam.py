@@ -4,12 +4,12 @@ from typing import Annotated, TYPE_CHECKING
 
 from handeye_ros.cli.app import app
 from handeye_ros.cli.common import Assignments, doing, NoPath
-from handeye_ros.cli.measure import calibrated, MeasureConfig
+from handeye_ros.cli.scan import calibrated, MeasureConfig
 import typer
 
 if TYPE_CHECKING:
     from handeye_ros.data import Array
-    from handeye_ros.measure.seam import Seam, ToolFrames
+    from handeye_ros.scanning.seam import Seam, ToolFrames
 
 NO_BOX = (float('-inf'), float('inf')) * 3
 THINNED = 2e-4  # m: edge of the cubes of which a scan keeps a point
@@ -58,8 +58,8 @@ def seam(
     """Find the seam in a cloud, and plan tool frames along it (Wu 2017)."""
     import math
 
-    from handeye_ros.measure import seam_files
-    from handeye_ros.measure.seam import find_seam, tool_frames
+    from handeye_ros.scanning import seam_files
+    from handeye_ros.scanning.seam import find_seam, tool_frames
     compared = seam_files.read_taught(taught) if taught else None
     points, frame = _cloud(path, calibration, config, assignments)
     points = points[((points >= box[::2]) & (points <= box[1::2])).all(axis=1)]
@@ -77,16 +77,16 @@ def seam(
 def _cloud(path: Path, calibration: Path | None, config: Path | None, assignments: list[str]
            ) -> tuple['Array', str]:
     """Return the points (n, 3) of a cloud or a bag, and their frame."""
-    from handeye_ros.measure.cloud_files import FORMATS, read_cloud
-    from handeye_ros.measure.errors import NeedsCalibrationError
+    from handeye_ros.scanning.cloud_files import FORMATS, read_cloud
+    from handeye_ros.scanning.errors import NeedsCalibrationError
     import numpy as np
     if path.suffix.lower() in FORMATS:
         return read_cloud(path), 'base'
     if calibration is None:
         raise NeedsCalibrationError(path)
-    from handeye_ros.measure.scan import Scanner, ScanOptions
-    from handeye_ros.measure.track import Track
     from handeye_ros.ros.bags.flow import flow
+    from handeye_ros.scanning.scan import Scanner, ScanOptions
+    from handeye_ros.scanning.track import Track
     found, settings = calibrated(calibration, config, assignments)
     scanner = Scanner(found, settings, ScanOptions(voxel=THINNED))
     with doing('scanning'):
@@ -106,5 +106,5 @@ def _more(found: 'Seam', frames: 'ToolFrames', frame: str, out: Path, bag: bool,
         from handeye_ros.ros.bags.path_write import write_path
         write_path(out / 'path', frames.T_base_tool, frame, time.time_ns(), force=True)
     if picture:
-        from handeye_ros.measure.seam_picture import draw
+        from handeye_ros.scanning.seam_picture import draw
         draw(found, frames, out / 'seam.png')

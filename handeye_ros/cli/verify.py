@@ -7,14 +7,14 @@ from typing import Annotated, Optional, TYPE_CHECKING
 
 from handeye_ros.cli.app import app
 from handeye_ros.cli.common import Assignments, doing, NoPath, read_bag, show, warn
-from handeye_ros.cli.measure import calibrated, CalibrationFile, MeasureConfig
+from handeye_ros.cli.scan import calibrated, CalibrationFile, MeasureConfig
 import typer
 
 if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.data import Calibration, Sample
-    from handeye_ros.measure.routine import Routine, Seen
-    from handeye_ros.measure.verification import Verification
+    from handeye_ros.verification.routine import Routine, Seen
+    from handeye_ros.verification.verification import Verification
 
 NOWHERE = (math.nan, math.nan, math.nan)  # the typer of Jazzy knows no tuple without a value
 Name = Annotated[str, typer.Argument(metavar='ROUTINE', help='See docs/measure.md.')]
@@ -59,10 +59,10 @@ def verify(
 ) -> None:
     """Measure something known with a calibration: pass, fail, or why neither can be said."""
     from handeye_ros.config import with_values
-    from handeye_ros.measure import verification
-    from handeye_ros.measure.errors import NoAnswerError
-    from handeye_ros.measure.routines import routine_of
     from handeye_ros.results.calibration_file import write_whole
+    from handeye_ros.verification import verification
+    from handeye_ros.verification.errors import NoAnswerError
+    from handeye_ros.verification.routines import routine_of
     routine = routine_of(name)
     found, settings = calibrated(calibration, config, assignments)
     given = {'lengths': length or None, 'radius': radius, 'reference': _given(reference),
@@ -83,8 +83,8 @@ def verify(
 def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
               config: 'Config') -> 'Verification':
     from handeye_ros import pipeline
-    from handeye_ros.measure.routine import TEETH
-    from handeye_ros.measure.verify import (
+    from handeye_ros.verification.routine import TEETH
+    from handeye_ros.verification.verify import (
         nominal_of,
         seen_in,
         settings_for,
@@ -112,9 +112,9 @@ def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
 
 def _pass(bag: Path, config: 'Config') -> 'Seen':
     """Return what was seen while the robot moved."""
-    from handeye_ros.measure.tooth_gauge import seen_in_pass
-    from handeye_ros.measure.track import Track
     from handeye_ros.ros.bags.flow import flow
+    from handeye_ros.scanning.track import Track
+    from handeye_ros.verification.tooth_gauge import seen_in_pass
     with doing('reading the recording'):
         source = flow(bag, config)
         track = Track(source.poses, config.sampling.max_pose_gap)

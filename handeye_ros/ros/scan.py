@@ -23,10 +23,6 @@ from geometry_msgs.msg import PoseStamped
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.errors import DataError, NoRosError
-from handeye_ros.measure.cloud_files import Points
-from handeye_ros.measure.scan import Scanner, ScanOptions
-from handeye_ros.measure.settings import settings_of
-from handeye_ros.measure.track import Track
 from handeye_ros.results.calibration_file import file_of, read_calibration
 from handeye_ros.ros.bags.flow import returns_of
 from handeye_ros.ros.bags.messages import pose_from_stamped
@@ -34,6 +30,10 @@ from handeye_ros.ros.bags.transforms import FlangeTracker
 from handeye_ros.ros.errors import MessageError, TopicsError
 from handeye_ros.ros.executable import exit_code, RCLError, ros
 from handeye_ros.ros.node.intake import TFMessage
+from handeye_ros.scanning.cloud_files import Points
+from handeye_ros.scanning.scan import Scanner, ScanOptions
+from handeye_ros.scanning.settings import settings_of
+from handeye_ros.scanning.track import Track
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy

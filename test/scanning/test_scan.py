@@ -8,14 +8,14 @@ from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Profile, TimedPose
-from handeye_ros.measure.cloud_files import cloud_writer, read_cloud
-from handeye_ros.measure.errors import CloudFileError, EmptyScanError, NoPosesAroundError
-from handeye_ros.measure.point_std import point_std, variance_polynomial
-from handeye_ros.measure.scan import Scanner, ScanOptions
-from handeye_ros.measure.settings import settings_of
-from handeye_ros.measure.track import Track
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.ros.bags import bag_write
+from handeye_ros.scanning.cloud_files import cloud_writer, read_cloud
+from handeye_ros.scanning.errors import CloudFileError, EmptyScanError, NoPosesAroundError
+from handeye_ros.scanning.point_std import point_std, variance_polynomial
+from handeye_ros.scanning.scan import Scanner, ScanOptions
+from handeye_ros.scanning.settings import settings_of
+from handeye_ros.scanning.track import Track
 from moving_scan import calibration, moving, plane_profiles, STEP, T0, true_flange
 import numpy as np
 from plyfile import PlyData, PlyElement

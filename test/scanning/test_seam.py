@@ -4,19 +4,19 @@ from __future__ import annotations
 from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.data import Calibration, Profile, Quality, TimedPose
-from handeye_ros.measure import seam_files
-from handeye_ros.measure.cloud_files import cloud_writer
-from handeye_ros.measure.curves import cubic, spline, through
-from handeye_ros.measure.errors import (
+from handeye_ros.results.calibration_file import write_calibration
+from handeye_ros.ros.bags import bag_write
+from handeye_ros.scanning import seam_files
+from handeye_ros.scanning.cloud_files import cloud_writer
+from handeye_ros.scanning.curves import cubic, spline, through
+from handeye_ros.scanning.errors import (
     InterruptedSeamError,
     NoLineError,
     NoSeamError,
     SeveralSeamsError,
     TooFewPointsError,
 )
-from handeye_ros.measure.seam import find_seam, tool_frames
-from handeye_ros.results.calibration_file import write_calibration
-from handeye_ros.ros.bags import bag_write
+from handeye_ros.scanning.seam import find_seam, tool_frames
 from handeye_ros.simulate.preform import Preform, preform_cloud
 import numpy as np
 import pytest

@@ -7,9 +7,6 @@ from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Calibration, Quality
-from handeye_ros.measure import check as checking
-from handeye_ros.measure import trend
-from handeye_ros.measure.errors import NoCheckError, NoTrendError, TooFewSeenError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.simulate import cell as cells
@@ -17,6 +14,9 @@ from handeye_ros.simulate import gauges, simulate
 from handeye_ros.simulate.scenario import RobotModel
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
+from handeye_ros.verification import check as checking
+from handeye_ros.verification import trend
+from handeye_ros.verification.errors import NoCheckError, NoTrendError, TooFewSeenError
 import numpy as np
 import pytest
 import yaml

@@ -9,16 +9,16 @@ from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
-from handeye_ros.measure import verification
-from handeye_ros.measure.errors import NoTeethError, TooFewSeenError, WrongCountError
-from handeye_ros.measure.routine import Nominal
-from handeye_ros.measure.routines import ROUTINES
-from handeye_ros.measure.verify import seen_in, settings_for, Tolerances, verify
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.simulate import gauges, simulate
 from handeye_ros.simulate.measuring import measuring_cell
 from handeye_ros.simulate.scenarios import SCENARIOS
+from handeye_ros.verification import verification
+from handeye_ros.verification.errors import NoTeethError, TooFewSeenError, WrongCountError
+from handeye_ros.verification.routine import Nominal
+from handeye_ros.verification.routines import ROUTINES
+from handeye_ros.verification.verify import seen_in, settings_for, Tolerances, verify
 import numpy as np
 import pytest
 import yaml

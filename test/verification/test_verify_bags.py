@@ -8,11 +8,11 @@ from handeye_ros import se3
 from handeye_ros.cli.verbs import app
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Calibration, Quality
-from handeye_ros.measure.routines import ROUTINES
 from handeye_ros.results import verified
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.results.errors import VerificationFileError
 from handeye_ros.ros.bags import bag_write
+from handeye_ros.verification.routines import ROUTINES
 import numpy as np
 import pytest
 from scipy.stats import chi2

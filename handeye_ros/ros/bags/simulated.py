@@ -3,9 +3,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from handeye_ros.measure.cloud_files import cloud_writer
 from handeye_ros.results import folder, truth_file
 from handeye_ros.ros.bags import bag_write
+from handeye_ros.scanning.cloud_files import cloud_writer
 from handeye_ros.simulate import FAULTS, FILE_SCENES, SCENARIOS, simulate
 from handeye_ros.simulate.measuring import MEASURING_CELL, measuring_cell, MeasuringCell
 from handeye_ros.simulate.preform import Preform, preform_cloud

@@ -11,19 +11,19 @@ from pathlib import Path
 
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Reject, TimedPose
-from handeye_ros.measure import verification
-from handeye_ros.measure.course import Course
-from handeye_ros.measure.errors import (
+from handeye_ros.results import calibration_file, exports
+from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.sampling.stops import Outcome, Stop
+from handeye_ros.sampling.wording import sample_summary
+from handeye_ros.verification import verification
+from handeye_ros.verification.course import Course
+from handeye_ros.verification.errors import (
     NoAnswerError,
     NothingToVerifyError,
     NotStartedError,
     UnusableStopError,
 )
-from handeye_ros.measure.verification import Verification
-from handeye_ros.results import calibration_file, exports
-from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.sampling.stops import Outcome, Stop
-from handeye_ros.sampling.wording import sample_summary
+from handeye_ros.verification.verification import Verification
 
 ANSWERS = ('pass', 'fail')  # the verdicts that end a verification
 NEXT = 'what begins from now on counts'

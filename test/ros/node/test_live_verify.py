@@ -7,15 +7,15 @@ from handeye_ros import se3
 from handeye_ros.config import Config, load, with_values
 from handeye_ros.data import Calibration, Profile, Quality, TimedPose
 from handeye_ros.errors import DataError, HandeyeError
-from handeye_ros.measure import course as courses
-from handeye_ros.measure.errors import NoAnswerError
-from handeye_ros.measure.verification import FORMAT
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.results.truth_file import true_transform
 from handeye_ros.ros.bags.bag import read
 from handeye_ros.ros.node.live_verify import LiveVerify
 from handeye_ros.ros.node.place import Place
 from handeye_ros.ros.node.telling import state_of
+from handeye_ros.verification import course as courses
+from handeye_ros.verification.errors import NoAnswerError
+from handeye_ros.verification.verification import FORMAT
 import numpy as np
 import pytest
 from recordings import halves

@@ -14,13 +14,14 @@ from typing import Self
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.measure.errors import NoRoutineError, TooLongPassError
-from handeye_ros.measure.routine import Routine, Seen, TEETH
-from handeye_ros.measure.routines import routine_of
-from handeye_ros.measure.tooth_gauge import seen_in_pass
-from handeye_ros.measure.track import Track
-from handeye_ros.measure.verification import Verification
-from handeye_ros.measure.verify import (
+from handeye_ros.sampling.stops import result_of, Stop
+from handeye_ros.scanning.track import Track
+from handeye_ros.verification.errors import NoRoutineError, TooLongPassError
+from handeye_ros.verification.routine import Routine, Seen, TEETH
+from handeye_ros.verification.routines import routine_of
+from handeye_ros.verification.tooth_gauge import seen_in_pass
+from handeye_ros.verification.verification import Verification
+from handeye_ros.verification.verify import (
     nominal_of,
     parts_of,
     seen_in,
@@ -28,7 +29,6 @@ from handeye_ros.measure.verify import (
     tolerances_of,
     verify,
 )
-from handeye_ros.sampling.stops import result_of, Stop
 
 MOST_PROFILES = 500  # of a pass that are kept, evenly spread
 MOST_POSES = 200_000  # of a pass

@@ -18,13 +18,13 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import mm
 from handeye_ros.estimation.chances import chance_of_chi2
-from handeye_ros.measure import wedge_place
-from handeye_ros.measure.errors import NoCheckError, TooFewSeenError
-from handeye_ros.measure.fixed_fit import fit, FixedFit, points_in_base
-from handeye_ros.measure.routine import Seen, Shape
-from handeye_ros.measure.routines import arcs, edge, faces
-from handeye_ros.measure.shapes import Kinds
 from handeye_ros.results.outcome import mounted, sensor_axes
+from handeye_ros.verification import wedge_place
+from handeye_ros.verification.errors import NoCheckError, TooFewSeenError
+from handeye_ros.verification.fixed_fit import fit, FixedFit, points_in_base
+from handeye_ros.verification.routine import Seen, Shape
+from handeye_ros.verification.routines import arcs, edge, faces
+from handeye_ros.verification.shapes import Kinds
 import numpy as np
 
 FORMAT = 'handeye_ros/check/1'

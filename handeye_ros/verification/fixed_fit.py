@@ -16,7 +16,7 @@ from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
 from handeye_ros.estimation.chances import chance_of_chi2
 from handeye_ros.estimation.method import Observations
-from handeye_ros.measure.routine import groups_of, Seen, Shape
+from handeye_ros.verification.routine import groups_of, Seen, Shape
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg

@@ -8,10 +8,10 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.data import Array, Calibration
 from handeye_ros.estimation.chances import chance_of_chi2
-from handeye_ros.measure.errors import NoTrendError
-from handeye_ros.measure.pictures import figure, save
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.errors import CalibrationFileError
+from handeye_ros.scanning.pictures import figure, save
+from handeye_ros.verification.errors import NoTrendError
 import numpy as np
 from rich.table import Table
 

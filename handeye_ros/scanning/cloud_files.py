@@ -15,7 +15,7 @@ from typing import Any, BinaryIO, TypeAlias
 
 from handeye_ros.data import Array
 from handeye_ros.errors import UnwritableError
-from handeye_ros.measure.errors import CloudFileError, CloudFormatError
+from handeye_ros.scanning.errors import CloudFileError, CloudFormatError
 import numpy as np
 from numpy.typing import NDArray
 

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from handeye_ros.data import Array
-from handeye_ros.measure.routine import BAGS, Nominal, Shape
+from handeye_ros.verification.routine import BAGS, Nominal, Shape
 import numpy as np
 from numpy.typing import NDArray
 

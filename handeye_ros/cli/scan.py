@@ -1,4 +1,4 @@
-"""The verbs that measure with a calibration."""
+"""The verb that puts a recording into the base: scan."""
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
@@ -9,7 +9,7 @@ import typer
 if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.data import Calibration
-    from handeye_ros.measure.scan import ScanCount
+    from handeye_ros.scanning.scan import ScanCount
 
 CalibrationFile = Annotated[Path, typer.Option(
     '--calibration', metavar='FILE', help='The calibration.yaml of this sensor.')]
@@ -21,8 +21,8 @@ def calibrated(file: Path, config: Path | None, assignments: list[str]
                ) -> tuple['Calibration', 'Config']:
     """Return a calibration, and the settings that read what is measured with it."""
     from handeye_ros.config import load, with_assignments
-    from handeye_ros.measure.settings import settings_of
     from handeye_ros.results.calibration_file import read_calibration
+    from handeye_ros.scanning.settings import settings_of
     calibration = read_calibration(file)
     settings = load(config) if config else settings_of(calibration)
     return calibration, with_assignments(settings, assignments)
@@ -49,10 +49,10 @@ def scan(
     """Put the profiles of a recording into the robot's base: a cloud of points."""
     import math
 
-    from handeye_ros.measure.cloud_files import cloud_writer, header_of
-    from handeye_ros.measure.scan import Scanner, ScanOptions
-    from handeye_ros.measure.track import Track
     from handeye_ros.ros.bags.flow import flow
+    from handeye_ros.scanning.cloud_files import cloud_writer, header_of
+    from handeye_ros.scanning.scan import Scanner, ScanOptions
+    from handeye_ros.scanning.track import Track
     header_of(out)
     found, settings = calibrated(calibration, config, assignments)
     scanner = Scanner(found, settings, ScanOptions(*limits, math.radians(incidence), voxel, std))

@@ -4,10 +4,10 @@ from __future__ import annotations
 import math
 
 from handeye_ros.data import Array
-from handeye_ros.measure.fixed_fit import FixedFit, points_in_base
-from handeye_ros.measure.routine import BAGS, Seen
-from handeye_ros.measure.verification import Quantity
 from handeye_ros.profiles.circles import fit_circle
+from handeye_ros.verification.fixed_fit import FixedFit, points_in_base
+from handeye_ros.verification.routine import BAGS, Seen
+from handeye_ros.verification.verification import Quantity
 import numpy as np
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from handeye_ros.data import Array
-from handeye_ros.measure.pictures import figure, save
-from handeye_ros.measure.seam import Seam, ToolFrames
+from handeye_ros.scanning.pictures import figure, save
+from handeye_ros.scanning.seam import Seam, ToolFrames
 import numpy as np
 
 CLOUD_POINTS = 6000

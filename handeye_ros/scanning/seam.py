@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.measure.curves import arc_length, Curve, spline, through
-from handeye_ros.measure.errors import TooFewPointsError
-from handeye_ros.measure.seam_edges import course, spacing_of
-from handeye_ros.measure.seam_sections import Edges, edges
 from handeye_ros.published import wu2017
+from handeye_ros.scanning.curves import arc_length, Curve, spline, through
+from handeye_ros.scanning.errors import TooFewPointsError
+from handeye_ros.scanning.seam_edges import course, spacing_of
+from handeye_ros.scanning.seam_sections import Edges, edges
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation

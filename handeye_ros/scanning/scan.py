@@ -13,11 +13,11 @@ from itertools import islice
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Profile
-from handeye_ros.measure.cloud_files import Points
-from handeye_ros.measure.errors import EmptyScanError, NoPosesAroundError
-from handeye_ros.measure.point_std import point_std, sensor_in_base, variance_polynomial
-from handeye_ros.measure.thinning import Thinning
-from handeye_ros.measure.track import Track
+from handeye_ros.scanning.cloud_files import Points
+from handeye_ros.scanning.errors import EmptyScanError, NoPosesAroundError
+from handeye_ros.scanning.point_std import point_std, sensor_in_base, variance_polynomial
+from handeye_ros.scanning.thinning import Thinning
+from handeye_ros.scanning.track import Track
 import numpy as np
 from numpy.typing import NDArray
 

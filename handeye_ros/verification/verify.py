@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import mm
-from handeye_ros.measure import spreads
-from handeye_ros.measure.errors import TooFewSeenError, WrongCountError
-from handeye_ros.measure.fixed_fit import fit, FixedFit, points_in_base
-from handeye_ros.measure.routine import Nominal, Routine, Seen, stacked, TEETH
-from handeye_ros.measure.verification import Quantity, Scatter, Verification
 from handeye_ros.results.outcome import mounted, sensor_axes
+from handeye_ros.verification import spreads
+from handeye_ros.verification.errors import TooFewSeenError, WrongCountError
+from handeye_ros.verification.fixed_fit import fit, FixedFit, points_in_base
+from handeye_ros.verification.routine import Nominal, Routine, Seen, stacked, TEETH
+from handeye_ros.verification.verification import Quantity, Scatter, Verification
 import numpy as np
 import scipy.linalg
 

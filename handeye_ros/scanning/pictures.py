@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros.errors import UnwritableError
-from handeye_ros.measure.errors import NoMatplotlibError
+from handeye_ros.scanning.errors import NoMatplotlibError
 
 
 def figure(rows: int, columns: int, width: float = 9.0, height: float = 3.0) -> tuple[Any, Any]:

@@ -9,9 +9,9 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.method import Observations
 from handeye_ros.estimation.problem import points_at
-from handeye_ros.measure.routine import Shape
-from handeye_ros.measure.shapes import Kinds
 from handeye_ros.methods import wedge
+from handeye_ros.verification.routine import Shape
+from handeye_ros.verification.shapes import Kinds
 import numpy as np
 
 CONFIG = Config()  # of which the conditions of a wedge ask nothing

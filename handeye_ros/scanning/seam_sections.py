@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from handeye_ros.data import Array
-from handeye_ros.measure.curves import arc_length, Curve, spline
-from handeye_ros.measure.errors import InterruptedSeamError, NoLineError
-from handeye_ros.measure.seam_edges import Course
+from handeye_ros.scanning.curves import arc_length, Curve, spline
+from handeye_ros.scanning.errors import InterruptedSeamError, NoLineError
+from handeye_ros.scanning.seam_edges import Course
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq

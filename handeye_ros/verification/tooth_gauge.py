@@ -13,10 +13,10 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile
 from handeye_ros.estimation.method import Observations
-from handeye_ros.measure.errors import NoTeethError
-from handeye_ros.measure.routine import BAGS, Nominal, Seen, Shape
-from handeye_ros.measure.shapes import Kinds
-from handeye_ros.measure.track import Track
+from handeye_ros.scanning.track import Track
+from handeye_ros.verification.errors import NoTeethError
+from handeye_ros.verification.routine import BAGS, Nominal, Seen, Shape
+from handeye_ros.verification.shapes import Kinds
 import numpy as np
 from numpy.typing import NDArray
 

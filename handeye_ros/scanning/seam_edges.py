@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from handeye_ros.data import Array
-from handeye_ros.measure.errors import InterruptedSeamError, NoSeamError, SeveralSeamsError
+from handeye_ros.scanning.errors import InterruptedSeamError, NoSeamError, SeveralSeamsError
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix

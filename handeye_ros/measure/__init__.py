@@ -1,1 +1,0 @@
-"""The calibration at work: verification routines, scans, seams."""

@@ -1,0 +1,102 @@
+"""What verifications and checks refuse."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from handeye_ros.errors import DataError, InputError, mm
+
+
+class WrongCountError(InputError):
+    """A routine that was not given what it needs; what: bags, or lengths."""
+
+    def __init__(self, routine: str, what: str, given: int, needed: str) -> None:
+        super().__init__(f'{routine} needs {needed} {what}, and got {given}')
+
+
+class TooFewSeenError(DataError):
+    """Too few stations for a verification."""
+
+    def __init__(self, stations: int, least: int, reason: str) -> None:
+        super().__init__(f'{stations} usable stations, fewer than {least}'
+                         + (f' (of the others: {reason})' if reason else '')
+                         + ': measure more, with the sensor turned differently at each')
+
+
+class NoAnswerError(DataError):
+    """A verification that says neither pass nor fail."""
+
+    def __init__(self, verdict: str, reasons: Sequence[str]) -> None:
+        super().__init__(f'{verdict}: ' + '; '.join(reasons))
+
+
+class NoRoutineError(InputError):
+    """A verification without a routine."""
+
+    def __init__(self) -> None:
+        super().__init__('verify.routine is not set, so there is nothing to measure: set it to '
+                         'what stands under the sensor (docs/measure.md)')
+
+
+class NothingToVerifyError(DataError):
+    """A verification without a calibration."""
+
+    def __init__(self) -> None:
+        super().__init__('there is no calibration to verify: call ~/compute_calibration, or set '
+                         'verify.calibration to the file of one')
+
+
+class NotStartedError(DataError):
+    """The result of a verification that was not started."""
+
+    def __init__(self) -> None:
+        super().__init__('no verification was started: call ~/verify_start, stop at several '
+                         'places, and ask again')
+
+
+class UnusableStopError(DataError):
+    """A stop that a verification cannot use; reason: why."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f'the stop does not count for the verification: {reason}')
+
+
+class TooLongPassError(DataError):
+    """A pass of which not all poses could be kept; most: of them."""
+
+    def __init__(self, most: int) -> None:
+        super().__init__(f'a pass has more than {most} poses, and not all are kept: set '
+                         'verify.routine anew to start again, and scan in shorter passes')
+
+
+class NoTeethError(DataError):
+    """Points that are not those of the gauge; share: of them that are."""
+
+    def __init__(self, pitch: float, height: float, share: float) -> None:
+        super().__init__(f'only {share:.0%} of the points lie on teeth of pitch {mm(pitch)} and '
+                         f'height {mm(height)}: give both (--length PITCH --length HEIGHT), and '
+                         'scan the gauge alone')
+
+
+class NoCheckError(InputError):
+    """A calibration of which the target cannot be recognised."""
+
+    def __init__(self, method: str, known: Sequence[str]) -> None:
+        super().__init__(f'the calibration (method {method}) does not tell where a target is that '
+                         f'could be checked; those of {", ".join(known)} do: make such a '
+                         'calibration, or measure something known with "handeye verify"')
+
+
+class NothingToCheckError(InputError):
+    """A check without what it needs."""
+
+    def __init__(self) -> None:
+        super().__init__('say what to check: "handeye check BAG... --against calibration.yaml", '
+                         'or --folder DIR for the trend of many calibrations')
+
+
+class NoTrendError(DataError):
+    """A folder with too few calibrations to compare."""
+
+    def __init__(self, folder: object, count: int) -> None:
+        super().__init__(f'{folder} holds {count} readable calibration.yaml, and a trend needs '
+                         'two (one with --against)')
