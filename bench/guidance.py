@@ -47,8 +47,8 @@ from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.results.outcome import mounted
 from handeye_ros.results.truth_errors import mapped_point_error
 from handeye_ros.sampling import station_features
-from handeye_ros.sampling.all_edges import judged_together
-from handeye_ros.sampling.view_end import require_inside
+from handeye_ros.sampling.edge_shapes import consistent_edges
+from handeye_ros.sampling.field_of_view import require_inside
 from handeye_ros.simulate import (
     plate,
     Scenario,
@@ -279,7 +279,7 @@ def solved(cell: World) -> Solution | None:
 
     From the last one, once it is known to KNOWN_WELL; without the search for other answers.
     """
-    method, (samples, _) = methods.of(cell.config), judged_together(cell.samples)
+    method, (samples, _) = methods.of(cell.config), consistent_edges(cell.samples)
     if len(samples) < method.minimum:
         return None
     problem = Problem(method, mounted(samples, cell.config), method.observe(samples), cell.config)

@@ -123,7 +123,7 @@ class EdgePoint:
     face line, out of the face; std: 1 sigma along the direction; std_across: 1 sigma across it;
     kind: 'step', 'shadow' (a step whose foot is hidden), 'roof' (its wall is seen), 'gap' (nothing
     behind it) or 'open' (the driver does not say).
-    bend: (2,) from the point to the surface below it, of a rounded or bevelled edge whose wall
+    drop: (2,) from the point to the surface below it, of a rounded or bevelled edge whose wall
     is not in sight, 0 of others; shapes: (k + 1,) logarithms of how likely it is rounded by each
     of k radii, and bevelled, 0 for the likeliest, empty where nothing bends. arc: (2,) from the
     point to the middle of the end's arc, were it round; arc_std: 1 sigma of where that is along
@@ -137,7 +137,7 @@ class EdgePoint:
     std: float
     std_across: float
     kind: str = 'step'
-    bend: Array = field(default_factory=lambda: np.zeros(2))
+    drop: Array = field(default_factory=lambda: np.zeros(2))
     shapes: Array = field(default_factory=lambda: np.empty(0))
     arc: Array = field(default_factory=lambda: np.zeros(2))
     arc_std: float = 0.0
@@ -146,7 +146,7 @@ class EdgePoint:
     @property
     def bevel(self) -> float:
         """Return how far below the face line the plate was last seen."""
-        return float(np.hypot(*self.bend))
+        return float(np.hypot(*self.drop))
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,8 +31,8 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.guidance import advice
 from handeye_ros.results.outcome import describe_calibration, mounted
 from handeye_ros.results.report.evidence import Evidence, judged
-from handeye_ros.sampling.all_edges import judged_together
 from handeye_ros.sampling.clocks import require_same_clock
+from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.looks import looks
 from handeye_ros.sampling.session import Session
 import numpy as np
@@ -109,7 +109,7 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
            ) -> tuple[Calibration, list[Sample], Solution]:
     """Return the calibration as solve does, the samples it comes from, and the solution."""
     require_own_frame(frame_id, config)
-    ordered, at_border = judged_together(sorted(samples, key=lambda sample: sample.stamp))
+    ordered, at_border = consistent_edges(sorted(samples, key=lambda sample: sample.stamp))
     rejects = [*rejects, *at_border]
     agreed, solution = estimate(ordered, rejects, config)
     require_judged(agreed)
@@ -144,7 +144,7 @@ def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None)
     seen: points (n, 2) of profiles, from which the field of view is learnt.
     """
     solution, trouble = None, ''
-    ordered, _ = judged_together(samples)
+    ordered, _ = consistent_edges(samples)
     if len(ordered) >= methods.of(config).minimum:
         try:
             solution = estimate(ordered, (), config)[1]
@@ -179,7 +179,7 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
 def flipped(ordered: Sequence[Sample], problem: Problem) -> Problem | None:
     """Return the problem with the range counted the other way, None if it cannot be posed."""
     config = flipped_range(problem.config)
-    others, _ = judged_together([replace(s, features=s.flipped) for s in ordered if s.flipped])
+    others, _ = consistent_edges([replace(s, features=s.flipped) for s in ordered if s.flipped])
     if len(others) < problem.method.minimum:
         return None
     return Problem(problem.method, mounted(others, config), problem.method.observe(others),

@@ -16,7 +16,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.files.method import FileMethod, Input
 from handeye_ros.files.outcome import require_trusted
 from handeye_ros.results.truth_errors import Errors, errors_against, FIELD
-from handeye_ros.sampling.all_edges import judged_together
+from handeye_ros.sampling.edge_shapes import consistent_edges
 import numpy as np
 from numpy.typing import NDArray
 
@@ -96,7 +96,7 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     believes. Raises BadValueError for a target or method that does not exist.
     """
     config = own_method(config)
-    ordered, at_border = judged_together(sorted(samples, key=lambda sample: sample.stamp))
+    ordered, at_border = consistent_edges(sorted(samples, key=lambda sample: sample.stamp))
     progress(config.target.type)
     start = time.perf_counter()
     stations, refusal = _believed(ordered, [*rejects, *at_border], config)

@@ -18,7 +18,7 @@ from handeye_ros.files.tracker_model import Sweep, SWEPT
 from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.profiles.segment import noise_level, Segment, straight_segments
-from handeye_ros.sampling.stations import interpolate
+from handeye_ros.sampling.dwells import interpolate
 import numpy as np
 
 NAME = 'the sweep over ball and block'

@@ -52,7 +52,7 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
         add_face(rows, station, feature, source)
     elif isinstance(feature, EdgePoint):
         # the wall below is as far out as the edge, however the laser crosses it
-        rows.add(station, feature.point + feature.bend, P, edge_noise(feature), source, feature)
+        rows.add(station, feature.point + feature.drop, P, edge_noise(feature), source, feature)
 
 
 def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:

@@ -20,10 +20,10 @@ from handeye_ros.profiles.arc_search import (
     SMALLEST_SHARE,
     TOLERANCE_SIGMAS,
 )
+from handeye_ros.profiles.bins import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.circles import fit_circle
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.profiles.segment import noise_level
-from handeye_ros.profiles.shares import means, SURELY_MORE, variance_of_means
 import numpy as np
 from numpy.typing import NDArray
 
@@ -200,8 +200,8 @@ def normal_points(raw: Array) -> Arc:
     order = np.argsort(angle)
     angle, residual = angle[order], distance[order] - circle[2]
     shares = min(NORMAL_POINTS, len(raw) // 3)
-    radius, count = means(residual, shares)
-    turn = means(angle, shares)[0] + np.arctan2(middle[1], middle[0])
+    radius, count = bin_means(residual, shares)
+    turn = bin_means(angle, shares)[0] + np.arctan2(middle[1], middle[0])
     points = circle[:2] + (circle[2] + radius)[:, None] * np.column_stack(
         [np.cos(turn), np.sin(turn)])
     std = np.sqrt(_variance(residual, radius, len(raw) / shares) * len(raw) / shares / count)
@@ -211,8 +211,8 @@ def normal_points(raw: Array) -> Arc:
 def _variance(residual: Array, of_shares: Array, size: float) -> float:
     """Return the variance of a normal point, the mean of a share of the residuals (n,)."""
     white = float(residual @ residual) / max(len(residual) - 3, 1) / size
-    blocks = means(residual, BLOCKS * len(of_shares))[0] if size > 2 * BLOCKS else of_shares
-    fine = variance_of_means(blocks, white * len(blocks) / len(of_shares))
+    blocks = bin_means(residual, BLOCKS * len(of_shares))[0] if size > 2 * BLOCKS else of_shares
+    fine = variance_of_bins(blocks, white * len(blocks) / len(of_shares))
     # what is alike over a whole share scatters between them
     coarse = float(of_shares @ of_shares) / max(len(of_shares) - 3, 1)
     coarse = coarse if coarse > SURELY_MORE * white else white

@@ -12,11 +12,11 @@ import math
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
-from handeye_ros.profiles.ends import edge_point, end_edge, std_at, wall_edge, WALL_LEAN
+from handeye_ros.profiles.continuation import continuation, End, MOST_LOST, Returns
+from handeye_ros.profiles.edges import edge_point, end_edge, std_at, wall_edge, WALL_LEAN
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.profiles.lines import face_line, on_line, white_std
 from handeye_ros.profiles.segment import returned, Segment, segments_among, straight_segments
-from handeye_ros.profiles.tails import End, MOST_LOST, Returns, tail
 import numpy as np
 from numpy.typing import NDArray
 
@@ -120,7 +120,7 @@ def _edge(end: End, segments: Sequence[Segment]) -> EdgePoint | None:
     segments: all of the profile, in the order of their first rows.
     """
     following = _following(end, segments)
-    rows = tail(end)
+    rows = continuation(end)
     if following and _is_bevel(end, following[0], rows):
         following = following[1:]
     other = following[0] if following else None

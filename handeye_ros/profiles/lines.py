@@ -6,8 +6,8 @@ from dataclasses import replace
 import math
 
 from handeye_ros.data import Array, EdgePoint, FaceLine
+from handeye_ros.profiles.bins import bin_means, mean_and_std, variance_of_bins
 from handeye_ros.profiles.segment import Segment
-from handeye_ros.profiles.shares import mean_and_std, means, variance_of_means
 import numpy as np
 
 NORMAL_POINTS = 6
@@ -20,7 +20,7 @@ def face_line(segment: Segment, points: Array) -> FaceLine:
     measured = points.take(segment.straight, axis=0)
     n, length = len(measured), math.hypot(1.0, segment.slope)
     middle, std = mean_and_std(measured[:, 0])
-    blocks, count = means(measured, BLOCKS if n >= BLOCKS * FEWEST_POINTS else min(
+    blocks, count = bin_means(measured, BLOCKS if n >= BLOCKS * FEWEST_POINTS else min(
         NORMAL_POINTS, n))
     centre = np.array([middle, segment.height(middle)])
     return _line(centre, segment.slope, std * length, blocks,
@@ -75,7 +75,7 @@ def _line(centre: Array, slope: float, spread: float, blocks: Array, white: floa
     length = math.hypot(1.0, slope)
     direction = np.array([1.0 / length, slope / length])
     across = (blocks - centre) @ np.array([-direction[1], direction[0]])
-    variance = variance_of_means(across, white)
-    normal_points, size = means(blocks, min(NORMAL_POINTS, len(blocks)))
+    variance = variance_of_bins(across, white)
+    normal_points, size = bin_means(blocks, min(NORMAL_POINTS, len(blocks)))
     return FaceLine(centre, direction, spread, math.sqrt(variance / len(blocks)),
                     normal_points, np.sqrt(variance / size), blocks)

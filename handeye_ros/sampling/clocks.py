@@ -22,9 +22,9 @@ from handeye_ros.estimation.solve import redundancy
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.results.outcome import mounted
 from handeye_ros.sampling import station_features
+from handeye_ros.sampling.dwells import interpolate, NS
 from handeye_ros.sampling.errors import ClocksDifferError
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stations import interpolate, NS
 from handeye_ros.sampling.stops import Stop
 import numpy as np
 

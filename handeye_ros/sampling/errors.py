@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.sampling.stations import Motion
+from handeye_ros.sampling.dwells import Motion
 
 
 class TwoFramesError(InputError):

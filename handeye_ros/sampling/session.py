@@ -11,13 +11,12 @@ from typing import Self
 from handeye_ros import methods
 from handeye_ros.config import Config
 from handeye_ros.data import Reject, Sample
+from handeye_ros.sampling.dwell_detector import DwellDetector
 from handeye_ros.sampling.errors import NothingNewError, NothingToRemoveError
-from handeye_ros.sampling.novelty import nothing_new
-from handeye_ros.sampling.stops import Outcome, result_of, sample_of, Stop
-from handeye_ros.sampling.watch import Watch
+from handeye_ros.sampling.stops import duplicate_pose, Outcome, result_of, sample_of, Stop
 
 
-class Session(Watch):
+class Session(DwellDetector):
     """Takes poses and profiles as they come; gives a sample, or a reject, per stop."""
 
     def __init__(self, config: Config) -> None:
@@ -98,7 +97,7 @@ class Session(Watch):
         before = [o for o in self._outcomes if o.stop.began == stop.began]
         number = before[0].number if before else self._numbers + 1
         others = [o for o in self._outcomes if o not in before and not self.excludes(o)]
-        why = nothing_new(result, others, self._config) if isinstance(result, Sample) else ''
+        why = duplicate_pose(result, others, self._config) if isinstance(result, Sample) else ''
         return Outcome(number, stop, Reject(result.stamp, why) if why else result, why)
 
     def put(self, outcome: Outcome) -> Outcome:

@@ -124,7 +124,7 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     # the edge inwards in every profile: that does not average out
     std = np.hypot(single, scatter / min(n, MOST_TIMES) ** 0.5)
     return EdgePoint(points[good].mean(axis=0), direction, float(std), expected, kind,
-                     np.median([e.bend for e in edges], axis=0),
+                     np.median([e.drop for e in edges], axis=0),
                      *_combined_ends(points, edges, good))
 
 

@@ -6,7 +6,7 @@ The messages stay with the stop, so that another configuration needs no new stop
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,9 +17,9 @@ from handeye_ros.data import AnyProfile, Feature, Profile, RawProfile, Reject, S
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.sampling import station_features
+from handeye_ros.sampling.dwells import around, Dwell, interpolate, NS
 from handeye_ros.sampling.errors import NoProfilesError
-from handeye_ros.sampling.stations import around, interpolate, NS, Station
-from handeye_ros.sampling.view_end import require_inside
+from handeye_ros.sampling.field_of_view import require_inside
 import numpy as np
 
 # Of one stop, evenly spread. A robot that stands still sees the same speckle, and 32 profiles
@@ -71,10 +71,10 @@ class Outcome:
         return self.result if isinstance(self.result, Sample) else None
 
 
-def stop_of(station: Station, profiles: Sequence[AnyProfile], config: Config) -> Stop:
+def stop_of(station: Dwell, profiles: Sequence[AnyProfile], config: Config) -> Stop:
     """Return the stop of a station; profiles: all that may belong to its time, in order."""
     inside = _inside(profiles, station)
-    first, last = settled(station.start, station.end, config)
+    first, last = steady_span(station.start, station.end, config)
     begin, end = (bisect_left(inside, first, key=_stamp), bisect_right(inside, last, key=_stamp))
     kept = (*_kept(inside[:begin], KEPT_BESIDE), *_kept(inside[begin:end], KEPT_AT_REST),
             *_kept(inside[max(begin, end):], KEPT_BESIDE))
@@ -95,7 +95,7 @@ def needed(stop: Stop, config: Config) -> Stop:
     return Stop(stop.began, partial(_held, Seen(tuple(poses), tuple(profiles))))
 
 
-def _inside(profiles: Sequence[AnyProfile], station: Station) -> Sequence[AnyProfile]:
+def _inside(profiles: Sequence[AnyProfile], station: Dwell) -> Sequence[AnyProfile]:
     """Return the profiles that were surely taken during a station; thousands are looked at."""
     begin = bisect_left(profiles, station.start, key=_stamp)
     end = bisect_right(profiles, station.end, key=_stamp)
@@ -106,7 +106,7 @@ def _inside(profiles: Sequence[AnyProfile], station: Station) -> Sequence[AnyPro
     return profiles[begin:end]
 
 
-def _surely_inside(profile: AnyProfile, station: Station) -> bool:
+def _surely_inside(profile: AnyProfile, station: Dwell) -> bool:
     """Tell whether a profile was taken during a station, also where only about its stamp."""
     if not isinstance(profile, RawProfile):
         return True
@@ -114,7 +114,7 @@ def _surely_inside(profile: AnyProfile, station: Station) -> bool:
     return profile.stamp - before >= station.start and profile.stamp + after <= station.end
 
 
-def settled(start: int, end: int, config: Config) -> tuple[int, int]:
+def steady_span(start: int, end: int, config: Config) -> tuple[int, int]:
     """Return the first and last stamp of a stop at which nothing swings any more."""
     settle = round(config.sampling.settle_time * NS)
     return start + settle, end - settle
@@ -161,7 +161,7 @@ def _still(seen: Seen, config: Config) -> list[Profile]:
 
 def _unread(seen: Seen, config: Config) -> list[AnyProfile]:
     """Return the messages of the same."""
-    first, last = settled(seen.poses[0].stamp, seen.poses[-1].stamp, config)
+    first, last = steady_span(seen.poses[0].stamp, seen.poses[-1].stamp, config)
     return evenly([p for p in seen.profiles if first <= p.stamp <= last], MOST_PROFILES)
 
 
@@ -205,3 +205,21 @@ def judged(outcome: Outcome, config: Config) -> Outcome:
         stamp = outcome.stop.load(config).poses[0].stamp
         return replace(outcome, result=Reject(stamp, outcome.refused))
     return replace(outcome, result=result_of(outcome.stop, config))
+
+
+def duplicate_pose(sample: Sample, others: Iterable[Outcome], config: Config) -> str:
+    """Return of which other stop a sample only repeats the pose; empty if of none."""
+    limits = config.sampling
+    for other in others:
+        if other.sample:
+            distance, angle = pose_distance(sample, other.sample)
+            if distance < limits.new_translation and angle < limits.new_rotation:
+                return (f'{distance * 1e3:.0f} mm and {np.degrees(angle):.1f} degrees from '
+                        f'sample {other.number}: it brings nothing new')
+    return ''
+
+
+def pose_distance(sample: Sample, other: Sample) -> tuple[float, float]:
+    """Return how far the flange is from where it was at another sample (m, rad)."""
+    T = se3.inverse(other.T_base_flange) @ sample.T_base_flange
+    return float(np.linalg.norm(T[:3, 3])), float(np.linalg.norm(se3.log_rotation(T[:3, :3])))

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from handeye_ros.data import Array, EdgePoint, FaceLine, Sample
-from handeye_ros.sampling.view_border import border_lines, without_border_ends
+from handeye_ros.sampling.field_of_view import border_lines, without_border_ends
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays

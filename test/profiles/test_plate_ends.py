@@ -8,9 +8,9 @@ from cells import recorded
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Sample
-from handeye_ros.profiles.bends import RADII
+from handeye_ros.profiles.edge_rounding import RADII
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.sampling.all_edges import judged_together, typical_shape, with_bevel
+from handeye_ros.sampling.edge_shapes import common_shape, consistent_edges, with_common_shape
 from handeye_ros.simulate.faults import PLATE
 import numpy as np
 from profiles import COLUMNS, drawn, NOISE, PITCH, step_up_to, with_lost, X
@@ -66,10 +66,10 @@ def test_a_bent_end_is_set_back_to_its_edge(shape: str, size: float) -> None:
     ends = 1 - np.sin(np.radians([45, 60, 75])) if shape == 'rounded' else [0.0] * 3
     samples = [Sample(k, np.eye(4), (LINE, ended(shape, size, size * end, k)))
                for k, end in enumerate([*ends] * 5)]
-    found = typical_shape(samples)
+    found = common_shape(samples)
     assert found.size == pytest.approx(size, rel=3 * found.doubt)
     assert found.is_round == (shape == 'rounded') or size < 1e-3, 'few points show no shape'
-    edges = [s.features[1] for s in with_bevel(samples)]
+    edges = [s.features[1] for s in with_common_shape(samples)]
     places = np.array([edge.point[0] for edge in edges])
     shared = np.array([edge.shape_std for edge in edges])
     assert abs(places.mean()) < PITCH + shared.mean() and places.std() < 1.5 * PITCH
@@ -91,9 +91,9 @@ def test_the_wall_below_the_edge_is_found_however_the_laser_crosses_it(
         points = np.column_stack([X, 0.17 + z + np.random.default_rng(seed).normal(
             0, NOISE / 3, COLUMNS)])
         samples.append(Sample(seed, np.eye(4), (LINE, edge_of(points))))
-    for slant, sample in zip(slants, with_bevel(samples), strict=True):
+    for slant, sample in zip(slants, with_common_shape(samples), strict=True):
         edge = sample.features[1]
-        x, z = edge.point + edge.bend
+        x, z = edge.point + edge.drop
         assert abs(x - slant * (z - 0.17)) < 1.5 * PITCH, 'the wall leads through x = 0'
         assert abs(edge.point[1] - 0.17) < 5 * NOISE, 'the point itself stays on the face line'
 
@@ -125,8 +125,8 @@ def plates(depths: list[float], kind: str = 'gap', bevelled: bool = False) -> li
 
 def test_ends_seen_less_far_are_set_back_more_and_walls_are_not() -> None:
     samples = [*plates([5e-4, 2e-4, 1e-4, 0.0]), *plates([0.0, 0.0], 'roof')]
-    moved = with_bevel(samples)
-    found = typical_shape(samples)
+    moved = with_common_shape(samples)
+    found = common_shape(samples)
     assert found.size == pytest.approx(5e-4, rel=0.05) and found.is_round
     steps = np.array([0.001 - s.features[1].point[0] for s in moved[:4]])
     assert steps[0] == pytest.approx(0, abs=1e-6)
@@ -139,16 +139,16 @@ def test_ends_seen_less_far_are_set_back_more_and_walls_are_not() -> None:
 
 def test_a_bevel_that_is_seen_ends_at_its_edge_and_one_that_is_not_before_it() -> None:
     samples = plates([3e-4, 2.8e-4, 3.3e-4, 0.0], bevelled=True)
-    found = typical_shape(samples)
+    found = common_shape(samples)
     assert found.size == pytest.approx(3e-4) and not found.is_round
-    steps = [0.001 - s.features[1].point[0] for s in with_bevel(samples)]
+    steps = [0.001 - s.features[1].point[0] for s in with_common_shape(samples)]
     assert steps == pytest.approx([0, 0, 0, 3e-4], abs=1e-9)
 
 
 def test_sharp_ends_stay_where_they_are() -> None:
     for samples in (plates([0.0, 1e-6, 2e-5, 0.0]), plates([5e-4, 5e-4])):
-        assert typical_shape(samples).size == 0.0, 'of two ends nothing is believed'
-        for before, after in zip(samples, with_bevel(samples), strict=True):
+        assert common_shape(samples).size == 0.0, 'of two ends nothing is believed'
+        for before, after in zip(samples, with_common_shape(samples), strict=True):
             assert (after.features[1].point == before.features[1].point).all()
             assert after.features[1].std == before.features[1].std and after.features[1].bevel == 0
 
@@ -165,11 +165,11 @@ def test_simulated_ends_are_as_near_to_the_edge_as_they_say(
     away, std = [], []
     for seed in range(2):
         made = recorded(scenario, seed, rate=6.0)
-        kept, _ = judged_together(pipeline.gather(made.profiles, made.poses, made.config).samples)
+        kept, _ = consistent_edges(pipeline.gather(made.profiles, made.poses, made.config).samples)
         for station in made.truth.stations:
             sample, = (s for s in kept if station.start <= s.stamp <= station.end)
             edge, = (f for f in sample.features if isinstance(f, EdgePoint))
-            x, z = edge.point + edge.bend  # of the wall, wherever the laser crosses it
+            x, z = edge.point + edge.drop  # of the wall, wherever the laser crosses it
             in_target = se3.apply(se3.inverse(made.truth.T_base_target) @ station.T_base_flange
                                   @ made.truth.T_flange_sensor, np.array([[x, 0.0, z]]))[0]
             away.append(in_target[1 if station.label == 'p' else 0])

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
-from handeye_ros.sampling.stations import around, interpolate
+from handeye_ros.sampling.dwells import around, interpolate
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from handeye_ros.data import Profile
 from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.sampling.dwells import MAX_DWELL, NS
 from handeye_ros.sampling.errors import (
     MovingError,
     NoPosesError,
@@ -12,7 +13,6 @@ from handeye_ros.sampling.errors import (
     NothingToRemoveError,
 )
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stations import MAX_STATION, NS
 import numpy as np
 import pytest
 from streams import add, BAD, CONFIG, MANUAL, played, pose, profile, profiles, START, stops
@@ -50,7 +50,7 @@ def test_taking_twice_at_one_stop_keeps_one_sample() -> None:
 
 def test_however_often_one_spot_is_taken_it_is_one_sample() -> None:
     session = Session(MANUAL)
-    length = 3 * MAX_STATION // NS
+    length = 3 * MAX_DWELL // NS
     for item in sorted([*stops((0, length)), *profiles(0, length, rate=2.0)],
                        key=lambda item: item.stamp):
         add(session, item)

@@ -7,7 +7,7 @@ from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import Profile, TimedPose
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.ros.bags.storage import scan
-from handeye_ros.sampling.stations import StationFinder
+from handeye_ros.sampling.dwells import DwellFinder
 from mcap.writer import CompressionType, IndexType, Writer
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat
@@ -81,7 +81,7 @@ def halves(recording, count):
     """
     all_profiles, all_poses = (recording if isinstance(recording, tuple)
                                else (recording.profiles, recording.poses))
-    finder, stations = StationFinder(SamplingConfig()), []
+    finder, stations = DwellFinder(SamplingConfig()), []
     for pose in all_poses:
         stations.append(finder.add(pose))
     ends = [s for s in stations if s]

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, EdgePoint, Profile, Reject, Sample, TimedPose
+from handeye_ros.sampling.dwells import NS
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stations import NS
 import numpy as np
 from profiles import drawn, face, step_up_to, with_lost
 

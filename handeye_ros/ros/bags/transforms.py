@@ -15,7 +15,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.ros.bags.messages import pose_from_transform
 from handeye_ros.ros.errors import MessageError
-from handeye_ros.sampling.stations import interpolate
+from handeye_ros.sampling.dwells import interpolate
 from handeye_ros.sampling.stream import Stream
 import numpy as np
 

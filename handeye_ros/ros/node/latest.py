@@ -11,7 +11,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Feature, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.profiles.errors import FeatureError
-from handeye_ros.sampling.stations import interpolate
+from handeye_ros.sampling.dwells import interpolate
 
 KEPT = 100  # messages of a kind: the one of the two streams may be late
 

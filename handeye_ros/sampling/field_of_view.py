@@ -1,16 +1,17 @@
 """
-Where the sensor's field of view ends, learnt from where its profiles end.
+Ends of faces at the end of the sensor's field of view, which are no edges.
 
-Where a face leaves the field of view it ends too, and looks like an edge with nothing behind
-it. The border of a field of view is straight: many ends on one line, with everything that was
-ever seen on one side of it, are no edges.
+The border of the field of view is learnt from where its profiles end. Where a face leaves the
+field of view it looks like an edge with nothing behind it. The border is straight: many ends on
+one line, with everything that was ever seen on one side of it, are no edges.
 """
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 
-from handeye_ros.data import Array, EdgePoint, FaceLine, Reject, Sample
+from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Profile, Reject, Sample
+from handeye_ros.profiles.errors import FeatureError
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +21,7 @@ FEWEST_ENDS = 5
 SHARE_OF_ENDS = 0.3
 SHARE_LEFT = 0.5  # of the samples with ends at a border keep an edge
 MOST_ENDS = 60  # that span the lines tried
+NEAREST = 1e-3  # m from the end of the view to an edge
 
 
 def without_border_ends(samples: Sequence[Sample]) -> tuple[list[Sample], list[Reject]]:
@@ -121,3 +123,36 @@ def _near(points: Array, lines: Array) -> NDArray[np.bool_]:
 
 def _on_any(point: Array, lines: Array) -> bool:
     return bool(_near(point[None], lines).any())
+
+
+def require_inside(features: Sequence[Feature], profiles: Sequence[Profile]) -> None:
+    """
+    Refuse a stop all of whose edges lie so near the end of the view that they may be cut off.
+
+    The end of the view is where the columns of a profile end. A driver that leaves columns
+    without a return out of its messages does not show it; then nothing is refused.
+    profiles: those of the stop that show the features. Raises FeatureError.
+    """
+    edges = [feature for feature in features if isinstance(feature, EdgePoint)]
+    columns = {len(profile.points) for profile in profiles}
+    if not edges or len(columns) > 1 or not _shows_columns(profiles[0].points):
+        return
+    distances = [_to_the_end(edge, profiles[0].points) for edge in edges]
+    if max(distances) < NEAREST:
+        raise FeatureError(
+            f'the edge lies {max(distances) * 1e3:.1f} mm from the end of the view, where it may '
+            f'be cut off: move it {NEAREST * 1e3:.0f} mm or more into the view')
+
+
+def _shows_columns(points: Array) -> bool:
+    """Tell whether a profile has its columns without a return too."""
+    return bool(np.isnan(points).any())
+
+
+def _to_the_end(edge: EdgePoint, points: Array) -> float:
+    """Return how far the columns go on beside an edge, on the shorter side (m)."""
+    seen = np.flatnonzero(np.isfinite(points).all(axis=1))
+    at = seen[int(np.argmin(np.abs(points[seen] - edge.point).sum(axis=1)))]
+    along = points[seen] @ edge.direction
+    spacing = float(np.median(np.abs(np.diff(along) / np.diff(seen))))
+    return float(min(at, len(points) - 1 - at) * spacing)

@@ -13,6 +13,7 @@ from typing import Self
 
 from handeye_ros.config import Config, UNNAMED_FRAME
 from handeye_ros.data import AnyProfile, TimedPose
+from handeye_ros.sampling.dwells import Dwell, DwellFinder, FOREVER, Motion, NS
 from handeye_ros.sampling.errors import (
     MovingError,
     NoPosesError,
@@ -24,8 +25,7 @@ from handeye_ros.sampling.errors import (
     TwoFramesError,
 )
 from handeye_ros.sampling.frame_notes import frame_notes
-from handeye_ros.sampling.kept import KeptProfiles
-from handeye_ros.sampling.stations import FOREVER, Motion, NS, Station, StationFinder
+from handeye_ros.sampling.profile_buffer import ProfileBuffer
 from handeye_ros.sampling.stops import beside, Stop, stop_of
 from handeye_ros.sampling.stream import LARGEST_STEP, Stream
 
@@ -34,7 +34,7 @@ SILENCE = 0.25  # s without a pose, while profiles come, after which the robot m
 MISSED_POSES = 5  # periods of the poses that they may be late
 
 
-class Watch:
+class DwellDetector:
     """Takes poses and profiles as they come; gives the stops that they show, each once."""
 
     def __init__(self, config: Config) -> None:
@@ -44,9 +44,9 @@ class Watch:
 
     def clear(self) -> None:
         """Forget all that was received."""
-        self._finder = StationFinder(self._config.sampling)
-        self._waiting: list[Station] = []
-        self._profiles = KeptProfiles()
+        self._finder = DwellFinder(self._config.sampling)
+        self._waiting: list[Dwell] = []
+        self._profiles = ProfileBuffer()
         self._taken: set[int] = set()  # when the stops began that were given
         self._passed_by = 0  # stops at which no sample was to be taken by itself
         self._unseen = 0  # stops given up as no profiles came
@@ -214,13 +214,13 @@ class Watch:
             raise SparsePosesError(poses.period, sampling.max_pose_gap)
         raise NoStationsError(poses.count, sampling.still_time, self._finder.longest / NS)
 
-    def _stops(self, stations: Sequence[Station]) -> list[Stop]:
+    def _stops(self, stations: Sequence[Dwell]) -> list[Stop]:
         """Return the stops of stations, but for those taken by hand."""
         new = [station for station in stations if station.began not in self._taken]
         self._taken |= {station.began for station in new}
         return [self._stop(station) for station in new]
 
-    def _stop(self, station: Station) -> Stop:
+    def _stop(self, station: Dwell) -> Stop:
         stop = stop_of(station, self._profiles.items, self._config)
         self._beside = max(self._beside, beside(stop, self._config))
         return stop

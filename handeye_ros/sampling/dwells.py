@@ -15,13 +15,13 @@ import numpy as np
 
 NS = 1_000_000_000
 MOTION_TIME = 3 * NS // 10  # over which the speed of the robot is told
-MAX_STATION = 10 * NS  # more of one stop adds nothing but memory
+MAX_DWELL = 10 * NS  # more of one stop adds nothing but memory
 MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
 FOREVER = 2**63
 
 
 @dataclass(frozen=True, eq=False)
-class Station:
+class Dwell:
     """
     A time during which the robot stood still; poses in order of their stamps.
 
@@ -59,7 +59,7 @@ class Motion:
                 f'{np.degrees(self.turning):.1f} degrees/s')
 
 
-class StationFinder:
+class DwellFinder:
     """Cuts a stream of poses into the times during which the robot stood still."""
 
     def __init__(self, sampling: SamplingConfig) -> None:
@@ -70,13 +70,13 @@ class StationFinder:
         self._recent: deque[TimedPose] = deque()
         self.longest = 0  # time that the robot stood still (ns)
 
-    def copied(self) -> StationFinder:
+    def copied(self) -> DwellFinder:
         """Return another that goes on from here by itself."""
         other = copy(self)
         other._run, other._recent = deque(self._run), deque(self._recent)
         return other
 
-    def add(self, pose: TimedPose) -> Station | None:
+    def add(self, pose: TimedPose) -> Dwell | None:
         """Take the next pose; return the station that it ends, if it ends one."""
         self._recent.append(pose)
         while (pose.stamp - self._recent[0].stamp > MOTION_TIME
@@ -87,15 +87,15 @@ class StationFinder:
         if continues:
             self._extend(pose)
             return None
-        ended = self._station(self._run)
+        ended = self._dwell(self._run)
         if self._run:
             self.longest = max(self.longest, self._run[-1].stamp - self._run[0].stamp)
         self._run, self._began = deque([pose]), pose.stamp
         return ended
 
-    def current(self) -> Station | None:
+    def current(self) -> Dwell | None:
         """Return the station that the robot stands in now, if it has stood still for long."""
-        return self._station(self._run)
+        return self._dwell(self._run)
 
     def motion(self) -> Motion | None:
         """Return how the robot moves now, None where poses do not tell."""
@@ -111,7 +111,7 @@ class StationFinder:
         if not self._run:
             return 0, FOREVER
         limited = self.sampling.by_itself
-        return self._run[0].stamp, self._run[0].stamp + MAX_STATION if limited else FOREVER
+        return self._run[0].stamp, self._run[0].stamp + MAX_DWELL if limited else FOREVER
 
     def _extend(self, pose: TimedPose) -> None:
         """Let a long stop use its first seconds, or its last when samples are asked for."""
@@ -123,7 +123,7 @@ class StationFinder:
                 self._run.popleft()
 
     def _is_full(self, pose: TimedPose) -> bool:
-        return (pose.stamp - self._run[0].stamp > MAX_STATION or len(self._run) > MOST_POSES)
+        return (pose.stamp - self._run[0].stamp > MAX_DWELL or len(self._run) > MOST_POSES)
 
     def _continues(self, pose: TimedPose) -> bool:
         first, limits = self._run[0], self.sampling
@@ -131,9 +131,9 @@ class StationFinder:
                 and _turned(first, pose) <= limits.still_rotation
                 and pose.stamp - self._latest <= limits.max_pose_gap * NS)
 
-    def _station(self, run: deque[TimedPose]) -> Station | None:
+    def _dwell(self, run: deque[TimedPose]) -> Dwell | None:
         still = bool(run) and run[-1].stamp - run[0].stamp >= self.sampling.still_time * NS
-        return Station(tuple(run), self._began) if still else None
+        return Dwell(tuple(run), self._began) if still else None
 
 
 def _turned(a: TimedPose, b: TimedPose) -> float:

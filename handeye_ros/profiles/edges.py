@@ -11,9 +11,9 @@ from dataclasses import replace
 import math
 
 from handeye_ros.data import Array, EdgePoint
-from handeye_ros.profiles.bends import bend_of
+from handeye_ros.profiles.continuation import End, Frame, leading
+from handeye_ros.profiles.edge_rounding import rounding_of
 from handeye_ros.profiles.segment import returned, Segment
-from handeye_ros.profiles.tails import End, Frame, leading
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,7 +34,7 @@ RAMP_DOUBT = 0.1  # 1 sigma of where the edge is within a wide transition, of it
 
 def wall_edge(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
     """
-    Return where a wall in a face's tail (rows) meets the face line, and its 1 sigma.
+    Return where a wall in a face's continuation (rows) meets the face line, and its 1 sigma.
 
     The place is along the face from its last point on. None when no wall is in sight.
     """
@@ -60,14 +60,14 @@ def wall_edge(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
 
 
 def _end_of_face(end: End, u: Array, v: Array) -> float:
-    """Return where the flat part of a face ends, of a tail that lies along it at u, below at v."""
+    """Return where the flat part of a face ends, whose points lie along it at u, below at v."""
     flat = leading(v <= FLAT_SIGMAS * end.segment.noise)
     return float(u[flat - 1]) if flat else 0.0
 
 
 def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: str) -> EdgePoint:
     """
-    Return where a plate ends, its tail (rows) included, before a drop.
+    Return where a plate ends, its continuation (rows) included, before a drop.
 
     ground: what is seen below, if anything. How far a bent end is from its edge is judged later,
     from all stations (see all_edges).
@@ -89,23 +89,23 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: str
     lowest = sum(v[-LAST_POINTS:].tolist()) / LAST_POINTS
     if lowest < BEND_SIGMAS * segment.noise / LAST_POINTS ** 0.5:
         return edge
-    return _bent(end, edge, rows, place, last - flat)
+    return _rounded(end, edge, rows, place, last - flat)
 
 
-def _bent(end: End, edge: EdgePoint, rows: NDArray[np.intp], place: float, beyond: float
+def _rounded(end: End, edge: EdgePoint, rows: NDArray[np.intp], place: float, beyond: float
           ) -> EdgePoint:
-    """Return an edge at a place, with its bend; beyond: how far the tail leads out of the face."""
+    """Return an edge at a place, with its rounding; beyond: how far the end leads outwards."""
     segment, before = end.segment, max(2 * len(rows), SHORTEST_BEND)
     believed = rows[:len(rows) - min(len(rows) // RIM_SHARE, LARGEST_RIM)]
     rows = np.concatenate([segment.rows[::end.outward][-before:], believed])
-    bend = bend_of(*end.along_and_below(rows), place,
-                   end.column * math.hypot(1.0, segment.slope), segment.noise)
+    rounding = rounding_of(*end.along_and_below(rows), place,
+                           end.column * math.hypot(1.0, segment.slope), segment.noise)
     # what goes down without going out is no bend, but a wall that is hardly seen
-    depth = min(bend.depth, STEEPEST_BEND * beyond + FLAT_SIGMAS * segment.noise)
-    out, below = bend.middle
+    depth = min(rounding.depth, STEEPEST_BEND * beyond + FLAT_SIGMAS * segment.noise)
+    out, below = rounding.middle
     arc = (out - place) * end.frame.along + below * end.frame.below
-    return replace(edge, bend=depth * end.frame.below, shapes=bend.shapes, arc=arc,
-                   arc_std=bend.middle_std)
+    return replace(edge, drop=depth * end.frame.below, shapes=rounding.shapes, arc=arc,
+                   arc_std=rounding.middle_std)
 
 
 def _transition(end: End, last: int, ground: Segment | None) -> tuple[int, float]:

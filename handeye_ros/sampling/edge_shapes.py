@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array, EdgePoint, Feature, Reject, Sample
-from handeye_ros.profiles.bends import RADII, reach
-from handeye_ros.sampling.view_border import without_border_ends
+from handeye_ros.profiles.edge_rounding import RADII, reach
+from handeye_ros.sampling.field_of_view import without_border_ends
 import numpy as np
 from scipy.interpolate import CubicSpline
 
@@ -35,13 +35,13 @@ class EdgeShape:
     is_round: bool = True
 
 
-def judged_together(samples: Sequence[Sample]) -> tuple[list[Sample], list[Reject]]:
+def consistent_edges(samples: Sequence[Sample]) -> tuple[list[Sample], list[Reject]]:
     """Return the samples with the edges that all of them believe in, and those without any."""
     kept, rejects = without_border_ends(samples)
-    return with_bevel(kept), rejects
+    return with_common_shape(kept), rejects
 
 
-def with_bevel(samples: Sequence[Sample]) -> list[Sample]:
+def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
     """
     Return the samples with their edges where the planes of face and wall meet.
 
@@ -49,11 +49,11 @@ def with_bevel(samples: Sequence[Sample]) -> list[Sample]:
     roughly, or not at all when the bevel sends no light back. So the shape that is likeliest for
     all ends together is taken; where a wall was seen nothing is to be done.
     """
-    shape = typical_shape(samples)
+    shape = common_shape(samples)
     return [replace(s, features=tuple(_moved(f, shape) for f in s.features)) for s in samples]
 
 
-def typical_shape(samples: Sequence[Sample]) -> EdgeShape:
+def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     """Return the shape that the ends of faces have, of which the radius is alike at all."""
     ends = [f for s in samples for f in s.features
             if isinstance(f, EdgePoint) and f.kind != 'roof']
@@ -99,7 +99,7 @@ def _moved(feature: Feature, shape: EdgeShape) -> Feature:
     if not isinstance(feature, EdgePoint) or feature.kind == 'roof':
         return feature
     if not shape.size:
-        return replace(feature, bend=np.zeros(2))
+        return replace(feature, drop=np.zeros(2))
     if shape.is_round and 0 < feature.arc_std < shape.size:
         return _from_arc(feature, shape)
     return _from_end(feature, shape)
@@ -116,7 +116,7 @@ def _from_arc(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
     depth = min(max(float(np.hypot(*below)), SHALLOWEST), radius)
     out = reach(radius, depth)
     std = np.sqrt(edge.std ** 2 + edge.arc_std ** 2 + (OBLIQUE_DOUBT * radius) ** 2)
-    return replace(edge, point=edge.point + (back + radius - out) * edge.direction, bend=below,
+    return replace(edge, point=edge.point + (back + radius - out) * edge.direction, drop=below,
                    std=float(std), shape_std=shape.doubt * radius * (1 - depth / out))
 
 

@@ -5,7 +5,7 @@ from functools import partial
 
 from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Profile, RawProfile
-from handeye_ros.sampling.kept import KeptProfiles
+from handeye_ros.sampling.profile_buffer import ProfileBuffer
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -20,7 +20,7 @@ def raw(stamp: int, size: int) -> RawProfile:
 
 
 def test_the_oldest_are_dropped_first_and_counted() -> None:
-    kept = KeptProfiles(1000)
+    kept = ProfileBuffer(1000)
     for stamp in range(26):
         kept.add([raw(stamp, 100)])
     assert [p.stamp for p in kept.items] == list(range(16, 26))
@@ -29,7 +29,7 @@ def test_the_oldest_are_dropped_first_and_counted() -> None:
 
 
 def test_what_lies_in_a_file_takes_no_memory() -> None:
-    kept = KeptProfiles(1000)
+    kept = ProfileBuffer(1000)
     kept.add(raw(stamp, 0) for stamp in range(5000))
     kept.add([Profile(5000, 'laser', np.zeros((9, 2)))])
     assert len(kept) == 5001 and not list(kept.warnings)
@@ -38,7 +38,7 @@ def test_what_lies_in_a_file_takes_no_memory() -> None:
 @given(st.lists(st.tuples(st.integers(0, 400), st.integers(0, 30), st.integers(0, 30)),
                 max_size=60))
 def test_the_sum_is_that_of_what_is_kept(steps: list[tuple[int, int, int]]) -> None:
-    kept = KeptProfiles(1000)
+    kept = ProfileBuffer(1000)
     for stamp, (size, behind, ahead) in enumerate(steps):
         kept.add([raw(stamp, size)])
         assert sum(p.held for p in kept.items) <= 1000

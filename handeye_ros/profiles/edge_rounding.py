@@ -32,7 +32,7 @@ def reach(radius: float, depth: float) -> float:
 
 
 @dataclass(frozen=True)
-class Bend:
+class EndRounding:
     """
     The bend at the end of a face, as one profile shows it.
 
@@ -64,7 +64,7 @@ class _Fits:
     misfit: Array
 
 
-def bend_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> Bend:
+def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> EndRounding:
     """
     Return the bend at an end of a face.
 
@@ -82,7 +82,7 @@ def bend_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> Bend:
     steep, radius = (fits.weights * fits.slope ** 2)[best], float(RADII[best, 0])
     sine = fits.slope[best] / np.sqrt(1 + fits.slope[best] ** 2)
     middle = float(steep @ sine) / max(float(steep.sum()), TINY)
-    return Bend(float(weights @ depths / weights.sum()), shapes - shapes.max(),
+    return EndRounding(float(weights @ depths / weights.sum()), shapes - shapes.max(),
                 (float(fits.begin[best, 0]) + radius * middle,
                  radius * (1 - (1 - middle ** 2) ** 0.5)),
                 max(float(steep.sum()), TINY) ** -0.5)

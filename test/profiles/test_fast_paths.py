@@ -1,9 +1,9 @@
 """What is done quickly in profiles/ gives what the plain way of the same gives."""
 from __future__ import annotations
 
-from handeye_ros.profiles import arc_search, circles, faces, line_search, shares
+from handeye_ros.profiles import arc_search, bins, circles, faces, line_search
+from handeye_ros.profiles.continuation import Returns
 from handeye_ros.profiles.segment import Segment
-from handeye_ros.profiles.tails import Returns
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -103,12 +103,12 @@ def test_votes_for_circles(seed: int, count: int, n: int, tolerance: float) -> N
 
 
 @given(SEEDS, st.integers(1, 400))
-def test_quantiles_and_shares(seed: int, n: int) -> None:
+def test_quantiles_and_bins(seed: int, n: int) -> None:
     values = np.random.default_rng(seed).normal(size=n)
     np.testing.assert_allclose(arc_search._quantiles(values, (0.005, 0.995)),
                                np.quantile(values, [0.005, 0.995]), rtol=0, atol=1e-15)
     parts = min(n, 7)
-    got, size = shares.means(values, parts)
+    got, size = bins.bin_means(values, parts)
     first = [*np.linspace(0, n, parts, endpoint=False).astype(int), n]
     plain = [values[a:b].mean() for a, b in zip(first, first[1:], strict=False)]
     np.testing.assert_allclose(got, plain, rtol=0, atol=1e-14)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 STEEPEST = 4.0  # slope of a surface from which light still comes back
 MOST_LOST = 4  # rows from one point of the plate to the next
 SLACK_SIGMAS = 6.0  # of the range between two neighbours on a surface
-TAIL_ROWS = 80  # behind a face that may still be the bent end of its plate, or its wall
+CONTINUATION_ROWS = 80  # behind a face that may still be the bent end of its plate, or its wall
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,13 +36,13 @@ class Returns:
         return last - first - int(found[1] - found[0])
 
     def outwards(self, row: int, outward: int) -> NDArray[np.intp]:
-        """Return a row and those that came back in the TAIL_ROWS behind it."""
+        """Return a row and those that came back in the CONTINUATION_ROWS behind it."""
         at = int(self.rows.searchsorted(row))
         if outward > 0:
-            some = self.rows[at:at + TAIL_ROWS + 1]
-            return some[:some.searchsorted(row + TAIL_ROWS + 1)]
-        some = self.rows[max(at - TAIL_ROWS, 0):at + 1]
-        return some[some.searchsorted(row - TAIL_ROWS):][::-1]
+            some = self.rows[at:at + CONTINUATION_ROWS + 1]
+            return some[:some.searchsorted(row + CONTINUATION_ROWS + 1)]
+        some = self.rows[max(at - CONTINUATION_ROWS, 0):at + 1]
+        return some[some.searchsorted(row - CONTINUATION_ROWS):][::-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ class End:
         return self.frame.of(self.seen.points.take(rows, axis=0))
 
 
-def tail(end: End) -> NDArray[np.intp]:
+def continuation(end: End) -> NDArray[np.intp]:
     """
     Return the rows behind a segment's last point that its surface continues on, outwards.
 

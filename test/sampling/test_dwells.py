@@ -5,8 +5,8 @@ from dataclasses import replace
 
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import EdgePoint
+from handeye_ros.sampling.dwells import MAX_DWELL, NS
 from handeye_ros.sampling.errors import NothingNewError
-from handeye_ros.sampling.stations import MAX_STATION, NS
 from handeye_ros.sampling.stops import MOST_PROFILES
 import numpy as np
 import pytest
@@ -68,7 +68,7 @@ def test_profiles_beyond_the_poses_are_never_used() -> None:
 
 
 def test_a_long_stop_uses_its_first_seconds() -> None:
-    length = MAX_STATION / NS
+    length = MAX_DWELL / NS
     session = played(stops((0, length + 5)), profiles(0, length + 5, rate=5.0))
     sample, = session.samples
     assert sample.profiles <= 5 * length + 1 and sample.stamp < START + NS

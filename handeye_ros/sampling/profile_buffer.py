@@ -12,7 +12,7 @@ MOST_BYTES = 256_000_000  # of messages: 8 s of 2000 profiles a second of 1280 p
 SLACK = 0.05  # of it that is made free at once
 
 
-class KeptProfiles:
+class ProfileBuffer:
     """Profiles in the order of their stamps; the oldest are dropped first, and counted."""
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:

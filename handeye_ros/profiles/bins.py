@@ -1,5 +1,5 @@
 """
-Means of equal shares of points in a row, and how much they scatter.
+Means of equal bins of points in a row, and how much they scatter.
 
 Speckle is alike over some columns, and stays while the robot stands: the scatter of single
 points, divided by the root of their number, says too little. So the means themselves are looked
@@ -14,7 +14,7 @@ from handeye_ros.data import Array
 import numpy as np
 from numpy.typing import NDArray
 
-KEPT = 1000  # numbers of points whose shares are remembered
+KEPT = 1000  # numbers of points whose bins are remembered
 FEWEST_BLOCKS = 6
 SURELY_MORE = 1.7  # times the variance of white noise: what chance seldom makes
 
@@ -26,23 +26,23 @@ def mean_and_std(values: Array) -> tuple[float, float]:
     return mean, math.sqrt(away @ away / len(values))
 
 
-def means(values: Array, shares: int) -> tuple[Array, NDArray[np.intp]]:
-    """Return means, (k, ...), of equal shares of values (n, ...), and the sizes (k,) of these."""
-    first, count = _shares(len(values), shares)
+def bin_means(values: Array, bins: int) -> tuple[Array, NDArray[np.intp]]:
+    """Return means, (k, ...), of equal bins of values (n, ...), and the sizes (k,) of these."""
+    first, count = _bins(len(values), bins)
     total = np.add.reduceat(values, first)
     return total / (count if values.ndim == 1 else count[:, None]), count
 
 
 @lru_cache(KEPT)
-def _shares(size: int, shares: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return where equal shares of so many values begin, and their sizes; not to be changed."""
-    first = np.linspace(0, size, shares, endpoint=False).astype(int)
+def _bins(size: int, bins: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return where equal bins of so many values begin, and their sizes; not to be changed."""
+    first = np.linspace(0, size, bins, endpoint=False).astype(int)
     count = np.diff(np.append(first, size))
     count.setflags(write=False)
     return first, count
 
 
-def variance_of_means(blocks: Array, white: float) -> float:
+def variance_of_bins(blocks: Array, white: float) -> float:
     """
     Return the variance of the means (k,) of neighbouring blocks of residuals.
 
