@@ -22,8 +22,8 @@ from handeye_ros.config import Config
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
+from handeye_ros.simulate.convention_errors import CONVENTION_ERRORS
 from handeye_ros.simulate.settings import settings
-from handeye_ros.simulate.slips import SLIPS
 import numpy as np
 
 Damage = Callable[[list[Sample], np.random.Generator], list[Sample]]
@@ -48,11 +48,11 @@ def poses_of(samples: list[Sample]) -> np.ndarray:
     return np.array([s.T_base_flange for s in samples])
 
 
-def slip(name: str) -> Damage:
-    """Return the damage that a slip of the simulator does to all poses."""
+def convention_error(name: str) -> Damage:
+    """Return the damage that a convention error of the simulator does to all poses."""
     def apply(samples: list[Sample], rng: np.random.Generator) -> list[Sample]:
         T = poses_of(samples)
-        translation, quaternion = SLIPS[name](T[:, :3, 3], se3.quaternion(T))
+        translation, quaternion = CONVENTION_ERRORS[name](T[:, :3, 3], se3.quaternion(T))
         return with_poses(samples, se3.from_quaternion(translation, quaternion))
     return apply
 
@@ -103,9 +103,9 @@ def kinds() -> dict[str, Kind]:
         'shuffled poses, sphere': Kind(False, sphere, shuffled),
         '60 % moved 5 mm': Kind(False, plate, moved(0.6, 5e-3, False)),
     }
-    for name in SLIPS:
-        found[f'slip {name}'] = Kind(False, plate, slip(name))
-        found[f'slip {name}, sphere'] = Kind(False, sphere, slip(name))
+    for name in CONVENTION_ERRORS:
+        found[f'convention {name}'] = Kind(False, plate, convention_error(name))
+        found[f'convention {name}, sphere'] = Kind(False, sphere, convention_error(name))
     return found
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 from handeye_ros import methods
-from handeye_ros.checks.conventions import require_no_slip, require_range_sign
+from handeye_ros.checks.conventions import require_conventions, require_range_sign
 from handeye_ros.checks.errors import LeftOutError
 from handeye_ros.checks.explained import require_edges
 from handeye_ros.checks.frames import require_own_frame
@@ -24,6 +24,8 @@ from handeye_ros.checks.motion import (
 from handeye_ros.checks.shape import believable_shape, require_one_scale
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
+from handeye_ros.diagnosis.clocks import require_same_clock
+from handeye_ros.diagnosis.snapshots import stop_snapshots
 from handeye_ros.errors import DataError, NamedCauseError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.robust import Consensus, consensus, settle, SUBSETS
@@ -31,9 +33,7 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.guidance import advice
 from handeye_ros.results.outcome import describe_calibration, mounted
 from handeye_ros.results.report.evidence import Evidence, judged
-from handeye_ros.sampling.clocks import require_same_clock
 from handeye_ros.sampling.edge_shapes import consistent_edges
-from handeye_ros.sampling.looks import looks
 from handeye_ros.sampling.session import Session
 import numpy as np
 
@@ -129,7 +129,7 @@ def evidence(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config:
     Raises DataError when it holds no stations; one that is refused later is told with its words.
     """
     session = gather(profiles, poses, config)
-    seen = looks(session, config)
+    seen = stop_snapshots(session, config)
     try:
         found, used, solution = solved(session.samples, session.rejects, config, session.frame_id)
     except DataError as error:
@@ -168,7 +168,7 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     problem = Problem(method, poses, method.observe(ordered), config)
     rng = np.random.default_rng(SEED)
     agreed = believable_shape(problem, consensus(problem, rng, SUBSETS), rng)
-    require_no_slip(problem, agreed, flipped(ordered, problem))
+    require_conventions(problem, agreed, flipped(ordered, problem))
     require_consistent(problem, agreed)
     require_only_answer(problem, agreed, rng)
     agreed = settle(agreed, method.minimum)

@@ -23,6 +23,7 @@ FLOORS = (
     ('checks',),
     ('methods', 'results'),
     ('sampling', 'files', 'scanning', 'verification', 'guidance'),
+    ('diagnosis',),
     ('pipeline',),
     ('comparison',),
     ('cli', 'ros'),

@@ -109,10 +109,10 @@ def test_one_rotation_axis_only(tmp_path, solve, motion):
     assert_refused(solve(bag), 3, 'one rotation axis', 'tilt the tool')
 
 
-@pytest.mark.parametrize(('slip', 'word'), [
+@pytest.mark.parametrize(('error', 'word'), [
     ('inverted', 'inverse poses'), ('wxyz', 'w x y z'), ('millimetres', 'in mm')])
-def test_poses_in_another_convention_are_named(tmp_path, solve, slip, word):
-    run = solve(made(tmp_path / 'bag', replace(BASE, slips=(slip,))))
+def test_poses_in_another_convention_are_named(tmp_path, solve, error, word):
+    run = solve(made(tmp_path / 'bag', replace(BASE, convention_errors=(error,))))
     assert_refused(run, 3, word)
 
 

@@ -1,5 +1,5 @@
 """
-The usual slips with conventions, tried out when an answer does not fit.
+Common errors in conventions, tried out when an answer does not fit.
 
 The one that makes the samples agree names the mistake.
 """
@@ -9,12 +9,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from handeye_ros import se3
+from handeye_ros.checks.convention_errors import CONVENTION_ERRORS, INVERSE
 from handeye_ros.checks.errors import (
     CalibrationTypeError,
+    ConventionError,
     CountedWrongWayError,
     RangeSignError,
     ScatteredOrientationsError,
-    SlipError,
 )
 from handeye_ros.checks.misfit import (
     LARGEST_DROPPED_SHARE,
@@ -22,7 +23,6 @@ from handeye_ros.checks.misfit import (
     residual_rms,
     SUSPICIOUS,
 )
-from handeye_ros.checks.slips import INVERSE, SLIPS
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.estimation.chances import f_above
@@ -33,10 +33,10 @@ from handeye_ros.profiles.range_sign import range_sign_evidence
 import numpy as np
 
 DOUBTFUL = 0.6  # variance factor, doubts included, from which the range's other sign is tried
-BELIEVABLE = 4.0  # that a slip must lead to
+BELIEVABLE = 4.0  # that undoing an error must lead to
 FLIPPED_SHARE = 0.4  # of the residual that may be left with the range counted the other way
 MANY = 0.3  # of the stations, that only one of two answers explains
-CHANCE = 1e-5  # of naming a slip where there is none
+CHANCE = 1e-5  # of naming an error where there is none
 SCATTERED = 0.6  # mean of the cosines to the best direction, below which there is none
 
 
@@ -47,26 +47,27 @@ def require_range_sign(stations: Sequence[Sample | Reject], config: Config) -> N
         raise CountedWrongWayError(hint)
 
 
-def require_no_slip(problem: Problem, agreed: Consensus, flipped: Problem | None) -> None:
+def require_conventions(problem: Problem, agreed: Consensus, flipped: Problem | None) -> None:
     """
-    Refuse an answer that a slip in the conventions explains better.
+    Refuse an answer that an error in the conventions explains better.
 
     flipped: the problem with the range counted the other way, if it can be posed.
 
-    Raises RangeSignError, CalibrationTypeError, SlipError or ScatteredOrientationsError.
+    Raises RangeSignError, CalibrationTypeError, ConventionError or ScatteredOrientationsError.
     """
     misfit = misfit_of(problem, agreed)
     if (misfit.variance_factor > DOUBTFUL or misfit.hopeless or agreed.unexplained) and flipped:
         _require_not_flipped(flipped, agreed, misfit.rms)
     if not misfit.hopeless and misfit.variance_factor < SUSPICIOUS:
         return
-    tried = [(name, quick_consensus(_undone(problem, undo))) for name, slip in SLIPS.items()
-             for undo in (slip.undo, slip.other) if undo]
+    tried = [(name, quick_consensus(_undone(problem, undo)))
+             for name, change in CONVENTION_ERRORS.items()
+             for undo in (change.undo, change.other) if undo]
     good = [(name, better) for name, better in tried
             if better and explains(better, agreed)]
     if good:
         name, better = min(good, key=lambda pair: pair[1].solution.variance_factor)
-        raise _slip_error(name, better, misfit.rms)
+        raise _convention_error(name, better, misfit.rms)
     if misfit.hopeless and orientations_scatter(problem.poses):
         raise ScatteredOrientationsError(misfit.rms)
 
@@ -81,13 +82,14 @@ def _require_not_flipped(flipped: Problem, agreed: Consensus, before: float) -> 
         raise RangeSignError(flipped.config.profile.range_sign, before, after)
 
 
-def _slip_error(name: str, better: Consensus, before: float) -> SlipError | CalibrationTypeError:
-    """Return the error that names a slip, given what the samples agree on without it."""
+def _convention_error(name: str, better: Consensus, before: float
+                      ) -> ConventionError | CalibrationTypeError:
+    """Return the refusal that names an error, given what the samples agree on without it."""
     after = residual_rms(better.solution)
     on_base = better.solution.problem.config.calibration_type == 'eye_on_base'
     if name == INVERSE and _mounted_on_base(better) != on_base:
         return CalibrationTypeError('eye_in_hand' if on_base else 'eye_on_base', before, after)
-    return SlipError(name, before, after, SLIPS[name].advice)
+    return ConventionError(name, before, after, CONVENTION_ERRORS[name].advice)
 
 
 def _mounted_on_base(agreed: Consensus) -> bool:
@@ -103,7 +105,7 @@ def _mounted_on_base(agreed: Consensus) -> bool:
 
 
 def _undone(problem: Problem, undo: Callable[[Array], Array]) -> Problem:
-    """Return the problem with the poses as they would be without a slip."""
+    """Return the problem with the poses as they would be without the error."""
     if problem.config.calibration_type == 'eye_on_base':
         return replace(problem, poses=se3.inverse(undo(se3.inverse(problem.poses))))
     return replace(problem, poses=undo(problem.poses))

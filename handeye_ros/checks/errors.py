@@ -220,7 +220,7 @@ class LeftOutError(DataError):
                          'wrong; take more')
 
 
-class SlipError(NamedCauseError):
+class ConventionError(NamedCauseError):
     """A wrong pose convention that was recognised."""
 
     def __init__(self, slip: str, before: float, after: float, advice: str) -> None:

@@ -51,8 +51,8 @@ def samples(
     assignments: Assignments = [],  # noqa: B006 - never changed
 ) -> None:
     """Show the samples of a session, and how well each agrees with the others."""
+    from handeye_ros.diagnosis.review import review
     from handeye_ros.errors import DataError
-    from handeye_ros.sampling.review import review
     stored = stored_session(path)
     settings = configuration(config, assignments, stored.config if stored else None)
     with doing('finding the samples'):
@@ -78,7 +78,7 @@ def _gathered(path: Path, settings: 'Config') -> 'Session':
 
 def _table(session: 'Session', agreements: dict[int, tuple[float, float, bool]]) -> 'Table':
     """Return the samples with what is known of them, those that agree worst first."""
-    from handeye_ros.sampling.wording import sample_summary
+    from handeye_ros.diagnosis.summaries import sample_summary
     from rich import box
     from rich.table import Table
     columns = Table(box=box.SIMPLE_HEAD, pad_edge=False)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros import se3
-from handeye_ros.checks.errors import SlipError
+from handeye_ros.checks.errors import ConventionError
 from handeye_ros.checks.motion import mount_frame
 from handeye_ros.config import Config
 from handeye_ros.data import Array
@@ -18,7 +18,7 @@ from handeye_ros.results.calibration_file import input_values, transform_values
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-CLEAR = 0.2  # of the misfit is left when a slip is undone
+CLEAR = 0.2  # of the misfit is left when a convention error is undone
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ def _solve(data: Views, config: Config) -> Answer[Views]:
     try:
         found = _found(data.T_fixed_mount, data.T_camera_target, config)
     except DegenerateError:
-        _name_slip(data, config)
+        _name_convention_error(data, config)
         raise
     X, Z = found.T_flange_camera, found.T_base_target
     shifts = hand_eye_estimate.residuals(data.T_fixed_mount, data.T_camera_target, (X, Z))[:, :3]
@@ -74,7 +74,8 @@ def _same(T: Array) -> Array:
     return T
 
 
-SLIPS: tuple[tuple[str, str, Callable[[Array], Array], Callable[[Array], Array]], ...] = (
+_Change = Callable[[Array], Array]
+CONVENTION_ERRORS: tuple[tuple[str, str, _Change, _Change], ...] = (
     ('one of the two lists inverted', 'set calibration_type to the other one, or, if it is right, '
      'give the flange in the base and the target in the camera', se3.inverse, _same),
     ('flange quaternions as w x y z', 'name the columns in the order of their values',
@@ -84,17 +85,17 @@ SLIPS: tuple[tuple[str, str, Callable[[Array], Array], Callable[[Array], Array]]
 """In words, what to do, and what puts T_fixed_mount and T_camera_target right."""
 
 
-def _name_slip(data: Views, config: Config) -> None:
-    """Raise SlipError when a usual slip explains why the poses contradict each other."""
+def _name_convention_error(data: Views, config: Config) -> None:
+    """Raise ConventionError where one explains why the poses contradict each other."""
     before = _misfit(data.T_fixed_mount, data.T_camera_target)
-    for name, advice, of_mount, of_target in SLIPS:
+    for name, advice, of_mount, of_target in CONVENTION_ERRORS:
         T, seen = of_mount(data.T_fixed_mount), of_target(data.T_camera_target)
         try:
             after = _found(T, seen, config).rms[0]
         except DataError:
             continue
         if after < CLEAR * before:
-            raise SlipError(name, before, after, advice)
+            raise ConventionError(name, before, after, advice)
 
 
 def _misfit(T: Array, T_camera_target: Array) -> float:

@@ -11,6 +11,7 @@ from copy import copy
 import math
 from typing import Self
 
+from handeye_ros.checks.frames import frame_notes
 from handeye_ros.config import Config, UNNAMED_FRAME
 from handeye_ros.data import AnyProfile, TimedPose
 from handeye_ros.sampling.dwells import Dwell, DwellFinder, FOREVER, Motion, NS
@@ -24,7 +25,6 @@ from handeye_ros.sampling.errors import (
     SparsePosesError,
     TwoFramesError,
 )
-from handeye_ros.sampling.frame_notes import frame_notes
 from handeye_ros.sampling.profile_buffer import ProfileBuffer
 from handeye_ros.sampling.stops import beside, Stop, stop_of
 from handeye_ros.sampling.stream import LARGEST_STEP, Stream

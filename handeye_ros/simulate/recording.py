@@ -8,11 +8,11 @@ from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.simulate import cell as cells
 from handeye_ros.simulate import distortion, motion, optics
 from handeye_ros.simulate import sensor as sensors
+from handeye_ros.simulate.convention_errors import CONVENTION_ERRORS
 from handeye_ros.simulate.layout import FRAMES, published
 from handeye_ros.simulate.scenario import Scenario, Truth
 from handeye_ros.simulate.scenes import anywhere, SCENES
 from handeye_ros.simulate.slab import relief
-from handeye_ros.simulate.slips import SLIPS
 import numpy as np
 
 CHILD_FRAME = 'laser'
@@ -48,8 +48,8 @@ def _poses(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
     T = motion.between(cell.T_base_flange_reported, *line.place(times))
     T = cells.perturbed(T, rng.normal(size=(len(T), 6)) * robot.jitter)
     translation, quaternion = T[:, :3, 3], se3.quaternion(T)
-    for name in scenario.slips:
-        translation, quaternion = SLIPS[name](translation, quaternion)
+    for name in scenario.convention_errors:
+        translation, quaternion = CONVENTION_ERRORS[name](translation, quaternion)
     return tuple(TimedPose(int(stamp), t, q) for stamp, t, q in zip(
         motion.stamps(times), translation, quaternion, strict=True))
 

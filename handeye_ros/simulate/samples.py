@@ -16,7 +16,8 @@ def simulate_samples(
     Return the samples of a recording and what is true.
 
     Each feature has exactly the noise that it states (white sensor noise of all profiles of a
-    stop, averaged), each pose the robot's error. Standard sensor frame; slips are not applied.
+    stop, averaged), each pose the robot's error. Standard sensor frame; convention errors are
+    not applied.
     """
     scenario = replace(scenario, layout=replace(scenario.layout, frame='standard'))
     scene = SCENES[scenario.scene]

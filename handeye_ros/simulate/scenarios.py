@@ -5,6 +5,7 @@ from dataclasses import replace
 import math
 from typing import Any
 
+from handeye_ros.simulate.convention_errors import CONVENTION_ERRORS
 from handeye_ros.simulate.scenario import (
     Layout,
     PlateTarget,
@@ -14,7 +15,6 @@ from handeye_ros.simulate.scenario import (
     SphereTarget,
     WedgeTarget,
 )
-from handeye_ros.simulate.slips import SLIPS
 
 PLATE = Scenario()
 WIDE = SensorModel(range=(0.14, 0.27), half_width=0.27, max_incidence=1.15)
@@ -79,13 +79,14 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     replace(PLATE, name='wrong_edges', wrong_edges=2),
     replace(PLATE, name='no_target', empty=True),
     replace(PLATE, name='nothing_in_sight', empty=True, target=PlateTarget(table=None)),
-    replace(PLATE, name='inverted_poses', slips=('inverted',)),
-    *(replace(PLATE, name=slip, slips=(slip,)) for slip in SLIPS if slip != 'inverted'),
+    replace(PLATE, name='inverted_poses', convention_errors=('inverted',)),
+    *(replace(PLATE, name=name, convention_errors=(name,)) for name in CONVENTION_ERRORS
+      if name != 'inverted'),
     # the recordings in bags/
     SMALL_PLATE,
     SMALL_SPHERE,
     SMALL_LINE,
     SMALL_PLANE,
     replace(COARSE_PLATE, name='small_one_orientation', motion='one_orientation'),
-    replace(COARSE_PLATE, name='small_inverted_poses', slips=('inverted',)),
+    replace(COARSE_PLATE, name='small_inverted_poses', convention_errors=('inverted',)),
 )}

@@ -144,11 +144,11 @@ def test_a_phone_needs_no_scrolling_sideways(solved: Path) -> None:
 def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration, found: Evidence
                                                     ) -> None:
     reason = 'no edge <was> seen'
-    looks = tuple(replace(look, reason=reason) if look.number == 3 else look
-                  for look in found.looks)
+    stops = tuple(replace(stop, reason=reason) if stop.number == 3 else stop
+                  for stop in found.stops)
     samples = tuple(replace(s, used=False, reason=reason) if i == 2 else s
                     for i, s in enumerate(calibration.samples))
-    text = pages.html(replace(calibration, samples=samples), replace(found, looks=looks))
+    text = pages.html(replace(calibration, samples=samples), replace(found, stops=stops))
     assert text.count('no edge &lt;was&gt; seen') == 3  # counted, below the profile, in the list
     assert 'Stop 3:\nnot used: no edge' in text
 

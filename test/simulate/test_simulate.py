@@ -4,7 +4,7 @@ from __future__ import annotations
 from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.simulate import SCENARIOS, settings, simulate, simulate_samples
-from handeye_ros.simulate.slips import SLIPS
+from handeye_ros.simulate.convention_errors import CONVENTION_ERRORS
 import numpy as np
 import pytest
 from scenes import scenario, seen_at
@@ -82,7 +82,7 @@ def test_slips_are_what_they_are_called(name: str, undo) -> None:
         'plate', 'inverted_poses' if name == 'inverted' else name))
     (t, q), (t_bad, q_bad) = ((np.array([p.translation for p in r.poses]),
                                np.array([p.quaternion for p in r.poses])) for r in (good, bad))
-    assert set(SLIPS) == {'inverted', 'wxyz', 'millimetres', 'degrees', 'intrinsic'}
+    assert set(CONVENTION_ERRORS) == {'inverted', 'wxyz', 'millimetres', 'degrees', 'intrinsic'}
     if undo is None:  # degrees wrap around: they cannot be undone, but done again
         angles = np.degrees(Rotation.from_quat(q).as_euler('xyz'))
         t_bad, q_bad, q = t_bad, q_bad, Rotation.from_euler('xyz', angles).as_quat()

@@ -15,7 +15,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class StopSnapshot:
     """
     A stop of the robot.
 
@@ -49,7 +49,7 @@ class Evidence:
     there is no recording to show.
     """
 
-    looks: tuple[Look, ...] = ()
+    stops: tuple[StopSnapshot, ...] = ()
     calibration: Calibration | None = None
     refusal: str = ''
     missing: str = ''
@@ -79,7 +79,7 @@ def config_of(calibration: Calibration) -> Config:
         'the provenance of the calibration')
 
 
-def judged(looks: Sequence[Look], used: Sequence[Sample], solution: Solution,
+def judged(stops: Sequence[StopSnapshot], used: Sequence[Sample], solution: Solution,
            calibration: Calibration) -> Evidence:
     """
     Return stops with what became of them in an answer.
@@ -90,8 +90,8 @@ def judged(looks: Sequence[Look], used: Sequence[Sample], solution: Solution,
     inside = measured.residuals(solution.problem, solution.estimate, poses_of(solution))
     outside = left_out(solution, measured)
     reasons = {report.stamp: report.reason for report in calibration.samples if not report.used}
-    found = [replace(look, reason=reasons.get(look.stamp, look.reason)) for look in looks]
-    place = {look.stamp: i for i, look in enumerate(found)}
+    found = [replace(stop, reason=reasons.get(stop.stamp, stop.reason)) for stop in stops]
+    place = {stop.stamp: i for i, stop in enumerate(found)}
     for station, sample in enumerate(used):
         own, i = measured.station == station, place[sample.stamp]
         found[i] = replace(found[i], residuals=inside[own], left_out=outside[own])

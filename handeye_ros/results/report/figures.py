@@ -9,7 +9,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature
-from handeye_ros.results.report.evidence import Look
+from handeye_ros.results.report.evidence import StopSnapshot
 from handeye_ros.results.report.verdict import in_plane
 from matplotlib import rc_context
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -48,26 +48,26 @@ def _svg(figure: Figure) -> str:
     return text[text.index('<svg'):]
 
 
-def residuals(looks: Sequence[Look]) -> str:
+def residuals(stops: Sequence[StopSnapshot]) -> str:
     """Return the RMS residual of each stop, in the fit and left out."""
-    used = [look for look in looks if len(look.residuals)]
+    used = [stop for stop in stops if len(stop.residuals)]
     figure, ax = _figure(7, 2.6)
     place = np.arange(len(used))
     for shift, color, label, values in (
-            (-0.2, BLUE, 'in the fit', [look.residuals for look in used]),
-            (0.2, ORANGE, 'left out of the fit', [look.left_out for look in used])):
+            (-0.2, BLUE, 'in the fit', [stop.residuals for stop in used]),
+            (0.2, ORANGE, 'left out of the fit', [stop.left_out for stop in used])):
         heights = [1e3 * float(np.sqrt((v ** 2).mean())) for v in values]
         ax.bar(place + shift, heights, 0.4, color=color, label=label)
-    ax.set_xticks(place, [str(look.number) for look in used], fontsize=7)
+    ax.set_xticks(place, [str(stop.number) for stop in used], fontsize=7)
     ax.set_xlabel('stop')
     ax.set_ylabel('RMS residual (mm)')
     ax.legend(loc='upper right', ncols=2)
     return _svg(figure)
 
 
-def histogram(looks: Sequence[Look], stated: float) -> str:
+def histogram(stops: Sequence[StopSnapshot], stated: float) -> str:
     """Return how the residuals spread, beside a noise of so much (1 sigma, metres)."""
-    values = 1e3 * np.concatenate([look.residuals for look in looks])
+    values = 1e3 * np.concatenate([stop.residuals for stop in stops])
     reach = max(float(np.quantile(np.abs(values), 0.999)), 3e3 * stated)
     bins = np.linspace(-reach, reach, BINS + 1)
     figure, ax = _figure(7, 2.6)
@@ -83,12 +83,12 @@ def histogram(looks: Sequence[Look], stated: float) -> str:
     return _svg(figure)
 
 
-def coverage(looks: Sequence[Look]) -> str:
+def coverage(stops: Sequence[StopSnapshot]) -> str:
     """Return where in the field of view the target was seen, and how the sensor was turned."""
-    used = [look for look in looks if look.used]
-    seen = 1e3 * np.concatenate([in_plane(look.features) for look in used])
-    R = np.array([look.T_mount[:3, :3] for look in used])
-    middle = se3.mean_pose(np.array([look.T_mount for look in used]))[:3, :3]
+    used = [stop for stop in stops if stop.used]
+    seen = 1e3 * np.concatenate([in_plane(stop.features) for stop in used])
+    R = np.array([stop.T_mount[:3, :3] for stop in used])
+    middle = se3.mean_pose(np.array([stop.T_mount for stop in used]))[:3, :3]
     turns = np.degrees(se3.log_rotation(R @ middle.T))
     figure, (field, ax) = _figure(7, 3.1, 2)
     field.plot(*seen.T, '.', color=BLUE, ms=4)
@@ -102,13 +102,13 @@ def coverage(looks: Sequence[Look]) -> str:
     return _svg(figure)
 
 
-def profile(look: Look) -> str:
+def profile(stop: StopSnapshot) -> str:
     """Return a profile of a stop with what was found in it."""
-    points = 1e3 * look.points[np.isfinite(look.points).all(axis=1)]
+    points = 1e3 * stop.points[np.isfinite(stop.points).all(axis=1)]
     points = points[::max(1, len(points) // MOST_POINTS)]
     figure, ax = _figure(3.2, 2.3, margins=OF_PROFILE)
-    ax.plot(*points.T, '.', color=GREY if look.used else RED, ms=1.5)
-    for feature in look.features:
+    ax.plot(*points.T, '.', color=GREY if stop.used else RED, ms=1.5)
+    for feature in stop.features:
         _draw(ax, feature)
     ax.set(xlabel='along the line (mm)', ylabel='range (mm)')
     ax.invert_yaxis()

@@ -20,7 +20,7 @@ from handeye_ros.results import calibration_file, table
 from handeye_ros.results.exports import REPORT, ros
 from handeye_ros.results.exports.plain import matrix
 from handeye_ros.results.report import figures
-from handeye_ros.results.report.evidence import config_of, Evidence, Look
+from handeye_ros.results.report.evidence import config_of, Evidence, StopSnapshot
 from handeye_ros.results.report.scene import in_sensor, legend, scene
 from handeye_ros.results.report.verdict import in_plane, stated_noise, verdict
 from handeye_ros.results.verified import COLUMNS, Verified
@@ -51,12 +51,12 @@ def html(calibration: Calibration, evidence: Evidence, verified: Sequence[Verifi
 
 
 def _values(calibration: Calibration, evidence: Evidence, config: Config) -> dict[str, Any]:
-    used = [look for look in evidence.looks if look.used and look.features]
-    seen = in_sensor(in_plane(tuple(f for look in used for f in look.features)), config)
-    drawn = scene(calibration, evidence.looks, config)
+    used = [stop for stop in evidence.stops if stop.used and stop.features]
+    seen = in_sensor(in_plane(tuple(f for stop in used for f in stop.features)), config)
+    drawn = scene(calibration, evidence.stops, config)
     with figures.style():
         plots = {name: _image(svg) for name, svg in _plots(calibration, used, config)}
-        profiles = [_profile(look) for look in evidence.looks]
+        profiles = [_profile(stop) for stop in evidence.stops]
     return {
         'c': calibration, 'verdict': verdict(calibration, evidence, seen),
         'version': __version__, 'now': datetime.now(UTC).isoformat(timespec='seconds'),
@@ -72,27 +72,27 @@ def _values(calibration: Calibration, evidence: Evidence, config: Config) -> dic
     }
 
 
-def _plots(calibration: Calibration, used: Sequence[Look], config: Config
+def _plots(calibration: Calibration, used: Sequence[StopSnapshot], config: Config
            ) -> Iterator[tuple[str, str]]:
     """Yield the plots that there is data for, by name."""
     if not used:
         return
     yield 'coverage', figures.coverage(used)
-    solved = [look for look in used if len(look.residuals)]
+    solved = [stop for stop in used if len(stop.residuals)]
     if solved:
         yield 'residuals', figures.residuals(solved)
-        points = np.concatenate([in_plane(look.features) for look in solved])
+        points = np.concatenate([in_plane(stop.features) for stop in solved])
         middle = in_sensor(points.mean(axis=0)[None], config)[0]
         arm = calibration.T_flange_sensor @ np.append(middle, 1.0)
         yield 'histogram', figures.histogram(
             solved, stated_noise(config.noise, float(np.linalg.norm(arm[:3]))))
 
 
-def _profile(look: Look) -> dict[str, Any]:
-    rms = float(np.sqrt((look.residuals ** 2).mean())) if len(look.residuals) else None
-    return {'number': look.number, 'used': look.used, 'reason': look.reason,
+def _profile(stop: StopSnapshot) -> dict[str, Any]:
+    rms = float(np.sqrt((stop.residuals ** 2).mean())) if len(stop.residuals) else None
+    return {'number': stop.number, 'used': stop.used, 'reason': stop.reason,
             'residual': None if rms is None else f'{rms * 1e3:.3f} mm',
-            'image': _image(figures.profile(look)) if len(look.points) else ''}
+            'image': _image(figures.profile(stop)) if len(stop.points) else ''}
 
 
 def _image(svg: str) -> str:

@@ -8,7 +8,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.results.outcome import sensor_axes
-from handeye_ros.results.report.evidence import Look
+from handeye_ros.results.report.evidence import StopSnapshot
 from handeye_ros.results.report.verdict import in_plane
 from handeye_ros.results.target_shape import enlargement, half_axes, rings, shape
 import numpy as np
@@ -22,11 +22,12 @@ ELLIPSOID = 0.02  # m, the half axis as it is drawn
 MOST_POINTS = 60  # of a laser line
 
 
-def scene(calibration: Calibration, looks: Sequence[Look], config: Config) -> dict[str, Any]:
+def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config
+          ) -> dict[str, Any]:
     """Return what is drawn: parts with a name, a colour and points; and what the factor is."""
-    T_mounts = [look.T_mount for look in looks if look.used] or [np.eye(4)]
+    T_mounts = [stop.T_mount for stop in stops if stop.used] or [np.eye(4)]
     T_sensors = [T @ calibration.T_flange_sensor for T in T_mounts]
-    target, near = _target(calibration, looks, config)
+    target, near = _target(calibration, stops, config)
     factor = enlargement(_largest(calibration), ELLIPSOID)
     frame = _frame_name(config)
     parts = [
@@ -34,7 +35,7 @@ def scene(calibration: Calibration, looks: Sequence[Look], config: Config) -> di
         *(part for T in T_mounts for part in _axes(T, AXIS, 'flange at each stop', [FLANGE] * 3)),
         *(_line('sensor at each stop', SENSOR, np.array([M[:3, 3], T[:3, 3]]))
           for M, T in zip(T_mounts, T_sensors, strict=True)),
-        *_lasers(looks, calibration, config),
+        *_lasers(stops, calibration, config),
         *(_line('target', TARGET, line) for line in target.outline),
         *(_line('edges of the target', EDGES, line, 2.5) for line in target.edges),
         {'name': 'what the answer comes from', 'color': SEEN, 'width': 4.0,
@@ -50,9 +51,10 @@ def _frame_name(config: Config) -> str:
     return config.robot_base_frame if in_hand else config.robot_effector_frame
 
 
-def _target(calibration: Calibration, looks: Sequence[Look], config: Config) -> tuple[Any, Array]:
-    near = [se3.apply(look.T_mount @ calibration.T_flange_sensor,
-                      in_sensor(in_plane(look.features), config)) for look in looks if look.used]
+def _target(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config
+            ) -> tuple[Any, Array]:
+    near = [se3.apply(stop.T_mount @ calibration.T_flange_sensor,
+                      in_sensor(in_plane(stop.features), config)) for stop in stops if stop.used]
     points = np.concatenate(near) if near else np.empty((0, 3))
     return shape(calibration.target, config.target.size, points), points
 
@@ -72,15 +74,15 @@ def _ellipsoid(calibration: Calibration, T_mount: Array, factor: float) -> list[
     return [centre + ring for ring in rings(axes)]
 
 
-def _lasers(looks: Sequence[Look], calibration: Calibration, config: Config
+def _lasers(stops: Sequence[StopSnapshot], calibration: Calibration, config: Config
             ) -> list[dict[str, Any]]:
     parts = []
-    for look in looks:
-        plane = look.points[np.isfinite(look.points).all(axis=1)]
+    for stop in stops:
+        plane = stop.points[np.isfinite(stop.points).all(axis=1)]
         plane = plane[::max(1, len(plane) // MOST_POINTS)]
-        points = se3.apply(look.T_mount @ calibration.T_flange_sensor, in_sensor(plane, config))
-        parts.append({'name': 'laser line' if look.used else 'laser line, not used',
-                      'color': LASER if look.used else UNUSED, 'width': 2.0,
+        points = se3.apply(stop.T_mount @ calibration.T_flange_sensor, in_sensor(plane, config))
+        parts.append({'name': 'laser line' if stop.used else 'laser line, not used',
+                      'color': LASER if stop.used else UNUSED, 'width': 2.0,
                       'points': _plain(points)})
     return parts
 

@@ -34,7 +34,7 @@ INTENSITY = 'intensity'  # the field of it, where a driver gives it
 
 UNITS = {'m': 1.0, 'mm': 1e-3}
 
-LARGEST_POSITION = 1e6  # m; a robot in mm stays below, so that the solver can name that slip
+LARGEST_POSITION = 1e6  # m; a robot in mm stays below, so that the solver can name that error
 LENGTH_TOLERANCE = 1e-2  # of a quaternion's length
 
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 
 from handeye_ros import se3
 from handeye_ros.data import Calibration
+from handeye_ros.diagnosis.summaries import calibration_summary, changes_since
 from handeye_ros.sampling.state import CalibrationState, CURRENT, NONE, OUTDATED, WITHDRAWN
-from handeye_ros.sampling.wording import calibration_summary, changes_since
 import numpy as np
 
 NO_ANSWER = 'no calibration has been computed yet'

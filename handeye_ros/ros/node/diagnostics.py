@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from handeye_ros.diagnosis.summaries import count_of
 from handeye_ros.ros.node.arrivals import Arrivals
 from handeye_ros.sampling.state import CURRENT, NONE, State, StreamState, WITHDRAWN
-from handeye_ros.sampling.wording import count_of
 from std_msgs.msg import Header
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR

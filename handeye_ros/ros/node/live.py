@@ -17,6 +17,9 @@ import threading
 from handeye_ros import pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
+from handeye_ros.diagnosis.crossing import flat_crossing
+from handeye_ros.diagnosis.review import FEWEST, Review, review
+from handeye_ros.diagnosis.summaries import calibration_summary
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.guidance.view import extremes
 from handeye_ros.results import calibration_file, exports
@@ -29,12 +32,9 @@ from handeye_ros.ros.node.second import Here, Runner
 from handeye_ros.ros.node.settings import changes_advice, changes_answer
 from handeye_ros.ros.node.store import Store
 from handeye_ros.ros.node.workers import Workers
-from handeye_ros.sampling.crossing import flat_crossing
 from handeye_ros.sampling.errors import ClearedError
-from handeye_ros.sampling.review import FEWEST, Review, review
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome
-from handeye_ros.sampling.wording import calibration_summary
 import numpy as np
 
 COMPUTED = 'the calibration is computed'

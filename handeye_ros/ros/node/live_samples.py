@@ -12,6 +12,7 @@ import threading
 
 from handeye_ros.config import Config
 from handeye_ros.data import Reject, Sample
+from handeye_ros.diagnosis.summaries import count_of, sample_summary
 from handeye_ros.errors import HandeyeError, InputError
 from handeye_ros.ros.node.judging import Judge
 from handeye_ros.ros.node.live_streams import LiveStreams
@@ -22,7 +23,6 @@ from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.state import Attempt
 from handeye_ros.sampling.stops import Outcome, Stop
-from handeye_ros.sampling.wording import count_of, sample_summary
 
 
 class LiveSamples(LiveStreams):

@@ -8,6 +8,7 @@ import sys
 from threading import Lock
 from typing import Any
 
+from handeye_ros.diagnosis.summaries import in_the_way, sample_summary, with_trouble
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.errors import TopicsError
 from handeye_ros.ros.executable import RCLError, ros, spin
@@ -25,7 +26,6 @@ from handeye_ros.ros.page.buttons import serve
 from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.state import State
 from handeye_ros.sampling.stops import Outcome
-from handeye_ros.sampling.wording import in_the_way, sample_summary, with_trouble
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup

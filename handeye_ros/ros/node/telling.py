@@ -5,10 +5,11 @@ from collections.abc import Callable
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.diagnosis.review import Agreement
+from handeye_ros.diagnosis.summaries import late_sentence, sample_summary
 from handeye_ros.guidance.advice import Advice
 from handeye_ros.results import calibration_file
 from handeye_ros.ros.node.live import LiveSession, stamps_of
-from handeye_ros.sampling.review import Agreement
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.state import (
     GuidanceState,
@@ -20,7 +21,6 @@ from handeye_ros.sampling.state import (
     StreamState,
 )
 from handeye_ros.sampling.stops import Outcome
-from handeye_ros.sampling.wording import late_sentence, sample_summary
 
 SILENCE = 2.0  # s without a message after which a person should look
 

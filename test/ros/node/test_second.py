@@ -13,10 +13,10 @@ import time
 
 from command import PATIENCE
 from handeye_ros.config import Config
+from handeye_ros.diagnosis.review import NoReviewError, review
 from handeye_ros.ros.errors import SecondEndedError
 from handeye_ros.ros.node.second import COMMAND, Here, Second
 from handeye_ros.sampling.errors import SilentPosesError
-from handeye_ros.sampling.review import NoReviewError, review
 import pytest
 
 

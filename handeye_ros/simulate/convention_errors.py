@@ -8,7 +8,7 @@ from handeye_ros.data import Array
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-Slip = Callable[[Array, Array], tuple[Array, Array]]
+PoseMap = Callable[[Array, Array], tuple[Array, Array]]
 
 
 def _inverted(translation: Array, quaternion: Array) -> tuple[Array, Array]:
@@ -37,7 +37,7 @@ def _intrinsic(translation: Array, quaternion: Array) -> tuple[Array, Array]:
     return translation, _euler(quaternion, 'XYZ', 1.0)
 
 
-SLIPS: dict[str, Slip] = {
+CONVENTION_ERRORS: dict[str, PoseMap] = {
     'inverted': _inverted,  # base in flange for flange in base
     'wxyz': _wxyz,  # quaternions sent as w x y z
     'millimetres': _millimetres,  # positions in mm

@@ -8,22 +8,22 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.results.outcome import in_mount
-from handeye_ros.results.report.evidence import Look
+from handeye_ros.results.report.evidence import StopSnapshot
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome, Seen
 import numpy as np
 
 
-def looks(session: Session, config: Config) -> tuple[Look, ...]:
+def stop_snapshots(session: Session, config: Config) -> tuple[StopSnapshot, ...]:
     """Return what was seen at the stops, in the order of their numbers; all count as unused."""
-    return tuple(_look(outcome, config) for outcome in session.outcomes)
+    return tuple(_snapshot(outcome, config) for outcome in session.outcomes)
 
 
-def _look(outcome: Outcome, config: Config) -> Look:
+def _snapshot(outcome: Outcome, config: Config) -> StopSnapshot:
     seen, sample = outcome.stop.load(config), outcome.sample
     stamp = outcome.result.stamp
     T = sample.T_base_flange if sample else _middle(seen)
-    return Look(outcome.number, stamp, in_mount(T, config), _points(seen, stamp, config),
+    return StopSnapshot(outcome.number, stamp, in_mount(T, config), _points(seen, stamp, config),
                 sample.features if sample else (), getattr(outcome.result, 'reason', ''))
 
 

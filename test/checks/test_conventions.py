@@ -6,21 +6,21 @@ from dataclasses import replace
 
 from cells import Cell, cell, recorded
 from handeye_ros import pipeline, se3
+from handeye_ros.checks.convention_errors import CONVENTION_ERRORS
 from handeye_ros.checks.conventions import orientations_scatter
 from handeye_ros.checks.errors import (
     CalibrationTypeError,
     ContradictingStationsError,
+    ConventionError,
     InconsistentError,
     ScatteredOrientationsError,
-    SlipError,
 )
-from handeye_ros.checks.slips import SLIPS
 from handeye_ros.config import with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.errors import PositionUnitError
 from handeye_ros.simulate import SCENARIOS
-from handeye_ros.simulate.slips import SLIPS as SIMULATED
+from handeye_ros.simulate.convention_errors import CONVENTION_ERRORS as SIMULATED
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -35,34 +35,34 @@ def with_poses(made: Cell, change: Callable[[Array], Array]) -> list[Sample]:
     return [replace(s, T_base_flange=T) for s, T in zip(made.samples, changed, strict=True)]
 
 
-def simulated(slip: str) -> Callable[[Array], Array]:
+def simulated(error: str) -> Callable[[Array], Array]:
     def change(T: Array) -> Array:
-        translation, q = SIMULATED[slip](T[:, :3, 3], se3.quaternion(T))
+        translation, q = SIMULATED[error](T[:, :3, 3], se3.quaternion(T))
         return se3.from_quaternion(translation, q)
     return change
 
 
-@pytest.mark.parametrize(('target', 'slip'), [
-    *(('plate', slip) for slip in NAMES), ('sphere', 'inverted')])
-def test_simulated_slips_are_named(target: str, slip: str) -> None:
+@pytest.mark.parametrize(('target', 'error'), [
+    *(('plate', error) for error in NAMES), ('sphere', 'inverted')])
+def test_simulated_convention_errors_are_named(target: str, error: str) -> None:
     made = cell(target, 1)
-    with pytest.raises(SlipError, match=NAMES[slip]):
-        pipeline.solve(with_poses(made, simulated(slip)), [], made.config, 'laser')
+    with pytest.raises(ConventionError, match=NAMES[error]):
+        pipeline.solve(with_poses(made, simulated(error)), [], made.config, 'laser')
 
 
-def test_the_other_simulated_slips_are_those_that_tests_below_name() -> None:
+def test_the_other_simulated_convention_errors_are_those_that_tests_below_name() -> None:
     assert SIMULATED.keys() - NAMES == {'millimetres', 'degrees'}
     poses = np.array([s.T_base_flange for s in cell('plate', 1).samples])
     assert np.allclose(simulated('millimetres')(poses), scaled(1e3)(poses), rtol=1e-12)
 
 
-@pytest.mark.parametrize('slip', ['inverted', 'millimetres'])
-def test_a_recording_with_a_slip_says_which(slip: str) -> None:
-    name = 'inverted_poses' if slip == 'inverted' else slip
-    recording = recorded(replace(SCENARIOS[name], slips=(slip,)), columns=640)
-    with pytest.raises(PositionUnitError if slip == 'millimetres' else SlipError) as caught:
+@pytest.mark.parametrize('error', ['inverted', 'millimetres'])
+def test_a_recording_with_a_convention_error_says_which(error: str) -> None:
+    name = 'inverted_poses' if error == 'inverted' else error
+    recording = recorded(replace(SCENARIOS[name], convention_errors=(error,)), columns=640)
+    with pytest.raises(PositionUnitError if error == 'millimetres' else ConventionError) as caught:
         pipeline.calibrate(recording.profiles, recording.poses, recording.config)
-    assert NAMES.get(slip, 'mm') in str(caught.value)
+    assert NAMES.get(error, 'mm') in str(caught.value)
 
 
 def transposed(T: Array) -> Array:
@@ -113,7 +113,8 @@ def scaled(factor: float) -> Callable[[Array], Array]:
     (vectors_as_angles, 'with rotation vectors'), (angles_as_vectors, 'with roll, pitch, yaw')],
     ids=['mm', 'km', 'transposed', 'radians', 'extrinsic', 'ypr', 'pry', 'ryp', 'vectors', 'rpy'])
 @pytest.mark.parametrize('seed', [1])
-def test_further_slips_are_named(change: Callable[[Array], Array], words: str, seed: int) -> None:
+def test_further_convention_errors_are_named(
+        change: Callable[[Array], Array], words: str, seed: int) -> None:
     made = cell('plate', seed)
     with pytest.raises(DataError) as caught:
         pipeline.solve(with_poses(made, change), [], made.config, 'laser')
@@ -128,39 +129,39 @@ def test_degrees_taken_for_radians_are_named(target: str) -> None:
     assert not orientations_scatter(made.problem.poses)
 
 
-@pytest.mark.parametrize('name', SLIPS)
+@pytest.mark.parametrize('name', CONVENTION_ERRORS)
 def test_undoing_gives_poses_back(name: str) -> None:
     """Every undo is a map of rigid transforms, and none is the identity."""
     rng = np.random.default_rng(3)
     T = se3.from_quaternion(rng.normal(size=(8, 3)), rng.normal(size=(8, 4)))
-    undone = SLIPS[name].undo(T)
+    undone = CONVENTION_ERRORS[name].undo(T)
     R = undone[:, :3, :3]
     assert np.allclose(R @ np.swapaxes(R, 1, 2), np.eye(3)) and np.allclose(np.linalg.det(R), 1)
     assert not np.allclose(undone, T)
-    assert SLIPS[name].advice[0].islower() or SLIPS[name].advice.startswith('K')
-    assert not SLIPS[name].advice.endswith('.')
+    advice = CONVENTION_ERRORS[name].advice
+    assert advice[0].islower() and not advice.endswith('.')
 
 
-@pytest.mark.parametrize(('slip', 'undo'), [
+@pytest.mark.parametrize(('error', 'undo'), [
     ('inverted', 'inverse poses'), ('wxyz', 'quaternions read as w x y z'),
     ('millimetres', 'positions in millimetres'), ('intrinsic', 'extrinsic Euler angles')])
-def test_undoing_undoes(slip: str, undo: str) -> None:
+def test_undoing_undoes(error: str, undo: str) -> None:
     rng = np.random.default_rng(4)
     T = se3.from_quaternion(rng.normal(size=(20, 3)), rng.normal(size=(20, 4)))
-    back = SLIPS[undo].undo(simulated(slip)(T))
+    back = CONVENTION_ERRORS[undo].undo(simulated(error)(T))
     assert np.allclose(back, T, atol=1e-9)
 
 
 @pytest.mark.parametrize('target', ['plate', 'sphere'])
 @pytest.mark.parametrize('where', ['eye_in_hand', 'eye_on_base'])
-def test_good_samples_are_no_slip(target: str, where: str) -> None:
+def test_good_samples_are_no_convention_error(target: str, where: str) -> None:
     for seed in range(2):
         made = cell(replace(SCENARIOS[target], calibration_type=where), seed)
         assert pipeline.solve(made.samples, [], made.config, 'laser').quality.samples_used >= 14
 
 
 @pytest.mark.parametrize('name', ['plate_real_robot', 'sphere_real_robot'])
-def test_a_robot_worse_than_told_is_no_slip(name: str) -> None:
+def test_a_robot_worse_than_told_is_no_convention_error(name: str) -> None:
     for seed in range(2):
         made = cell(name, seed)
         assert pipeline.solve(made.samples, [], made.config, 'laser')

@@ -1,7 +1,7 @@
 """
-The usual slips with pose conventions: how each is undone, and what to say of it.
+Common errors in pose conventions: how each is undone, and what to say of it.
 
-Each is a map of poses (n, 4, 4) to what they would be had the slip not been made on the way here.
+Each is a map of poses (n, 4, 4) to what they would be had the error not been made on the way here.
 """
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ INVERSE = 'inverse poses'
 
 
 @dataclass(frozen=True)
-class Slip:
+class PoseMap:
     """
     undo: gives poses (n, 4, 4) back; advice: what to do, in words.
 
-    other: gives them back where the slip has left two ways to read them.
+    other: gives them back where the error has left two ways to read them.
     """
 
     undo: Callable[[Array], Array]
@@ -83,10 +83,10 @@ def _rpy_as_vectors(T: Array, first: int) -> Array:
     return se3.transform(_chained(_rotations('xyz', both), first, valid), T[:, :3, 3])
 
 
-def _two_ways(undo: Callable[..., Array], advice: str, **values: object) -> Slip:
-    """Return a slip that has left two ways to read the first pose, and all others with it."""
+def _two_ways(undo: Callable[..., Array], advice: str, **values: object) -> PoseMap:
+    """Return an error that has left two ways to read the first pose, and all others with it."""
     one, other = (partial(undo, first=first, **values) for first in range(2))
-    return Slip(one, advice, other)
+    return PoseMap(one, advice, other)
 
 
 def _rotations(axes: str, angles: Array) -> Array:
@@ -120,27 +120,28 @@ def _chained(R: Array, first: int, valid: NDArray[np.bool_] | None = None) -> Ar
     return np.asarray(R[chosen, np.arange(n)])
 
 
-SLIPS: dict[str, Slip] = {
-    INVERSE: Slip(_inverse, 'publish the pose of the flange in the base (p_base = T p_flange), '
+CONVENTION_ERRORS: dict[str, PoseMap] = {
+    INVERSE: PoseMap(_inverse, 'publish the pose of the flange in the base (p_base = T p_flange), '
                   'not its inverse; or, if the sensor is not where calibration_type says, mend '
                   'that'),
-    'quaternions read as w x y z': Slip(
+    'quaternions read as w x y z': PoseMap(
         _wxyz, 'fill x, y, z, w of the message by name, not in the order w x y z'),
-    'positions in millimetres': Slip(partial(_scaled, factor=1e-3),
+    'positions in millimetres': PoseMap(partial(_scaled, factor=1e-3),
                                      'publish positions in metres'),
-    'positions a thousand times larger': Slip(
+    'positions a thousand times larger': PoseMap(
         partial(_scaled, factor=1e3), 'publish positions in metres: these were divided by 1000 '
         'once too often'),
-    'extrinsic Euler angles': Slip(
+    'extrinsic Euler angles': PoseMap(
         partial(_composed, read_as='XYZ', meant='xyz'), 'the angles were composed as intrinsic '
         'x-y-z; compose them as extrinsic x-y-z (Rz Ry Rx)'),
-    'intrinsic Euler angles': Slip(
+    'intrinsic Euler angles': PoseMap(
         partial(_composed, read_as='xyz', meant='XYZ'), 'the angles were composed as extrinsic '
         'x-y-z; compose them as intrinsic x-y-z (Rx Ry Rz)'),
-    'angles in radians': Slip(_radians_as_degrees, 'the angles are radians but were converted as '
-                              'degrees; convert them once only'),
-    'transposed rotations': Slip(_rotation_inverted, 'publish the rotation of the flange in the '
-                                 'base, not its transpose'),
+    'angles in radians': PoseMap(
+        _radians_as_degrees, 'the angles are radians but were converted as degrees; convert them '
+        'once only'),
+    'transposed rotations': PoseMap(
+        _rotation_inverted, 'publish the rotation of the flange in the base, not its transpose'),
     'roll and yaw exchanged': _two_ways(
         _in_order, order=[2, 1, 0], advice='the angles came in the order yaw, pitch, roll, as '
         'the A, B, C of KUKA do (about z, y, x), but were taken as roll, pitch, yaw; compose '
