@@ -158,8 +158,8 @@ class Scenario:
     the sum). motion: key of stations.MOTIONS. tilt: largest tilt about each sensor axis.
     shuffled: the order of the stations is random. bumped: number of stations whose reported
     pose is grossly wrong. wrong_edges: number of stations at an edge of the plate that is
-    neither p nor q. empty: there is no target. convention_errors: keys
-    of CONVENTION_ERRORS, applied in order.
+    neither p nor q. empty: there is no target. convention_errors: keys of CONVENTION_ERRORS,
+    applied in order.
     repeats: how often the programme of stops is run. lever: smallest and largest distance of
     the sensor from what it is mounted on. told: settings, by dotted key, that are wrong.
     """

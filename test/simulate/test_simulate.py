@@ -77,7 +77,7 @@ def test_every_nth_profile_is_recorded_on_the_way() -> None:
     ('intrinsic', lambda t, q: (t, Rotation.from_euler(
         'xyz', Rotation.from_quat(q).as_euler('XYZ')).as_quat())),
 ])
-def test_slips_are_what_they_are_called(name: str, undo) -> None:
+def test_convention_errors_are_what_they_are_called(name: str, undo) -> None:
     good, bad = (simulate(scenario(n, columns=16), np.random.default_rng(16)) for n in (
         'plate', 'inverted_poses' if name == 'inverted' else name))
     (t, q), (t_bad, q_bad) = ((np.array([p.translation for p in r.poses]),
