@@ -11,10 +11,10 @@ from pathlib import Path
 
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Reject, TimedPose
+from handeye_ros.diagnosis.summaries import sample_summary
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.sampling.stops import Outcome, Stop
-from handeye_ros.diagnosis.summaries import sample_summary
 from handeye_ros.verification import verification
 from handeye_ros.verification.course import Course
 from handeye_ros.verification.errors import (
