@@ -20,28 +20,44 @@ export OPENBLAS_NUM_THREADS := 1
 # What the ROS wheels set for a process of theirs must not reach another environment's.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo test test-oldest test-newest tf2_msgs lint figures docs clean
+# Tests of nodes mostly wait for each other, so there are two workers to a processor.
+WORKERS := $$((2 * $$(nproc)))
+# whose kernels OpenBLAS has, those of SkylakeX where this processor can run them
+PROCESSORS ?= Haswell Zen $(shell grep -qw avx512f /proc/cpuinfo 2>/dev/null && echo SkylakeX)
+
+.PHONY: demo test test-all test-oldest test-newest tf2_msgs lint figures docs clean
 
 demo:
 	@tools/environment.sh .venv ros
 	.venv/bin/python -m handeye_ros.ros.demo --bag '$(BAG)' --config '$(CONFIG)' --out '$(OUT)'
 
-test: test-oldest test-newest
+# Every part of the product, in the environment of the demo; without the long tests.
+test:
+	@tools/environment.sh .venv ros,test
+	@$(MAKE) --no-print-directory tf2_msgs || true  # the last line of the tests says what is missing
+	.venv/bin/python $(PYTEST) -n $(WORKERS) -m 'not thorough' $(PYTEST_OPTIONS)
 
-# The core, without ROS, against the libraries of a Jazzy install; without the tests that solve
-# many times, which call nothing that the others do not call, and without those that no version
-# of numpy or scipy can change.
-test-oldest:
-	@tools/environment.sh .venv-oldest test requirements/jazzy.txt
-	HYPOTHESIS_PROFILE=$${HYPOTHESIS_PROFILE:-fewer} \
-	    .venv-oldest/bin/python $(PYTEST) -n $$(nproc) -q \
-	    -m 'not ros and not thorough and not once' $(PYTEST_OPTIONS)
+# All tests, with the newest libraries and the oldest; what fails hides nothing of the rest.
+test-all:
+	@status=0; for part in test-newest test-oldest; do \
+	    $(MAKE) --no-print-directory $$part || status=1; done; exit $$status
 
-# Tests of nodes mostly wait for each other, so there are two workers to a processor.
 test-newest:
 	@tools/environment.sh .venv ros,test,dev
-	@$(MAKE) --no-print-directory tf2_msgs || echo 'Tests of /tf_static are skipped: no tf2_msgs'
-	.venv/bin/python $(PYTEST) -n $$((2 * $$(nproc))) $(PYTEST_OPTIONS)
+	@$(MAKE) --no-print-directory tf2_msgs || true
+	.venv/bin/python $(PYTEST) -n $(WORKERS) $(PYTEST_OPTIONS)
+
+# The core, without ROS, against the libraries of a Jazzy install, as different processors compute;
+# without the tests that solve many times, which call nothing that the others do not call, and
+# without those that no version of numpy or scipy can change.
+test-oldest:
+	@tools/environment.sh .venv-oldest test requirements/jazzy.txt
+	@status=0; for core in $(PROCESSORS); do \
+	    echo "OPENBLAS_CORETYPE=$$core"; \
+	    OPENBLAS_CORETYPE=$$core HYPOTHESIS_PROFILE=$${HYPOTHESIS_PROFILE:-fewer} \
+	    .venv-oldest/bin/python $(PYTEST) -n $$(nproc) -q \
+	    -m 'not ros and not thorough and not once' $(PYTEST_OPTIONS) || status=1; done; \
+	exit $$status
 
 # The wheels lack it; with it, the node publishes /tf_static. Needs gcc, g++, Python's headers.
 tf2_msgs:

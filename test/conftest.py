@@ -1,6 +1,7 @@
 """Isolation and repeatability, for all tests."""
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 import os
 from pathlib import Path
@@ -26,6 +27,8 @@ def claimed_domain() -> tuple[int, socket.socket]:
     raise RuntimeError('99 processes run these tests')
 
 
+NOT_RUN = pytest.StashKey[str]()
+
 # Before anything imports ROS: what a test starts is seen by no other process of this machine or
 # the network. Each worker of pytest-xdist has a domain of its own.
 DOMAIN, CLAIM = claimed_domain()
@@ -44,6 +47,23 @@ settings.register_profile('repeatable', derandomize=True, deadline=None, databas
 settings.register_profile('fewer', settings.get_profile('repeatable'), max_examples=25)
 settings.register_profile('explore', deadline=None, max_examples=1000, print_blob=True)
 settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'repeatable'))
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Collect what was not run, and why."""
+    reasons = Counter(report.longrepr[2].removeprefix('Skipped: ')
+                      for report in terminalreporter.stats.get('skipped', ()))
+    parts = [f'{count} ({reason})' for reason, count in reasons.items()]
+    if 'not thorough' in config.option.markexpr:
+        parts.insert(0, 'long tests')
+    if parts:
+        config.stash[NOT_RUN] = f'Not run: {"; ".join(parts)}. To run all: make test-all'
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Print on the last line what was not run."""
+    if NOT_RUN in config.stash:
+        print(config.stash[NOT_RUN])
 
 
 @pytest.fixture

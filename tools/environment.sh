@@ -92,9 +92,14 @@ key=$(cat setup.py setup.cfg tools/environment.sh ${constraints:+"$constraints"}
 [ ! -e "$venv/.interrupted" ] || create
 ! up_to_date || exit 0
 
-say "Installing into $venv; the first time this takes a minute or two ..."
+what='numpy, scipy and readers of bags (80 MB)'
+case ",$extras," in *,ros,*) what="ROS 2 (60 MB), $what" ;; esac
+case ",$extras," in *,test,*) what="$what, what tests need (120 MB)" ;; esac
+say "Installing into $venv from PyPI: $what; with a fast network this takes a minute or two ..."
 touch "$venv/.interrupted"
-"$venv/bin/python" -m pip install --quiet --quiet --disable-pip-version-check \
+if [ -t 2 ]; then quiet=; else quiet='--quiet --quiet'; fi  # pip shows a person its progress
+# shellcheck disable=SC2086
+"$venv/bin/python" -m pip install $quiet --disable-pip-version-check \
     ${constraints:+--constraint "$constraints"} --editable ".[$extras]"
 for part in package $(echo "$extras" | tr ',' ' '); do
     echo "$key" > "$venv/.installed-$part"
