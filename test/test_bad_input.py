@@ -103,12 +103,14 @@ def test_one_orientation_only(tmp_path, solve):
     assert_refused(solve(bag), 3, 'one orientation', 'tilt the tool')
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('motion', ['tilt_only', 'yaw_only'])
 def test_one_rotation_axis_only(tmp_path, solve, motion):
     bag = made(tmp_path / 'bag', replace(BASE, motion=motion))
     assert_refused(solve(bag), 3, 'one rotation axis', 'tilt the tool')
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(('error', 'word'), [
     ('inverted', 'inverse poses'), ('wxyz', 'w x y z'), ('millimetres', 'in mm')])
 def test_poses_in_another_convention_are_named(tmp_path, solve, error, word):

@@ -73,7 +73,8 @@ def runs() -> list[object]:
                 if arguments[0] in PRINT:
                     printed.add(arguments)
         if own:
-            found.append(pytest.param(own, id=page.stem))
+            marks = () if page.stem == 'README' else pytest.mark.thorough
+            found.append(pytest.param(own, id=page.stem, marks=marks))
     return found
 
 

@@ -167,6 +167,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built('build_wheel(__import__("sys").argv[1])', folder, source)
 
 
+@pytest.mark.thorough
 def test_a_clean_environment_gets_all_that_users_need(wheel: Path, tmp_path: Path) -> None:
     venv = tmp_path / 'venv'
     subprocess.run([sys.executable, '-m', 'venv', '--without-pip', venv], check=True)

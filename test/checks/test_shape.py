@@ -46,6 +46,7 @@ def test_a_plate_that_is_not_square_is_measured_and_named(degrees: float) -> Non
     assert error < 1.5e-4
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('off', [0.7e-3, 0.8e-3, 1e-3, 1.1e-3, -1e-3, 2e-3, -5e-3])
 @pytest.mark.parametrize('seed', [0, 1])
 def test_a_plate_of_another_size_is_told(off: float, seed: int) -> None:
@@ -71,6 +72,7 @@ def test_edges_that_are_none_of_the_plate_are_told() -> None:
     assert 'the edges of 4 of the 18 samples' in found.target['note'] and error < 1.5e-4
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('seed', [0, 5])
 def test_faces_alone_do_not_answer_for_edges_that_fit_nowhere(seed: int) -> None:
     rng = np.random.default_rng(seed)

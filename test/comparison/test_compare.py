@@ -169,6 +169,7 @@ def test_axes_other_than_x_z_turn_every_answer(only) -> None:
         assert mapped(row) < 2e-6, row.name
 
 
+@pytest.mark.thorough
 def test_one_that_fails_stops_no_other(only) -> None:
     only('plate', 'plate', 'line, one edge alone', CHEN_RIGID)
     comparison = compared(cell('plate_5_5'), folds=5)

@@ -155,6 +155,7 @@ def test_six_stations_of_which_one_is_wrong_are_refused_and_why() -> None:
     assert suspected >= 4, 'two answers, of others'
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('stations', [(3, 3), (4, 3)])
 def test_few_stations_of_a_robot_a_little_worse_than_told_are_not_suspected(
         stations: tuple[int, int]) -> None:

@@ -13,8 +13,6 @@ from handeye_ros.simulate import SCENARIOS
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.thorough
-
 every_method = pytest.mark.parametrize('name', METHODS)
 
 
@@ -37,6 +35,7 @@ def assert_as_good(answer: Calibration, clean: Calibration, tolerance: float = 1
     assert answer.quality.samples_used == clean.quality.samples_used
 
 
+@pytest.mark.thorough
 @every_method
 @pytest.mark.parametrize('size', [3e-3, 0.05])
 def test_stations_with_a_wrong_pose_are_left_out(name: str, size: float) -> None:
@@ -68,6 +67,7 @@ def test_reasons_name_the_misfit() -> None:
     assert [r.stamp for r in answer.samples] == sorted(s.stamp for s in samples)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('seed', range(6))
 @pytest.mark.parametrize('target', ['plate', 'sphere'])
 def test_a_cluster_that_agrees_on_something_wrong_is_left_out(target: str, seed: int) -> None:
@@ -99,6 +99,7 @@ def test_too_many_wrong_stations_are_refused() -> None:
         solve(samples, made)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('seed', range(3))
 def test_the_simulated_bumps_are_found(seed: int) -> None:
     made = cell(replace(SCENARIOS['plate'], bumped=2), seed)
@@ -139,6 +140,7 @@ def test_all_four_edges_are_used_when_the_size_is_known() -> None:
         solve(without.samples, without).covariance) * 1.05  # the noise is estimated in both
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('seed', range(3))
 def test_the_face_of_another_object_is_left_out(seed: int) -> None:
     made = cell('plate', seed)

@@ -176,6 +176,7 @@ def test_mapped_points_are_as_uncertain_as_draws_say(calibration: Calibration) -
     assert mapped_std(calibration, points) == pytest.approx(rms, rel=0.05)
 
 
+@pytest.mark.thorough
 def test_without_its_recording_it_says_so(solved: Path, tmp_path: Path) -> None:
     text = (solved / 'calibration.yaml').read_text()
     (tmp_path / 'calibration.yaml').write_text(text.replace(str(BAG), 'gone'))
@@ -202,6 +203,7 @@ def test_a_calibration_from_files_has_a_report_too(calibration: Calibration) -> 
     assert 'id="scene"' in pages.html(files, found)
 
 
+@pytest.mark.thorough
 def test_wrong_input_is_refused(tmp_path: Path) -> None:
     assert_refused(handeye('report', 'none.yaml', cwd=tmp_path), 2, 'none.yaml cannot be used')
     assert not list(tmp_path.iterdir())

@@ -42,6 +42,7 @@ def test_the_demo_leaves_the_calibration_and_tells_its_error(tmp_path: Path) -> 
         'calibration.yaml', 'history', 'node.log', 'report.html'}
 
 
+@pytest.mark.thorough
 def test_a_refusal_ends_with_3_and_leaves_the_former_result(tmp_path: Path) -> None:
     (tmp_path / 'calibration.yaml').write_text('of another run')
     run = demo(ROOT / 'bags' / 'one_orientation', tmp_path)
@@ -51,6 +52,7 @@ def test_a_refusal_ends_with_3_and_leaves_the_former_result(tmp_path: Path) -> N
     assert (tmp_path / 'calibration.yaml').read_text() == 'of another run'
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(('bag', 'config', 'reason'), [
     ('no/such/bag', PLATE, 'no/such/bag: no such file or folder'),
     (str(ROOT / 'bags' / 'plate'), 'no.yaml', 'cannot read the configuration no.yaml'),

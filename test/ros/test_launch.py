@@ -217,6 +217,7 @@ def test_scan_sets_keys_that_exist_and_hands_on_the_options(monkeypatch: pytest.
     assert config.with_assignments(config.Config(), set_here).pose_source == 'tf'
 
 
+@pytest.mark.thorough
 @pytest.mark.ros
 def test_a_bag_is_scanned_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     pytest.importorskip('rclpy', reason='needs rclpy')

@@ -60,6 +60,7 @@ def test_all_are_heard_by_who_comes_late(tmp_path: Path, client: Client) -> None
         np.testing.assert_allclose(T, calibration.T_flange_sensor, rtol=0, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_what_can_be_read_is_published_beside_what_cannot(tmp_path: Path, client: Client) -> None:
     exports.save_all(LASER, tmp_path / 'plate')
     exports.save_all(LASER, tmp_path / 'again')

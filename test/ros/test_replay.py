@@ -55,6 +55,7 @@ def test_without_subscribers_it_says_so_and_goes_on(tmp_path: Path) -> None:
     assert run.stderr == 'nobody subscribes to /profile, /flange_pose; starting all the same\n'
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(('arguments', 'reason'), [
     (['no/such/bag'], 'no/such/bag: no such file or folder'),
     (['README.md'], 'README.md: is not a bag'),

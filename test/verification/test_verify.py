@@ -31,6 +31,7 @@ spec.loader.exec_module(bench)
 SEEDS = 12
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('name', bench.SCENES)
 def test_the_truth_lies_in_the_stated_region_and_wrong_calibrations_fail(name):
     inside = 0

@@ -96,6 +96,7 @@ def test_a_button_a_kill_and_a_restart(tmp_path: Path, client: Client, home: Pat
                       'a sample is left out')
 
 
+@pytest.mark.thorough
 def test_a_late_joiner_is_not_told_an_old_answer(tmp_path: Path, client: Client) -> None:
     from handeye_ros.config import load
     from handeye_ros.ros.bags.bag import read
@@ -215,6 +216,7 @@ Node.{0} = interrupted
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(('before', 'what'), [
     (AT_IMPORT, 'numpy'), (AT_IMPORT, 'rclpy._rclpy_pybind11'), (AT_IMPORT, 'std_srvs.srv'),

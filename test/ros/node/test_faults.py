@@ -57,6 +57,7 @@ def test_streams_that_fall_silent_are_told_and_heard_again(tmp_path: Path, clien
             client.until(heard_again, f'the {stream} are no longer silent')
 
 
+@pytest.mark.thorough
 def test_two_publishers_with_two_clocks_on_one_topic(tmp_path: Path, client: Client) -> None:
     other = client.node.create_publisher(PointCloud2, '/profile', RELIABLE)
     with running_node(tmp_path):
@@ -136,6 +137,7 @@ def test_a_simulated_clock_that_jumps_forth_and_back(tmp_path: Path, client: Cli
     assert 'Traceback' not in (tmp_path / 'node.log').read_text()
 
 
+@pytest.mark.thorough
 def test_two_nodes_of_one_name_are_told_and_keep_apart(tmp_path: Path, client: Client) -> None:
     first, second = tmp_path / 'first', tmp_path / 'second'
     for folder in (first, second):

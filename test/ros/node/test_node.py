@@ -160,6 +160,7 @@ def test_without_tf2_msgs_poses_from_tf_are_refused(tmp_path: Path) -> None:
     assert 'pose_source is tf, but tf2_msgs is not installed' in run.stderr
 
 
+@pytest.mark.thorough
 def test_a_solve_loses_no_profiles(tmp_path: Path, client: Client) -> None:
     config = ROOT / 'config' / 'sphere.yaml'
     recording = read(ROOT / 'bags' / 'sphere', load(config))
@@ -206,6 +207,7 @@ def test_a_parameter_file_with_empty_lists_and_integers(tmp_path: Path, client: 
     assert (radius.double_value, len(size.double_array_value), sim_time.bool_value) == (1, 0, True)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(('argument', 'reason'), [
     ('nois.sensor:=1.0', 'unknown key "nois.sensor" in the node\'s parameters; did you mean '
      '"noise.sensor"?'),

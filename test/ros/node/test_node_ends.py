@@ -86,6 +86,7 @@ def test_all_other_services_answer_while_it_solves(tmp_path: Path, client: Clien
         assert not future.done(), 'it solves still'
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_the_node_ends_cleanly_while_it_solves(
         tmp_path: Path, client: Client, number: int) -> None:

@@ -26,6 +26,7 @@ def set_parameter(client: Client, name: str, value: object) -> None:
     assert client.request(SetParameters, 'set_parameters', request).results[0].successful
 
 
+@pytest.mark.thorough
 def test_start_stops_result(tmp_path: Path, client: Client) -> None:
     counts = {'profiles': 0, 'poses': 0}
     parts = halves(read(ROOT / 'bags' / 'sphere', load(SPHERE)), STOPS)

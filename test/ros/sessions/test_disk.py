@@ -62,6 +62,7 @@ def refused(client: Client, words: str) -> None:
     assert words in client.state()['message']
 
 
+@pytest.mark.thorough
 def test_nothing_acknowledged_is_lost_by_kills_of_the_node() -> None:
     run = subprocess.run([sys.executable, 'bench/kill_node.py', '--count', '4'], cwd=ROOT,
                          text=True, capture_output=True, check=False)
@@ -71,6 +72,7 @@ def test_nothing_acknowledged_is_lost_by_kills_of_the_node() -> None:
     assert told and int(told[1]) >= 2, run.stdout
 
 
+@pytest.mark.thorough
 def test_what_is_not_stored_is_not_taken(tmp_path: Path, client: Client, disk: Path) -> None:
     with running_node(tmp_path, *SPHERE, '-p', f'output_dir:={disk}') as process:
         client.connect()

@@ -118,6 +118,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Path(live.path)
 
 
+@pytest.mark.thorough
 def test_the_command_line_gives_the_answer_of_the_node(whole: Path, tmp_path: Path) -> None:
     run = handeye('solve', whole, '--out', tmp_path, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
@@ -295,6 +296,7 @@ def test_what_is_no_session_is_told(tmp_path: Path) -> None:
         read_session(Path(live.path))
 
 
+@pytest.mark.thorough
 @pytest.mark.once
 def test_nothing_acknowledged_is_lost_by_kills() -> None:
     run = subprocess.run([sys.executable, 'bench/kills.py', '--count', '20'], cwd=ROOT, text=True,
