@@ -39,7 +39,7 @@ setup(
     entry_points={
         'console_scripts': [
             'handeye = handeye_ros.cli:main',
-            'calibrate = handeye_ros.ros.node.main:main',
+            'calibrate = handeye_ros.ros.node.__main__:main',
             'publish = handeye_ros.ros.publish:main',
             'replay = handeye_ros.ros.replay:main',
             'scan = handeye_ros.ros.scan:main',

@@ -101,7 +101,7 @@ class SessionError(InputError):
         super().__init__(f'{path} {reason}')
 
 
-class SecondEndedError(InputError):
+class WorkerEndedError(InputError):
     """The process that computes ended before it had an answer."""
 
     def __init__(self, code: int) -> None:

@@ -6,14 +6,21 @@ from contextlib import contextmanager
 import os
 import signal
 import sys
+from typing import Any
 
 from handeye_ros.errors import HandeyeError, InputError
 import rclpy
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
+from rclpy.callback_groups import CallbackGroup
 from rclpy.executors import Executor, ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
-__all__ = ['exit_code', 'InvalidHandle', 'RCLError', 'ros', 'spin']
+__all__ = ['exit_code', 'InvalidHandle', 'offer', 'RCLError', 'ros', 'spin', 'UNSENDABLE']
+
+REQUESTS = QoSProfile(depth=1000)  # that wait for a solve; ROS would drop all but ten
+UNSENDABLE = (RCLError, InvalidHandle)
 
 
 def exit_code(run: Callable[[], None]) -> int:
@@ -70,3 +77,19 @@ def spin(executor: Executor) -> None:
 def _first_sentence(text: str) -> str:
     """Return an error of rcl without the places in its source."""
     return text.removeprefix('failed to initialize rcl: ').split(', at /', 1)[0]
+
+
+def offer(node: Node, kind: Any, name: str, callback: Any, group: CallbackGroup) -> None:
+    """Create a service of a node; an answer that nobody takes is told in the log."""
+    service = node.create_service(kind, f'~/{name}', callback, callback_group=group,
+                                  qos_profile=REQUESTS)
+    send = service.send_response
+
+    def respond(response: Any, header: Any) -> None:
+        try:
+            send(response, header)
+        except UNSENDABLE as error:
+            if rclpy.ok():
+                node.get_logger().warning(f'nobody took the answer of ~/{name}: {error}')
+
+    service.send_response = respond

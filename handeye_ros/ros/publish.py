@@ -12,7 +12,7 @@ from handeye_ros.results.calibration_file import file_of, read_calibration
 from handeye_ros.ros.errors import SameFrameError, TopicsError, UnpublishedError
 from handeye_ros.ros.executable import exit_code, InvalidHandle, RCLError, ros
 from handeye_ros.ros.node.intake import TFMessage
-from handeye_ros.ros.node.outgoing import LATCHED, transform_stamped
+from handeye_ros.ros.node.publishers import LATCHED, transform_stamped
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node

@@ -1,6 +1,103 @@
-"""Run the node: python -m handeye_ros.ros.node."""
+"""
+The executable `calibrate`: arguments, signals, exit codes.
+
+What takes long to import is imported inside, so that Ctrl-C ends it cleanly from the first
+moment on.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+import errno
+import os
+import signal
 import sys
+from typing import Any
 
-from handeye_ros.ros.node.main import main
+SWITCH = 1e-3  # s until another thread has its turn: an answer takes a dozen of them
 
-sys.exit(main())
+USAGE = """\
+usage: calibrate [--help] [--ros-args [-p KEY:=VALUE]... [--params-file FILE] [-r OLD:=NEW]...]
+
+Runs the node handeye: takes samples of the target as the robot moves, and computes and saves the
+calibration on request. All settings are ROS parameters, so they stand behind --ros-args:
+
+  calibrate --ros-args --params-file config/plate.yaml -p session:=last
+
+`ros2 param list /handeye` and `ros2 param describe /handeye KEY` explain them while it runs.
+"""
+
+
+def own_arguments(argv: Sequence[str]) -> list[str]:
+    """Return what stands outside of --ros-args ... [--]."""
+    own, of_ros = [], False
+    for argument in argv:
+        if of_ros:
+            of_ros = argument != '--'
+        elif argument == '--ros-args':
+            of_ros = True
+        else:
+            own.append(argument)
+    return own
+
+
+def refused(arguments: Sequence[str]) -> int | None:
+    """Print the usage where arguments ask for it or are none of ours; return the exit code."""
+    if not arguments:
+        return None
+    if arguments[0] in ('-h', '--help'):
+        print(USAGE, end='')
+        return 0
+    print(f'error: unknown arguments: {" ".join(arguments)} (ROS arguments such as --params-file '
+          f'and -p stand behind --ros-args)\n{USAGE}', end='', file=sys.stderr)
+    return 2
+
+
+def main() -> int:
+    """Run the executable `calibrate`; a device that takes no output ends it without traceback."""
+    code = 0
+    sys.setswitchinterval(SWITCH)
+    # matrices are small: more threads only wait for each other, and take the streams' time
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+    with suppress(KeyboardInterrupt):
+        try:
+            code = _run()
+        except OSError as error:
+            if error.errno != errno.ENOSPC:
+                raise
+            code = 1
+    return code if flushed() else code or 1
+
+
+def _run() -> int:
+    code = refused(own_arguments(sys.argv[1:]))
+    if code is None:
+        # nothing is begun yet; an exception may be lost in an extension that is being imported
+        on_signals(lambda *_: os._exit(0))
+        from handeye_ros.ros.executable import exit_code
+        from handeye_ros.ros.node.node import run
+        on_signals(signal.default_int_handler)
+        code = exit_code(run)
+    return code
+
+
+def on_signals(handler: Callable[[int, Any], Any]) -> None:
+    """Handle Ctrl-C and SIGTERM with a function from now on."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
+
+
+def flushed() -> bool:
+    """Write what is left to be written; a device that takes none must not end in a traceback."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            with suppress(OSError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            return False
+    return True
+
+
+if __name__ == '__main__':
+    sys.exit(main())

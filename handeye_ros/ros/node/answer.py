@@ -1,11 +1,19 @@
-"""The answer of a running session, and whether it still is one."""
+"""The answer of a running session, whether it still is one, and which settings change it."""
 from __future__ import annotations
 
 from handeye_ros import se3
+from handeye_ros.config import Config, flatten
 from handeye_ros.data import Calibration
 from handeye_ros.diagnosis.summaries import calibration_summary, changes_since
 from handeye_ros.sampling.state import CalibrationState, CURRENT, NONE, OUTDATED, WITHDRAWN
 import numpy as np
+
+# Keys, or the beginnings of keys, that say what a stop gives.
+OF_SAMPLES = ('method', 'profile.', 'target.', 'noise.sensor', 'sampling.min_points',
+              'sampling.settle_time', 'time_offset')
+# The same of what the answer from given samples is.
+OF_ANSWER = (*OF_SAMPLES, 'calibration_type', 'noise.', 'limits.', 'samples.',
+             'sampling.min_crossing_angle')
 
 NO_ANSWER = 'no calibration has been computed yet'
 
@@ -51,3 +59,23 @@ class Answer:
 
 def _plain(values: object) -> tuple[float, ...]:
     return tuple(float(value) for value in np.asarray(values))
+
+
+def changes_samples(before: Config, after: Config) -> bool:
+    """Tell whether the stops have to be extracted anew."""
+    return _changes(before, after, OF_SAMPLES)
+
+
+def changes_answer(before: Config, after: Config) -> bool:
+    """Tell whether the samples have to be solved again."""
+    return _changes(before, after, OF_ANSWER)
+
+
+def changes_advice(before: Config, after: Config) -> bool:
+    """Tell whether other poses are advised."""
+    return _changes(before, after, ('guidance.',))
+
+
+def _changes(before: Config, after: Config, keys: tuple[str, ...]) -> bool:
+    old, new = flatten(before), flatten(after)
+    return any(old[key] != new[key] for key in new if key.startswith(keys))

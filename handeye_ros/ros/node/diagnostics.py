@@ -1,16 +1,28 @@
-"""What /diagnostics tells of the node, once a second: one status for each concern."""
+"""What may be in the way: told on /diagnostics once a second, and again and again in the log."""
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+import re
+import time
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from handeye_ros.diagnosis.summaries import count_of
-from handeye_ros.ros.node.arrivals import Arrivals
+from handeye_ros.ros.node.streams import Arrivals
 from handeye_ros.sampling.state import CURRENT, NONE, State, StreamState, WITHDRAWN
+from rclpy.node import Node
 from std_msgs.msg import Header
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+PERIOD = 10.0  # s until a warning that lasts is repeated
+LISTED = 5  # topics, at the most
+HINTS = {
+    'geometry_msgs/msg/Pose': ', as a Pose has no time',
+    'geometry_msgs/msg/PoseWithCovarianceStamped': ', without the covariance',
+    'geometry_msgs/msg/TransformStamped': ' (or set pose_source to tf)',
+    'sensor_msgs/msg/LaserScan': ': let the driver publish its points',
+    'sensor_msgs/msg/PointCloud': ', its successor',
+}
 
 
 def diagnostics(state: State, arrivals: Arrivals, name: str, stamp: Time) -> DiagnosticArray:
@@ -68,3 +80,62 @@ def _last_refusal(state: State) -> str:
     if state.attempt and not state.attempt.accepted:
         return state.attempt.text
     return refused[-1] if refused else ''
+
+
+def why_silent(node: Node, key: str, topic: str, wanted: str) -> str:
+    """
+    Return why nothing of the wanted type is heard on a topic, as far as the others show it.
+
+    key: of the configuration that names the topic.
+
+    Empty where a publisher of the type is there.
+    """
+    name = node.resolve_topic_name(topic)
+    types = {info.topic_type for info in node.get_publishers_info_by_topic(name)}
+    if wanted in types:
+        return ''
+    hints = ''.join(HINTS.get(kind, '') for kind in sorted(types))
+    why = (f'it carries {", ".join(sorted(types))}, expected {wanted}{hints}' if types else
+           f'nobody publishes {name}')
+    others = _topics_of(node, wanted)
+    return why + (f'; {wanted} is on {", ".join(others[:LISTED])}: set {key}' if others else '')
+
+
+def same_name(node: Node) -> str:
+    """Return that another node has the same name, and what to do; empty where none has."""
+    me = (node.get_name(), node.get_namespace())
+    if node.get_node_names_and_namespaces().count(me) < 2:
+        return ''
+    return (f'there are two nodes {node.get_fully_qualified_name()}: both take samples, and '
+            'either may answer; end one, or rename it (-r __node:=other). One that was killed '
+            'is listed for 20 s more')
+
+
+def _topics_of(node: Node, wanted: str) -> list[str]:
+    """Return the topics on which others publish messages of a type."""
+    names = [name for name, types in node.get_topic_names_and_types() if wanted in types]
+    me = (node.get_name(), node.get_namespace())
+    return sorted(name for name in names
+                  if any((info.node_name, info.node_namespace) != me and info.topic_type == wanted
+                         for info in node.get_publishers_info_by_topic(name)))
+
+
+class RepeatedWarnings:
+    """Repeats a sentence every PERIOD while it lasts, whatever the numbers in it."""
+
+    def __init__(self, say: Callable[[str], object]) -> None:
+        """Start with nothing said; say: where the sentences go."""
+        self._say = say
+        self._said: dict[str, float] = {}
+
+    def update(self, sentences: Iterable[str], now: float | None = None) -> None:
+        """Say what is new, or was said long ago; what is not among the sentences is over."""
+        now = time.monotonic() if now is None else now
+        lasting: dict[str, float] = {}
+        for sentence in sentences:
+            key = re.sub(r'[-+.\d]+', '#', sentence)
+            lasting[key] = self._said.get(key, -PERIOD)
+            if now - lasting[key] >= PERIOD:
+                self._say(sentence)
+                lasting[key] = now
+        self._said = lasting

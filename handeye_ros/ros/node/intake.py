@@ -20,7 +20,7 @@ from handeye_ros.ros.bags.profile_reader import ProfileReader
 from handeye_ros.ros.bags.transforms import FlangeTracker
 from handeye_ros.ros.errors import MessageError
 from handeye_ros.ros.executable import InvalidHandle
-from handeye_ros.ros.node.graph import elsewhere
+from handeye_ros.ros.node.diagnostics import why_silent
 from handeye_ros.ros.node.live import LiveSession
 from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import NameValidationException
@@ -49,7 +49,7 @@ THROTTLE = 5.0  # s between two warnings of a kind
 Stamped = TypeVar('Stamped', RawProfile, TimedPose)
 
 
-class Apart(CallbackGroup):
+class NoExecutor(CallbackGroup):
     """Subscriptions that no executor takes from: one round of it costs ten messages."""
 
     def can_execute(self, entity: Any) -> bool:
@@ -75,7 +75,7 @@ class Intake:
         """Subscribe; raises InputError."""
         self._node = node
         self._live = live
-        self._group = Apart()
+        self._group = NoExecutor()
         self._drains: list[Callable[[], int]] = []
         config = live.config
         self._tracker = FlangeTracker(config.robot_base_frame, config.robot_effector_frame)
@@ -99,9 +99,9 @@ class Intake:
         """Return why no messages of a kind (profile, pose) come in, or an empty string."""
         config = self._live.config
         if kind == 'profile':
-            return elsewhere(self._node, 'profile_topic', config.profile_topic, CLOUD)
+            return why_silent(self._node, 'profile_topic', config.profile_topic, CLOUD)
         if config.pose_source == 'topic':
-            return elsewhere(self._node, 'pose_topic', config.pose_topic, POSE)
+            return why_silent(self._node, 'pose_topic', config.pose_topic, POSE)
         return self._tracker.missing()
 
     def restart(self) -> None:
@@ -146,7 +146,7 @@ class Intake:
             if not isinstance(error, MessageError):
                 self._node.get_logger().error(traceback.format_exc())
             what = 'profile' if kind is PointCloud2 else 'pose'
-            self._live.arrivals.malformed(what, str(error))
+            self._live.streams.arrivals.malformed(what, str(error))
             self._node.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 
     def _on_profile(self, data: bytes) -> None:

@@ -11,17 +11,15 @@ from typing import Any
 from handeye_ros.diagnosis.summaries import in_the_way, sample_summary, with_trouble
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.errors import TopicsError
-from handeye_ros.ros.executable import RCLError, ros, spin
+from handeye_ros.ros.executable import offer, RCLError, ros, spin, UNSENDABLE
 from handeye_ros.ros.node import params
-from handeye_ros.ros.node.graph import namesake
+from handeye_ros.ros.node.diagnostics import RepeatedWarnings, same_name
 from handeye_ros.ros.node.intake import Intake
-from handeye_ros.ros.node.live_verify import LiveVerify
-from handeye_ros.ros.node.nag import Nag
-from handeye_ros.ros.node.outlets import Outlets
-from handeye_ros.ros.node.place import Place
-from handeye_ros.ros.node.second import Second
-from handeye_ros.ros.node.services import offer, UNSENDABLE
-from handeye_ros.ros.node.telling import state_of
+from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.ros.node.publishers import Publishers
+from handeye_ros.ros.node.status import state_of
+from handeye_ros.ros.node.store import Place
+from handeye_ros.ros.node.worker import WorkerProcess
 from handeye_ros.ros.page.buttons import serve
 from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.state import State
@@ -49,26 +47,27 @@ class HandeyeNode(Node):
         super().__init__('handeye')
         config, stored = params.declare(self)
         place = Place(self.get_namespace())
-        self.live = LiveVerify(config, place, SessionStore(place.folder, stored),
-                               Second(LOWER), Second())
-        self._outlets = Outlets(self, self.live)
+        self.live = LiveSession(config, place, SessionStore(place.folder, stored),
+                                WorkerProcess(LOWER), WorkerProcess())
+        self._publishers = Publishers(self, self.live)
         self._intake = Intake(self, self.live)
-        self._nag = Nag(self.get_logger().warning)
+        self._warnings = RepeatedWarnings(self.get_logger().warning)
         self._changing = Lock()  # the page sets parameters, too
         self._serve()
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._apply_change)
         self.live.on_outcome = partial(self._quietly, self._on_outcome)
-        self.live.on_change = partial(self._quietly, self._outlets.show)
+        self.live.on_change = partial(self._quietly, self._publishers.show)
         self.live.on_failure = self.get_logger().error
         if stored:
-            self.get_logger().info(self.live.restore(stored.session(config), stored.config))
+            samples = self.live.samples
+            self.get_logger().info(samples.restore(stored.session(config), stored.config))
         elif config.session:
             self.get_logger().warning(f'there is no session in {place.parent(config)}: a new one '
                                       'begins')
         self.live.start()
         self._intake.start()
-        self._outlets.show()
+        self._publishers.show()
         self.get_logger().info(
             f'waiting for profiles on {config.profile_topic}, poses '
             + (f'on {config.pose_topic}' if config.pose_source == 'topic' else 'from /tf'))
@@ -76,7 +75,7 @@ class HandeyeNode(Node):
 
     def stop(self) -> None:
         """End what is being computed, and tell nothing more of it."""
-        self._outlets.close()
+        self._publishers.close()
         self.live.stop()
 
     def destroy_node(self) -> None:
@@ -89,12 +88,12 @@ class HandeyeNode(Node):
     @property
     def is_busy(self) -> bool:
         """Return whether a thread is at work that Python would wait for."""
-        return bool(self.live.working)
+        return bool(self.live.progress.text)
 
     @property
     def state(self) -> State:
         """Return all that is told of the session, as of now."""
-        return state_of(self.live, self._intake.obstacle, namesake(self))
+        return state_of(self.live, self._intake.obstacle, same_name(self))
 
     def _serve(self) -> None:
         samples = MutuallyExclusiveCallbackGroup()
@@ -105,7 +104,7 @@ class HandeyeNode(Node):
         offer(self, SetBool, 'auto_sample', self._auto_sample, samples)
         self.create_subscription(Empty, '~/take', self._on_take, 10, callback_group=samples)
         # of wall time: the state is told even when a simulated clock stands still
-        for period, tell in ((1.0, self._diagnose), (CURRENT, self._outlets.show_current)):
+        for period, tell in ((1.0, self._diagnose), (CURRENT, self._publishers.show_current)):
             self.create_timer(period, partial(self._quietly, tell),
                               MutuallyExclusiveCallbackGroup(),
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -126,28 +125,28 @@ class HandeyeNode(Node):
                 raise
 
     def _on_outcome(self, outcome: Outcome) -> None:
-        attempt = self.live.attempt
+        attempt = self.live.samples.attempt
         text = attempt.text if attempt else sample_summary(outcome.result)
         if outcome.sample:
             self.get_logger().info(text)
-            self._outlets.show_features(outcome)
+            self._publishers.show_features(outcome)
         else:
             self.get_logger().warning(text)
 
     def _diagnose(self) -> None:
         state = self.state
-        self._outlets.diagnose(state)
-        self._nag.tell((*state.troubles, *state.session.notes))
+        self._publishers.diagnose(state)
+        self._warnings.update((*state.troubles, *state.session.notes))
 
     # what is asked; each returns what to say
 
     def take_sample(self) -> str:
         """Take a sample where the robot stands."""
-        return self.live.take_sample()
+        return self.live.samples.take()
 
     def remove_last_sample(self) -> str:
         """Forget the last sample."""
-        return self.live.remove_last_sample()
+        return self.live.samples.remove_last()
 
     def clear_samples(self) -> str:
         """Forget all samples and all that was received."""
@@ -165,11 +164,11 @@ class HandeyeNode(Node):
 
     def verify_start(self) -> str:
         """Let the stops from now on verify the calibration."""
-        return self.live.verify_start()
+        return self.live.verification.begin()
 
     def verify_result(self) -> str:
         """Tell and write what they say of it."""
-        return self.live.verify_result()
+        return self.live.verification.result()
 
     def ask(self, service: Callable[[], str]) -> tuple[bool, str]:
         """Return whether one of these succeeds, and the one sentence that tells so."""

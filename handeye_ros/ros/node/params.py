@@ -14,7 +14,7 @@ from handeye_ros import methods
 from handeye_ros.config import Config, EVERY_NODES, Parameter
 from handeye_ros.errors import InputError, UnknownKeyError
 from handeye_ros.results import calibration_file
-from handeye_ros.ros.node.place import Place
+from handeye_ros.ros.node.store import Place
 from handeye_ros.ros.sessions.reading import Stored
 from handeye_ros.ros.sessions.resume import resumed
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor

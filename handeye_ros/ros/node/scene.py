@@ -13,7 +13,7 @@ from handeye_ros.results.outcome import in_mount
 from handeye_ros.results.report.scene import in_sensor
 from handeye_ros.results.report.verdict import stated_noise
 from handeye_ros.results.target_shape import enlargement, half_axes, shape
-from handeye_ros.ros.node.latest import Current
+from handeye_ros.ros.node.streams import Current
 import numpy as np
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray

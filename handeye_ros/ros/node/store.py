@@ -1,57 +1,69 @@
-"""Where the samples of a running node are kept: what it asks of a store, and none at all."""
+"""Where a running node keeps its sessions and results, and what it asks of a store of samples."""
 from __future__ import annotations
 
-from typing import Protocol
+from dataclasses import dataclass
+import os
+from pathlib import Path
 
 from handeye_ros.config import Config
+from handeye_ros.errors import UnwritableError
+from handeye_ros.results.calibration_file import folder_name
 from handeye_ros.sampling.stops import Outcome
 
+FOLDER = 'handeye_ros'
 
-class Store(Protocol):
+
+@dataclass(frozen=True)
+class Place:
     """
-    Keeps what a session is made of.
+    Where the folder <name> of a node is.
 
-    All calls but settle return when it is on the disk, or raise.
+    That is output_dir where it is set, else $ROS_HOME/handeye_ros (~/.ros/handeye_ros where
+    ROS_HOME is not set), below it the namespace, so that two nodes do not share a folder.
+    """
+
+    namespace: str = '/'
+
+    def parent(self, config: Config) -> Path:
+        """Return what is above the folder of a name, absolute; raises UnwritableError."""
+        home = os.environ.get('ROS_HOME') or '~/.ros'
+        parent = Path(config.output_dir) if config.output_dir else (
+            Path(home) / FOLDER / self.namespace.strip('/'))
+        try:
+            return parent.expanduser().absolute()
+        except RuntimeError as error:
+            raise UnwritableError(parent, str(error)) from error
+
+    def folder(self, config: Config) -> Path:
+        """Return the folder of the name, absolute; raises UnwritableError and BadValueError."""
+        return self.parent(config) / folder_name(config)
+
+
+class Store:
+    """
+    Keeps what a session is made of: this one in memory alone, sessions/writing.py on the disk.
+
+    All calls but sync return when it is on the disk, or raise UnwritableError.
     """
 
     @property
     def path(self) -> str:
         """Return the folder of the session, empty before there is one."""
+        return ''
 
     def add(self, outcome: Outcome, config: Config) -> Outcome:
-        """Keep what became of a stop; return it, to be loaded from there; UnwritableError."""
-
-    def remove(self, number: int, config: Config) -> None:
-        """Keep that a sample was removed; raises UnwritableError."""
-
-    def configured(self, config: Config) -> None:
-        """Keep another configuration; raises UnwritableError."""
-
-    def settle(self) -> None:
-        """Keep what else helps to read it; no answer waits for that."""
-
-    def restart(self, config: Config) -> str:
-        """Begin another session; return what to say of the one before; UnwritableError."""
-
-
-class NoStore:
-    """Keeps nothing but what is in memory."""
-
-    path = ''
-
-    def add(self, outcome: Outcome, config: Config) -> Outcome:
-        """Return the outcome as it is."""
+        """Keep what became of a stop; return it, to be loaded from there."""
         return outcome
 
     def remove(self, number: int, config: Config) -> None:
-        """Do nothing."""
+        """Keep that a sample was removed."""
 
     def configured(self, config: Config) -> None:
-        """Do nothing."""
+        """Keep another configuration."""
 
-    def settle(self) -> None:
-        """Do nothing."""
+    def sync(self) -> None:
+        """Keep what else helps to read it; no answer waits for that."""
 
     def restart(self, config: Config) -> str:
-        """Do nothing."""
+        """Begin another session; return what to say of the one before."""
         return ''

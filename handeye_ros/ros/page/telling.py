@@ -11,8 +11,8 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.results.outcome import in_mount
 from handeye_ros.results.target_shape import shape
-from handeye_ros.ros.node.latest import Current
 from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.ros.node.streams import Current
 from handeye_ros.sampling.state import State
 import numpy as np
 

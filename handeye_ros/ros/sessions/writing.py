@@ -19,6 +19,7 @@ from handeye_ros.errors import UnwritableError
 from handeye_ros.ros.bags.bag_write import cloud_cdr
 from handeye_ros.ros.bags.contents import CLOUD, full_name, POSE, Raw
 from handeye_ros.ros.errors import SessionError
+from handeye_ros.ros.node.store import Store
 from handeye_ros.ros.sessions.bag_files import (
     BagFile,
     SUFFIX,
@@ -47,7 +48,7 @@ STAMP = '%Y-%m-%dT%H%M%SZ'
 LOCK = '.lock'
 
 
-class SessionStore:
+class SessionStore(Store):
     """
     Writes one session after the other.
 
@@ -103,7 +104,7 @@ class SessionStore:
         if self._folder:
             self._append(Event(CONFIGURED, config), config)
 
-    def settle(self) -> None:
+    def sync(self) -> None:
         """Let the list of files be on the disk, which no answer waits for: they tell the same."""
         if self._folder:
             with suppress(OSError):

@@ -1,12 +1,13 @@
-"""Threads that each do one work whenever they are woken, whatever became of it the last time."""
+"""Threads that each do one work whenever they are woken, and what is being done, in words."""
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 import threading
 import traceback
 
 
-class Workers:
+class Threads:
     """The threads, and what of their last work failed."""
 
     def __init__(self, on_failure: Callable[[str], object]) -> None:
@@ -43,3 +44,27 @@ class Workers:
                     f'the work on the samples failed, which should not happen: {error!r}; see '
                     'the log, and please report it')
                 self._on_failure(traceback.format_exc())
+
+
+class Progress:
+    """What takes long and is being done; on_change: called when something begins."""
+
+    def __init__(self) -> None:
+        """Start with nothing."""
+        self._works: list[str] = []
+        self.on_change: Callable[[], None] = lambda: None
+
+    @property
+    def text(self) -> str:
+        """Return it in words; empty for nothing."""
+        return '; '.join(self._works)
+
+    @contextmanager
+    def doing(self, work: str) -> Iterator[None]:
+        """Tell that a work is being done."""
+        self._works.append(work)
+        try:
+            self.on_change()
+            yield
+        finally:
+            self._works.remove(work)

@@ -10,6 +10,7 @@ from handeye_ros.diagnosis.summaries import late_sentence, sample_summary
 from handeye_ros.guidance.advice import Advice
 from handeye_ros.results import calibration_file
 from handeye_ros.ros.node.live import LiveSession, stamps_of
+from handeye_ros.ros.node.reviewer import Reviewer
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.state import (
     GuidanceState,
@@ -27,16 +28,16 @@ SILENCE = 2.0  # s without a message after which a person should look
 Obstacle = Callable[[str], str]
 
 
-def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '', namesake: str = ''
+def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '', same_name: str = ''
              ) -> State:
     """
     Return the state of a session.
 
-    obstacle: tells why no profile, or pose, comes in; namesake: that another node has its name.
+    obstacle: tells why no profile, or pose, comes in; same_name: that another node has its name.
     """
     session, config = live.copied(), live.config
     by_topic = config.pose_source == 'topic'
-    agreements = _agreements(live)
+    agreements = _agreements(live.reviewer)
     samples = tuple(_sample(outcome, session, agreements.get(outcome.number))
                     for outcome in session.outcomes)
     worst = sorted((s for s in samples if s.left_out is not None),
@@ -46,9 +47,10 @@ def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '', namesake: 
         _stream(live, 'profile', config.profile_topic, session.frame_id, obstacle),
         _stream(live, 'pose', config.pose_topic if by_topic else '/tf', '', obstacle),
         _motion(session),
-        SessionState(live.path, config.sampling.mode, live.working,
-                     _trouble(live, session, namesake), (*session.warnings, *live.warnings)),
-        samples, tuple(sample.number for sample in worst), live.no_review, live.attempt,
+        SessionState(live.samples.store.path, config.sampling.mode, live.progress.text,
+                     _trouble(live, session, same_name), (*session.warnings, *live.warnings)),
+        samples, tuple(sample.number for sample in worst), live.reviewer.no_review,
+        live.samples.attempt,
         live.answer.state(stamps_of(session)), _guidance(live.advice))
 
 
@@ -64,28 +66,28 @@ def _guidance(advice: Advice | None) -> GuidanceState | None:
         _plain(se3.quaternion(pose.T_base_flange)) if pose else None, pose.std if pose else None)
 
 
-def _agreements(live: LiveSession) -> dict[int, Agreement]:
+def _agreements(reviewer: Reviewer) -> dict[int, Agreement]:
     """Return what the last review says of each sample, by number."""
-    found = live.review
+    found = reviewer.review
     if found is None:
         return {}
-    pairs = zip(live.reviewed, found.agreements, strict=False)
+    pairs = zip(reviewer.reviewed, found.agreements, strict=False)
     return {outcome.number: agreement for outcome, agreement in pairs if agreement}
 
 
 def _stream(live: LiveSession, kind: str, place: str, frame: str, obstacle: Obstacle
             ) -> StreamState:
-    arrivals = live.arrivals
+    arrivals = live.streams.arrivals
     trouble = arrivals.mostly_malformed(kind) or _silence(live, kind, place, obstacle)
     return StreamState(kind, place, arrivals.counts[kind], arrivals.bad[kind],
                        arrivals.silence(kind), frame, trouble)
 
 
 def _silence(live: LiveSession, kind: str, place: str, obstacle: Obstacle) -> str:
-    seconds = live.arrivals.silence(kind)
+    seconds = live.streams.arrivals.silence(kind)
     if seconds < SILENCE:
         return ''
-    none = 'no' if live.arrivals.counts[kind] == 0 else 'no more'
+    none = 'no' if live.streams.arrivals.counts[kind] == 0 else 'no more'
     why = obstacle(kind)
     source = 'from' if place == '/tf' else 'on'
     return f'{none} {kind}s {source} {place} for {seconds:.0f} s' + (f' ({why})' if why else '')
@@ -99,10 +101,11 @@ def _motion(session: Session) -> MotionState:
                        motion.sentence)
 
 
-def _trouble(live: LiveSession, session: Session, namesake: str) -> str:
+def _trouble(live: LiveSession, session: Session, same_name: str) -> str:
     """Return why what comes in now is of no use, and what to do; empty if it is."""
     found = (str(session.conflict or ''), late_sentence(session.late) if session.late else '',
-             live.arrivals.clocks, session.unasked, live.store_trouble, live.failure, namesake)
+             live.streams.arrivals.clocks, session.unasked, live.samples.store_trouble,
+             live.threads.failure, same_name)
     return '; '.join(filter(None, found))
 
 

@@ -7,6 +7,8 @@ streams would slow down the judging of a stop. A process is started when it is f
 from __future__ import annotations
 
 from collections.abc import Callable
+import ctypes
+from dataclasses import replace
 import os
 import pickle
 import queue
@@ -16,12 +18,15 @@ import threading
 import traceback
 from typing import Any, Protocol, TypeVar
 
+from handeye_ros.config import Config
+from handeye_ros.data import Reject, Sample
 from handeye_ros.errors import HandeyeError
-from handeye_ros.ros.errors import SecondEndedError
-from handeye_ros.ros.node.memory import give_back
+from handeye_ros.ros.errors import WorkerEndedError
+from handeye_ros.sampling.stops import evenly, judged, needed, Outcome, result_of, sample_of, Stop
 
 Result = TypeVar('Result')
-COMMAND = (sys.executable, '-m', 'handeye_ros.ros.node.second')
+TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # of glibc alone
+COMMAND = (sys.executable, '-m', 'handeye_ros.ros.node.worker')
 
 
 class Runner(Protocol):
@@ -34,7 +39,7 @@ class Runner(Protocol):
         """End, whatever is being done."""
 
 
-class Here:
+class InProcess:
     """Runs them at once, by whoever asks."""
 
     def run(self, function: Callable[..., Result], *args: Any, urgent: bool = False) -> Result:
@@ -51,7 +56,7 @@ class Parts(list[bytes]):
     write = list.append
 
 
-class Second:
+class WorkerProcess:
     """
     Runs them in a process, one after the other; what is urgent is the next.
 
@@ -66,7 +71,7 @@ class Second:
         self._busy, self._urgent, self._stopped = False, 0, False
 
     def run(self, function: Callable[..., Result], *args: Any, urgent: bool = False) -> Result:
-        """Return what a function returns; raises what it raises, and SecondEndedError."""
+        """Return what a function returns; raises what it raises, and WorkerEndedError."""
         self._begin(urgent)
         try:
             return self._asked(function, args)
@@ -92,16 +97,16 @@ class Second:
             process.stdin.flush()
             result, error = pickle.load(process.stdout)
         except (EOFError, OSError) as ended:
-            raise SecondEndedError(process.wait()) from ended
+            raise WorkerEndedError(process.wait()) from ended
         if error is not None:
             raise error
         return result
 
     def _running(self) -> subprocess.Popen[bytes]:
-        """Return the process, started where none runs; raises SecondEndedError."""
+        """Return the process, started where none runs; raises WorkerEndedError."""
         with self._turns:
             if self._stopped:
-                raise SecondEndedError(0)
+                raise WorkerEndedError(0)
             if self._process is None or self._process.poll() is not None:
                 # a group of its own: Ctrl-C in the terminal is for this process alone; no session
                 # of its own, as Linux lets priorities count within a session only
@@ -110,12 +115,47 @@ class Second:
             return self._process
 
     def stop(self) -> None:
-        """End the process, whatever it does; whoever waits for it gets a SecondEndedError."""
+        """End the process, whatever it does; whoever waits for it gets a WorkerEndedError."""
         with self._turns:
             self._stopped = True
             if self._process is not None:
                 self._process.kill()
                 self._process.wait()
+
+
+class Judge:
+    """Tells what stops give, in a process of its own; where that ends, in this one."""
+
+    def __init__(self, runner: Runner) -> None:
+        """Take what runs it."""
+        self._runner = runner
+
+    def begin(self) -> None:
+        """Let the process start, and import what it needs, before somebody waits for it."""
+        threading.Thread(target=self._run, args=(evenly, (), 1), daemon=True).start()
+
+    def stop(self) -> None:
+        """End the process."""
+        self._runner.stop()
+
+    def result(self, stop: Stop, config: Config) -> Sample | Reject:
+        """Return the sample of a stop, or why it gives none."""
+        return self._run(result_of, needed(stop, config), config)
+
+    def sample(self, stop: Stop, config: Config) -> Sample:
+        """Return the sample of a stop; raises NoProfilesError or FeatureError with the reason."""
+        return self._run(sample_of, needed(stop, config), config)
+
+    def anew(self, outcome: Outcome, config: Config) -> Outcome:
+        """Return what becomes of the same stop with another configuration; others come first."""
+        bare = replace(outcome, result=Reject(outcome.result.stamp, ''))
+        return replace(outcome, result=self._run(judged, bare, config, urgent=False).result)
+
+    def _run(self, function: Callable[..., Result], *args: Any, urgent: bool = True) -> Result:
+        try:
+            return self._runner.run(function, *args, urgent=urgent)
+        except WorkerEndedError:  # out of memory perhaps: the sample must not be lost with it
+            return function(*args)
 
 
 def main() -> None:
@@ -155,6 +195,17 @@ def _outcome(function: Callable[..., Any], args: tuple[Any, ...]) -> tuple[Any, 
     except Exception as error:  # noqa: BLE001 - it is told where it was asked for
         error.add_note(traceback.format_exc())  # the traceback itself cannot go there
         return None, error
+
+
+def give_back() -> None:
+    """
+    Give freed memory back to the system, where the C library can; takes milliseconds.
+
+    It keeps what lies between blocks that are in use: after a stop of thousands of messages, of
+    which a few are kept, that is most of it, and it grows from stop to stop.
+    """
+    if TRIM is not None:
+        TRIM(0)
 
 
 if __name__ == '__main__':

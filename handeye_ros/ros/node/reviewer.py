@@ -1,0 +1,105 @@
+"""
+How well the samples of a running node agree, and what to do next: whenever they have changed.
+
+Knows no ROS.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from handeye_ros import pipeline
+from handeye_ros.config import Config
+from handeye_ros.diagnosis.crossing import flat_crossing
+from handeye_ros.diagnosis.review import FEWEST, Review, review
+from handeye_ros.errors import DataError
+from handeye_ros.guidance.view import extremes
+from handeye_ros.ros.node.answer import changes_advice, changes_answer
+from handeye_ros.ros.node.samples import LiveSamples
+from handeye_ros.ros.node.worker import InProcess, Runner
+from handeye_ros.sampling.stops import Outcome
+import numpy as np
+
+SURE_FREEDOM = 6  # degrees of freedom from which on the angles at the edges are believed
+
+
+class Reviewer:
+    """
+    The review of the samples of a running node, and the advice.
+
+    review: None before there is one, no_review: why; reviewed: the samples that its agreements
+    belong to, in this order; on_change: called after each.
+    """
+
+    def __init__(self, samples: LiveSamples, runner: Runner) -> None:
+        """Start with none; runner: runs what takes long."""
+        self._samples, self._runner = samples, runner
+        self._view = np.zeros((0, 2))  # points of profiles, at the ends of the field of view
+        self._settings, self._advised = 1, 0  # how often they changed; at the last advice
+        self.on_change: Callable[[], None] = lambda: None
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget it; the lock of the streams is held, or nobody else knows this yet."""
+        self.review: Review | None = None
+        self.no_review = ''
+        self._reviewed: tuple[Outcome, ...] | None = None
+        self.advice = pipeline.advise((), self._samples.config)
+
+    @property
+    def reviewed(self) -> tuple[Outcome, ...]:
+        """Return the samples that the agreements of the review belong to, in its order."""
+        return self._reviewed or ()
+
+    def configured(self, before: Config, after: Config) -> None:
+        """Take note of other settings."""
+        self._settings += changes_answer(before, after) or changes_advice(before, after)
+
+    def update(self) -> None:
+        """Tell how well the samples agree and what is missing, where they have changed."""
+        cleared, settings, config = self._samples.cleared, self._settings, self._samples.config
+        outcomes, included = self._included()
+        samples = [o.sample for o in outcomes if o.sample]
+        if self._reviewed == outcomes and self._advised == settings:
+            return
+        found, why = None, ''
+        try:
+            found = self._runner_for(samples).run(review, samples, included, config)
+        except DataError as error:
+            why = str(error)
+        with self._samples.streams.lock:
+            if self._samples.cleared == cleared:
+                self.review, self.no_review, self._reviewed = found, why, outcomes
+        self.on_change()
+        self._advise(settings)
+
+    def _runner_for(self, samples: Sequence[object]) -> Runner:
+        """Return what runs the work on samples: so few that nothing is solved need no process."""
+        return self._runner if len(samples) >= FEWEST else InProcess()
+
+    def _included(self) -> tuple[tuple[Outcome, ...], list[bool]]:
+        """Return the samples of now, and which of them are not left out."""
+        outcomes = tuple(o for o in self._samples.streams.copied().outcomes if o.sample)
+        exclude = self._samples.config.samples.exclude
+        return outcomes, [o.number not in exclude for o in outcomes]
+
+    def objection(self, outcome: Outcome) -> str:
+        """Return that the laser crosses an edge too flatly, once the edge is known."""
+        known = self.review
+        if outcome.sample is None or known is None or (
+                known.solution.degrees_of_freedom < SURE_FREEDOM):
+            return ''
+        return flat_crossing(outcome.sample, known.solution, self._samples.config)
+
+    def _advise(self, settings: int) -> None:
+        """Tell what to do next, as the samples of now say."""
+        cleared, config = self._samples.cleared, self._samples.config
+        current = self._samples.streams.latest.current(config)
+        if current:
+            self._view = extremes(np.concatenate([self._view, current.points]))
+        samples = sorted((o.sample for o, use in zip(*self._included(), strict=True)
+                          if use and o.sample), key=lambda sample: sample.stamp)
+        advice = self._runner_for(samples).run(pipeline.advise, samples, config, self._view)
+        with self._samples.streams.lock:
+            if self._samples.cleared == cleared:
+                self.advice, self._advised = advice, settings
+        self.on_change()

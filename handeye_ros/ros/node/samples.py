@@ -1,0 +1,241 @@
+"""
+The samples of a running node: judged, stored and changed from different threads.
+
+Knows no ROS. What a stop asks for (to extract, to store) is done by a thread or by whoever asks,
+one thing after the other, while messages go on coming in. What takes longer holds up none of it.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+import threading
+from typing import Protocol
+
+from handeye_ros.config import Config
+from handeye_ros.data import Reject, Sample
+from handeye_ros.diagnosis.summaries import count_of, sample_summary
+from handeye_ros.errors import HandeyeError, InputError
+from handeye_ros.ros.node.answer import changes_samples
+from handeye_ros.ros.node.store import Store
+from handeye_ros.ros.node.streams import Streams
+from handeye_ros.ros.node.threads import Progress
+from handeye_ros.ros.node.worker import Judge
+from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.state import Attempt
+from handeye_ros.sampling.stops import Outcome, Stop
+
+
+class StopConsumer(Protocol):
+    """Takes the stops of the robot that would be samples otherwise."""
+
+    def count(self, stop: Stop) -> str:
+        """Take a stop that is over; return what to say."""
+
+    def take(self, stop: Stop) -> str:
+        """Take a stop that was asked for; raises UnusableStopError."""
+
+
+class LiveSamples:
+    """
+    The samples of a running node.
+
+    work: held by who changes them; cleared: how often they were; consumer: takes the stops
+    instead, None for nobody; objection: tells what of a new sample is no good, as far as the
+    others tell; on_outcome: called with each new outcome.
+    """
+
+    def __init__(self, streams: Streams, judge: Judge, store: Store, progress: Progress) -> None:
+        """Start empty."""
+        self.streams, self.judge, self.store = streams, judge, store
+        self._progress = progress
+        self.work = threading.RLock()
+        self.cleared = 0
+        self._extracting = threading.Lock()
+        self._stale = False  # whether the samples are to be extracted anew
+        self.attempt: Attempt | None = None
+        self.store_trouble = ''
+        self.consumer: StopConsumer | None = None
+        self.objection: Callable[[Outcome], str] = lambda outcome: ''
+        self.on_outcome: Callable[[Outcome], None] = lambda outcome: None
+
+    @property
+    def config(self) -> Config:
+        """Return the settings of now."""
+        return self.streams.config
+
+    def restore(self, session: Session, before: Config) -> str:
+        """
+        Go on with the stops of an earlier run; return what to say.
+
+        before: its settings; other ones are stored. Raises UnwritableError.
+        """
+        with self.work, self.streams.lock:
+            self.streams.session = session
+        if replace(before, session=self.config.session) != self.config:
+            self.store.configured(self.config)
+        self.streams.wake.set()
+        count = sum(outcome.sample is not None for outcome in session.outcomes)
+        return f'going on with {count_of(count, "sample")} of {self.store.path}'
+
+    # what becomes of the stops
+
+    def judge_all(self) -> None:
+        """Judge every stop that is over."""
+        with self.work:
+            while self.streams.waiting:
+                self._judge(self.streams.waiting.popleft())
+
+    def judge_rest(self) -> None:
+        """Judge every stop, also the one that the robot stands in."""
+        with self.work:
+            self.judge_all()
+            for stop in self.streams.copied().rest():
+                self._judge(stop)
+
+    def _judge(self, stop: Stop) -> None:
+        consumer = self.consumer
+        if consumer:
+            consumer.count(stop)
+            return
+        result = self.judge.result(stop, self.config)
+        with self.streams.lock:
+            outcome = self.streams.session.outcome(stop, result)
+        remark = self.objection(outcome)  # by itself the node takes what a recording gives
+        try:
+            outcome = self._stored(outcome)
+        except InputError as error:
+            outcome = Outcome(outcome.number, stop, Reject(outcome.result.stamp, str(error)))
+        self._put(outcome)
+        self.told(outcome.sample is not None, outcome.number, (
+            f'sample {outcome.number} taken: ' if outcome.sample else
+            f'stop {outcome.number} gave no sample: ') + sample_summary(outcome.result)
+            + (f'; {remark}' if remark else ''))
+        self.on_outcome(outcome)
+
+    def _stored(self, outcome: Outcome) -> Outcome:
+        """Return an outcome that is on the disk; raises InputError, which is told until then."""
+        try:
+            stored = self.store.add(outcome, self.config)
+        except InputError as error:
+            self.store_trouble = str(error)
+            raise
+        self.store_trouble = ''
+        return stored
+
+    def _put(self, outcome: Outcome) -> None:
+        with self.streams.lock:
+            self.streams.session.put(outcome)
+
+    def leave(self, stop: Stop) -> None:
+        """Let a stop give no sample."""
+        with self.streams.lock:
+            self.streams.session.leave(stop)
+
+    def extract_anew(self) -> None:
+        """Let the stored profiles give what the settings of now make of them, if these ask."""
+        with self._extracting:
+            while self._stale:
+                with self.work, self.streams.lock:  # nothing is judged by the settings before
+                    self._stale, outcomes = False, self.streams.session.outcomes
+                with self._progress.doing('the samples are extracted anew from their profiles'):
+                    fresh = [self.judge.anew(outcome, self.config) for outcome in outcomes]
+                    with self.streams.lock:
+                        self.streams.session.replace(fresh)
+
+    def told(self, accepted: bool, number: int, text: str) -> None:
+        """Keep the answer to an attempt to take a sample; number: 0 where there is none."""
+        self.attempt = Attempt(accepted, number, text)
+
+    # what is asked; each returns what to say
+
+    def take(self) -> str:
+        """Take a sample where the robot stands; raises DataError, or InputError unstored."""
+        try:
+            return self._take()
+        except HandeyeError as error:
+            self.told(False, 0, str(error))
+            raise
+        finally:
+            self.streams.wake.set()
+
+    def _take(self) -> str:
+        consumer = self.consumer
+        if consumer:
+            stop = self._standing()
+            with self.work:
+                self.judge_all()
+                return consumer.take(stop)
+        stop, sample, known = self._sampled()  # while others are stored, and told at once if none
+        with self.work:
+            self.judge_all()
+            if known != (self.cleared, self.config):
+                stop, sample, _ = self._sampled()
+            with self.streams.lock:
+                outcome = self.streams.session.outcome(stop, sample)
+                again = any(o.stop.began == stop.began for o in self.streams.session.outcomes)
+            if outcome.sample is None:
+                raise NothingNewError(sample_summary(outcome.result))
+            why = self.objection(outcome)
+            if why:
+                raise FlatCrossingError(why)
+            outcome = self._stored(outcome)
+            self._put(outcome)
+        again_text = ' again, as the robot has not moved since' if again else ''
+        text = f'sample {outcome.number} taken{again_text}: {sample_summary(sample)}'
+        self.told(True, outcome.number, text)
+        self.on_outcome(outcome)
+        return text
+
+    def _sampled(self) -> tuple[Stop, Sample, tuple[int, Config]]:
+        """Return the stop that the robot stands in, its sample, and what was known with it."""
+        known = self.cleared, self.config
+        stop = self._standing()
+        return stop, self.judge.sample(stop, known[1]), known
+
+    def _standing(self) -> Stop:
+        """Return the stop that the robot stands in; raises what Watch.here raises."""
+        with self.streams.lock:
+            return self.streams.session.here()
+
+    def remove_last(self) -> str:
+        """Forget the last sample; raises DataError when there is none, InputError unstored."""
+        with self.work:
+            self.judge_all()
+            last = self.streams.copied().last(self.judge.result)
+            self.store.remove(last.number, self.config)
+            with self.streams.lock:
+                self.streams.session.remove(last)
+                count = sum(o.sample is not None for o in self.streams.session.outcomes)
+        self.streams.wake.set()
+        return (f'removed sample {last.number}, the last one ({sample_summary(last.result)}); '
+                f'{count} left')
+
+    def clear(self) -> str:
+        """Forget all samples, and all that was received; raises InputError."""
+        with self.work:
+            kept = self.store.restart(self.config)
+            self.streams.latest.clear()
+            with self.streams.lock:
+                self.streams.waiting.clear()
+                session = self.streams.session
+                count = sum(o.sample is not None for o in session.outcomes)
+                session.clear()
+                self.cleared += 1
+            self.attempt = None
+        self.streams.wake.set()
+        return f'{count_of(count, "sample")} removed; bags and clocks may start again{kept}'
+
+    # what is set
+
+    def configure(self, config: Config) -> None:
+        """Go on with another configuration, already checked by params.changed."""
+        with self.streams.lock:
+            before, self.streams.config = self.config, config
+            self.streams.session.configure(config)
+            self._stale |= changes_samples(before, config)
+        try:
+            self.store.configured(config)
+            self.store_trouble = ''
+        except InputError as error:
+            self.store_trouble = str(error)

@@ -1,0 +1,198 @@
+"""
+What a running node receives: counts, clocks, the last messages, and the session that it feeds.
+
+Knows no ROS.
+"""
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+import threading
+import time
+
+from handeye_ros import methods
+from handeye_ros.config import Config
+from handeye_ros.data import AnyProfile, Array, Feature, TimedPose
+from handeye_ros.errors import UnusableMessageError
+from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.sampling.dwells import interpolate
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import Stop
+
+MOST_STOPS = 16  # that wait to be judged, of 7 MB at most with 1280 points a profile
+KINDS = ('profile', 'pose')
+LAST = 100  # messages of a kind that are kept: the one of the two streams may be late
+FRESH = 1.0  # s: the clocks are compared where both kinds came so recently
+LARGEST_APART = 5.0  # s between the clocks that a slow network or a queue explains
+
+
+class Arrivals:
+    """Counts the messages of a node as they come."""
+
+    def __init__(self) -> None:
+        """Start with nothing, now."""
+        self.counts = Counter({'profile': 0, 'pose': 0, 'malformed': 0})
+        self.bad: Counter[str] = Counter()
+        self.last_malformed = ''
+        self._reasons: dict[str, str] = {}
+        self._latest = dict.fromkeys(KINDS, time.monotonic())
+        self._stamps: dict[str, int] = {}
+
+    def came(self, kind: str, stamp: int) -> None:
+        """Count a good message; stamp: its own, in ns."""
+        self.counts[kind] += 1
+        self._latest[kind] = time.monotonic()
+        self._stamps[kind] = stamp
+
+    def malformed(self, kind: str, reason: str) -> None:
+        """Count a message that could not be understood."""
+        self.counts['malformed'] += 1
+        self.bad[kind] += 1
+        self.last_malformed = self._reasons[kind] = reason
+
+    def mostly_malformed(self, kind: str) -> str:
+        """Return how many of a kind cannot be understood, if that is most, and why."""
+        bad, good = self.bad[kind], self.counts[kind]
+        return (f'{bad} of {bad + good} {kind}s cannot be used; the last reason: '
+                f'{self._reasons[kind]}' if bad > good else '')
+
+    def silence(self, kind: str) -> float:
+        """Return the seconds since the last good message, or since the start."""
+        return time.monotonic() - self._latest[kind]
+
+    @property
+    def clocks(self) -> str:
+        """Return by how much the clocks of the two kinds differ, if they cannot be one."""
+        if any(kind not in self._stamps or self.silence(kind) > FRESH for kind in KINDS):
+            return ''
+        profile, pose = (self._stamps[kind] * 1e-9 + self.silence(kind) for kind in KINDS)
+        apart = profile - pose
+        if abs(apart) < LARGEST_APART:
+            return ''
+        size = f'{abs(apart):.1f} s' if abs(apart) < 3600 else f'{abs(apart) / 3600:.2f} hours'
+        return (f'the stamps of the profiles are {size} {"ahead of" if apart > 0 else "behind"} '
+                'those of the poses: the clocks of sensor and robot differ; set them to one time '
+                '(PTP or NTP), or let one driver stamp as the other does')
+
+
+@dataclass(frozen=True, eq=False)
+class Current:
+    """
+    What the sensor sees: points (n, 2) and features in its plane; T_base_flange (4, 4).
+
+    reason: why there are no features, empty where there are.
+    """
+
+    T_base_flange: Array
+    points: Array
+    features: tuple[Feature, ...]
+    reason: str = ''
+
+
+class Latest:
+    """The last messages of both streams."""
+
+    def __init__(self) -> None:
+        """Start with none."""
+        self._lock = threading.Lock()
+        self._profiles: deque[AnyProfile] = deque(maxlen=LAST)
+        self._poses: deque[TimedPose] = deque(maxlen=LAST)
+
+    def add_profile(self, profile: AnyProfile) -> None:
+        """Take a profile."""
+        with self._lock:
+            self._profiles.append(profile)
+
+    def add_poses(self, poses: Iterable[TimedPose]) -> None:
+        """Take poses."""
+        with self._lock:
+            self._poses.extend(poses)
+
+    def clear(self) -> None:
+        """Forget them: time may start again."""
+        with self._lock:
+            self._profiles.clear()
+            self._poses.clear()
+
+    def current(self, config: Config) -> Current | None:
+        """Return the last profile that poses surround; None where there is none to use."""
+        with self._lock:
+            profiles = list(self._profiles)
+            # a recording that is played again, or two robots, repeat stamps: the last one counts
+            of_stamp = {pose.stamp: pose for pose in self._poses}
+        if len(of_stamp) < 2:
+            return None
+        poses = sorted(of_stamp.values(), key=lambda pose: pose.stamp)
+        inside = [p for p in profiles if poses[0].stamp <= p.stamp <= poses[-1].stamp]
+        if not inside:
+            return None
+        try:
+            profile = inside[-1].read(config.profile)
+        except UnusableMessageError:
+            return None
+        (T,) = interpolate(poses, [profile.stamp])
+        try:
+            return Current(T, profile.points, methods.of(config).extract(profile.points, config))
+        except FeatureError as error:
+            return Current(T, profile.points, (), str(error))
+
+
+class Streams:
+    """
+    The streams of a running node, and the session that they feed.
+
+    lock: held around the session, for as long as a message takes; waiting: stops that are over,
+    but not yet judged; wake: of the thread that judges them.
+    """
+
+    def __init__(self, config: Config) -> None:
+        """Start with nothing; raises BadValueError for a method that does not exist."""
+        self.config = config
+        self.lock = threading.Lock()
+        self.session = Session(config)
+        self.waiting: deque[Stop] = deque()
+        self.wake = threading.Event()
+        self.arrivals = Arrivals()
+        self.latest = Latest()
+        self._skipped = 0  # stops, as too many waited
+
+    def add_profile(self, profile: AnyProfile) -> None:
+        """Take a profile."""
+        self.arrivals.came('profile', profile.stamp)
+        self.latest.add_profile(profile)
+        with self.lock:
+            self.session.add_profile(profile)
+            self._put_off(self.session.passed())
+
+    def add_poses(self, poses: Iterable[TimedPose]) -> None:
+        """Take poses."""
+        poses = list(poses)
+        self.latest.add_poses(poses)
+        with self.lock:
+            for pose in poses:
+                self.arrivals.came('pose', pose.stamp)
+                self.session.add_pose(pose)
+            self._put_off(self.session.passed())
+
+    def _put_off(self, stops: Iterable[Stop]) -> None:
+        """Leave stops to the thread that judges them, the newest where it cannot keep up."""
+        self.session.keep_waiting(MOST_STOPS)
+        self.waiting.extend(stops)
+        while len(self.waiting) > MOST_STOPS:
+            self.waiting.popleft()
+            self._skipped += 1
+        if self.waiting:
+            self.wake.set()
+
+    def copied(self) -> Session:
+        """Return the session of this moment."""
+        with self.lock:
+            return self.session.copied()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return what was left out as the processor could not keep up, one sentence each."""
+        return (f'left {self._skipped} stops out, the oldest of more than {MOST_STOPS} that '
+                'waited to be judged: the processor cannot keep up; stop less often, or publish '
+                'fewer points',) if self._skipped else ()
