@@ -27,7 +27,7 @@ from handeye_ros.data import Profile, TimedPose
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.bags.bag_write import cloud_cdr
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.node.place import Place
+from handeye_ros.ros.node.store import Place
 from handeye_ros.ros.sessions.bag_files import files_of
 from handeye_ros.ros.sessions.reading import read_session
 from handeye_ros.ros.sessions.resume import resumed
@@ -81,7 +81,7 @@ def work(output_dir: Path, acknowledge: int) -> None:
     config, found = resumed(SETTINGS | {'output_dir': str(output_dir)}, Place())
     live = LiveSession(config, Place(), SessionStore(Place().folder, found))
     if found:
-        live.restore(found.session(config), found.config)
+        live.samples.restore(found.session(config), found.config)
     rng, start = random.Random(), time.time_ns()
     while True:
         start += 2 * NS
@@ -90,11 +90,11 @@ def work(output_dir: Path, acknowledge: int) -> None:
                 live.add_poses([item])
             else:
                 live.add_profile(item)
-        number = int(live.take_sample().split()[1])
+        number = int(live.samples.take().split()[1])
         os.write(acknowledge, f'{TAKEN} {number}\n'.encode())
         if rng.random() < 0.2:
             os.write(acknowledge, f'{REMOVING} {number}\n'.encode())
-            number = int(live.remove_last_sample().split()[2].rstrip(','))
+            number = int(live.samples.remove_last().split()[2].rstrip(','))
             os.write(acknowledge, f'{REMOVED} {number}\n'.encode())
 
 

@@ -49,7 +49,7 @@ class HandeyeNode(Node):
         place = Place(self.get_namespace())
         self.live = LiveSession(config, place, SessionStore(place.folder, stored),
                                 WorkerProcess(LOWER), WorkerProcess())
-        self._publishers = Publishers(self, self.live)
+        self._outputs = Publishers(self, self.live)
         self._intake = Intake(self, self.live)
         self._warnings = RepeatedWarnings(self.get_logger().warning)
         self._changing = Lock()  # the page sets parameters, too
@@ -57,7 +57,7 @@ class HandeyeNode(Node):
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._apply_change)
         self.live.on_outcome = partial(self._quietly, self._on_outcome)
-        self.live.on_change = partial(self._quietly, self._publishers.show)
+        self.live.on_change = partial(self._quietly, self._outputs.show)
         self.live.on_failure = self.get_logger().error
         if stored:
             samples = self.live.samples
@@ -67,7 +67,7 @@ class HandeyeNode(Node):
                                       'begins')
         self.live.start()
         self._intake.start()
-        self._publishers.show()
+        self._outputs.show()
         self.get_logger().info(
             f'waiting for profiles on {config.profile_topic}, poses '
             + (f'on {config.pose_topic}' if config.pose_source == 'topic' else 'from /tf'))
@@ -75,7 +75,7 @@ class HandeyeNode(Node):
 
     def stop(self) -> None:
         """End what is being computed, and tell nothing more of it."""
-        self._publishers.close()
+        self._outputs.close()
         self.live.stop()
 
     def destroy_node(self) -> None:
@@ -104,7 +104,7 @@ class HandeyeNode(Node):
         offer(self, SetBool, 'auto_sample', self._auto_sample, samples)
         self.create_subscription(Empty, '~/take', self._on_take, 10, callback_group=samples)
         # of wall time: the state is told even when a simulated clock stands still
-        for period, tell in ((1.0, self._diagnose), (CURRENT, self._publishers.show_current)):
+        for period, tell in ((1.0, self._diagnose), (CURRENT, self._outputs.show_current)):
             self.create_timer(period, partial(self._quietly, tell),
                               MutuallyExclusiveCallbackGroup(),
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -129,13 +129,13 @@ class HandeyeNode(Node):
         text = attempt.text if attempt else sample_summary(outcome.result)
         if outcome.sample:
             self.get_logger().info(text)
-            self._publishers.show_features(outcome)
+            self._outputs.show_features(outcome)
         else:
             self.get_logger().warning(text)
 
     def _diagnose(self) -> None:
         state = self.state
-        self._publishers.diagnose(state)
+        self._outputs.diagnose(state)
         self._warnings.update((*state.troubles, *state.session.notes))
 
     # what is asked; each returns what to say

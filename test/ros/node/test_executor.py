@@ -46,7 +46,7 @@ with ros():
     print(gone.asked > 3)
 """
 ANEW = START + """
-from handeye_ros.ros.node.outlets import made_anew
+from handeye_ros.ros.node.publishers import made_anew
 from std_msgs.msg import String
 
 with ros():

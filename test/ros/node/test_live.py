@@ -12,12 +12,11 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError
-from handeye_ros.ros.node import live_streams
-from handeye_ros.ros.node.latest import Latest
+from handeye_ros.ros.node import streams
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.node.live_streams import MOST_STOPS
-from handeye_ros.ros.node.place import Place
-from handeye_ros.ros.node.telling import state_of
+from handeye_ros.ros.node.status import state_of
+from handeye_ros.ros.node.store import Place
+from handeye_ros.ros.node.streams import Latest, MOST_STOPS
 from handeye_ros.sampling import stations
 from handeye_ros.sampling.errors import FlatCrossingError
 from handeye_ros.sampling.state import samples_message, status_message
@@ -44,13 +43,13 @@ def feed(live: LiveSession, items) -> None:
             live.add_poses([item])
         else:
             live.add_profile(item)
-    live.settle()
+    live.update()
 
 
 def changed(live: LiveSession, **values: object) -> None:
     dotted = {key.replace('__', '.'): value for key, value in values.items()}
     live.configure(with_values(live.config, dotted, 'test'))
-    live.settle()
+    live.update()
 
 
 def test_the_answer_is_that_of_the_recording() -> None:
@@ -71,8 +70,8 @@ def test_from_three_samples_on_each_has_its_residuals() -> None:
         (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
         if len(live.copied().outcomes) > len(told):
             raise AssertionError('a message is never judged by who brings it')
-        if live._stops:
-            live.settle()
+        if live.streams.waiting:
+            live.update()
             told.append(state_of(live))
     for n, state in enumerate(told, 1):
         assert len(state.samples) == n
@@ -169,7 +168,7 @@ def test_a_laser_almost_along_an_edge_is_told_with_the_angle_and_by_hand_refused
     changed(live, sampling__mode='manual')
     feed(live, [*flat.poses, *flat.profiles])
     with pytest.raises(FlatCrossingError, match=r'crosses p at \d+ degrees, less than sampling.m'):
-        live.take_sample()
+        live.samples.take()
     assert not state_of(live).attempt.accepted
     changed(live, sampling__mode='still')
     live.compute()  # for which the stop that the robot stands in is over
@@ -182,7 +181,7 @@ def test_numbers_are_never_given_twice() -> None:
     live.compute()  # which takes the stop that the robot stands in
     numbers = [s.number for s in state_of(live).samples]
     assert numbers == list(range(1, len(numbers) + 1))
-    assert f'removed sample {numbers[-1]}' in live.remove_last_sample()
+    assert f'removed sample {numbers[-1]}' in live.samples.remove_last()
     later = [replace(item, stamp=item.stamp + 10**12)
              for item in (*SPHERE.poses, *SPHERE.profiles)]
     feed(live, later)
@@ -208,7 +207,7 @@ def test_cleared_and_refused_answers_are_withdrawn() -> None:
     live = fed()
     assert state_of(live).calibration.state == 'none'
     live.compute()
-    live.remove_last_sample()
+    live.samples.remove_last()
     assert state_of(live).calibration.state == 'outdated'
     live.clear_samples()
     state = state_of(live).calibration
@@ -274,19 +273,19 @@ def test_stamps_that_come_again_give_no_error() -> None:
 def test_work_that_fails_is_told_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     live, told, done = LiveSession(SPHERE.config, Place()), Event(), Event()
     log: list[str] = []
-    judge_all = live.judge_all
+    judge_all = live.samples.judge_all
     live.on_failure = lambda text: (log.append(text), told.set())
     live.on_change = done.set
-    monkeypatch.setattr(live, 'judge_all', lambda: 1 / 0)
+    monkeypatch.setattr(live.samples, 'judge_all', lambda: 1 / 0)
     live.start()
-    live._wake.set()
+    live.streams.wake.set()
     assert told.wait(PATIENCE) and 'ZeroDivisionError' in log[0]
     assert "failed, which should not happen: ZeroDivisionError('division by zero')" in state_of(
         live).session.trouble
-    monkeypatch.setattr(live, 'judge_all', judge_all)
-    live._wake.set()
+    monkeypatch.setattr(live.samples, 'judge_all', judge_all)
+    live.streams.wake.set()
     assert done.wait(PATIENCE)
-    while live.failure:
+    while live.threads.failure:
         done.wait(0.01)
     assert state_of(live).session.trouble == ''
 
@@ -297,11 +296,11 @@ def later(items, seconds: int):
 
 def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
         monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_streams, 'MOST_STOPS', 5)
+    monkeypatch.setattr(streams, 'MOST_STOPS', 5)
     live = LiveSession(SPHERE.config, Place())
     for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
         (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
-    live.settle()
+    live.update()
     state, newest = state_of(live), SPHERE.poses[-1].stamp - 15 * 10**9
     assert state.taken == 5 and min(s.stamp for s in state.samples) > newest
     assert any(re.match('left [1-9][0-9]* stops out, the oldest of more than 5', note)

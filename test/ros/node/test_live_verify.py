@@ -10,9 +10,9 @@ from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.results.truth_file import true_transform
 from handeye_ros.ros.bags.bag import read
-from handeye_ros.ros.node.live_verify import LiveVerify
-from handeye_ros.ros.node.place import Place
-from handeye_ros.ros.node.telling import state_of
+from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.ros.node.status import state_of
+from handeye_ros.ros.node.store import Place
 from handeye_ros.verification import course as courses
 from handeye_ros.verification.errors import NoAnswerError
 from handeye_ros.verification.verification import FORMAT
@@ -25,21 +25,21 @@ ROOT = Path(__file__).parents[3]
 SPHERE = load(ROOT / 'config' / 'sphere.yaml')
 
 
-def running(tmp_path: Path, config: Config = SPHERE, **values: object) -> LiveVerify:
-    return LiveVerify(changed(config, output_dir=str(tmp_path), **values), Place())
+def running(tmp_path: Path, config: Config = SPHERE, **values: object) -> LiveSession:
+    return LiveSession(changed(config, output_dir=str(tmp_path), **values), Place())
 
 
 def changed(config: Config, **values: object) -> Config:
     return with_values(config, {key.replace('__', '.'): v for key, v in values.items()}, 'test')
 
 
-def feed(live: LiveVerify, profiles, poses) -> None:
+def feed(live: LiveSession, profiles, poses) -> None:
     for item in sorted([*poses, *profiles], key=lambda item: item.stamp):
         if isinstance(item, TimedPose):
             live.add_poses([item])
         else:
             live.add_profile(item)
-    live.judge_all()
+    live.samples.judge_all()
 
 
 @pytest.fixture(scope='module')
@@ -69,10 +69,10 @@ def test_stops_after_the_start_verify_and_are_no_samples(tmp_path: Path, parts) 
     feed(live, *parts[0])
     live.compute()
     before = [outcome.number for outcome in live.copied().outcomes]
-    assert live.verify_start().startswith('sphere: 0 usable stops of 0; move on')
+    assert live.verification.begin().startswith('sphere: 0 usable stops of 0; move on')
     assert 'stops are no samples' in ' '.join(state_of(live).session.notes)
     feed(live, *parts[1])
-    text = live.verify_result()
+    text = live.verification.result()
     assert text.startswith('sphere: PASS, 6 stations; radius ')
     assert [outcome.number for outcome in live.copied().outcomes] == before
     assert state_of(live).calibration.state == 'current'
@@ -82,16 +82,16 @@ def test_stops_after_the_start_verify_and_are_no_samples(tmp_path: Path, parts) 
     assert (told['format'], told['verdict'], told['stations']) == (FORMAT, 'pass', 6)
     assert told['inputs'] == ['/profile', '/flange_pose']
     with pytest.raises(DataError, match='no verification was started'):
-        live.verify_result()
+        live.verification.result()
     assert not state_of(live).session.notes
 
 
 def test_the_verdict_is_that_of_the_file_that_is_set(tmp_path: Path, parts, files) -> None:
     live = running(tmp_path, verify__routine='sphere', verify__radius=0.04,
                    verify__calibration=files['wrong'])
-    live.verify_start()
+    live.verification.begin()
     feed(live, *parts[1])
-    assert live.verify_result().startswith('sphere: FAIL, 6 stations; ')
+    assert live.verification.result().startswith('sphere: FAIL, 6 stations; ')
 
 
 def test_refusals_in_words_and_what_goes_on_after_them(tmp_path: Path, parts, files) -> None:
@@ -106,33 +106,33 @@ def test_refusals_in_words_and_what_goes_on_after_them(tmp_path: Path, parts, fi
     def with_settings(**values: object) -> None:
         live.configure(changed(live.config, **values))
 
-    refused(live.verify_result, 'no verification was started', 'call ~/verify_start')
-    refused(live.verify_start, 'verify.routine is not set')
+    refused(live.verification.result, 'no verification was started', 'call ~/verify_start')
+    refused(live.verification.begin, 'verify.routine is not set')
     with_settings(verify__routine='spere')
-    refused(live.verify_start, 'no routine "spere"', 'did you mean "sphere"')
+    refused(live.verification.begin, 'no routine "spere"', 'did you mean "sphere"')
     with_settings(verify__routine='ball_bar')
-    refused(live.verify_start, 'ball_bar needs 1 lengths')
+    refused(live.verification.begin, 'ball_bar needs 1 lengths')
     with_settings(verify__routine='sphere')
-    refused(live.verify_start, 'there is no calibration to verify')
+    refused(live.verification.begin, 'there is no calibration to verify')
     with_settings(verify__calibration=str(tmp_path / 'none.yaml'))
-    refused(live.verify_start, 'none.yaml')
+    refused(live.verification.begin, 'none.yaml')
     with_settings(verify__calibration=files['right'])
-    live.verify_start()
+    live.verification.begin()
     early, late = halves(parts[1], 2)
     feed(live, *early)
-    refused(live.verify_result, '2 usable stations, fewer than 4')
+    refused(live.verification.result, '2 usable stations, fewer than 4')
     feed(live, *late)
     with_settings(verify__radius=0.04, verify__calibration=files['vague'])
     with pytest.raises(NoAnswerError, match='undecided: the uncertainty of radius'):
-        live.verify_result()
+        live.verification.result()
     with_settings(verify__calibration=files['right'])
-    assert live.verify_result().startswith('sphere: PASS, 6 stations')
+    assert live.verification.result().startswith('sphere: PASS, 6 stations')
     assert not live.copied().outcomes
 
 
 def test_another_routine_ends_a_verification(tmp_path: Path, parts, files) -> None:
     live = running(tmp_path, verify__routine='sphere', verify__calibration=files['right'])
-    live.verify_start()
+    live.verification.begin()
     live.configure(changed(live.config, verify__routine=''))
     feed(live, *parts[1])
     assert len(live.copied().outcomes) >= 5  # the robot stands in the sixth

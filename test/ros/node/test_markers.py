@@ -11,7 +11,7 @@ from handeye_ros import config as configs  # noqa: E402
 from handeye_ros import pipeline, se3  # noqa: E402
 from handeye_ros.ros.bags.bag import read  # noqa: E402
 from handeye_ros.ros.node import scene  # noqa: E402
-from handeye_ros.ros.node.latest import Latest  # noqa: E402
+from handeye_ros.ros.node.streams import Latest  # noqa: E402
 import numpy as np  # noqa: E402
 from visualization_msgs.msg import Marker  # noqa: E402
 

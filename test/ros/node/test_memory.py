@@ -4,7 +4,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from handeye_ros.ros.node.memory import give_back, TRIM
+from handeye_ros.ros.node.worker import give_back, TRIM
 import pytest
 
 MESSAGES, SIZE = 4000, 15_000

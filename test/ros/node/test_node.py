@@ -152,7 +152,7 @@ def transforms_of(pose):
 
 def test_without_tf2_msgs_poses_from_tf_are_refused(tmp_path: Path) -> None:
     block = ('import sys; sys.modules["tf2_msgs"] = None; '
-             'from handeye_ros.ros.node.main import main; sys.exit(main())')
+             'from handeye_ros.ros.node.__main__ import main; sys.exit(main())')
     run = subprocess.run(
         [sys.executable, '-c', block, '--ros-args', '-p', 'pose_source:=tf'], cwd=ROOT,
         capture_output=True, text=True, check=False, timeout=PATIENCE)

@@ -29,7 +29,7 @@ pytestmark = pytest.mark.ros
 SECOND = """
 import threading
 from handeye_ros import pipeline
-from handeye_ros.ros.node.second import main
+from handeye_ros.ros.node.worker import main
 
 def solve(*args):
     print('solving', flush=True)
@@ -40,9 +40,9 @@ main()
 """
 SLOW = f"""
 import sys
-from handeye_ros.ros.node import second
-second.COMMAND = (sys.executable, '-c', {SECOND!r})
-from handeye_ros.ros.node.main import main
+from handeye_ros.ros.node import worker
+worker.COMMAND = (sys.executable, '-c', {SECOND!r})
+from handeye_ros.ros.node.__main__ import main
 sys.exit(main())
 """
 
@@ -98,7 +98,7 @@ def test_the_node_ends_cleanly_while_it_solves(
     assert [line for line in said if '[INFO]' not in line and '[WARN]' not in line] == ['solving']
 
 
-@pytest.mark.parametrize('module', ['node.main', 'replay'])
+@pytest.mark.parametrize('module', ['node.__main__', 'replay'])
 def test_without_a_place_for_logs(module: str) -> None:
     block = ('import os; [os.environ.pop(name, 0) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR")]'
              f'; import sys; from handeye_ros.ros.{module} import main; sys.exit(main())')

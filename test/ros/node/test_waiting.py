@@ -12,11 +12,10 @@ from command import PATIENCE
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import HandeyeError
-from handeye_ros.ros.node.judging import Judge
-from handeye_ros.ros.node.live_verify import LiveVerify
-from handeye_ros.ros.node.place import Place
-from handeye_ros.ros.node.second import Here, Second
-from handeye_ros.ros.node.telling import state_of
+from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.ros.node.status import state_of
+from handeye_ros.ros.node.store import Place
+from handeye_ros.ros.node.worker import InProcess, Judge, WorkerProcess
 from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.errors import MovingError
 from handeye_ros.sampling.stops import judged
@@ -70,13 +69,13 @@ class Gate:
 
 
 def running(tmp_path: Path, second: Gate | None = None, judging: Gate | None = None,
-            **values: object) -> LiveVerify:
+            **values: object) -> LiveSession:
     config = with_values(SPHERE.config, {'output_dir': str(tmp_path)} | {
         key.replace('__', '.'): value for key, value in values.items()}, 'test')
-    return LiveVerify(config, Place(), SessionStore(Place().folder), second, judging)
+    return LiveSession(config, Place(), SessionStore(Place().folder), second, judging)
 
 
-def feed(live: LiveVerify, profiles: Any, poses: Any) -> None:
+def feed(live: LiveSession, profiles: Any, poses: Any) -> None:
     for item in sorted([*poses, *profiles], key=lambda item: item.stamp):
         (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
 
@@ -85,10 +84,10 @@ def changed(config: Config, key: str, value: object) -> Config:
     return with_values(config, {key: value}, 'test')
 
 
-def everything_else(live: LiveVerify) -> None:
+def everything_else(live: LiveSession) -> None:
     """Use what must not wait; the robot stands in a stop, and a sample of it was taken."""
-    assert ' taken again, ' in live.take_sample()
-    assert live.remove_last_sample().startswith('removed sample ')
+    assert ' taken again, ' in live.samples.take()
+    assert live.samples.remove_last().startswith('removed sample ')
     live.configure(changed(live.config, 'limits.translation', 0.004))
     saved = live.save()
     assert str(live.place.folder(live.config)) in saved
@@ -102,14 +101,14 @@ def test_nobody_waits_for_a_solve(tmp_path: Path) -> None:
         stand(live, *PARTS[part])
     live.compute()
     with second.closed(live.compute) as told:
-        assert live.working == 'the calibration is computed'
+        assert live.progress.text == 'the calibration is computed'
         everything_else(live)
         live.clear_samples()
     assert 'cleared while the calibration was computed' in str(told[0])
-    assert not live.working
+    assert not live.progress.text
 
 
-def stand(live: LiveVerify, profiles: Any, poses: Any) -> None:
+def stand(live: LiveSession, profiles: Any, poses: Any) -> None:
     """Take samples by hand of every stop of a recording."""
     for item in sorted([*poses, *profiles], key=lambda item: item.stamp):
         if isinstance(item, TimedPose):
@@ -118,7 +117,7 @@ def stand(live: LiveVerify, profiles: Any, poses: Any) -> None:
             live.add_profile(item)
             motion = live.copied().motion
             if motion and live.copied().is_standing and motion.still > 0.9:
-                live.take_sample()
+                live.samples.take()
 
 
 def test_nobody_waits_for_a_take_and_what_changes_meanwhile_counts(tmp_path: Path) -> None:
@@ -126,46 +125,46 @@ def test_nobody_waits_for_a_take_and_what_changes_meanwhile_counts(tmp_path: Pat
     live = running(tmp_path, judging=judging, sampling__mode='manual')
     stand(live, *PARTS[0])
     before = live.copied().outcomes
-    with judging.closed(live.take_sample) as told:
+    with judging.closed(live.samples.take) as told:
         live.configure(changed(live.config, 'sampling.min_points', 10_000))
     assert 'fewer than 10000 returns' in str(told[0]) and live.copied().outcomes == before
     live.configure(changed(live.config, 'sampling.min_points', 20))
-    with judging.closed(live.take_sample) as told:
+    with judging.closed(live.samples.take) as told:
         live.clear_samples()
     assert isinstance(told[0], HandeyeError) and not live.copied().outcomes
 
 
-def verifying(tmp_path: Path) -> tuple[LiveVerify, Gate]:
+def verifying(tmp_path: Path) -> tuple[LiveSession, Gate]:
     """Return what has seen all that a verification needs, and what will tell its verdict."""
     second = Gate()
     live = running(tmp_path, second, sampling__mode='manual', verify__routine='sphere',
                    verify__radius=0.04)
     stand(live, *PARTS[0])
     live.compute()
-    live.verify_start()
+    live.verification.begin()
     stand(live, *PARTS[1])
     return live, second
 
 
 def test_nobody_waits_for_a_verdict(tmp_path: Path) -> None:
     live, second = verifying(tmp_path)
-    with second.closed(live.verify_result) as told:
-        assert live.working == 'the calibration is verified'
+    with second.closed(live.verification.result) as told:
+        assert live.progress.text == 'the calibration is verified'
         # the verification goes on until it has an answer, and stops count for it
-        assert live.take_sample().startswith('sphere: ')
-        assert live.remove_last_sample().startswith('removed sample ')
+        assert live.samples.take().startswith('sphere: ')
+        assert live.samples.remove_last().startswith('removed sample ')
         live.configure(changed(live.config, 'limits.translation', 0.004))
         assert str(live.place.folder(live.config)) in live.save()
     assert told[0].startswith('sphere: PASS, ')
-    assert live.take_sample().startswith('sample ')
+    assert live.samples.take().startswith('sample ')
 
 
 def test_a_verification_that_was_ended_meanwhile_is_told_and_stays_ended(tmp_path: Path) -> None:
     live, second = verifying(tmp_path)
-    with second.closed(live.verify_result) as told:
+    with second.closed(live.verification.result) as told:
         live.configure(changed(live.config, 'verify.routine', ''))
         live.configure(changed(live.config, 'verify.routine', 'sphere'))
-        live.verify_start()
+        live.verification.begin()
     assert told[0].startswith('sphere: PASS, ')
     assert any('a verification (sphere) goes on' in note for note in live.warnings), 'the next one'
 
@@ -175,9 +174,9 @@ def test_that_the_robot_moves_is_told_while_stops_wait_to_be_judged(tmp_path: Pa
     live = running(tmp_path, judging=judging)
     feed(live, *PARTS[0])
     feed(live, [], PARTS[1][1][:1])
-    with judging.closed(live.judge_all):
+    with judging.closed(live.samples.judge_all):
         with pytest.raises(MovingError):
-            live.take_sample()
+            live.samples.take()
         live.configure(changed(live.config, 'limits.translation', 0.004))
     assert state_of(live).taken >= 7
 
@@ -185,17 +184,18 @@ def test_that_the_robot_moves_is_told_while_stops_wait_to_be_judged(tmp_path: Pa
 def test_stops_give_the_same_in_another_process_and_where_that_has_ended(tmp_path: Path) -> None:
     live = running(tmp_path)
     feed(live, *PARTS[0])
-    waiting = list(live._stops)[:2]  # in memory
-    live.judge_all()
+    waiting = list(live.streams.waiting)[:2]  # in memory
+    live.samples.judge_all()
     outcomes = live.copied().outcomes[:2]  # on the disk
     assert len(waiting) == len(outcomes) == 2
     other = with_values(live.config, {'noise.sensor': 4e-5}, 'test')
-    second = Second()
+    second = WorkerProcess()
     try:
         told = [described(Judge(second), waiting, outcomes, other)]
     finally:
         second.stop()
-    told += [described(Judge(runner), waiting, outcomes, other) for runner in (second, Here())]
+    told += [described(Judge(runner), waiting, outcomes, other)
+             for runner in (second, InProcess())]
     assert told[0] == told[1] == told[2]
     assert told[0][-1] == [repr(judged(outcome, other).sample) for outcome in outcomes]
 

@@ -19,8 +19,8 @@ from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.ros.bags.bag import read
 from handeye_ros.ros.bags.bag_write import write
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.node.place import Place
-from handeye_ros.ros.node.telling import state_of
+from handeye_ros.ros.node.status import state_of
+from handeye_ros.ros.node.store import Place
 from handeye_ros.ros.sessions.bag_files import BagFile, files_of, write_metadata
 from handeye_ros.ros.sessions.reading import is_session, last_session, read_session
 from handeye_ros.ros.sessions.resume import resumed
@@ -46,8 +46,8 @@ def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
             live.add_poses([item])
         else:
             live.add_profile(item)
-        if live._stops:
-            live.settle()
+        if live.streams.waiting:
+            live.update()
         if len(live.copied().outcomes) >= stops:
             break
     return live
@@ -56,13 +56,13 @@ def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
 def changed(live: LiveSession, **values: object) -> None:
     dotted = {key.replace('__', '.'): value for key, value in values.items()}
     live.configure(with_values(live.config, dotted, 'test'))
-    live.settle()
+    live.update()
 
 
 def again(live: LiveSession, **values: object) -> LiveSession:
     """Return another node that goes on with the session of one that has ended."""
-    path = live.path
-    live._store.close()
+    path = live.samples.store.path
+    live.samples.store.close()
     given = {'session': path} | {key.replace('__', '.'): v for key, v in values.items()}
     config, found = resumed(given, Place())
     assert found
@@ -74,7 +74,7 @@ def again(live: LiveSession, **values: object) -> LiveSession:
 
 def test_every_stop_is_a_file_that_stock_readers_read(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=3)
-    folder = Path(live.path)
+    folder = Path(live.samples.store.path)
     assert folder.parent == tmp_path / 'sphere'
     files = files_of(folder)
     assert [file.name for file in files] == [f'{folder.name}_{i}.mcap' for i in range(3)]
@@ -111,11 +111,11 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give the folder of a session of all stops, with one removed and one left out."""
     live = feed(stored(tmp_path_factory.mktemp('session')))
     live.compute()
-    live.remove_last_sample()
+    live.samples.remove_last()
     changed(live, samples__exclude=[3])
-    np.save(Path(live.path).parent / 'answer.npy', live.compute()[0].T_flange_sensor)
-    live._store.close()
-    return Path(live.path)
+    np.save(Path(live.samples.store.path).parent / 'answer.npy', live.compute()[0].T_flange_sensor)
+    live.samples.store.close()
+    return Path(live.samples.store.path)
 
 
 @pytest.mark.thorough
@@ -146,7 +146,7 @@ def test_the_command_line_shows_the_samples(whole: Path, tmp_path: Path) -> None
 
 def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=5)
-    live.remove_last_sample()
+    live.samples.remove_last()
     other = again(live)
     assert [s.number for s in state_of(other).samples] == [1, 2, 3, 4]
     later = replace(SPHERE, poses=SPHERE.poses, profiles=SPHERE.profiles)
@@ -173,15 +173,15 @@ def test_other_settings_read_the_stored_profiles(tmp_path: Path) -> None:
 def test_only_one_node_goes_on_with_a_session(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=1)
     with pytest.raises(InputError, match='in use by another node'):
-        SessionStore(Place().folder, read_session(Path(live.path)))
+        SessionStore(Place().folder, read_session(Path(live.samples.store.path)))
 
 
 def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=2)
-    before = Path(live.path)
+    before = Path(live.samples.store.path)
     assert f'they are kept in {before}' in live.clear_samples()
     assert len(read_session(before).stops) == 2
-    assert last_session(tmp_path / 'sphere') == Path(live.path) != before
+    assert last_session(tmp_path / 'sphere') == Path(live.samples.store.path) != before
     assert again(live).copied().outcomes == ()
 
 
@@ -189,9 +189,9 @@ def test_last_is_the_newest_of_the_name_or_of_all(tmp_path: Path) -> None:
     given = {'output_dir': str(tmp_path), 'session': 'last'}
     assert resumed(given, Place())[1] is None
     live = feed(stored(tmp_path), stops=1)
-    live._store.close()
+    live.samples.store.close()
     config, found = resumed(given, Place())
-    assert found and found.path == Path(live.path)
+    assert found and found.path == Path(live.samples.store.path)
     assert (config.target.type, config.target.radius) == ('sphere', SPHERE.config.target.radius)
     assert resumed(given | {'name': 'other'}, Place())[1] is None
 
@@ -210,12 +210,12 @@ def test_a_full_disk_is_a_refusal_and_goes_on_where_there_is_room_again(tmp_path
         assert 'File too large' in state.samples[2].text
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert len(read_session(Path(live.path)).stops) == 2
-    assert not list(Path(live.path).glob('.*.tmp'))
+    assert len(read_session(Path(live.samples.store.path)).stops) == 2
+    assert not list(Path(live.samples.store.path).glob('.*.tmp'))
     feed(live, stops=4)
     state = state_of(live)
     assert (state.taken, state.session.trouble) == (3, '')
-    assert sorted(read_session(Path(live.path)).stops) == [1, 2, 4]
+    assert sorted(read_session(Path(live.samples.store.path)).stops) == [1, 2, 4]
 
 
 def test_a_folder_that_cannot_be_made_is_a_refusal(tmp_path: Path) -> None:
@@ -227,13 +227,13 @@ def test_a_folder_that_cannot_be_made_is_a_refusal(tmp_path: Path) -> None:
 
 def test_a_folder_that_vanishes_is_a_refusal_and_may_come_back(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=2)
-    folder = Path(live.path)
+    folder = Path(live.samples.store.path)
     folder.rename(tmp_path / 'away')
     feed(live, stops=3)
     assert 'its folder is gone' in state_of(live).session.trouble
     assert not folder.exists()
     with pytest.raises(InputError, match='its folder is gone'):
-        live.remove_last_sample()
+        live.samples.remove_last()
     (tmp_path / 'away').rename(folder)
     feed(live, stops=4)
     assert sorted(read_session(folder).stops) == [1, 2, 4]
@@ -245,18 +245,18 @@ def test_by_hand_nothing_is_taken_that_is_not_stored(tmp_path: Path) -> None:
     (tmp_path / 'sphere').write_text('in the way')
     feed(live)
     with pytest.raises(InputError, match='cannot write'):
-        live.take_sample()
+        live.samples.take()
     assert state_of(live).taken == 0 and not state_of(live).attempt.accepted
     (tmp_path / 'sphere').unlink()
-    assert live.take_sample().startswith('sample 1 taken: ')
-    assert list(read_session(Path(live.path)).stops) == [1]
-    assert live.take_sample().startswith('sample 1 taken again')
-    assert list(read_session(Path(live.path)).stops) == [1]
+    assert live.samples.take().startswith('sample 1 taken: ')
+    assert list(read_session(Path(live.samples.store.path)).stops) == [1]
+    assert live.samples.take().startswith('sample 1 taken again')
+    assert list(read_session(Path(live.samples.store.path)).stops) == [1]
 
 
 def test_a_session_without_its_last_metadata_is_whole(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=2)
-    folder = Path(live.path)
+    folder = Path(live.samples.store.path)
     metadata = (folder / 'metadata.yaml').read_bytes()
     feed(live, stops=3)
     (folder / 'metadata.yaml').write_bytes(metadata)
@@ -289,11 +289,11 @@ def test_what_is_no_session_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='is no session'):
         resumed({'session': str(tmp_path)}, Place())
     live = feed(stored(tmp_path), stops=1)
-    file = files_of(Path(live.path))[0]
+    file = files_of(Path(live.samples.store.path))[0]
     shutil.copy(file, file.with_name(file.name.replace('_0', '_1')))
     file.write_bytes(file.read_bytes()[:1000])
     with pytest.raises(InputError, match='damaged|cut off|no session'):
-        read_session(Path(live.path))
+        read_session(Path(live.samples.store.path))
 
 
 @pytest.mark.thorough
@@ -309,7 +309,7 @@ def test_nothing_acknowledged_is_lost_by_kills() -> None:
 
 def test_no_answer_from_a_session_without_samples(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=1)
-    live.remove_last_sample()
+    live.samples.remove_last()
     with pytest.raises(DataError):
         live.compute()
-    assert_refused(handeye('solve', live.path, cwd=tmp_path), 3, '0 usable samples')
+    assert_refused(handeye('solve', live.samples.store.path, cwd=tmp_path), 3, '0 usable samples')

@@ -1,4 +1,4 @@
-"""The second process: what it is asked, what it answers, and that it ends when it should."""
+"""The worker process: what it is asked, what it answers, and that it ends when it should."""
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -14,73 +14,74 @@ import time
 from command import PATIENCE
 from handeye_ros.config import Config
 from handeye_ros.diagnosis.review import NoReviewError, review
-from handeye_ros.ros.errors import SecondEndedError
-from handeye_ros.ros.node.second import COMMAND, Here, Second
+from handeye_ros.ros.errors import WorkerEndedError
+from handeye_ros.ros.node.worker import COMMAND, InProcess, WorkerProcess
 from handeye_ros.sampling.errors import SilentPosesError
 import pytest
 
 
 @pytest.fixture
-def second() -> Iterator[Second]:
-    found = Second()
+def worker() -> Iterator[WorkerProcess]:
+    found = WorkerProcess()
     yield found
     found.stop()
 
 
-def test_it_answers_and_refuses_as_here(second: Second) -> None:
-    assert second.run(divmod, 7, 2) == Here().run(divmod, 7, 2) == (3, 1)
-    assert second.run(os.getpid) != os.getpid()
+def test_it_answers_and_refuses_as_here(worker: WorkerProcess) -> None:
+    assert worker.run(divmod, 7, 2) == InProcess().run(divmod, 7, 2) == (3, 1)
+    assert worker.run(os.getpid) != os.getpid()
     told = []
-    for runner in (second, Here()):
+    for runner in (worker, InProcess()):
         with pytest.raises(NoReviewError) as caught:
             runner.run(review, [], [], Config())
         told.append(str(caught.value))
     assert told[0] == told[1]
-    assert str(second.run(SilentPosesError, 0.3)) == str(SilentPosesError(0.3))
+    assert str(worker.run(SilentPosesError, 0.3)) == str(SilentPosesError(0.3))
     with pytest.raises(ZeroDivisionError) as error:
-        second.run(divmod, 1, 0)
+        worker.run(divmod, 1, 0)
     assert 'function(*args)' in error.value.__notes__[0], 'the traceback over there is told'
 
 
 def test_its_priority_counts_beside_this_process_and_ctrl_c_is_not_for_it() -> None:
-    second = Second(5)
+    worker = WorkerProcess(5)
     try:
-        assert second.run(os.nice, 0) == os.nice(0) + 5
-        assert second.run(os.getsid, 0) == os.getsid(0), 'Linux compares within a session'
-        assert second.run(os.getpgid, 0) != os.getpgid(0)
+        assert worker.run(os.nice, 0) == os.nice(0) + 5
+        assert worker.run(os.getsid, 0) == os.getsid(0), 'Linux compares within a session'
+        assert worker.run(os.getpgid, 0) != os.getpgid(0)
     finally:
-        second.stop()
+        worker.stop()
 
 
-def test_what_it_prints_is_no_answer(second: Second, capfd: pytest.CaptureFixture[str]) -> None:
-    assert second.run(print, 'hello') is None
-    second.stop()
+def test_what_it_prints_is_no_answer(
+        worker: WorkerProcess, capfd: pytest.CaptureFixture[str]) -> None:
+    assert worker.run(print, 'hello') is None
+    worker.stop()
     assert capfd.readouterr() == ('', 'hello\n')
 
 
-def test_one_that_was_killed_is_told_and_started_again(second: Second) -> None:
-    pid = second.run(os.getpid)
-    with pytest.raises(SecondEndedError, match='ended by signal 9 before it had an answer'):
-        second.run(os.kill, pid, signal.SIGKILL)
-    assert second.run(os.getpid) != pid
+def test_one_that_was_killed_is_told_and_started_again(worker: WorkerProcess) -> None:
+    pid = worker.run(os.getpid)
+    with pytest.raises(WorkerEndedError, match='ended by signal 9 before it had an answer'):
+        worker.run(os.kill, pid, signal.SIGKILL)
+    assert worker.run(os.getpid) != pid
 
 
-def test_what_cannot_be_sent_spoils_nothing_that_comes_next(second: Second) -> None:
+def test_what_cannot_be_sent_spoils_nothing_that_comes_next(worker: WorkerProcess) -> None:
     with pytest.raises(TypeError):
-        second.run(len, (bytes(200_000), threading.Lock()))
+        worker.run(len, (bytes(200_000), threading.Lock()))
     word = 'told twice, sent once'
-    assert second.run(os.path.join, word, word) == os.path.join(word, word)
+    assert worker.run(os.path.join, word, word) == os.path.join(word, word)
 
 
-def test_what_is_urgent_is_the_next(second: Second, tmp_path: Path) -> None:
+def test_what_is_urgent_is_the_next(worker: WorkerProcess, tmp_path: Path) -> None:
     gate, order = tmp_path / 'gate', []
     os.mkfifo(gate)
-    first = threading.Thread(target=second.run, args=(gate.read_text,))
+    first = threading.Thread(target=worker.run, args=(gate.read_text,))
     first.start()
-    until(lambda: second._busy)
+    until(lambda: worker._busy)
 
     def ask(urgent: bool) -> None:
-        second.run(divmod, 1, 1, urgent=urgent)
+        worker.run(divmod, 1, 1, urgent=urgent)
         order.append(urgent)
 
     later = [threading.Thread(target=ask, args=(False,)) for _ in range(3)]
@@ -88,39 +89,39 @@ def test_what_is_urgent_is_the_next(second: Second, tmp_path: Path) -> None:
         thread.start()
     later.append(threading.Thread(target=ask, args=(True,)))
     later[-1].start()
-    until(lambda: second._urgent)
+    until(lambda: worker._urgent)
     gate.write_text('go on')
     for thread in (first, *later):
         thread.join(PATIENCE)
     assert order == [True, False, False, False]
 
 
-def test_to_stop_it_ends_whatever_is_done(second: Second, tmp_path: Path) -> None:
+def test_to_stop_it_ends_whatever_is_done(worker: WorkerProcess, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / 'gate')
     told: list[str] = []
 
     def ask() -> None:
-        with pytest.raises(SecondEndedError) as error:
-            second.run((tmp_path / 'gate').read_text)
+        with pytest.raises(WorkerEndedError) as error:
+            worker.run((tmp_path / 'gate').read_text)
         told.append(str(error.value))
 
     thread = threading.Thread(target=ask)
     thread.start()
-    until(lambda: second._process)
-    second.stop()
+    until(lambda: worker._process)
+    worker.stop()
     thread.join(PATIENCE)
     assert told
-    with pytest.raises(SecondEndedError):
-        second.run(divmod, 1, 1)
+    with pytest.raises(WorkerEndedError):
+        worker.run(divmod, 1, 1)
 
 
 KILLED = """
 import os, signal, threading, time
-from handeye_ros.ros.node.second import Second
-second = Second()
-print(second.run(os.getpid), flush=True)
-threading.Thread(target=second.run, args=(time.sleep, 1000), daemon=True).start()
-while not second._busy:
+from handeye_ros.ros.node.worker import WorkerProcess
+worker = WorkerProcess()
+print(worker.run(os.getpid), flush=True)
+threading.Thread(target=worker.run, args=(time.sleep, 1000), daemon=True).start()
+while not worker._busy:
     pass
 os.kill(os.getpid(), signal.SIGKILL)
 """
