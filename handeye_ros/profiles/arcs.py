@@ -8,25 +8,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 import math
+from typing import NamedTuple
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array
-from handeye_ros.profiles.arc_search import (
-    ALIKE,
-    ArcSearch,
-    LARGEST_SHARE,
-    refined,
-    SMALLEST_RADIUS,
-    SMALLEST_SHARE,
-    TOLERANCE_SIGMAS,
-)
 from handeye_ros.profiles.bins import bin_means, SURELY_MORE, variance_of_bins
-from handeye_ros.profiles.circles import fit_circle
+from handeye_ros.profiles.circles import (
+    arc_points,
+    candidates,
+    FEWEST_FITTED,
+    fit_circle,
+    REFIT_WIDTHS,
+)
 from handeye_ros.profiles.errors import FeatureError
-from handeye_ros.profiles.segment import noise_level
+from handeye_ros.profiles.segment import MOST_NOISE, noise_level, returned, without_clutter
 import numpy as np
 from numpy.typing import NDArray
 
+SMALLEST_RADIUS, LARGEST_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown radius (m)
+SMALLEST_SHARE = 0.29  # of an arc's radius in that of the sphere: less is seen too steeply
+LARGEST_SHARE = 1.05  # the same, for short and noisy arcs
+TOLERANCE_SIGMAS = 6.0
+SIGMA_OF_MEDIAN = 1.4826  # 1 sigma of a normal distribution over its median absolute deviation
+NOISIER, RESCALED = 2.0, 4  # times more noise than believed are looked into; so often at most
 NORMAL_POINTS = 12
 BLOCKS = 4  # of each share of an arc, whose scatter tells that of its normal point
 MOST_SCATTER = 2.5  # RMS distance of an arc's points from their circle, in sigmas
@@ -37,7 +41,6 @@ LEAST_SAGITTA = 2.5  # tolerances that an arc must bulge, or a corner is as well
 SMALLEST_ANGLE = 0.5  # of an arc that fixes its circle (rad)
 ROUNDER = 2.0  # times the squares of the circle are those of two lines, at least
 LINE_POINTS = 4  # fewest of each of the two
-AT_ONCE = 32  # profiles
 MOST_AWAY = 3.0  # sigmas of a point, that normal points of the same arc are apart
 JUDGED_POINTS = 128  # of the arc, that are looked at for that
 TINY = 1e-30  # (m^2)
@@ -50,67 +53,98 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
     points: (n, 2) in the sensor plane, NaN where there was no return.
     Raises FeatureError when there is none.
     """
-    (found,) = arcs_of_each([points], config)
-    if isinstance(found, FeatureError):
-        raise found
-    return found
+    return (_searched(points, config)[0],)
 
 
 def arcs_of_each(profiles: Sequence[Array], config: Config) -> list[tuple[Arc] | FeatureError]:
     """
-    Return what arc_features does of profiles, many at once, or the error that it raises.
+    Return what arc_features does of each profile of a stop, or the error that it raises.
 
-    At a stop all show nearly the same arc, so where one does the others are looked at first.
+    All show nearly the same arc, so the first one found is looked for in the others first.
     """
-    if len(profiles) > AT_ONCE:
-        return [found for first in range(0, len(profiles), AT_ONCE)
-                for found in arcs_of_each(profiles[first:first + AT_ONCE], config)]
-    found: dict[int, tuple[Arc] | FeatureError] = {}
-    going: dict[int, ArcSearch] = {}
-    for i, points in enumerate(profiles):
+    found: list[tuple[Arc] | FeatureError] = []
+    first: _Seen | None = None
+    for points in profiles:
         try:
-            going[i] = ArcSearch.of(points, config)
+            seen = first and _alike(points, first, config)
+            seen = seen or _searched(points, config)
+            found.append((seen.arc,))
+            first = first or seen
         except FeatureError as error:
-            found[i] = error
-    for i in [*going][:1]:
-        found |= _searched({i: going.pop(i)}, config)
-        if isinstance(arc := found[i], tuple):
-            found |= _alike(arc[0], going, config)
-    found |= _searched({i: search for i, search in going.items() if i not in found}, config)
-    return [found[i] for i in range(len(profiles))]
-
-
-def _alike(arc: Arc, searches: dict[int, ArcSearch], config: Config) -> dict[int, tuple[Arc]]:
-    """Return the arcs of those profiles that show the same as another does."""
-    circle, found = np.append(arc.centre, arc.radius), {}
-    inliers = refined(list(searches.values()), [circle] * len(searches), ALIKE)
-    for (i, search), used in zip(searches.items(), inliers, strict=True):
-        with suppress(FeatureError):
-            one = _arc(search.points, used, search.noise, config)
-            away = np.linalg.norm(one.points - arc.centre, axis=1) - arc.radius
-            # of one that has moved only a part would be near enough
-            if np.abs(away).max() < MOST_AWAY * search.noise:
-                found[i] = (one,)
+            found.append(error)
     return found
 
 
-def _searched(going: dict[int, ArcSearch], config: Config
-              ) -> dict[int, tuple[Arc] | FeatureError]:
-    """Return the arcs of profiles, searched from nothing, or why there are none."""
-    found: dict[int, tuple[Arc] | FeatureError] = {}
-    while going:
-        circles = {i: next(search.circles, None) for i, search in going.items()}
-        found |= {i: FeatureError(search.reason or 'no arc of the sphere in the profile')
-                  for i, search in going.items() if circles[i] is None}
-        going = {i: search for i, search in going.items() if i not in found}
-        tried = refined(list(going.values()), [c for c in circles.values() if c is not None])
-        for (i, search), inliers in zip(going.items(), tried, strict=True):
-            try:
-                found[i] = (_arc(search.points, inliers, search.noise, config),)
-            except FeatureError as error:
-                search.reason = search.reason or str(error)
-        going = {i: search for i, search in going.items() if i not in found}
-    return found
+class _Seen(NamedTuple):
+    """An arc and the noise of its points, 1 sigma."""
+
+    arc: Arc
+    noise: float
+
+
+def _returns(points: Array, config: Config) -> tuple[Array, float]:
+    """Return what came back of a profile but clutter (k, 2), and its noise, 1 sigma."""
+    valid = points.take(without_clutter(returned(points), points, config.noise.sensor), axis=0)
+    if len(valid) < config.sampling.min_points:
+        raise FeatureError(f'fewer than {config.sampling.min_points} returns in the profile')
+    # speckle that is alike over some columns does not show in the noise level
+    noise = noise_level(valid[:, 1], config.noise.sensor)
+    return valid, max(noise, config.noise.sensor / 2)
+
+
+def _alike(points: Array, known: _Seen, config: Config) -> _Seen | None:
+    """Return the arc of a profile if it shows the same as another does, else None."""
+    valid, noise = _returns(points, config)
+    noise, arc = max(noise, known.noise), known.arc
+    used = arc_points(valid, np.append(arc.centre, arc.radius), TOLERANCE_SIGMAS * noise,
+                      REFIT_WIDTHS)
+    with suppress(FeatureError):
+        one = _arc(valid, used, noise, config)
+        away = np.linalg.norm(one.points - arc.centre, axis=1) - arc.radius
+        # of one that has moved only a part would be near enough
+        if np.abs(away).max() < MOST_AWAY * noise:
+            return _Seen(one, noise)
+    return None
+
+
+def _searched(points: Array, config: Config) -> _Seen:
+    """Return the arc of a profile; raises FeatureError with the reason of the best circle."""
+    valid, noise = _returns(points, config)
+    radius, reason = config.target.radius, ''
+    limits = (SMALLEST_RADIUS, LARGEST_RADIUS)
+    if radius > 0:
+        limits = SMALLEST_SHARE * radius, (LARGEST_SHARE + 0.1) * radius
+    for circle in candidates(valid, *limits, TOLERANCE_SIGMAS * noise):
+        used = arc_points(valid, circle, TOLERANCE_SIGMAS * noise)
+        try:
+            return _rescaled(valid, used, noise, config)
+        except FeatureError as error:
+            reason = reason or str(error)
+    raise FeatureError(reason or 'no arc of the sphere in the profile')
+
+
+def _rescaled(points: Array, used: NDArray[np.bool_], noise: float, config: Config) -> _Seen:
+    """
+    Return the arc of some points, with the noise that all points between its ends show.
+
+    Noise that is alike over some columns, and more than configured, is not seen by noise_level:
+    it would cut an arc to the part of it that happens to lie near the circle.
+    """
+    most = MOST_NOISE * config.noise.sensor
+    for _ in range(RESCALED):
+        rows = used.nonzero()[0]
+        if len(rows) < FEWEST_FITTED:
+            break
+        circle = fit_circle(points.take(rows, axis=0), steps=1)
+        x, z = (points[rows[0]:rows[-1] + 1] - circle[:2]).T
+        off = np.abs(np.sqrt(x * x + z * z) - circle[2])
+        middle = len(off) // 2
+        scale = SIGMA_OF_MEDIAN * float(np.partition(off, middle)[middle])
+        if not NOISIER * noise < scale < most:
+            break
+        noise = scale
+        used = arc_points(points, circle, TOLERANCE_SIGMAS * noise, REFIT_WIDTHS)
+    return _Seen(_arc(points, used, noise, config), noise)
 
 
 def _arc(points: Array, inliers: NDArray[np.bool_], noise: float, config: Config) -> Arc:

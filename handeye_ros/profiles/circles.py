@@ -1,7 +1,7 @@
 """Circles through points: fitted, and searched for among points of anything else."""
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 import math
 
@@ -21,7 +21,13 @@ FEWEST_VOTES = 5
 LEAST_SAGITTA = 4.0  # of the points on a circle, in tolerances: less is as well a line
 TINY = 1e-12
 SMALLEST = float(np.finfo(float).tiny)
-CONVERGED = 1e-10  # a step of a fit, as a share of the radius
+CONVERGED = 1e-6  # a step of a fit, as a share of the radius, after which none is needed
+STEEP = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its rim
+RIM_WIDTH = 0.24  # of the arc before its rim (rad) that is not used
+RIM_COSINE = 0.5  # points at a larger angle of incidence, the rim of the arc, are bad
+FEWEST_FITTED = 5  # points on a circle, with which it is fitted again
+WIDTHS = (3.0, 2.0, 1.0, 1.0)  # tolerances of a circle that was guessed
+REFIT_WIDTHS = (2.0, 1.0)  # the same of one that was fitted, if only to another profile
 
 
 def fit_circle(points: Array, steps: int = 4) -> Array:
@@ -30,12 +36,7 @@ def fit_circle(points: Array, steps: int = 4) -> Array:
 
     steps: of Gauss-Newton from the algebraic fit (Kasa 1976), which is biased for short arcs.
     """
-    return fit_to_columns(points[:, 0], points[:, 1], steps)
-
-
-def fit_to_columns(x: Array, z: Array, steps: int) -> Array:
-    """Return what fit_circle does, of points with these coordinates (n,)."""
-    n = len(x)
+    n, (x, z) = len(points), points.T
     mean_x, mean_z = float(np.add.reduce(x)) / n, float(np.add.reduce(z)) / n
     x, z = x - mean_x, z - mean_z
     q = x * x + z * z
@@ -55,41 +56,6 @@ def fit_to_columns(x: Array, z: Array, steps: int) -> Array:
         if max(abs(by_x), abs(by_z), abs(by_r)) < CONVERGED * r:
             break
     return np.array([x_c + mean_x, z_c + mean_z, r])
-
-
-def fit_each(x: Array, z: Array, used: NDArray[np.bool_]) -> Array:
-    """
-    Return (k, 3) what fit_to_columns does in one step, of k profiles at once.
-
-    x, z: (k, n) of their points; used: (k, n) those that count.
-    """
-    weight = used.astype(float)
-    n = np.maximum(weight.sum(axis=1), 1.0)
-    mean_x, mean_z = (np.einsum('kn,kn->k', w, weight) / n for w in (x, z))
-    rows = np.empty((len(x), 3, x.shape[1]))
-    np.multiply(x - mean_x[:, None], weight, out=rows[:, 0])
-    np.multiply(z - mean_z[:, None], weight, out=rows[:, 1])
-    x, z = rows[:, 0].copy(), rows[:, 1].copy()
-    np.add(x * x, z * z, out=rows[:, 2])
-    sums = rows @ np.swapaxes(rows, 1, 2)
-    x_c, z_c = _each_solved(2 * sums[:, :2, :2], sums[:, :2, 2]).T
-    r = np.sqrt(rows[:, 2].sum(axis=1) / n + x_c * x_c + z_c * z_c)
-    dx, dz = x - x_c[:, None], z - z_c[:, None]
-    distance = np.sqrt(dx * dx + dz * dz)
-    share = weight / np.maximum(distance, TINY)  # equal points have their centre in them
-    np.multiply(dx, share, out=rows[:, 0])
-    np.multiply(dz, share, out=rows[:, 1])
-    rows[:, 2] = weight
-    step = _each_solved(rows @ np.swapaxes(rows, 1, 2),
-                        (rows @ (distance - r[:, None])[..., None])[..., 0])
-    return np.column_stack([x_c + mean_x, z_c + mean_z, r]) + step
-
-
-def _each_solved(A: Array, b: Array) -> Array:
-    """Return what _solved does (k, u), of k normal equations A (k, u, u) and b (k, u)."""
-    more = TINY * np.einsum('kii->k', A) + SMALLEST
-    return np.asarray(np.linalg.solve(A + more[:, None, None] * np.eye(A.shape[1]),
-                                      b[..., None])[..., 0])
 
 
 def _solved(A: Array, b: Array) -> list[float]:
@@ -186,3 +152,52 @@ def _through(a: Array, b: Array, c: Array) -> Array:
         circles[:, 0], circles[:, 1] = a[:, 0] + x, a[:, 1] + z
         circles[:, 2] = np.sqrt(x * x + z * z)
     return circles
+
+
+def arc_points(points: Array, circle: Array, tolerance: float,
+               widths: Sequence[float] = WIDTHS) -> NDArray[np.bool_]:
+    """
+    Return which of points (n, 2) lie on a circle, fitted again to them, without rims.
+
+    widths: tolerances, within which points are taken for the next circle.
+    """
+    used = on = np.zeros(len(points), dtype=bool)
+    x, z = points.T.copy()
+    for width in widths:
+        rows = used.nonzero()[0]
+        if len(rows) >= FEWEST_FITTED:
+            circle = fit_circle(points.take(rows, axis=0), steps=1)
+        along, away = x - circle[0], z - circle[1]
+        distance = np.sqrt(along * along + away * away)
+        on = np.abs(distance - circle[2]) < width * tolerance
+        # the light falls on one side of a ball only
+        towards = away if away @ on > 0 else -away
+        on &= towards > 0
+        used = on & (towards > RIM_COSINE * distance)
+        if np.count_nonzero(used) < FEWEST_FITTED:
+            break
+    return used & ~_rim(points, on, circle)
+
+
+def _rim(points: Array, on: NDArray[np.bool_], circle: Array) -> NDArray[np.bool_]:
+    """
+    Return which points are near an end of the arc where the surface turns away.
+
+    The light comes back badly before it stops to come back at all; how steep that is depends on
+    the part of the tilt that a profile does not show, so it is told by where the arc ends.
+    """
+    if not on.any():
+        return on
+    along, away = points[:, 0] - circle[0], points[:, 1] - circle[1]
+    turn = np.arctan2(along, away if away @ on > 0 else -away)
+    first, last = _quantiles(turn[on], (0.005, 0.995))
+    left = (turn < first + RIM_WIDTH) & (first < -STEEP)
+    return np.asarray(left | ((turn > last - RIM_WIDTH) & (last > STEEP)))
+
+
+def _quantiles(values: Array, shares: tuple[float, ...]) -> list[float]:
+    """Return what np.quantile does of finite values, with less ado."""
+    ordered = np.sort(values)
+    places = [share * (len(ordered) - 1) for share in shares]
+    return [float(ordered[int(p)] + (ordered[min(int(p) + 1, len(ordered) - 1)]
+                                     - ordered[int(p)]) * (p - int(p))) for p in places]

@@ -7,11 +7,10 @@ import math
 from typing import Any
 
 from handeye_ros.data import Array
-from handeye_ros.profiles.segment import Segment
+from handeye_ros.profiles.segment import Segment, STEEPEST
 import numpy as np
 from numpy.typing import NDArray
 
-STEEPEST = 4.0  # slope of a surface from which light still comes back
 MOST_LOST = 4  # rows from one point of the plate to the next
 SLACK_SIGMAS = 6.0  # of the range between two neighbours on a surface
 CONTINUATION_ROWS = 80  # behind a face that may still be the bent end of its plate, or its wall

@@ -22,6 +22,9 @@ FOREIGN_POINTS = 5  # this many points of something else between two of a line p
 STRAY_GAP = 2  # an end point this far from its neighbour is on the line by chance
 INLIER_SIGMAS = 4.0
 MOST_NOISE = 30.0  # times the configured noise: more is no surface
+STEEPEST = 4.0  # slope of a surface from which light still comes back
+MOST_JUMPS = 0.1  # of all steps from point to point, that do not yet make a profile cluttered
+NEIGHBOURS, FEWEST_NEIGHBOURS = 5, 4  # on either side of a point, and of all near its range
 BEND_POINTS = 5  # at an end, whose mean tells whether it is bent
 BEND_SIGMAS = 3.0
 LARGEST_BEND = 6  # a bent end has at most one part in so many of the points
@@ -67,6 +70,25 @@ def noise_level(z: Array, configured: float) -> float:
     return min(max(level, configured / 3), MOST_NOISE * configured)
 
 
+def without_clutter(rows: NDArray[np.intp], points: Array, noise: float) -> NDArray[np.intp]:
+    """
+    Return those of rows (k,) whose points lie on some surface, where many do not.
+
+    A sensor may return random ranges where nothing reflects. The points of a surface have
+    neighbours about as far away as they are; noise: the configured one, 1 sigma.
+    """
+    z, slack = points[:, 1].take(rows), MOST_NOISE * noise
+    if np.count_nonzero(np.abs(z[1:] - z[:-1]) > slack) <= MOST_JUMPS * len(rows):
+        return rows
+    x = points[:, 0].take(rows)
+    neighbours = np.zeros(len(rows), dtype=np.intp)
+    for k in range(1, NEIGHBOURS + 1):
+        near = np.abs(z[k:] - z[:-k]) < slack + STEEPEST * np.abs(x[k:] - x[:-k])
+        neighbours[k:] += near
+        neighbours[:-k] += near
+    return rows[neighbours >= FEWEST_NEIGHBOURS]
+
+
 def straight_segments(points: Array, noise: float, min_points: int) -> list[Segment]:
     """
     Return the straight pieces of a profile, in the order of its rows.
@@ -79,6 +101,9 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
 def segments_among(rows: NDArray[np.intp], points: Array, noise: float, min_points: int
                    ) -> list[Segment]:
     """Return what straight_segments does, of the rows (k,) that came back."""
+    if len(rows) < min_points:
+        return []
+    rows = without_clutter(rows, points, noise)
     if len(rows) < min_points:
         return []
     x, z = points.take(rows, axis=0).T.copy()

@@ -113,6 +113,43 @@ def test_clutter_around_the_ball_is_left_out() -> None:
         assert np.abs(np.linalg.norm(arc.raw - CENTRE, axis=1) - 0.02).max() < 6 * NOISE
 
 
+def in_clutter(height: Callable[[Array], Array], share: float, noise: float, alike: int,
+               seed: int) -> Array:
+    """Return a profile 120 mm wide; a share of what is not drawn returns random ranges."""
+    rng = np.random.default_rng(seed)
+    x = np.linspace(-0.06, 0.06, 2000)
+    error = np.convolve(rng.normal(size=len(x) + alike - 1), np.ones(alike), 'valid')
+    z = height(x) + noise * error / alike ** 0.5
+    random = np.where(rng.random(len(x)) < share, rng.uniform(0.17, 0.22, len(x)), np.nan)
+    return np.column_stack([x, np.where(np.isnan(z), random, z)])
+
+
+def unbroken(x: Array) -> Array:
+    return np.where(np.abs(x - 0.003) < 0.0095, ball(x, 0.01, centre=CENTRE), np.nan)
+
+
+@pytest.mark.parametrize('share', [0.0, 0.3, 0.9])
+@pytest.mark.parametrize(('noise', 'alike'), [(2e-5, 1), (8.5e-5, 1), (8.5e-5, 5)])
+def test_a_small_ball_is_found_among_random_ranges(share: float, noise: float, alike: int
+                                                   ) -> None:
+    # the configured noise is up to four times too small
+    config = with_values(KNOWN, {'target.radius': 0.0127, 'noise.sensor': 2e-5}, 'test')
+    for seed in range(10):
+        arc, = arc_features(in_clutter(unbroken, share, noise, alike, seed), config)
+        assert np.linalg.norm(arc.centre - CENTRE) < 5e-5 + noise
+        assert len(arc.raw) > 250  # of 317, but for the rims
+
+
+@pytest.mark.parametrize('share', [0.3, 0.9])
+@pytest.mark.parametrize('height', [lambda x: x * np.nan, lambda x: np.where(
+    np.abs(x) < 0.01, face(x), np.nan)], ids=['nothing', 'a face'])
+def test_random_ranges_are_no_arc(height: Callable[[Array], Array], share: float) -> None:
+    config = with_values(KNOWN, {'target.radius': 0.0127, 'noise.sensor': 2e-5}, 'test')
+    for seed in range(20):
+        with pytest.raises(FeatureError):
+            arc_features(in_clutter(height, share, 2e-5, 1, seed), config)
+
+
 def test_the_rim_is_left_out() -> None:
     points = wide(ball)
     steep = np.abs(points[:, 0] - CENTRE[0]) > 0.93 * 0.03

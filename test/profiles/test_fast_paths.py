@@ -1,7 +1,7 @@
 """What is done quickly in profiles/ gives what the plain way of the same gives."""
 from __future__ import annotations
 
-from handeye_ros.profiles import arc_search, bins, circles, faces, line_search
+from handeye_ros.profiles import bins, circles, faces, line_search
 from handeye_ros.profiles.continuation import Returns
 from handeye_ros.profiles.segment import Segment
 from hypothesis import given
@@ -105,7 +105,7 @@ def test_votes_for_circles(seed: int, count: int, n: int, tolerance: float) -> N
 @given(SEEDS, st.integers(1, 400))
 def test_quantiles_and_bins(seed: int, n: int) -> None:
     values = np.random.default_rng(seed).normal(size=n)
-    np.testing.assert_allclose(arc_search._quantiles(values, (0.005, 0.995)),
+    np.testing.assert_allclose(circles._quantiles(values, (0.005, 0.995)),
                                np.quantile(values, [0.005, 0.995]), rtol=0, atol=1e-15)
     parts = min(n, 7)
     got, size = bins.bin_means(values, parts)
