@@ -21,9 +21,9 @@ from handeye_ros import config as configs
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
-from handeye_ros.estimation.mixed import evaluated
-from handeye_ros.estimation.solve import Solution
-from handeye_ros.estimation.weights import Noise
+from handeye_ros.estimation.noise import Noise
+from handeye_ros.estimation.posterior import evaluated
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
 import numpy as np
 from scipy.stats import chi2
@@ -130,7 +130,7 @@ def trial(case: Case, seed: int) -> np.ndarray:
     return np.array([
         delta[:3] @ delta[:3], delta[3:] @ delta[3:], (off ** 2).sum() / len(points),
         np.trace(bound[:3, :3]), np.trace(bound[3:, 3:]), mapped(solution, bound),
-        mapped(solution, doubting), delta @ np.linalg.solve(solution.stated[:6, :6], delta),
+        mapped(solution, doubting), delta @ np.linalg.solve(solution.reported[:6, :6], delta),
         seconds])
 
 

@@ -30,14 +30,14 @@ import math
 import sys
 
 from handeye_ros import config as configs
-from handeye_ros import methods, se3
+from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import EdgePoint, Feature, Profile, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.robust import consensus, settle, SUBSETS, without_outliers
-from handeye_ros.estimation.solve import Solution
-from handeye_ros.estimation.trial import refined
+from handeye_ros.estimation.consensus import consensus, refine, SUBSETS, without_outliers
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.search import refined
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.advice import advise
 from handeye_ros.guidance.limits import limits_of
 from handeye_ros.guidance.moves import Move
@@ -132,7 +132,7 @@ class World:
         profiles = [Profile(k, 'laser', points) for k, points in enumerate(
             sensor.plane_points(self.scenario.sensor, measured))]
         self.seen = extremes(np.concatenate([self.seen, profiles[-1].points]))
-        used, features = station_features.of_station(profiles, methods.of(self.config),
+        used, features = station_features.of_station(profiles, targets.method_for(self.config),
                                                      self.config)
         require_inside(features, used)
         self._look(features, T)
@@ -148,7 +148,8 @@ class World:
         if not edges or not isinstance(target, PlateTarget):
             return
         p = np.array(edges) @ T_target_sensor[:3, [0, 2]].T + T_target_sensor[:3, 3]
-        frames = list(plate.edge_frames(target).values())[:len(methods.of(self.config).edges)]
+        edges = len(targets.method_for(self.config).edges)
+        frames = list(plate.edge_frames(target).values())[:edges]
         away = [np.linalg.norm((p - frame[:3, 3]) @ frame[:3, 1:3], axis=1) for frame in frames]
         if np.min(away) > NEAR_THE_EDGE:
             raise FeatureError('the laser does not cross the edge')
@@ -259,7 +260,7 @@ def session(cell: World, operator: str, stations: int) -> np.ndarray:
             X, (low, high) = solution.estimate.X, (cell.view.low, cell.view.high)
             found[count - 1] = (
                 mapped_point_error(X, cell.T_flange_sensor, (low[0], high[0]), (low[1], high[1])),
-                mapping(X, cell.view).std(solution.stated[:6, :6]))
+                mapping(X, cell.view).std(solution.reported[:6, :6]))
         if count == stations:
             return found
         insist(cell, advised(cell, solution) if operator == 'advice' else lambda: anywhere(cell))
@@ -279,17 +280,17 @@ def solved(cell: World) -> Solution | None:
 
     From the last one, once it is known to KNOWN_WELL; without the search for other answers.
     """
-    method, (samples, _) = methods.of(cell.config), consistent_edges(cell.samples)
+    method, (samples, _) = targets.method_for(cell.config), consistent_edges(cell.samples)
     if len(samples) < method.minimum:
         return None
     problem = Problem(method, mounted(samples, cell.config), method.observe(samples), cell.config)
     try:
         agreed = (without_outliers(refined(problem, cell.last.estimate)) if cell.last else
                   consensus(problem, np.random.default_rng(0), SUBSETS))
-        found = settle(agreed, method.minimum).solution
+        found = refine(agreed, method.minimum).solution
     except (DataError, np.linalg.LinAlgError):
         return None
-    std = mapping(found.estimate.X, cell.view).std(found.stated[:6, :6])
+    std = mapping(found.estimate.X, cell.view).std(found.reported[:6, :6])
     cell.last = found if std < KNOWN_WELL else None
     return found
 

@@ -23,7 +23,7 @@ import tempfile
 import time
 
 from handeye_ros import config as configs
-from handeye_ros import methods, pipeline
+from handeye_ros import pipeline, targets
 from handeye_ros.config import Config
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.ros.bags.bag import read
@@ -55,7 +55,7 @@ def profiles_a_second(target: str, rounds: int = 7) -> tuple[int, float]:
     recording = read(ROOT / 'bags' / target, config)
     some = recording.profiles[::max(1, len(recording.profiles) // 300)]
     profiles = [profile.read(config.profile).points for profile in some]
-    method, times = methods.of(config), []
+    method, times = targets.method_for(config), []
     for _ in range(rounds):
         start = time.process_time()
         for points in profiles:

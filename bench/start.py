@@ -20,15 +20,15 @@ from dataclasses import dataclass, replace
 import math
 import time
 
-from handeye_ros import methods
+from handeye_ros import targets
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation.method import Estimate, UNUSED
-from handeye_ros.estimation.problem import points_in_base, Problem
-from handeye_ros.estimation.robust import consensus, SUBSETS
-from handeye_ros.estimation.solve import evaluate, fitted
-from handeye_ros.estimation.weights import Noise
+from handeye_ros.estimation.consensus import consensus, SUBSETS
+from handeye_ros.estimation.linearise import points_in_base, Problem
+from handeye_ros.estimation.model import Estimate, UNUSED
+from handeye_ros.estimation.noise import Noise
+from handeye_ros.estimation.solution import evaluate, fitted
 from handeye_ros.results.outcome import mounted
 from handeye_ros.se3 import transform
 from handeye_ros.simulate import Scenario, settings, simulate_samples
@@ -125,7 +125,7 @@ def two_ends(sample: Sample, rng: np.random.Generator) -> Sample:
 
 def posed(samples: tuple[Sample, ...], config: Config) -> Problem:
     """Return the problem of samples."""
-    method = methods.of(config)
+    method = targets.method_for(config)
     return Problem(method, mounted(samples, config), method.observe(samples), config)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
-from handeye_ros import methods
+from handeye_ros import targets
 from handeye_ros.checks.conventions import require_conventions, require_range_sign
 from handeye_ros.checks.errors import LeftOutError
 from handeye_ros.checks.explained import require_edges
@@ -27,9 +27,9 @@ from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, Tim
 from handeye_ros.diagnosis.clocks import require_same_clock
 from handeye_ros.diagnosis.snapshots import stop_snapshots
 from handeye_ros.errors import DataError, NamedCauseError
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.robust import Consensus, consensus, settle, SUBSETS
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.consensus import Consensus, consensus, refine, SUBSETS
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance import advice
 from handeye_ros.results.outcome import describe_calibration, mounted
 from handeye_ros.results.report.evidence import Evidence, judged
@@ -145,7 +145,7 @@ def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None)
     """
     solution, trouble = None, ''
     ordered, _ = consistent_edges(samples)
-    if len(ordered) >= methods.of(config).minimum:
+    if len(ordered) >= targets.method_for(config).minimum:
         try:
             solution = estimate(ordered, (), config)[1]
         except DataError as error:
@@ -160,7 +160,7 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
 
     Raises DataError when the samples cannot be solved or contradict each other.
     """
-    method = methods.of(config)
+    method = targets.method_for(config)
     require_range_sign([*ordered, *rejects], config)
     require_samples(ordered, rejects, method)
     poses = mounted(ordered, config)
@@ -171,7 +171,7 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     require_conventions(problem, agreed, flipped(ordered, problem))
     require_consistent(problem, agreed)
     require_only_answer(problem, agreed, rng)
-    agreed = settle(agreed, method.minimum)
+    agreed = refine(agreed, method.minimum)
     require_one_scale(agreed.solution)
     return agreed, agreed.solution
 

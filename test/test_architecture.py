@@ -21,7 +21,7 @@ FLOORS = (
     ('data', 'config', 'errors', 'se3'),
     ('profiles', 'estimation', 'published', 'simulate'),
     ('checks',),
-    ('methods', 'results'),
+    ('targets', 'results'),
     ('sampling', 'files', 'scanning', 'verification', 'guidance'),
     ('diagnosis',),
     ('pipeline',),
@@ -159,8 +159,8 @@ def test_the_checks_see_what_they_forbid() -> None:
     source = 'def f():\n    from rclpy.node import Node\nimport std_srvs.srv\nimport numpy\n'
     assert [n for n in modules_imported(source) if knows_ros(n)] == [
         'std_srvs.srv', 'rclpy.node.Node']
-    assert allowed('ros', 'pipeline') and allowed('methods', 'estimation')
-    assert not allowed('estimation', 'methods') and not allowed('profiles', 'estimation')
+    assert allowed('ros', 'pipeline') and allowed('targets', 'estimation')
+    assert not allowed('estimation', 'targets') and not allowed('profiles', 'estimation')
 
 
 def run_without_ros(code: str) -> subprocess.CompletedProcess[str]:

@@ -13,7 +13,7 @@ import handeye_ros
 from handeye_ros import config as configs
 from handeye_ros.cli.verbs import app
 from handeye_ros.files import FILE_METHODS
-from handeye_ros.methods import METHODS
+from handeye_ros.targets import METHODS
 import pytest
 import typer.main
 import yaml

@@ -25,10 +25,9 @@ from handeye_ros.checks.misfit import (
 )
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
-from handeye_ros.estimation.chances import f_above
-from handeye_ros.estimation.problem import points_in_base, Problem
-from handeye_ros.estimation.quick import quick_consensus
-from handeye_ros.estimation.robust import Consensus
+from handeye_ros.estimation.consensus import Consensus, fast_consensus
+from handeye_ros.estimation.linearise import points_in_base, Problem
+from handeye_ros.estimation.quantiles import f_isf
 from handeye_ros.profiles.range_sign import range_sign_evidence
 import numpy as np
 
@@ -56,11 +55,11 @@ def require_conventions(problem: Problem, agreed: Consensus, flipped: Problem | 
     Raises RangeSignError, CalibrationTypeError, ConventionError or ScatteredOrientationsError.
     """
     misfit = misfit_of(problem, agreed)
-    if (misfit.variance_factor > DOUBTFUL or misfit.hopeless or agreed.unexplained) and flipped:
+    if (misfit.variance_factor > DOUBTFUL or misfit.hopeless or agreed.unused_share) and flipped:
         _require_not_flipped(flipped, agreed, misfit.rms)
     if not misfit.hopeless and misfit.variance_factor < SUSPICIOUS:
         return
-    tried = [(name, quick_consensus(_undone(problem, undo)))
+    tried = [(name, fast_consensus(_undone(problem, undo)))
              for name, change in CONVENTION_ERRORS.items()
              for undo in (change.undo, change.other) if undo]
     good = [(name, better) for name, better in tried
@@ -73,7 +72,7 @@ def require_conventions(problem: Problem, agreed: Consensus, flipped: Problem | 
 
 
 def _require_not_flipped(flipped: Problem, agreed: Consensus, before: float) -> None:
-    other = quick_consensus(flipped)
+    other = fast_consensus(flipped)
     # both read the same points with the same doubts, which make both fit better than their noise
     if not other or not explains(other, agreed, floor=0.0):
         return
@@ -128,7 +127,7 @@ def explains(better: Consensus, agreed: Consensus, floor: float = 1.0) -> bool:
 
     By an F-test: few stations fit many things by chance.
     """
-    if better.unexplained > LARGEST_DROPPED_SHARE or (
+    if better.unused_share > LARGEST_DROPPED_SHARE or (
             better.solution.variance_factor > BELIEVABLE
             or better.explained < 0.8 * agreed.explained):
         return False
@@ -136,7 +135,7 @@ def explains(better: Consensus, agreed: Consensus, floor: float = 1.0) -> bool:
     freedom = (agreed.solution.degrees_of_freedom, better.solution.degrees_of_freedom)
     if min(freedom) < 1:
         return False
-    return gain > f_above(CHANCE, *freedom) or (
+    return gain > f_isf(CHANCE, *freedom) or (
         gain > 0.1 and _more(better, agreed))
 
 

@@ -3,9 +3,9 @@ from __future__ import annotations
 
 from handeye_ros.checks.errors import LostEdgesError, TooFewEdgesError
 from handeye_ros.checks.misfit import LARGEST_DROPPED_SHARE
-from handeye_ros.estimation.problem import points_in_base
-from handeye_ros.estimation.robust import Consensus
-from handeye_ros.estimation.trial import shows_edge
+from handeye_ros.estimation.consensus import Consensus
+from handeye_ros.estimation.linearise import points_in_base
+from handeye_ros.estimation.search import shows_edge
 
 
 def require_edges(agreed: Consensus) -> None:

@@ -8,10 +8,10 @@ from handeye_ros.checks.motion import require_certain
 from handeye_ros.checks.moved import require_unmoved
 from handeye_ros.checks.shape import require_not_only_scale
 from handeye_ros.config import LimitsConfig
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.robust import Consensus
-from handeye_ros.estimation.solve import Solution
-from handeye_ros.estimation.weights import covariances, lumped
+from handeye_ros.estimation.consensus import Consensus
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.noise import covariances, lumped
+from handeye_ros.estimation.solution import Solution
 import numpy as np
 
 SUSPICIOUS = 9.0  # variance factor from which something other than noise is looked for

@@ -18,11 +18,11 @@ from handeye_ros.checks.errors import (
 )
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
-from handeye_ros.estimation.method import Method
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.rivals import rival
-from handeye_ros.estimation.robust import Consensus
-from handeye_ros.estimation.solve import redundancy, Solution
+from handeye_ros.estimation.consensus import Consensus
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.minima import alternative_minimum
+from handeye_ros.estimation.model import Method
+from handeye_ros.estimation.solution import redundancy, Solution
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -101,7 +101,7 @@ def other_axes(direction: Array, frame: str) -> str:
 
 def weakest(solution: Solution, frame: str) -> tuple[str, float]:
     """Return the least certain direction of the transform, in words, and its 1 sigma."""
-    t_std, t_direction = worst_translation(solution.stated)
+    t_std, t_direction = worst_translation(solution.reported)
     return f'position along {name_direction(t_direction, frame)} (m)', t_std
 
 
@@ -125,11 +125,11 @@ def require_certain(agreed: Consensus, config: Config) -> None:
     """
     solution, poses = agreed.solution, agreed.whole.poses
     limits, frame = config.limits, mount_frame(config)
-    turn_std, axis = worst_rotation(solution.stated)
+    turn_std, axis = worst_rotation(solution.reported)
     if turn_std > limits.rotation:
         raise TooUncertainError.rotation(name_direction(axis, frame), turn_std, limits.rotation,
                                          missing_motion(poses, frame))
-    shift_std, direction = worst_translation(solution.stated)
+    shift_std, direction = worst_translation(solution.reported)
     if shift_std > limits.translation:
         raise TooUncertainError.translation(name_direction(direction, frame), shift_std,
                                             limits.translation,
@@ -149,7 +149,7 @@ def require_judged(agreed: Consensus) -> None:
         raise TooFewConditionsError(len(agreed.used), dropped, left, needed)
     each = int(agreed.solution.ranks.max())
     missing = _redundant(dropped + 1) - (left - each)
-    if agreed.suspected > SUSPECTED and missing > 0:
+    if agreed.contaminated > SUSPECTED and missing > 0:
         raise SuspectedError(len(agreed.used), -(-missing // each))
 
 
@@ -160,7 +160,7 @@ def _redundant(dropped: int) -> int:
 
 def require_only_answer(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> None:
     """Raise TwoAnswersError where another answer explains the samples as well."""
-    other = rival(problem, agreed, rng)
+    other = alternative_minimum(problem, agreed, rng)
     if other is None:
         return
     X, Y = agreed.solution.estimate.X, other.estimate.X

@@ -7,10 +7,9 @@ from handeye_ros import se3
 from handeye_ros.checks.errors import MovedError
 from handeye_ros.checks.motion import mount_frame, target_frame
 from handeye_ros.data import Array
-from handeye_ros.estimation.chances import chi2_above, f_above
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.quick import quick_consensus
-from handeye_ros.estimation.robust import Consensus
+from handeye_ros.estimation.consensus import Consensus, fast_consensus
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.quantiles import chi2_isf, f_isf
 import numpy as np
 
 MOST_PLACES = 15  # at which a recording is parted to see
@@ -47,7 +46,7 @@ def find_move(problem: Problem, agreed: Consensus) -> Move | None:
     both, place = min(found, key=lambda pair: (_dropped(pair[0]), _variance(pair[0])))
     freedom = sum(part.solution.degrees_of_freedom for part in both)
     gain = _without_drops(problem, agreed) / max(_variance(both), 1.0)
-    if gain < f_above(CHANCE, freedom, freedom):
+    if gain < f_isf(CHANCE, freedom, freedom):
         return None
     return Move(place, _sensor_move(*both))
 
@@ -57,11 +56,11 @@ def _parts(problem: Problem, place: int) -> tuple[Consensus, Consensus] | None:
     every = np.arange(len(problem.poses))
     parts = []
     for stations in (every[:place], every[place:]):
-        part = quick_consensus(problem.subset(stations))
+        part = fast_consensus(problem.subset(stations))
         if part is None:
             return None
         solution = part.solution
-        if (part.unexplained > LARGEST_UNEXPLAINED_SHARE
+        if (part.unused_share > LARGEST_UNEXPLAINED_SHARE
                 or solution.variance_factor > BELIEVABLE or solution.degrees_of_freedom < 1):
             return None
         parts.append(part)
@@ -89,9 +88,9 @@ def _sensor_move(before: Consensus, after: Consensus) -> Array | None:
     """Return by how much the sensor moved in its own frame, None if it may have stayed."""
     first, second = before.solution, after.solution
     delta = se3.difference(second.estimate.X, first.estimate.X)
-    covariance = (first.stated[:6, :6] * max(first.variance_factor, 1.0)
-                  + second.stated[:6, :6] * max(second.variance_factor, 1.0))
-    if delta @ np.linalg.solve(covariance, delta) < chi2_above(CHANCE, 6):
+    covariance = (first.reported[:6, :6] * max(first.variance_factor, 1.0)
+                  + second.reported[:6, :6] * max(second.variance_factor, 1.0))
+    if delta @ np.linalg.solve(covariance, delta) < chi2_isf(CHANCE, 6):
         return None
     return se3.inverse(first.estimate.X) @ second.estimate.X
 

@@ -10,13 +10,13 @@ from handeye_ros.checks.errors import ScaleError
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.chances import f_above
-from handeye_ros.estimation.doubts import Doubt, tolerances
-from handeye_ros.estimation.method import ENDS
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.robust import Consensus, consensus
-from handeye_ros.estimation.solve import redundancy, Solution
-from handeye_ros.estimation.weights import whitening
+from handeye_ros.estimation.blocks import ParameterBlock, tolerances
+from handeye_ros.estimation.consensus import Consensus, consensus
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.model import ENDS
+from handeye_ros.estimation.noise import whitening
+from handeye_ros.estimation.quantiles import f_isf
+from handeye_ros.estimation.solution import redundancy, Solution
 import numpy as np
 
 CONTRADICTION = 4.0  # sigmas that make an answer wrong
@@ -75,7 +75,7 @@ def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
     stated = tolerances(replace(solution.problem, config=config))
     method, target = solution.problem.method, solution.estimate.target
     labels = method.labels
-    used = {d.name: value for d, value, _, _ in sizes(replace(solution, cautious=None))}
+    used = {d.name: value for d, value, _, _ in sizes(replace(solution, conservative=None))}
     for doubt, _, std, z in sizes(solution):
         if doubt.parameter is not None and abs(z) > TOLD_CONTRADICTION:
             estimated = float(target[doubt.parameter - len(labels)])
@@ -87,19 +87,19 @@ def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
             yield Shape(labels[i], first, float(target[i - len(labels)]), std)
 
 
-def sizes(solution: Solution) -> Iterator[tuple[Doubt, float, float, float]]:
+def sizes(solution: Solution) -> Iterator[tuple[ParameterBlock, float, float, float]]:
     """
     Yield each doubt of one unknown with its value, 1 sigma, and how it contradicts its prior.
 
     The last is the distance of what the data alone say from what was stated, in sigmas of both.
     """
-    solution = solution.cautious or solution  # a size kept small contradicts nothing
+    solution = solution.conservative or solution  # a size kept small contradicts nothing
     first = solution.unknowns
-    for doubt in solution.doubts:
+    for doubt in solution.blocks:
         if doubt.count == 1:
-            n = float(solution.doubtful[first - solution.unknowns])
+            n = float(solution.nuisance[first - solution.unknowns])
             p = min(float(solution.covariance[first, first]), 1 - 1e-9)
-            size = solution.noise.doubts.get(doubt.name, 1.0)
+            size = solution.noise.scales.get(doubt.name, 1.0)
             alone, variance = n / (1 - p), p / (1 - p)
             z = alone / math.sqrt(1 / size + variance)
             yield doubt, n * doubt.std, p ** 0.5 * doubt.std, z
@@ -109,7 +109,7 @@ def sizes(solution: Solution) -> Iterator[tuple[Doubt, float, float, float]]:
 def found_doubts(solution: Solution) -> dict[str, Any]:
     """Return what of the doubts is worth telling: scale, set-backs, sizes of the smooth errors."""
     told: dict[str, Any] = {}
-    known = solution.cautious or solution
+    known = solution.conservative or solution
     for doubt, value, std, _ in sizes(solution):
         if doubt.name == 'scale':
             told |= {'scale': 1 + value, 'scale_std': std}
@@ -118,7 +118,7 @@ def found_doubts(solution: Solution) -> dict[str, Any]:
             told |= {f'{name}_{ENDS[int(end) - 1]}': value,
                      f'{name}_{ENDS[int(end) - 1]}_std': std}
     for name in ('robot_position', 'robot_rotation', 'distortion', 'flatness'):
-        parts = [d.std for d in known.doubts if d.name.startswith(name)]
+        parts = [d.std for d in known.blocks if d.name.startswith(name)]
         told |= {f'{name}_error': math.hypot(*parts)} if parts else {}
     return told
 
@@ -171,5 +171,5 @@ def require_not_only_scale(solution: Solution) -> None:
     left = max(total - explained, 0.0)
     if explained < MOST * total or not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
         return
-    if explained > left * f_above(CHANCE, 1, freedom) / freedom:
+    if explained > left * f_isf(CHANCE, 1, freedom) / freedom:
         raise ScaleError(abs(scale), std * (left / max(solution.degrees_of_freedom, 1)) ** 0.5)

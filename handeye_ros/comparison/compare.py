@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import time
 from typing import Any
 
-from handeye_ros import methods, pipeline, se3
+from handeye_ros import pipeline, se3, targets
 from handeye_ros.checks.motion import require_certain
 from handeye_ros.comparison.estimators import Estimator, ESTIMATORS
 from handeye_ros.comparison.given import Given, Known, Measurements, Stations
@@ -80,7 +80,7 @@ def compare_recording(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose]
 
 def own_method(config: Config) -> Config:
     """Return the configuration with the method of its target; raises BadValueError."""
-    methods.of(config)
+    targets.method_for(config)
     return replace(config, method='auto')
 
 

@@ -18,9 +18,9 @@ from handeye_ros.comparison.given import Known, Measurements, Stations
 from handeye_ros.data import Arc, Array, EdgePoint
 from handeye_ros.files import hand_eye_estimate
 from handeye_ros.files.outcome import require_trusted
-from handeye_ros.methods import line, plate
 from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
 from handeye_ros.published.errors import SingularError
+from handeye_ros.targets import line, plate
 import numpy as np
 
 ZHENG_START_OFF = np.repeat([0.01, math.radians(5)], 3) / 3 ** 0.5

@@ -6,10 +6,10 @@ from typing import Any, Protocol, TypeVar
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation import solve
-from handeye_ros.estimation.method import Estimate
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.weights import Noise
+from handeye_ros.estimation import solution
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.model import Estimate
+from handeye_ros.estimation.noise import Noise
 from handeye_ros.files.method import FileMethod
 from handeye_ros.files.outcome import plane_axes
 from handeye_ros.results.outcome import measured_points, sensor_axes
@@ -100,7 +100,7 @@ class Stations:
         known = self.known
         part = known.problem.subset(fitted)
         given = _GivenTransform(part.method, part.poses, part.observations, part.config)
-        estimate = solve.fitted(given, Estimate(X, known.estimate.target), known.noise)
+        estimate = solution.fitted(given, Estimate(X, known.estimate.target), known.noise)
         points = measured_points(self.samples, known.problem)
         return points.select(np.isin(points.station, measured)).residuals(known.problem, estimate)
 

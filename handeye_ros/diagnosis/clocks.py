@@ -10,15 +10,14 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from handeye_ros import methods, se3
+from handeye_ros import se3, targets
 from handeye_ros.checks.conventions import explains
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, Sample
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.quick import quick_consensus
-from handeye_ros.estimation.robust import Consensus
-from handeye_ros.estimation.solve import redundancy
+from handeye_ros.estimation.consensus import Consensus, fast_consensus
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.solution import redundancy
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.results.outcome import mounted
 from handeye_ros.sampling import station_features
@@ -61,7 +60,7 @@ def require_same_clock(session: Session, config: Config) -> None:
     """Raise ClocksDifferError where samples that do not fit do so at another time."""
     seen = [part for outcome in session.outcomes if not outcome.refused
             and (part := _profiles(outcome.stop, config))]
-    if len(seen) < methods.of(config).minimum:
+    if len(seen) < targets.method_for(config).minimum:
         return
     changes = np.concatenate([_changes(profiles) for profiles, *_ in seen])
     rest = float(np.quantile(changes, STILL_SHARE)) if len(changes) else 0.0
@@ -123,7 +122,7 @@ def _sample(profiles: list[Profile], pose: Array, config: Config) -> Sample | No
     if len(profiles) < FEWEST_PROFILES:
         return None
     try:
-        used, features = station_features.of_station(profiles, methods.of(config), config)
+        used, features = station_features.of_station(profiles, targets.method_for(config), config)
     except FeatureError:
         return None
     return Sample(used[0].stamp, pose, features, len(used))
@@ -154,7 +153,7 @@ def _fits(stills: Sequence[_Still], behind: int, config: Config, as_told: Consen
     """
     agreed = _agreed([replace(still.sample, T_base_flange=stop.pose)
                       for still, stop in _pairs(stills, behind) if still.sample], config)
-    return bool(agreed and agreed.unexplained < LARGEST_UNEXPLAINED
+    return bool(agreed and agreed.unused_share < LARGEST_UNEXPLAINED
                 and agreed.solution.variance_factor < BELIEVABLE
                 and redundancy(agreed.solution) >= FEWEST_CONDITIONS
                 and (as_told is None or explains(agreed, as_told)))
@@ -162,8 +161,8 @@ def _fits(stills: Sequence[_Still], behind: int, config: Config, as_told: Consen
 
 def _agreed(samples: Sequence[Sample], config: Config) -> Consensus | None:
     """Return what samples agree on, None if on nothing."""
-    method = methods.of(config)
+    method = targets.method_for(config)
     if len(samples) < method.minimum:
         return None
-    return quick_consensus(Problem(method, mounted(samples, config), method.observe(samples),
+    return fast_consensus(Problem(method, mounted(samples, config), method.observe(samples),
                                    config))

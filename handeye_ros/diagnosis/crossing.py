@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, Sample
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.results.outcome import mounted
 import numpy as np
 

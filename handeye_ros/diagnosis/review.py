@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from handeye_ros import methods
+from handeye_ros import targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.method import UNUSED
-from handeye_ros.estimation.problem import points_in_base, Problem
-from handeye_ros.estimation.robust import consensus
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.consensus import consensus
+from handeye_ros.estimation.linearise import points_in_base, Problem
+from handeye_ros.estimation.model import UNUSED
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.results.outcome import left_out, Measured, measured_points, mounted
 import numpy as np
 
@@ -65,7 +65,7 @@ def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) 
     chosen = [i for i, use in enumerate(included) if use]
     if len(chosen) < FEWEST:
         raise NoReviewError(len(chosen))
-    method = methods.of(config)
+    method = targets.method_for(config)
     fitted = [samples[i] for i in chosen]
     problem = Problem(method, mounted(fitted, config), method.observe(fitted), config)
     agreed = consensus(problem, np.random.default_rng(0))

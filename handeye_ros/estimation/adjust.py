@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.algebra import covariance_of
-from handeye_ros.estimation.blocks import deleted, shared_scale, unexplained
-from handeye_ros.estimation.least_squares import (
+from handeye_ros.estimation.influence import leave_one_out, outliers, shared_scale
+from handeye_ros.estimation.linalg import covariance_of
+from handeye_ros.estimation.solver import (
     ANNEALING_STEPS,
     believed,
     graduated,
@@ -81,9 +81,9 @@ def _without_outliers(system: System[S], state: S, good: NDArray[np.bool_], mini
         used, rows = np.flatnonzero(good), good[system.block]
         k = len(r) // len(good)
         covariance = covariance_of(J[rows])
-        left_out = deleted(r[rows], J[rows], covariance, system.block[rows])
+        left_out = leave_one_out(r[rows], J[rows], covariance, system.block[rows])
         statistic = (r[rows] * left_out).reshape(-1, k).mean(axis=1)
-        worst = unexplained(statistic / shared_scale(statistic, k), k, len(good),
+        worst = outliers(statistic / shared_scale(statistic, k), k, len(good),
                             len(used) - minimum)
         if not len(worst):
             variance = float(r[rows] @ r[rows] / max(rows.sum() - J.shape[1], 1))

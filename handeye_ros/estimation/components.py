@@ -7,7 +7,7 @@ fixed-point steps. A weak belief in the start keeps few residuals from proving a
 from __future__ import annotations
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.chances import chi2_median
+from handeye_ros.estimation.quantiles import chi2_median
 import numpy as np
 
 STEPS = 30
@@ -52,9 +52,9 @@ def first_variances(residuals: Array, parts: Array) -> Array:
     """
     n = len(residuals)
     lengths = np.linalg.norm(residuals.reshape(n, -1, 3), axis=2)
-    seen = np.median(lengths, axis=0) ** 2 / chi2_median(3)
+    predicted_covariance = np.median(lengths, axis=0) ** 2 / chi2_median(3)
     made = np.einsum('cnii->cni', parts).reshape(len(parts), n, -1, 3).mean(axis=(1, 3))
-    alone = np.divide(seen, made, out=np.full(made.shape, np.inf), where=made > 0)
+    alone = np.divide(predicted_covariance, made, out=np.full(made.shape, np.inf), where=made > 0)
     return np.asarray(np.maximum(alone.min(axis=1) / 2, SMALLEST_VARIANCE))
 
 

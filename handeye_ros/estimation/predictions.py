@@ -2,9 +2,9 @@
 from __future__ import annotations
 
 from handeye_ros.data import Array
-from handeye_ros.estimation import blocks
-from handeye_ros.estimation.method import Estimate
-from handeye_ros.estimation.solve import move, poses_of, Solution
+from handeye_ros.estimation import influence
+from handeye_ros.estimation.model import Estimate
+from handeye_ros.estimation.solution import corrected_poses, retracted, Solution
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,8 +20,8 @@ def predictions(solution: Solution, fold: NDArray[np.intp]) -> tuple[list[Estima
     folds = np.arange(fold.max() + 1)
     steps = _steps_without_one(solution)[np.argsort(fold)] if len(folds) == len(fold) else (
         np.array([_step_without(solution, np.flatnonzero(fold == k)) for k in folds]))
-    return ([move(problem, estimate, step) for step in steps[:, :u]],
-            poses_of(solution, solution.doubtful + steps[fold, u:]))
+    return ([retracted(problem, estimate, step) for step in steps[:, :u]],
+            corrected_poses(solution, solution.nuisance + steps[fold, u:]))
 
 
 def _steps_without_one(solution: Solution) -> Array:
@@ -29,7 +29,7 @@ def _steps_without_one(solution: Solution) -> Array:
     columns, station = solution.columns, solution.problem.observations.station
     slopes = np.zeros((len(solution.problem.poses), columns.count))
     for rows in columns.rows:
-        left_out = blocks.without_own(columns.seen(solution.covariance, rows),
+        left_out = influence.leave_own_out(columns.predicted_covariance(solution.covariance, rows),
                                       solution.white[rows])
         slopes[station[rows[:, 0]]] = columns.gradients(left_out, rows)
     return slopes @ solution.covariance
@@ -40,7 +40,7 @@ def _step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
     columns, part = solution.columns, solution.columns.of(stations)
     rows = np.concatenate([some.ravel() for some in part])
     if len(rows) < columns.count:
-        return blocks.step_without(solution.white[rows], columns.dense_rows(rows),
+        return influence.step_without(solution.white[rows], columns.dense_rows(rows),
                                    solution.covariance)
-    return blocks.step_without_many(solution.information, columns.gram_of(part),
+    return influence.step_without_many(solution.information, columns.gram_of(part),
                                     columns.gradient_of(solution.white, part))

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.least_squares import many_least_squares, States
-from handeye_ros.estimation.method import Estimate
-from handeye_ros.estimation.problem import linearise, Problem
-from handeye_ros.estimation.solve import move
+from handeye_ros.estimation.linearise import linearise, Problem
+from handeye_ros.estimation.model import Estimate
+from handeye_ros.estimation.solution import retracted
+from handeye_ros.estimation.solver import many_least_squares, States
 import numpy as np
 
 COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on after them
@@ -32,7 +32,7 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
         return there.residuals, there.jacobian[..., problem.columns]
 
     def retract(states: States, steps: Array) -> States:
-        moved = move(problem, Estimate(*states), steps)
+        moved = retracted(problem, Estimate(*states), steps)
         return moved.X, moved.target
 
     few = len(problem.poses) <= FEW_STATIONS

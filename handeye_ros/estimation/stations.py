@@ -4,8 +4,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.blocks import groups
-from handeye_ros.estimation.method import Observations
+from handeye_ros.estimation.influence import groups
+from handeye_ros.estimation.model import Observations
 import numpy as np
 from numpy.typing import NDArray
 

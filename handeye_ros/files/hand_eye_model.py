@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.least_squares import Rows, System, White
+from handeye_ros.estimation.solver import Rows, System, White
 import numpy as np
 
 MINIMUM = 3

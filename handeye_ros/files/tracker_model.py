@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.least_squares import Rows, System
+from handeye_ros.estimation.solver import Rows, System
 from handeye_ros.published import jing2020
 import numpy as np
 from numpy.typing import NDArray

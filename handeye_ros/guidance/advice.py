@@ -4,7 +4,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from handeye_ros import methods, se3
+from handeye_ros import se3, targets
 from handeye_ros.checks.motion import (
     mount_frame,
     name_direction,
@@ -13,7 +13,7 @@ from handeye_ros.checks.motion import (
 )
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.candidates import Search
 from handeye_ros.guidance.limits import limits_of
 from handeye_ros.guidance.moves import Move, next_move, noun
@@ -85,7 +85,7 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
     solution: from these samples (or those that agree), None before there is one; trouble: why
     there is none, or why it was refused; seen: points (n, 2) of profiles, to learn the view from.
     """
-    method = methods.of(config)
+    method = targets.method_for(config)
     if not samples:
         return _unguided(f'take the first sample: look squarely at the target, with the '
                          f'{noun(method)} in the middle of the view', None, trouble)
@@ -114,7 +114,7 @@ def _unguided(text: str, move: Move | None, trouble: str) -> Advice:
 
 
 def _stated(solution: Solution) -> Array:
-    return solution.stated[:6, :6]
+    return solution.reported[:6, :6]
 
 
 def sigma_table(solution: Solution, known: Mapping, config: Config) -> tuple[Sigma, ...]:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.problem import linearise, Problem
-from handeye_ros.estimation.solve import Solution
-from handeye_ros.estimation.weights import whitening
+from handeye_ros.estimation.linearise import linearise, Problem
+from handeye_ros.estimation.noise import whitening
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.following import batch_of, following
 from handeye_ros.guidance.limits import Limits, twist_of
 from handeye_ros.guidance.score import Mapping, with_rows

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.method import Estimate, Observations
-from handeye_ros.estimation.problem import linearise, points_in_base, Problem
+from handeye_ros.estimation.linearise import linearise, points_in_base, Problem
+from handeye_ros.estimation.model import Estimate, Observations
 from handeye_ros.guidance.view import View
 import numpy as np
 from numpy.typing import NDArray

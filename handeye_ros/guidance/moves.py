@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.estimation.method import Method
+from handeye_ros.estimation.model import Method
 from handeye_ros.guidance.view import View
 import numpy as np
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.view import View
 import numpy as np
 
@@ -57,7 +57,7 @@ def with_rows(solution: Solution, rows: Array) -> Array:
     """
     if not len(rows):
         return np.zeros((0, 6, 6))
-    covariance = solution.stated
+    covariance = solution.reported
     # (N + A'A)^-1 = C - C A' (1 + A C A')^-1 A C: of the size of the new conditions only
     carried = rows @ covariance
     inner = carried @ np.swapaxes(rows, 1, 2) + np.eye(rows.shape[1])

@@ -11,11 +11,11 @@ from handeye_ros.checks.motion import mount_frame, weakest
 from handeye_ros.checks.shape import contradictions, found_doubts
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport
-from handeye_ros.estimation.method import Estimate
+from handeye_ros.estimation.consensus import Consensus
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.predictions import predictions
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.robust import Consensus
-from handeye_ros.estimation.solve import poses_of, Solution
+from handeye_ros.estimation.solution import corrected_poses, Solution
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,7 +63,7 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
     parent = mount_frame(config)
     used = [samples[i] for i in agreed.used]
     measured = measured_points(used, problem)
-    residuals = measured.residuals(problem, solution.estimate, poses_of(solution))
+    residuals = measured.residuals(problem, solution.estimate, corrected_poses(solution))
     reports = [*_used_reports(used, problem, measured.station, residuals),
                *_dropped_reports(samples, agreed),
                *(SampleReport(r.stamp, False, reason=r.reason) for r in rejects)]
@@ -73,7 +73,7 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
     return Calibration(
         config.name or config.target.type, problem.method.name, parent, frame_id or 'laser',
         solution.estimate.X @ se3.inverse(sensor_axes(config)),
-        solution.stated[:6, :6],
+        solution.reported[:6, :6],
         describe_target(agreed, config), quality,
         tuple(sorted(reports, key=lambda report: report.stamp)),
         {'version': __version__, 'config': flatten(config)})

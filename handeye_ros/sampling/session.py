@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Self
 
-from handeye_ros import methods
+from handeye_ros import targets
 from handeye_ros.config import Config
 from handeye_ros.data import Reject, Sample
 from handeye_ros.sampling.dwell_detector import DwellDetector
@@ -21,7 +21,7 @@ class Session(DwellDetector):
 
     def __init__(self, config: Config) -> None:
         """Start with no samples; raises BadValueError for a method that does not exist."""
-        methods.of(config)
+        targets.method_for(config)
         super().__init__(config)
 
     def clear(self) -> None:

@@ -13,7 +13,7 @@ from functools import partial
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature, Profile
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.method import Method
+from handeye_ros.estimation.model import Method
 from handeye_ros.profiles.arcs import normal_points
 from handeye_ros.profiles.errors import DisagreeingProfilesError, FeatureError
 from handeye_ros.profiles.lines import combined_line, on_line

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
-from handeye_ros import methods, se3
+from handeye_ros import se3, targets
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Feature, Profile, RawProfile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
@@ -143,7 +143,7 @@ def _sample(seen: Seen, profiles: Sequence[Profile], config: Config) -> Sample:
     """Return the sample of what was seen at a stop; profiles: of when nothing swings any more."""
     if not profiles:
         raise NoProfilesError((seen.poses[-1].stamp - seen.poses[0].stamp) / NS)
-    used, combined = station_features.of_station(profiles, methods.of(config), config)
+    used, combined = station_features.of_station(profiles, targets.method_for(config), config)
     require_inside(combined, used)
     poses = interpolate(seen.poses, [p.stamp for p in used])
     return Sample(used[0].stamp, se3.mean_pose(poses), combined, len(used),
@@ -179,7 +179,7 @@ def _stamp(profile: AnyProfile) -> int:
 
 def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
     """Return what a profile shows with profile.range_sign the other way."""
-    method = methods.of(config)
+    method = targets.method_for(config)
     if not method.edges:
         return ()
     try:

@@ -17,7 +17,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import mm
-from handeye_ros.estimation.chances import chance_of_chi2
+from handeye_ros.estimation.quantiles import chi2_sf
 from handeye_ros.results.outcome import mounted, sensor_axes
 from handeye_ros.verification import wedge_place
 from handeye_ros.verification.errors import NoCheckError, TooFewSeenError
@@ -160,7 +160,7 @@ def _moved_sensor(seen: Seen, X: Array, C: Array, config: Config, shape: Shape
 
 
 def _judged(found: FixedFit, places: int, stamp: int, stations: int) -> Check:
-    p_target = float(chance_of_chi2(found.region, found.freedom))
+    p_target = float(chi2_sf(found.region, found.freedom))
     moved = float(np.linalg.norm(found.values[:places]))
     turned = float(np.linalg.norm(found.values[places:]))
     shift, turn = (float(np.linalg.norm(part)) for part in np.split(found.error, 2))

@@ -14,8 +14,8 @@ from typing import TypeAlias
 
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
-from handeye_ros.estimation.chances import chance_of_chi2
-from handeye_ros.estimation.method import Observations
+from handeye_ros.estimation.model import Observations
+from handeye_ros.estimation.quantiles import chi2_sf
 from handeye_ros.verification.routine import groups_of, Seen, Shape
 import numpy as np
 from numpy.typing import NDArray
@@ -126,7 +126,7 @@ def _told(shape: Shape, q: Array, distances: Array, J: Array, G: Array, C: Array
         inner = inner + by_calibration[known].T @ np.linalg.solve(own, by_calibration[known])
     return FixedFit(shape.values(q), noise + part, part, distances,
                     _expected_rms(J, K, A, root, blocks, len(q)),
-                    float(chance_of_chi2(statistic, freedom)), inner,
+                    float(chi2_sf(statistic, freedom)), inner,
                     np.einsum('mik,mil->kl', by_X, by_X) / len(J), region, len(known),
                     *_implied(A, rest, by_X, freedom))
 
@@ -142,7 +142,7 @@ def _implied(A: Array, rest: Array, by_X: Array, freedom: int
     by_noise = np.einsum('mik,kl,mil->m', by_X, inverse, by_X, optimize=True)
     worst = int(np.argmax(moved))
     return (float(moved[worst]), float(np.sqrt(scale * by_noise[worst])), error,
-            float(chance_of_chi2(left @ left, fewer)))
+            float(chi2_sf(left @ left, fewer)))
 
 
 def _expected_rms(J: Array, K: Array, A: Array, root: Array, blocks: Blocks, unknowns: int

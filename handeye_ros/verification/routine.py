@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.method import Observations
+from handeye_ros.estimation.model import Observations
 import numpy as np
 from numpy.typing import NDArray
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from handeye_ros import se3
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Sample
 from handeye_ros.errors import UnknownNameError
-from handeye_ros.estimation.method import Observations
-from handeye_ros.methods.common import add_face, edge_noise, ObservationRows
+from handeye_ros.estimation.model import Observations
+from handeye_ros.targets.common import add_face, edge_noise, ObservationRows
 from handeye_ros.verification import shapes, tooth_gauge
 from handeye_ros.verification.routine import Nominal, Routine, Seen, Shape, TEETH
 import numpy as np

@@ -12,7 +12,7 @@ from dataclasses import replace
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile
-from handeye_ros.estimation.method import Observations
+from handeye_ros.estimation.model import Observations
 from handeye_ros.scanning.track import Track
 from handeye_ros.verification.errors import NoTeethError
 from handeye_ros.verification.routine import BAGS, Nominal, Seen, Shape

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Calibration
-from handeye_ros.estimation.chances import chance_of_chi2
+from handeye_ros.estimation.quantiles import chi2_sf
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.errors import CalibrationFileError
 from handeye_ros.scanning.pictures import figure, save
@@ -69,7 +69,7 @@ def between(a: Calibration, b: Calibration) -> tuple[Array, Array]:
 
 
 def _p(difference: Array, C: Array) -> float:
-    return float(chance_of_chi2(difference @ np.linalg.solve(C, difference), 6))
+    return float(chi2_sf(difference @ np.linalg.solve(C, difference), 6))
 
 
 def table(entries: Sequence[Entry]) -> Table:

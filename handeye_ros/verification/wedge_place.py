@@ -7,9 +7,9 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.method import Observations
-from handeye_ros.estimation.problem import points_at
-from handeye_ros.methods import wedge
+from handeye_ros.estimation.linearise import points_at
+from handeye_ros.estimation.model import Observations
+from handeye_ros.targets import wedge
 from handeye_ros.verification.routine import Shape
 from handeye_ros.verification.shapes import Kinds
 import numpy as np
@@ -18,7 +18,7 @@ CONFIG = Config()  # of which the conditions of a wedge ask nothing
 
 
 def state_of(told: Mapping[str, Any]) -> Array:
-    """Return the target of methods/wedge.py as a calibration tells it; raises KeyError."""
+    """Return the target of targets/wedge.py as a calibration tells it; raises KeyError."""
     x = np.array(told['direction'], dtype=float)
     first, second = (np.array(told[key], dtype=float) for key in ('normal_1', 'normal_2'))
     y = first - (first @ x) * x

@@ -16,8 +16,8 @@ from handeye_ros.checks.errors import (
 from handeye_ros.checks.motion import name_direction, other_axes, turning, worst_translation
 from handeye_ros.data import Array, Reject
 from handeye_ros.errors import DataError
-from handeye_ros.methods import METHODS
 from handeye_ros.simulate import Scenario
+from handeye_ros.targets import METHODS
 import numpy as np
 import pytest
 

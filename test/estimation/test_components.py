@@ -6,14 +6,14 @@ from handeye_ros.estimation.components import first_variances, variance_componen
 import numpy as np
 import pytest
 
-SIZES = (1e-3, 2e-3)  # 1 sigma of the two causes
+SCALES = (1e-3, 2e-3)  # 1 sigma of the two causes
 
 
-def blocks(n: int, sizes: tuple[float, float], rng: np.random.Generator
+def blocks(n: int, prior_scales: tuple[float, float], rng: np.random.Generator
            ) -> tuple[Array, Array, Array]:
     """Return residuals (n, 3) of an adjustment, its Jacobian, and parts: white, and common."""
     parts = np.array([np.broadcast_to(np.eye(3), (n, 3, 3)), np.ones((n, 3, 3))])
-    noise = sizes[0] * rng.normal(size=(n, 3)) + sizes[1] * rng.normal(size=(n, 1))
+    noise = prior_scales[0] * rng.normal(size=(n, 3)) + prior_scales[1] * rng.normal(size=(n, 1))
     J = rng.normal(size=(n, 3, 4))
     flat = J.reshape(-1, 4)
     state = np.linalg.lstsq(flat, noise.ravel(), rcond=None)[0]
@@ -21,24 +21,24 @@ def blocks(n: int, sizes: tuple[float, float], rng: np.random.Generator
 
 
 def test_the_causes_are_told_apart() -> None:
-    r, J, parts = blocks(4000, SIZES, np.random.default_rng(0))
+    r, J, parts = blocks(4000, SCALES, np.random.default_rng(0))
     found = variance_components(r, J, parts, np.array([1e-6, 1e-6]))
-    np.testing.assert_allclose(np.sqrt(found), SIZES, rtol=0.05)
+    np.testing.assert_allclose(np.sqrt(found), SCALES, rtol=0.05)
 
 
 @pytest.mark.parametrize('absent', [0, 1])
 def test_an_absent_cause_is_small(absent: int) -> None:
-    sizes = (0.0, SIZES[1]) if absent == 0 else (SIZES[0], 0.0)
-    r, J, parts = blocks(400, sizes, np.random.default_rng(1))
+    prior_scales = (0.0, SCALES[1]) if absent == 0 else (SCALES[0], 0.0)
+    r, J, parts = blocks(400, prior_scales, np.random.default_rng(1))
     found = np.sqrt(variance_components(r, J, parts, np.array([1e-6, 1e-6])))
     assert found[absent] < 0.3 * found[1 - absent]
-    assert found[1 - absent] == pytest.approx(sizes[1 - absent], rel=0.15)
+    assert found[1 - absent] == pytest.approx(prior_scales[1 - absent], rel=0.15)
 
 
 def test_few_residuals_do_not_make_it_too_small_on_average() -> None:
     """Restricted: four unknowns of eighteen residuals would make it 12 % too small."""
-    rng, start = np.random.default_rng(2), np.square(SIZES)
-    found = [variance_components(*blocks(6, SIZES, rng), start) for _ in range(400)]
+    rng, start = np.random.default_rng(2), np.square(SCALES)
+    found = [variance_components(*blocks(6, SCALES, rng), start) for _ in range(400)]
     np.testing.assert_allclose(np.mean(found, axis=0) / start, 1.0, atol=0.1)
 
 

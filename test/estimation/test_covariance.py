@@ -16,15 +16,15 @@ from cells import (
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import TooUncertainError
 from handeye_ros.config import with_values
-from handeye_ros.estimation.method import Estimate
+from handeye_ros.estimation.model import Estimate
+from handeye_ros.estimation.noise import covariances, Noise
 from handeye_ros.estimation.predictions import predictions
-from handeye_ros.estimation.solve import (
+from handeye_ros.estimation.solution import (
     evaluate,
     fitted,
     Solution,
     station_statistic,
 )
-from handeye_ros.estimation.weights import covariances, Noise
 from handeye_ros.results.outcome import measured_points
 import numpy as np
 import pytest
@@ -50,10 +50,10 @@ def test_the_covariance_is_symmetric_and_positive(name: str) -> None:
 def test_the_noise_of_a_station_is_positive_whatever_its_size(
         factors: tuple[float, float, float, float]) -> None:
     solution = solution_of('plate')
-    doubtful = replace(solution.problem, config=with_values(
+    nuisance = replace(solution.problem, config=with_values(
         solution.problem.config, {'noise.distortion': 2e-5}, 'a test'))
-    for stations in doubtful.stations:
-        noise = np.tensordot(factors, covariances(doubtful, solution.linear, stations), 1)
+    for stations in nuisance.stations:
+        noise = np.tensordot(factors, covariances(nuisance, solution.linear, stations), 1)
         assert np.array_equal(noise, np.swapaxes(noise, 1, 2))
         assert np.linalg.eigvalsh(noise).min() > 0
 

@@ -15,7 +15,6 @@ from handeye_ros.config import Config, load, with_values
 from handeye_ros.data import Array, Calibration
 from handeye_ros.files import FILE_METHODS
 from handeye_ros.files.outcome import calibrate
-from handeye_ros.methods import FROM_FILES, METHODS
 from handeye_ros.results import calibration_file
 from handeye_ros.results.outcome import sensor_axes
 from handeye_ros.results.truth_errors import errors_against
@@ -23,6 +22,7 @@ from handeye_ros.results.truth_file import true_transform
 from handeye_ros.ros.bags import bag, bag_write, simulated
 from handeye_ros.simulate import FILE_SCENES, measured
 from handeye_ros.simulate.scenario import SensorModel
+from handeye_ros.targets import FROM_FILES, METHODS
 import numpy as np
 import pytest
 

@@ -9,9 +9,9 @@ from file_scenes import given, Run, TABLES, target_of
 from handeye_ros.config import Config, load, with_values
 from handeye_ros.errors import BadValueError, OnlyFromFilesError
 from handeye_ros.files import FILE_METHODS
-from handeye_ros.methods import of
 from handeye_ros.ros.bags import simulated
 from handeye_ros.simulate import measured
+from handeye_ros.targets import method_for
 import numpy as np
 import pytest
 
@@ -161,6 +161,6 @@ def test_inputs_that_are_none_end_with_2(handeye: Run, tmp_path: Path) -> None:
 def test_what_takes_profiles_refuses_them(name: str) -> None:
     with pytest.raises(OnlyFromFilesError, match=f'{name} is solved from files, .*: run "handeye '
                        'solve'):
-        of(load(ROOT / 'config' / f'{name}.yaml'))
+        method_for(load(ROOT / 'config' / f'{name}.yaml'))
     with pytest.raises(BadValueError):
-        of(with_values(Config(), {'method': name}, 'test'))
+        method_for(with_values(Config(), {'method': name}, 'test'))

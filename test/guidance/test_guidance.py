@@ -4,10 +4,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cells import ANY_POSE, Cell, cell, problem, solved
-from handeye_ros import methods, se3
+from handeye_ros import se3, targets
 from handeye_ros.config import with_values
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.advice import Advice, advise, ROUGHLY_KNOWN
 from handeye_ros.guidance.candidates import anchor_of, prototypes, Search
 from handeye_ros.guidance.limits import limits_of, twist_of
@@ -191,7 +191,7 @@ def test_before_there_is_an_answer_it_tells_moves(target: str) -> None:
     first = advise(found.samples[:1], found.config, None)
     assert first.next is None and first.move is not None and not first.enough
     assert 'turn the sensor' in first.text and 'in view' in first.text
-    method = methods.of(found.config)
+    method = targets.method_for(found.config)
     length = len(design(method))
     moves = [next_move(n, method, found.config, learn_view(found.samples))
              for n in range(1, 2 * length)]
@@ -209,14 +209,14 @@ def test_no_move_leads_beyond_the_limits(target: str, turn: float) -> None:
     found = cell(target, 2)
     config = with_values(found.config, {'guidance.turn': turn}, 'test')
     for n in range(1, 20):
-        move = next_move(n, methods.of(config), config, learn_view(found.samples))
+        move = next_move(n, targets.method_for(config), config, learn_view(found.samples))
         assert abs(move.turn) <= turn
         assert np.linalg.norm(move.tilt) <= config.guidance.tilt
 
 
 def test_the_line_crosses_the_other_edge_steeply_enough() -> None:
     found = cell('plate', 2)
-    method, angle = methods.of(found.config), found.config.sampling.min_crossing_angle
+    method, angle = targets.method_for(found.config), found.config.sampling.min_crossing_angle
     for n in range(1, 20):
         move = next_move(n, method, found.config, learn_view(found.samples))
         from_square = abs(move.turn) if move.edge == 0 else np.pi / 2 - abs(move.turn)
@@ -226,7 +226,8 @@ def test_the_line_crosses_the_other_edge_steeply_enough() -> None:
 def test_only_a_sphere_is_cut_beside_its_top() -> None:
     for target in TARGETS:
         found = cell(target, 2)
-        move = next_move(1, methods.of(found.config), found.config, learn_view(found.samples))
+        method, view = targets.method_for(found.config), learn_view(found.samples)
+        move = next_move(1, method, found.config, view)
         assert (move.beside != 0) == ('beside the top' in move.text) == (target == 'sphere')
 
 

@@ -5,7 +5,7 @@ import importlib.util
 from pathlib import Path
 import sys
 
-from handeye_ros import methods, se3
+from handeye_ros import se3, targets
 from handeye_ros.guidance.score import mapping
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def test_luck_counts_only_for_the_first_time():
 def sigma(target, seed, operator):
     """Return how well points in view are known after as many stations as an answer needs + 1."""
     cell = bench.world(target, ROBOT, seed, bench.KNOWN)
-    for _ in range(methods.of(cell.config).minimum):
+    for _ in range(targets.method_for(cell.config).minimum):
         bench.insist(cell, bench.advised(cell, None) if operator == 'advice'
                      else lambda: bench.anywhere(cell))
     solution = bench.solved(cell)

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from handeye_ros import methods, pipeline, se3
+from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, Profile, Sample, TimedPose
-from handeye_ros.estimation.method import Method
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.robust import consensus
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.consensus import consensus
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.model import Method
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.results.outcome import mounted
 from handeye_ros.results.truth_errors import mapped_point_error
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
@@ -46,7 +46,7 @@ class Cell:
 
 
 def problem(samples: Sequence[Sample], config: Config) -> Problem:
-    method = methods.of(config)
+    method = targets.method_for(config)
     return Problem(method, mounted(samples, config), method.observe(samples), config)
 
 
@@ -132,13 +132,13 @@ def recorded(scenario: str | Scenario = 'plate', seed: int = 0, rate: float = 10
                     config(made, **values))
 
 
-every_method = pytest.mark.parametrize('name', methods.METHODS)
+every_method = pytest.mark.parametrize('name', targets.METHODS)
 WHERE = ('eye_in_hand', 'eye_on_base')
 
 
 def scenario_for(name: str, where: str = 'eye_in_hand') -> Scenario:
     """Return the scenario of a method, with the sensor on the flange or beside the robot."""
-    return replace(scenario_of(methods.METHODS[name]), calibration_type=where)
+    return replace(scenario_of(targets.METHODS[name]), calibration_type=where)
 
 
 @lru_cache

@@ -7,10 +7,10 @@ from pathlib import Path
 import re
 
 from cells import Cell, exact_cell
-from handeye_ros.estimation.method import Estimate, UNUSED
-from handeye_ros.estimation.problem import linearise, points_in_base
-from handeye_ros.methods import METHODS
+from handeye_ros.estimation.linearise import linearise, points_in_base
+from handeye_ros.estimation.model import Estimate, UNUSED
 from handeye_ros.simulate import SCENARIOS
+from handeye_ros.targets import METHODS
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

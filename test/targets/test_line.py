@@ -4,7 +4,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cells import cell, exact_cell, recorded
-from handeye_ros import methods, pipeline, se3
+from handeye_ros import pipeline, se3, targets
 from handeye_ros.checks.errors import TooFewSamplesError
 from handeye_ros.config import with_values
 from handeye_ros.data import EdgePoint, FaceLine
@@ -99,7 +99,7 @@ def test_six_points_are_too_few() -> None:
     made = cell(LINE, 0)
     with pytest.raises(TooFewSamplesError, match='line needs at least 7'):
         pipeline.solve(made.samples[:6], [], made.config, 'laser')
-    assert methods.of(made.config).name == 'line'
+    assert targets.method_for(made.config).name == 'line'
 
 
 @pytest.mark.thorough

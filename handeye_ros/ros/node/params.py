@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from handeye_ros import config as configuration
-from handeye_ros import methods
+from handeye_ros import targets
 from handeye_ros.config import Config, EVERY_NODES, Parameter
 from handeye_ros.errors import InputError, UnknownKeyError
 from handeye_ros.results import calibration_file
@@ -117,5 +117,5 @@ def changed(config: Config, changes: Iterable[RosParameter]) -> Config:
 
 def _check_names(config: Config) -> None:
     """Refuse names that would only fail later; raises BadValueError."""
-    methods.of(config)
+    targets.method_for(config)
     calibration_file.folder_name(config)

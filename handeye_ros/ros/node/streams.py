@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import threading
 import time
 
-from handeye_ros import methods
+from handeye_ros import targets
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Feature, TimedPose
 from handeye_ros.errors import UnusableMessageError
@@ -133,7 +133,8 @@ class Latest:
             return None
         (T,) = interpolate(poses, [profile.stamp])
         try:
-            return Current(T, profile.points, methods.of(config).extract(profile.points, config))
+            features = targets.method_for(config).extract(profile.points, config)
+            return Current(T, profile.points, features)
         except FeatureError as error:
             return Current(T, profile.points, (), str(error))
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.results.outcome import in_mount
 from handeye_ros.results.target_shape import shape

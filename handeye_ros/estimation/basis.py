@@ -1,0 +1,155 @@
+"""
+Smooth functions of few coefficients: of the sensor's plane, of a face, of the robot's poses.
+
+What the unknowns of the problem absorb anyway (a motion of the sensor, a tilt of the face) is
+taken out of them.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from handeye_ros.data import Array
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+ALIKE_POSITION = 1.0  # poses this far apart (m), or turned this far (rad), share half the error
+ALIKE_ROTATION = 1.4
+SAME_PLACE = 0.006  # of these lengths: nearer poses err alike
+MOST_PLACES = 24  # that span the robot's error
+FIELD, GRID = 1.25, 11  # how far the field of view goes beyond the points; its points each way
+
+
+def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> list[Array]:
+    """Return products of Legendre polynomials of u and v (m,), each of RMS 1, by their degree."""
+    return _products(_normalised(u), _normalised(v), degrees)
+
+
+def _products(u: Array, v: Array, degrees: Sequence[int]) -> list[Array]:
+    """Return the polynomials of u and v (m,) that go from -1 to 1 where they are of RMS 1."""
+    norm = np.sqrt(2 * np.arange(max(degrees) + 1) + 1)
+    a, b = (legendre.legvander(w, max(degrees)) * norm for w in (u, v))
+    return [a[:, :degree + 1] * b[:, degree::-1] for degree in degrees]
+
+
+def _normalised(w: Array) -> Array:
+    low, high = w.min(), w.max()
+    return np.asarray((2 * w - low - high) / max(high - low, 1e-9))
+
+
+def without(columns: Array, absorbed: Array) -> Array:
+    """Return columns (m, k) without what absorbed (m, j) explains of them."""
+    length = np.linalg.norm(absorbed, axis=0)
+    absorbed = absorbed[:, length > 0] / length[length > 0]
+    inverse = np.linalg.pinv(absorbed.T @ absorbed, rcond=1e-10, hermitian=True)
+    return np.asarray(columns - absorbed @ (inverse @ (absorbed.T @ columns)))
+
+
+def bending(points: Array, degrees: Sequence[int]) -> list[Array]:
+    """
+    Return fields (m, 2, k) over points (m, 2) of the sensor plane, together of RMS 1 each way.
+
+    A list, by the degrees of the polynomials. No motion of the plane in itself is in them.
+    """
+    terms = polynomials(points[:, 0], points[:, 1], degrees)
+    deformation = without(_each_way(terms), _rigid(points - points.mean(axis=0)))
+    return _each_of_unit_size(deformation.reshape(2, len(points), -1).swapaxes(0, 1),
+                              [some.shape[1] for some in terms], 2)
+
+
+def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
+    """
+    Return the motions (3, k) that serve the field of view best where it is bent as by bending.
+
+    Along x and z, and the turn about the origin, of which none serves the points (m, 2). The
+    field is FIELD times the box of these, which are means of many and lie inside it.
+    """
+    across = np.linspace(-FIELD, FIELD, GRID)
+    u, v = (w.ravel() for w in np.meshgrid(across, across))
+    terms = polynomials(points[:, 0], points[:, 1], degrees)
+    fitted = [np.linalg.lstsq(_rigid(where), _each_way(some), rcond=None)[0]
+              for where, some in ((box(points, across), _products(u, v, degrees)),
+                                  (points, terms))]
+    return _each_of_unit_size(fitted[0] - fitted[1], [some.shape[1] for some in terms], 2)
+
+
+def box(points: Array, across: Sequence[float] | Array) -> Array:
+    """Return a grid (k, 2) over the box of points (m, 2), which goes from -1 to 1 each way."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    u, v = (w.ravel() for w in np.meshgrid(across, across))
+    return np.asarray((low + high) / 2 + np.column_stack([u, v]) * (high - low) / 2)
+
+
+def _rigid(points: Array) -> Array:
+    """Return the displacements (2 m, 3), all x first, of points (m, 2) that move together."""
+    x, z = points.T
+    one, none = np.ones(len(x)), np.zeros(len(x))
+    return np.concatenate([np.column_stack([one, none, z]), np.column_stack([none, one, -x])])
+
+
+def _each_way(terms: Sequence[Array]) -> Array:
+    """Return functions (m, k) as displacements (2 m, 2 k in all), all x first."""
+    m, counts = len(terms[0]), [some.shape[1] for some in terms]
+    both = np.zeros((2, m, 2 * sum(counts)))
+    for some, k, last in zip(terms, counts, 2 * np.cumsum(counts), strict=True):
+        both[0, :, last - 2 * k:last - k] = both[1, :, last - k:last] = some
+    return both.reshape(2 * m, -1)
+
+
+def bent_faces(p: Array, here: NDArray[np.bool_], degrees: Sequence[int]) -> list[Array]:
+    """Return heights (m, k), together of RMS 1, over a face with the points p (m, 3) here (m,)."""
+    points = p[here]
+    if len(points) <= 3:
+        return [np.zeros((len(p), 0))] * len(degrees)
+    centred = points - points.mean(axis=0)
+    _, axes = np.linalg.eigh(centred.T @ centred)
+    u, v = centred @ axes[:, 2], centred @ axes[:, 1]
+    some = polynomials(u, v, degrees)
+    flat = np.column_stack([np.ones(len(u)), u, v])
+    terms = np.zeros((len(p), sum(part.shape[1] for part in some)))
+    terms[here] = without(np.concatenate(some, axis=1), flat)
+    return _each_of_unit_size(terms, [part.shape[1] for part in some], 1)
+
+
+def _each_of_unit_size(columns: Array, counts: Sequence[int], ways: int) -> list[Array]:
+    """Return columns (..., ways * sum of counts) in parts, each in units of its share."""
+    parts = np.split(columns, ways * np.cumsum(counts)[:-1], axis=-1)
+    return [part / count ** 0.5 for part, count in zip(parts, counts, strict=True)]
+
+
+def places(poses: Array) -> Array:
+    """Return where poses (n, 4, 4) are, (n, 6), in units over which the robot's error is alike."""
+    rotations = Rotation.from_matrix(poses[:, :3, :3])
+    vectors = (rotations.mean().inv() * rotations).as_rotvec()
+    return np.concatenate([poses[:, :3, 3] / ALIKE_POSITION, vectors / ALIKE_ROTATION], axis=1)
+
+
+def kernel(a: Array, b: Array) -> Array:
+    """Return the correlations (n, k) of smooth errors at places (n, 6) and (k, 6)."""
+    squared = ((a[:, None] - b[None]) ** 2).sum(axis=2)
+    return np.asarray(1.0 / (1.0 + squared))
+
+
+def process_root(place: Array) -> Array:
+    """
+    Return the root (n, k) of the covariance of a smooth process of unit variance at places.
+
+    A rational quadratic kernel, that is of many scales of length at once; of very many places it
+    is spanned by some (Nystroem).
+    """
+    some = place[spread(place, MOST_PLACES)]
+    own = kernel(some, some)
+    values, vectors = np.linalg.eigh(own)
+    keep = values > 1e-6 * values[-1]
+    return np.asarray(kernel(place, some) @ (vectors[:, keep] / np.sqrt(values[keep])))
+
+
+def spread(place: Array, most: int) -> list[int]:
+    """Return the indices of at most so many places (n, 6) that are far from each other."""
+    chosen = [0]
+    nearest = ((place - place[0]) ** 2).sum(axis=1)
+    while len(chosen) < most and nearest.max() > SAME_PLACE ** 2:
+        chosen.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, ((place - place[chosen[-1]]) ** 2).sum(axis=1))
+    return chosen

@@ -1,0 +1,75 @@
+"""
+What an answer is asked for where no transform is right: the one that serves best.
+
+A robot that errs differently from stop to stop, or a sensor whose field is bent, maps points best
+with another transform than that of its mount: that which maps the points of the field of view, at
+all stops, nearest to where they are, but for a motion of the target. How far that lies from the
+answer follows from what is known of the doubts, and it is part of what is stated.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.estimation.basis import box, field_motions
+from handeye_ros.estimation.blocks import DISTORTION, ParameterBlock, points_on_target, SMOOTH
+from handeye_ros.estimation.linearise import Linear, Problem
+import numpy as np
+
+
+def by_blocks(linear: Linear, found: Sequence[ParameterBlock]) -> Array:
+    """Return by how much (6, q) what serves best moves with the unknowns of the doubts found."""
+    problem, X, points = linear.problem, linear.estimate.X, points_on_target(linear)
+    by_pose = by_poses(problem, X, box(points, (-1, 0, 1)))
+    motions = {}
+    if any(block.name.startswith('distortion') for block in found):
+        motions = dict(zip((f'distortion_{degree}' for degree in DISTORTION),
+                           field_motions(points, list(DISTORTION)), strict=True))
+    parts = [np.zeros((6, 0))]
+    for block in found:
+        if block.name in SMOOTH:
+            by_axis = by_pose[:, :, SMOOTH[block.name]]
+            part = np.einsum('xna,nk->xak', by_axis, problem.smooth).reshape(6, -1)
+        elif block.name in motions:
+            part = _of_mount(X) @ motions[block.name]
+        else:
+            part = np.zeros((6, block.count))
+        parts.append(part * block.std)
+    return np.concatenate(parts, axis=1)
+
+
+def _of_mount(X: Array) -> Array:
+    """Return the motion (6, 3) of the mount by one of the sensor plane: along x, z, and turned."""
+    x, y, z = X[:3, :3].T
+    none = np.zeros(3)
+    return np.column_stack([np.append(x, none), np.append(z, none), np.append(none, y)])
+
+
+def by_poses(problem: Problem, X: Array, field: Array) -> Array:
+    """
+    Return by how much (6, n, 6) what serves best moves with what is added to the poses.
+
+    field: (k, 2) points of the sensor plane over which it is to serve. That added to a pose is
+    as in Linear.by_pose: of the robot, in its base frame, about the flange.
+    """
+    R, a = problem.poses[:, None, :3, :3], problem.poses[:, None, :3, 3]
+    lever = field @ X[:3, [0, 2]].T
+    p, shift = se3.apply(problem.poses, lever + X[:3, 3]), np.eye(3)
+    mount = R @ np.concatenate([np.broadcast_to(shift, (len(lever), 3, 3)), -se3.skew(lever)],
+                               axis=2)
+    every = np.broadcast_to(shift, (*p.shape, 3))
+    target = np.concatenate([-every, se3.skew(p)], axis=3)
+    if problem.config.calibration_type == 'eye_in_hand':
+        robot = np.concatenate([every, -se3.skew(p - a)], axis=3)
+    else:  # the poses are those of the base in the flange; the robot errs in its base
+        about = lever + X[:3, 3] + (np.swapaxes(R, 2, 3) @ a[..., None])[..., 0]
+        robot = R @ np.concatenate([every, -se3.skew(about)], axis=3)
+    A = np.concatenate([mount, target], axis=3).reshape(len(R), -1, 12)
+    scale = np.sqrt((A ** 2).sum(axis=(0, 1)))
+    A = A / scale
+    every_row = A.reshape(-1, 12)
+    inverse = np.linalg.pinv(every_row.T @ every_row, rcond=1e-9, hermitian=True)
+    by_robot = np.swapaxes(A, 1, 2) @ robot.reshape(len(R), -1, 6)
+    mounts = (inverse[:6] / scale[:6, None]) @ by_robot
+    return np.asarray(mounts.swapaxes(0, 1))

@@ -1,0 +1,224 @@
+"""
+Which stations can be believed.
+
+The first guess is taken when it explains nearly all stations. Otherwise further guesses, and those
+of random subsets, compete by how well all stations are explained. Then stations are dropped one by
+one, worst first.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+
+from handeye_ros.data import Array
+from handeye_ros.errors import HandeyeError
+from handeye_ros.estimation.contamination import contamination
+from handeye_ros.estimation.influence import outliers, shared_scale
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.model import Estimate
+from handeye_ros.estimation.noise import Noise
+from handeye_ros.estimation.posterior import evaluated, map_solution
+from handeye_ros.estimation.search import (
+    CONVINCING,
+    far,
+    guesses,
+    LARGEST_SQUARE,
+    mean_squares,
+    Refined,
+    refined,
+    relabelled,
+    unused_edges,
+)
+from handeye_ros.estimation.solution import evaluate, fitted, Solution, station_statistic
+import numpy as np
+from numpy.typing import NDArray
+
+SUBSETS = 20
+SUBSET_SIZE = 6
+SAME_LOSS, ENOUGH_AGREEING = 0.01, 4  # of answers from subsets, that end the search of them
+ENOUGH_STARTS = 10  # of which the best is taken if it is not poor
+ENOUGH_FAR = 8  # subsets that lead nowhere, after which none will
+FAST_STARTS = 2
+PROMISING = 16.0  # squared residual of most stations, in variances, that may become a good one
+MOST_FREEDOM = 6  # of a station's residuals: a pose has no more
+
+
+@dataclass(frozen=True, eq=False)
+class Consensus:
+    """
+    A solution from the stations used (ascending), and the squared residual of the rest.
+
+    whole: the problem with all stations and all that they show; suspected: the chance that one
+    of few stations used is wrong.
+    """
+
+    whole: Problem
+    solution: Solution
+    used: NDArray[np.intp]
+    dropped: dict[int, float]
+    contaminated: float = 0.0
+
+    @property
+    def lost(self) -> NDArray[np.intp]:
+        """Return those of the stations used that show an edge of which no use is made."""
+        labelled = self.solution.problem
+        return self.used[unused_edges(self.whole.subset(self.used), labelled)]
+
+    @property
+    def explained(self) -> int:
+        """Return how many stations are used with all kinds of evidence that they show."""
+        return len(self.used) - len(self.lost)
+
+    @property
+    def unused_share(self) -> float:
+        """Return the share of stations that are not used, or not with all that they show."""
+        return 1 - self.explained / len(self.whole.poses)
+
+
+def consensus(problem: Problem, rng: np.random.Generator, subsets: int = 0) -> Consensus:
+    """
+    Return the solution of the stations that agree.
+
+    subsets: how many random subsets of stations to start from when all together are in doubt.
+
+    Raises DataError when no estimate can be started at all.
+    """
+    starts = guesses(problem, rng)
+    best = refined(problem, next(starts))
+    tried = 1
+    while not best.conclusive and not (best.accepted and tried >= ENOUGH_STARTS) and (
+            other := next(starts, None)):
+        if not far(problem, other):
+            best, tried = min(best, refined(problem, other), key=_loss), tried + 1
+    if not best.accepted:
+        best = _best_of_subsets(problem, best, subsets, rng)
+    return without_outliers(best)
+
+
+def fast_consensus(problem: Problem, seed: int = 0) -> Consensus | None:
+    """Return what the samples agree on, None where the first few guesses promise nothing."""
+    try:
+        for start in islice(guesses(problem, np.random.default_rng(seed)), FAST_STARTS):
+            if far(problem, start):
+                continue
+            trial = refined(problem, start)
+            if trial.misfit < PROMISING:
+                return without_outliers(trial)
+    except (HandeyeError, np.linalg.LinAlgError):
+        pass
+    return None
+
+
+def _loss(trial: Refined) -> float:
+    return trial.loss
+
+
+def _best_of_subsets(problem: Problem, best: Refined, subsets: int, rng: np.random.Generator
+                     ) -> Refined:
+    """
+    Return the best trial that a few stations lead to, until one convinces or several agree.
+
+    Where the first ones lead nowhere near the others, nothing will.
+    """
+    agreeing, near = 0, 0
+    for count, start in enumerate(subset_starts(problem, subsets, rng)):
+        if (best.accepted or agreeing == ENOUGH_AGREEING
+                or count == ENOUGH_FAR and not near):
+            break
+        if far(problem, start):
+            continue
+        other, near = refined(problem, start), near + 1
+        if other.loss < best.loss - SAME_LOSS:
+            best, agreeing = other, 0
+        elif other.loss < best.loss + SAME_LOSS:
+            agreeing += 1
+    return best
+
+
+def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Iterator[Estimate]:
+    """Yield the first guess of each of so many random subsets of the stations."""
+    n, size = len(problem.poses), max(SUBSET_SIZE, problem.method.minimum)
+    for _ in range(count if n > size else 0):
+        chosen = np.sort(rng.permutation(n)[:size])
+        yield next(guesses(problem.subset(chosen), rng))
+
+
+def without_outliers(trial: Refined) -> Consensus:
+    """Return the consensus after dropping, one by one, the stations that do not fit."""
+    n, minimum = len(trial.problem.poses), trial.problem.method.minimum
+    good = trial.squares <= LARGEST_SQUARE * 4 * max(1.0, trial.spread)
+    good[np.argsort(trial.squares, kind='stable')[:minimum]] = True
+    used = np.flatnonzero(good)
+    dropped = {int(i): float(trial.squares[i]) for i in np.setdiff1d(np.arange(n), used)}
+    estimate = trial.estimate
+    while True:
+        part = trial.problem.subset(used)
+        estimate = fitted(part, estimate, Noise())
+        solution = evaluate(part, estimate, Noise())
+        mean_square, freedom = _mean_squares(solution)
+        scaled = mean_square / shared_scale(mean_square, freedom)
+        worst = outliers(scaled, freedom, n, len(used) - minimum)[:1]
+        if not len(worst):
+            return Consensus(trial.whole, solution, used, dropped)
+        dropped |= {int(used[k]): float(mean_square[k]) for k in worst}
+        used = np.delete(used, worst)
+
+
+def refine(agreed: Consensus, minimum: int) -> Consensus:
+    """
+    Return the consensus with all doubts in its solution; what then does not fit is dropped.
+
+    What fits only now, as the target is not as stated, is taken back. Of few stations each may
+    be wrong without being seen to be: the stated covariance holds that.
+    """
+    found = _refined(agreed, minimum)
+    labelled = relabelled(agreed.whole, found.solution.estimate)
+    near = mean_squares(labelled, found.solution.estimate) <= CONVINCING
+    back = [i for i in found.dropped if near[i] and i in labelled.observations.station]
+    used = np.union1d(found.used, np.array(back, dtype=np.intp))
+    part, noise = labelled.subset(used), found.solution.noise
+    if not (back or len(found.lost)) or _misfits(part, found):
+        return found
+    dropped = {i: square for i, square in found.dropped.items() if i not in back}
+    start = replace(found.solution, problem=part, estimate=agreed.solution.estimate)
+    again = _refined(replace(found, solution=start, used=used, dropped=dropped), minimum, noise)
+    return again if again.explained > found.explained else found
+
+
+def _misfits(part: Problem, found: Consensus) -> bool:
+    """Return whether a station of a problem does not fit what was found, by its noise."""
+    solution = evaluated(part, found.solution.estimate, found.solution.noise)
+    return len(outliers(*_mean_squares(solution), len(found.whole.poses), 1)) > 0
+
+
+def _refined(agreed: Consensus, minimum: int, noise: Noise | None = None) -> Consensus:
+    """Return the consensus with all doubts in its solution, and what does not fit dropped."""
+    used, dropped, part = agreed.used, dict(agreed.dropped), agreed.solution.problem
+    total, estimate = len(used) + len(dropped), agreed.solution.estimate
+    while True:
+        solution = map_solution(part, estimate, noise)
+        mean_square, freedom = _mean_squares(solution.conservative or solution)
+        spare = len(used) - minimum
+        worst = outliers(mean_square, freedom, total, spare)
+        suspect = None if len(worst) else contamination(solution, len(dropped))
+        if suspect and spare > 0 and suspect.worst is not None:
+            worst = np.array([suspect.worst], dtype=np.intp)
+        if not len(worst):
+            if suspect:
+                solution = replace(solution, contamination=suspect.covariance)
+            return replace(agreed, solution=solution, used=used, dropped=dropped,
+                           contaminated=suspect.of_any if suspect else 0.0)
+        dropped |= {int(used[k]): float(mean_square[k]) for k in worst}
+        used = np.delete(used, worst)
+        part = part.subset(np.delete(np.arange(len(part.poses)), worst))
+
+
+def _mean_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
+    """
+    Return per station the mean squared deleted residual and its degrees of freedom.
+
+    Many points of one profile share one pose and one distortion: they count as a few.
+    """
+    statistic, count = station_statistic(solution)
+    return statistic / np.maximum(count, 1), np.clip(count, 1, MOST_FREEDOM)

@@ -1,0 +1,171 @@
+"""
+What is to be solved, and its residuals and derivatives at an estimate.
+
+A condition g(p) = 0 holds for a point of the sensor plane s = (x, 0, z) carried to the base,
+p = R_i (X s) + a_i.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array
+from handeye_ros.estimation.basis import places, process_root, spread
+from handeye_ros.estimation.factored import products
+from handeye_ros.estimation.model import Estimate, Method, Observations
+from handeye_ros.estimation.stations import Ends, ends_of, Stations, stations_of
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """
+    What is to be solved: T_base_flange (n, 4, 4), observations of them, and settings.
+
+    What follows from these alone, whatever the estimate, is found once.
+    """
+
+    method: Method
+    poses: Array
+    observations: Observations
+    config: Config
+
+    @cached_property
+    def columns(self) -> NDArray[np.intp]:
+        """Return the columns of the Jacobian that are unknown."""
+        free = self.method.free(self.config)
+        return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
+
+    @cached_property
+    def flanges(self) -> tuple[Array, Array]:
+        """Return rotation (m, 3, 3) and position (m, 3) of each observation's flange."""
+        T = self.poses[self.observations.station]
+        return np.ascontiguousarray(T[:, :3, :3]), T[:, :3, 3].copy()
+
+    @cached_property
+    def by_columns(self) -> Array:
+        """Return the derivatives (9, m * 3) of points turned to the base, by x, z and t of X."""
+        x, z = self.observations.points.T[:, :, None, None]
+        R, _ = self.flanges
+        return np.stack([R * x, R * z, R]).transpose(0, 3, 1, 2).reshape(9, -1)
+
+    @cached_property
+    def stations(self) -> tuple[Stations, ...]:
+        """Return what the observations of each station have in common."""
+        return stations_of(self.observations)
+
+    @cached_property
+    def ends(self) -> Ends:
+        """Return the ends of faces among the observations."""
+        return ends_of(self.observations)
+
+    @cached_property
+    def places(self) -> Array:
+        """Return where the poses are (n, 6), in units over which the robot's error is alike."""
+        return places(self.poses)
+
+    @cached_property
+    def apart(self) -> list[int]:
+        """Return the stations that are at places of their own: a pose may be taken again."""
+        return spread(self.places, len(self.poses))
+
+    @cached_property
+    def smooth(self) -> Array:
+        """Return the root (n, r) of the covariance of a smooth error at the poses."""
+        robot = self.poses if self.config.calibration_type == 'eye_in_hand' else se3.inverse(
+            self.poses)
+        return process_root(places(robot))
+
+    @cached_property
+    def smooth_products(self) -> Array:
+        """Return the products (n, r * r) of each two columns of this root."""
+        return products(self.smooth)
+
+    def subset(self, stations: NDArray[np.intp]) -> Problem:
+        """Return the problem with only the given stations (ascending indices)."""
+        if len(stations) == len(self.poses):
+            return self
+        obs = self.observations
+        keep = np.isin(obs.station, stations)
+        fewer = obs.select(keep)
+        renumbered = np.searchsorted(stations, fewer.station)
+        return replace(self, poses=self.poses[stations],
+                       observations=replace(fewer, station=renumbered))
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """
+    Residuals (..., m) at an estimate, their Jacobian (..., m, 6 + k), what the errors do to them.
+
+    lever: (..., m, 3) from the sensor to the points, in the mount; by_base: (..., m, 3)
+    derivative by the point in the base.
+    """
+
+    problem: Problem
+    estimate: Estimate
+    residuals: Array
+    jacobian: Array
+    lever: Array
+    by_base: Array
+
+    @cached_property
+    def by_pose(self) -> Array:
+        """Return the derivative (..., m, 6) by the robot's error, base frame, about the flange."""
+        R, a = self.problem.flanges
+        to_point = np.einsum('mij,...mj->...mi', R, self.lever + self._origin)
+        if self.problem.config.calibration_type == 'eye_in_hand':
+            return np.concatenate([self.by_base, se3.cross(to_point, self.by_base)], axis=-1)
+        # the poses are those of the base in the flange; the robot errs in its base
+        by_mount = self.jacobian[..., :3]
+        p_base = np.einsum('mji,...mj->...mi', R, to_point + a)
+        return np.concatenate([by_mount, se3.cross(p_base, by_mount)], axis=-1)
+
+    @cached_property
+    def by_point(self) -> Array:
+        """Return the derivative (..., m, 2) by the point of the sensor plane."""
+        return np.asarray(self.jacobian[..., :3] @ self.estimate.X[..., :3, [0, 2]])
+
+    @cached_property
+    def by_feature(self) -> Array:
+        """Return the derivative (..., m, 2) by the feature's unit errors."""
+        noise = self.problem.observations.noise
+        return np.asarray(np.einsum('...mi,mij->...mj', self.by_point, noise))
+
+    @property
+    def _origin(self) -> Array:
+        return np.asarray(self.estimate.X[..., None, :3, 3])
+
+
+def points_at(observations: Observations, poses: Array, X: Array) -> Array:
+    """Return the observed points (m, 3) in the base frame, of poses (n, 4, 4) and X (4, 4)."""
+    in_mount = observations.points @ X[:3, [0, 2]].T + X[:3, 3]
+    T = poses[observations.station]
+    return np.asarray(np.einsum('mij,mj->mi', T[:, :3, :3], in_mount) + T[:, :3, 3])
+
+
+def points_in_base(problem: Problem, X: Array) -> Array:
+    """Return the observed points (m, 3) of a problem in the base frame."""
+    return points_at(problem.observations, problem.poses, X)
+
+
+def linearise(problem: Problem, estimate: Estimate) -> Linear:
+    """
+    Return residuals and derivatives at an estimate.
+
+    Or at several at once, X (n, 4, 4) and target (n, s), where the method can do that.
+    """
+    obs, X = problem.observations, estimate.X
+    R, a = problem.flanges
+    columns = np.swapaxes(X[..., :3, [0, 2, 3]], -1, -2)
+    lever = obs.points @ columns[..., :2, :]
+    turned = columns.reshape(*X.shape[:-2], 9) @ problem.by_columns
+    p = turned.reshape(*X.shape[:-2], len(obs), 3) + a
+    conditions = problem.method.conditions(p, obs.kind, estimate.target, problem.config)
+    by_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
+    jacobian = np.concatenate([by_mount, se3.cross(lever, by_mount), conditions.dg_dtarget],
+                              axis=-1)
+    return Linear(problem, estimate, conditions.g, jacobian, lever, conditions.dg_dp)

@@ -1,0 +1,167 @@
+"""
+What the noise makes of the residuals: their covariances, and the map that makes them white.
+
+The error of a condition has two parts: the feature's own, and that of the station's pose, which
+all observations of the station share. Both are whitened together. Doubts, which all stations
+share, are unknowns of the solution (see mixed); while it is searched for they count as errors
+of each station by itself.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from handeye_ros.config import NoiseConfig
+from handeye_ros.data import Array
+from handeye_ros.estimation.linalg import inverse_of_lower
+from handeye_ros.estimation.linearise import Linear, Problem
+from handeye_ros.estimation.stations import Stations
+import numpy as np
+from numpy.typing import NDArray
+
+SMALLEST_STD = 1e-9  # of a feature without any noise, which would weigh infinitely (m)
+TURN_LENGTH = 0.3  # over which an error of the robot's joints turns as much as it shifts (m)
+LOCAL = 0.6  # of the distortion, which differs from station to station: speckle, and waves
+ROUNDING = 1e-12  # keeps a covariance invertible that one pose error rules
+
+
+@dataclass(frozen=True)
+class Noise:
+    """
+    Scale factors on the configured variances.
+
+    sensor: on the features' own, edge: on those of edge points; local: on the share of the
+    distortion that is each station's own; robot: on the pose noise;
+    doubts: on the unknowns of each, by name; lumped: whether doubts count as errors of each
+    station here.
+    """
+
+    sensor: float = 1.0
+    edge: float = 1.0
+    local: float = 1.0
+    robot: float = 1.0
+    scales: Mapping[str, float] = field(default_factory=dict)
+    lumped: bool = True
+
+    @property
+    def factors(self) -> Array:
+        """Return the factors on the parts of covariances."""
+        return np.array([self.sensor, self.edge, self.local, self.robot])
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """Per group of stations with equally many observations: their rows and inverse factors."""
+
+    rows: tuple[NDArray[np.intp], ...]
+    factors: tuple[Array, ...]
+
+    def __call__(self, values: Array) -> Array:
+        """Return (m, ...) values with unit covariance."""
+        if len(self.rows) == 1:  # all rows, in their order
+            return _white(self.factors[0], values)
+        white = np.empty_like(values)
+        for rows, factor in zip(self.rows, self.factors, strict=True):
+            white[rows.ravel()] = _white(factor, values[rows.ravel()])
+        return white
+
+
+def _white(factor: Array, values: Array) -> Array:
+    """Return (n * c, ...) values of n stations, whitened by factor (n, c, c)."""
+    by_station = values.reshape(*factor.shape[:2], -1)
+    return np.asarray((factor @ by_station).reshape(values.shape))
+
+
+def covariances(problem: Problem, linear: Linear, at: Stations) -> Array:
+    """
+    Return covariances, (4, stations, c, c), of the residuals.
+
+    Of features, edges, the distortion that is each station's own, and poses.
+    """
+    noise = problem.config.noise
+    feature = _feature(linear, at)
+    # no covariance between edges and the rest, so that any factors keep the sum positive
+    return np.array([feature * at.rest, feature * at.edge,
+                     at.near * _squared(at.of(linear.by_point), _local(problem)),
+                     _squared(at.of(linear.by_pose), _pose(noise))])
+
+
+def lumped(problem: Problem, linear: Linear, at: Stations) -> Array:
+    """
+    Return covariances (stations, c, c) of the residuals from what all stations share.
+
+    The distortion of a sensor is smooth: points near each other in its plane share it.
+    """
+    noise = problem.config.noise
+    return np.asarray(at.near * _squared(at.of(linear.by_point), noise.distortion ** 2)
+                      + _setback(problem, linear, at)
+                      + _squared(at.of(linear.by_pose), _smooth(noise)))
+
+
+def _total(problem: Problem, linear: Linear, at: Stations, noise: Noise) -> Array:
+    """Return the sum (stations, c, c) of covariances, and of what is lumped with them."""
+    told, shared = problem.config.noise, float(noise.lumped)
+    total = _feature(linear, at)
+    total *= noise.sensor * at.rest + noise.edge * at.edge if problem.ends.parts else noise.sensor
+    distortion = noise.local * _local(problem) + shared * told.distortion ** 2
+    if distortion:
+        total += at.near * _squared(at.of(linear.by_point), distortion)
+    total += _squared(at.of(linear.by_pose), noise.robot * _pose(told) + shared * _smooth(told))
+    return total + _setback(problem, linear, at) if shared else total
+
+
+def _feature(linear: Linear, at: Stations) -> Array:
+    """Return the covariances (stations, c, c) of the features' own errors."""
+    factor, every = at.of(linear.by_feature), np.arange(at.rows.shape[1])
+    if at.alone:
+        feature = np.zeros(at.near.shape)
+        feature[:, every, every] = np.einsum('sck,sck->sc', factor, factor)
+    else:
+        feature = _squared(factor) * at.shared
+    feature[:, every, every] += SMALLEST_STD ** 2
+    return feature
+
+
+def _setback(problem: Problem, linear: Linear, at: Stations) -> Array:
+    """Return the covariances (stations, c, c) from where edges are taken to be."""
+    if not problem.ends.parts:
+        return np.zeros(1)
+    outward = at.of(problem.observations.outward)
+    along = (at.of(linear.by_point) * outward).sum(axis=2) * problem.config.target.setback_std
+    return np.asarray(along[:, :, None] * along[:, None, :] * at.shared)
+
+
+def _local(problem: Problem) -> float:
+    """Return the variance of the distortion that is each station's own."""
+    return (LOCAL * problem.config.noise.distortion) ** 2
+
+
+def _pose(noise: NoiseConfig) -> Array:
+    """Return the variances (6,) of a pose's own error."""
+    return np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
+
+
+def _smooth(noise: NoiseConfig) -> Array:
+    """Return the variances (6,) of the robot's smooth error at a pose."""
+    return noise.robot_smooth ** 2 * np.repeat([1.0, TURN_LENGTH ** -2], 3)
+
+
+def _squared(factor: Array, variances: Array | float = 1.0) -> Array:
+    """Return factor @ diag(variances) @ factor.T of factors (stations, c, k)."""
+    scaled = factor * np.sqrt(variances)
+    return np.asarray(scaled @ np.swapaxes(scaled, 1, 2))
+
+
+def whitening(problem: Problem, linear: Linear, noise: Noise) -> Whitening:
+    """Return the map to residuals of unit covariance."""
+    return Whitening(tuple(at.rows for at in problem.stations), tuple(
+        inverse_roots(_total(problem, linear, at, noise)) for at in problem.stations))
+
+
+def inverse_roots(covariance: Array) -> Array:
+    """Return the whitening factors (n, c, c) of covariances (n, c, c)."""
+    every = np.arange(covariance.shape[1])
+    own = covariance[:, every, every]
+    regular = covariance.copy()
+    regular[:, every, every] += ROUNDING * own.sum(axis=1)[:, None]
+    return inverse_of_lower(np.asarray(np.linalg.cholesky(regular)))

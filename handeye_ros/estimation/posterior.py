@@ -1,0 +1,259 @@
+"""
+The answer with all doubts in it: estimate, weights and covariance hold them always.
+
+With whitened residuals r = J u + K n + e, doubts n and noise e of unit variance, the least
+squares of [J K; 0 I] give the best linear unbiased u (Henderson 1975, Biometrics 31:423). How
+large the noise really is is estimated by restricted maximum likelihood in multiplicative
+fixed-point steps (Patterson and Thompson 1971, Biometrika 58:545), held to the configured size by
+a weak belief; how large the doubts are, by what is likely beforehand and afterwards (see sizes).
+
+An estimate and what is stated of it are made with different sizes: a doubt that the data show
+nothing of should not move the answer, but it may well be there.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from handeye_ros.data import Array
+from handeye_ros.estimation.blocks import (
+    Deformation,
+    deformation,
+    parameter_blocks,
+    ParameterBlock,
+)
+from handeye_ros.estimation.factored import Columns
+from handeye_ros.estimation.linalg import from_conditions, from_information
+from handeye_ros.estimation.linearise import Linear, linearise, Problem
+from handeye_ros.estimation.model import Estimate
+from handeye_ros.estimation.noise import (
+    covariances,
+    Noise,
+    Whitening,
+    whitening,
+)
+from handeye_ros.estimation.scales import prior_scales, Scales
+from handeye_ros.estimation.solution import columns_of, retracted, Solution
+import numpy as np
+from numpy.typing import NDArray
+
+ROUNDS = 10  # of linearising
+STEPS, LAST_STEPS = 2, 4  # of estimating sizes in each round, and after the last
+SETTLED = 0.03  # relative change of a variance that changes no answer
+SETTLED_NOISE = 0.1  # the same, of the noise, on the way
+ASKED = 300  # stations that at most are asked for the noise
+CONVERGED = 0.02  # step in sigmas
+DIVERGED = 4.0  # of a step over the smallest before
+SIZING = 1  # rounds in which a doubt may turn out so large that the step grows
+BELIEF_NOISE = 4.0  # in the configured noise, in degrees of freedom
+CONFIGURED, MAP = np.ones(4), np.array([1.0, 1.0, 1e-4, 1.0])  # factors that are believed in
+MAP_STEPS = 3  # of estimating the noise that an estimate is best made with
+SMALLEST, LARGEST = 1e-4, 1e8
+MOST = 400.0  # of doubts but of the target's stated measures: 20 times as large
+
+
+def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) -> Solution:
+    """
+    Return the solution near a start with its doubts and noise as large as the residuals show.
+
+    start: with the target as stated; noise: from which to settle it, None: as configured. Of
+    very many stations some lead near it first.
+    """
+    noise, nothing = noise or Noise(lumped=False), np.zeros(len(problem.method.labels))
+    near, every = (start, noise, nothing), len(problem.poses) // ASKED
+    if every > 1:
+        some = problem.subset(np.arange(0, len(problem.poses), every))
+        found, astray = _approached(_System.of(some, *near))
+        near = near if astray else (found.estimate, found.noise, found.deviation)
+    system, astray = _approached(_System.of(problem, *near))
+    return system.solution() if astray else system.answer()
+
+
+def _approached(system: _System) -> tuple[_System, bool]:
+    """Return the system at its solution, and whether the way there led astray and was left."""
+    least, best, resting = np.inf, system, False
+    for count in range(ROUNDS):
+        x, covariance = system.solved
+        size = float(np.abs(x[:system.u] / np.sqrt(np.diag(covariance)[:system.u])).max())
+        astray = size > DIVERGED * max(least, 1.0)
+        if astray and count > SIZING:
+            return best, True
+        best, least = best if astray else system, min(size, least)
+        estimate, deviation = system.moved(x)
+        noise, before = system.with_noise(x, covariance), system.noise.factors
+        change = np.abs(np.log(noise.factors / before)).max()
+        there, steady = system.at(estimate, noise, deviation), change < SETTLED_NOISE
+        system = there if resting and steady else there.sized(STEPS)[0]
+        resting = system is there
+        if size < CONVERGED and steady:
+            break
+    return system, False
+
+
+def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
+    """Return the solution that an estimate is with doubts and noise of a given size."""
+    nothing = np.zeros(len(problem.method.labels))
+    return _System.of(problem, estimate, replace(noise, lumped=False), nothing).solution()
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """
+    The whitened least squares at an estimate.
+
+    r: (m,), of which the doubts are not taken out; columns: derivatives by u unknowns and by q
+    of the doubts at their configured size; gradient: (u + q,) by all of them; group: (q,) the
+    doubt of each.
+    """
+
+    problem: Problem
+    estimate: Estimate
+    linear: Linear
+    noise: Noise
+    blocks: tuple[ParameterBlock, ...]
+    white: Whitening
+    r: Array
+    columns: Columns
+    gradient: Array
+    group: NDArray[np.intp]
+    deviation: Array
+    deformation: Deformation
+
+    @classmethod
+    def of(cls, problem: Problem, estimate: Estimate, noise: Noise, deviation: Array,
+           near: Deformation | None = None) -> _System:
+        linear = linearise(problem, estimate)
+        near = deformation(linear) if near is None else near
+        found = parameter_blocks(problem, linear, near)
+        return cls.weighing(problem, estimate, linear, noise, found, deviation, near)
+
+    @classmethod
+    def weighing(cls, problem: Problem, estimate: Estimate, linear: Linear, noise: Noise,
+                 found: tuple[ParameterBlock, ...], deviation: Array, near: Deformation
+                 ) -> _System:
+        """Return the system of what is linearised, whitened by a noise."""
+        white: Whitening = whitening(problem, linear, noise)
+        residuals = linear.residuals - linear.jacobian[:, 6:] @ deviation
+        parts = [linear.jacobian[:, problem.columns], *(d.columns for d in found)]
+        own = white(np.column_stack([*parts, residuals]))
+        axes = sum(d.columns.shape[1] for d in found if d.functions > 1)
+        group = np.repeat(np.arange(len(found)), [d.count for d in found])
+        columns, r = columns_of(problem, own[:, :-1], axes), own[:, -1]
+        return cls(problem, estimate, linear, noise, found, white, r, columns,
+                   columns.gradient_of(r, columns.rows), group, deviation, near)
+
+    def at(self, estimate: Estimate, noise: Noise, deviation: Array) -> _System:
+        """Return the system at another estimate, from which what may be bent looks alike."""
+        return _System.of(self.problem, estimate, noise, deviation, self.deformation)
+
+    def weighed(self, noise: Noise) -> _System:
+        """Return the system with another noise."""
+        return _System.weighing(self.problem, self.estimate, self.linear, noise, self.blocks,
+                                self.deviation, self.deformation)
+
+    @property
+    def u(self) -> int:
+        return self.columns.count - len(self.group)
+
+    @property
+    def first(self) -> NDArray[np.intp]:
+        """Return where the unknowns of each doubt begin (d,), among those of all doubts."""
+        return np.searchsorted(self.group, np.arange(len(self.blocks)))
+
+    @property
+    def variances(self) -> Array:
+        """Return how large (d,) the doubts are taken to be, over the configured variance."""
+        return np.array([self.noise.scales.get(d.name, 1.0) for d in self.blocks])
+
+    @cached_property
+    def scales(self) -> Array:
+        """Return the sizes (u + q,) of the unknowns of doubts, 1 of others."""
+        return np.append(np.ones(self.u), np.sqrt(self.variances)[self.group])
+
+    @cached_property
+    def solved(self) -> tuple[Array, Array]:
+        """Return what unknowns and doubts are (u + q,), and their covariance."""
+        s, q = self.scales, len(self.group)
+        if len(self.r) < len(s):
+            return from_conditions(self.columns.dense * s, self.r, q)
+        return from_information(self.columns.gram, self.gradient, s, q)
+
+    def sized(self, steps: int) -> tuple[_System, Scales | None]:
+        """
+        Return the system with the doubts as large as they show themselves, and these sizes.
+
+        A last step that changes next to nothing is not made. Without a doubt there are no sizes.
+        """
+        system, found = self, None
+        for _ in range(steps if self.blocks else 0):
+            before, found = system.variances, system.shown
+            if np.abs(np.log(found.conservative / before)).max() < SETTLED:
+                break
+            system = system.with_sizes(found.conservative)
+        return system, found
+
+    @cached_property
+    def shown(self) -> Scales:
+        """Return how large the doubts show themselves."""
+        (x, covariance), u, before = self.solved, self.u, self.variances
+        largest = np.array([MOST if d.parameter is None else LARGEST for d in self.blocks])
+        return prior_scales(covariance[u:, u:], x[u:], self.first, before, largest)
+
+    def with_noise(self, x: Array, covariance: Array, believed: Array = CONFIGURED) -> Noise:
+        """Return the noise with the factors that the residuals show, held to those believed."""
+        sums, columns = np.zeros((4, 2)), self.columns.scaled(self.scales)
+        every = -(-len(self.problem.poses) // ASKED)
+        for stations, factors in zip(self.problem.stations, self.white.factors, strict=True):
+            at, root = stations.every(every), factors[::every]
+            V = covariances(self.problem, self.linear, at)
+            W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(4, -1)
+            r = self.r[at.rows] + columns.change(x, at.rows)
+            left = np.eye(r.shape[1]) - columns.predicted_covariance(covariance, at.rows)
+            both = r[:, :, None] * r[:, None]
+            sums += W @ np.column_stack([both.ravel(), left.ravel()])
+        before = self.noise.factors
+        sums *= before[:, None]
+        after = before * (sums[:, 0] + BELIEF_NOISE * believed / before) / (
+            np.maximum(sums[:, 1], 0.0) + BELIEF_NOISE)
+        sensor, edge, local, robot = np.clip(after, SMALLEST, LARGEST).tolist()
+        return replace(self.noise, sensor=sensor, edge=edge, local=local, robot=robot)
+
+    def moved(self, x: Array) -> tuple[Estimate, Array]:
+        """Return the estimate moved by a solution, and how far the target is from as stated."""
+        after, s = np.zeros_like(self.deviation), self.scales
+        for i, block in enumerate(self.blocks):
+            if block.parameter is not None:
+                column = self.u + int(self.first[i])
+                after[block.parameter] = x[column] * s[column] * block.std
+        changed = retracted(self.problem, self.estimate, x[:self.u])
+        target = self.problem.method.retract(changed.target, after - self.deviation)
+        return Estimate(changed.X, target), after
+
+    def with_sizes(self, variances: Array) -> _System:
+        """Return the system with other sizes of the doubts."""
+        named = {d.name: max(float(v), d.least)
+                 for d, v in zip(self.blocks, variances, strict=True)}
+        return replace(self, noise=replace(self.noise, scales=named))
+
+    def answer(self) -> Solution:
+        """Return the solution, with what is stated of it."""
+        _, found = self.sized(LAST_STEPS)
+        likely, wide = (self, self) if found is None else (
+            self.with_sizes(found.map_scales), self.with_sizes(found.conservative))
+        for _ in range(MAP_STEPS):
+            likely = likely.weighed(likely.with_noise(*likely.solved, MAP))
+        estimate, deviation = likely.moved(likely.solved[0])
+        there = self.at(estimate, likely.noise, deviation)
+        wide = there.weighed(wide.noise)
+        return replace(there.solution(), conservative=wide.solution())
+
+    def solution(self) -> Solution:
+        """Return the solution that the estimate is, near enough to its minimum."""
+        x, covariance = self.solved
+        s = self.scales
+        columns = self.columns.scaled(s)
+        sized = tuple(replace(d, std=d.std * float(size))
+                      for d, size in zip(self.blocks, s[self.u:][self.first], strict=True))
+        estimate = retracted(self.problem, self.estimate, x[:self.u])
+        return Solution(self.problem, estimate, self.noise, self.linear, self.r + columns.times(x),
+                        columns, covariance, x[self.u:], sized)

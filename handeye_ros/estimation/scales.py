@@ -1,0 +1,136 @@
+"""
+How large a doubt is, judged by what the data show of its unknowns.
+
+The unknowns of a doubt are normal, and the size of them all, its standard deviation over the
+configured one, is unknown too: Student's t in magnitude (Gelman 2006, Bayesian Analysis 1:515).
+It is not taken as the likeliest, which is nothing as soon as few unknowns are small by chance,
+but summed over.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+from handeye_ros.data import Array
+import numpy as np
+from numpy.typing import NDArray
+
+SCALES = np.geomspace(0.001, 1e4, 43)  # that are summed over
+VARIANCES = SCALES ** 2
+LOGARITHMS = np.log(VARIANCES)
+GROWN = 2.0  # times the variance before: less is no new cause
+
+
+def _belief(freedom: float, scale: float) -> Array:
+    """Return the logarithm of the prior of sizes, of equal steps in their logarithm."""
+    return np.asarray(np.log(SCALES) - (freedom + 1) / 2 * np.log1p(
+        VARIANCES / (freedom * scale ** 2)))
+
+
+# As configured in the mean square, with so heavy a tail that it may be several times as much.
+CONSERVATIVE = _belief(3.0, 0.8)
+# The same of a doubt of one unknown, of whose size a single number tells: Cauchy's tail.
+ALONE = _belief(1.0, 1.0)
+# Nothing, unless the data show something: what an estimate is best made with.
+MAP = _belief(1.0, 0.01)
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """
+    How large d doubts show themselves, as variances over the configured ones.
+
+    before: (d,) their variances so far; evidence: (s, d) logarithm of how likely the data are,
+    were a doubt of each of SIZES; fitted, square: (s, d) what they then are, without and with
+    what is not known of them; alone: (d,) whether they are of one unknown.
+    """
+
+    before: Array
+    evidence: Array
+    fitted: Array
+    square: Array
+    alone: NDArray[np.bool_]
+
+    @cached_property
+    def map_scales(self) -> Array:
+        """Return the variances (d,) for an estimate."""
+        grown = _matched(MAP[:, None], self.evidence, self.fitted)
+        return np.where(self._waiting, np.minimum(grown, self.before), grown)
+
+    @cached_property
+    def conservative(self) -> Array:
+        """Return the variances (d,) for what is stated of an estimate."""
+        return np.where(self._waiting, self.before, self._each_conservative)
+
+    @cached_property
+    def _waiting(self) -> NDArray[np.bool_]:
+        """
+        Return which of the doubts of one unknown (d,) do not grow while another does.
+
+        Two of them may explain the same, and were both large, neither would seem needed: that
+        which explains most grows first.
+        """
+        growing = self.alone & (self._each_conservative > GROWN * self.before)
+        if growing.sum() > 1:
+            growing[np.argmax(np.where(growing, self._gain, -np.inf))] = False
+            return growing
+        return np.zeros(len(growing), dtype=bool)
+
+    @cached_property
+    def _each_conservative(self) -> Array:
+        return _matched(self._belief, self.evidence, self.square)
+
+    @property
+    def _belief(self) -> Array:
+        return np.where(self.alone, ALONE[:, None], CONSERVATIVE[:, None])
+
+    @property
+    def _gain(self) -> Array:
+        """Return how much likelier (d,) the data are over all sizes than at that before."""
+        belief = self._belief
+        posterior = belief - np.logaddexp.reduce(belief) + self.evidence
+        now = [np.interp(np.log(own), LOGARITHMS, of_size)
+               for own, of_size in zip(self.before, self.evidence.T, strict=True)]
+        return np.asarray(np.logaddexp.reduce(posterior) - now)
+
+
+def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], size: Array,
+                 largest: Array) -> Scales:
+    """
+    Return the sizes of doubts.
+
+    value (q,) and covariance (q, q) of their unknowns in units of their sigma, when the variance
+    of each doubt is size (d,) times the configured one; first: (d,) ascending, where the unknowns
+    of each begin; largest: (d,) the variance beyond which there is none.
+    """
+    blocks = [slice(*ends) for ends in pairwise([*first.tolist(), len(value)])]
+    shares, along = np.empty(len(value)), np.empty(len(value))
+    for block in blocks:
+        if block.stop == block.start + 1:
+            shares[block], along[block] = covariance[block, block], value[block]
+            continue
+        own, axes = np.linalg.eigh(covariance[block, block])
+        shares[block], along[block] = own, axes.T @ value[block]
+    shares = np.clip(shares, 1e-12, 1 - 1e-9)
+    now = np.repeat(size, np.diff([*first, len(value)]))
+    # what the data alone say, all other unknowns free: information and its gradient
+    information, gradient = (1 / shares - 1) / now, along / (shares * np.sqrt(now))
+    v = VARIANCES[:, None]
+    f = 1 + v * information
+    known = v / f
+    fitted = known * gradient ** 2
+    evidence = 0.5 * np.add.reduceat(fitted - np.log(f), first, axis=1)
+    evidence[v > largest] = -np.inf
+    square = np.add.reduceat(known * (1 + fitted), first, axis=1)
+    alone = np.array([block.stop == block.start + 1 for block in blocks])
+    return Scales(size, evidence, np.add.reduceat(fitted, first, axis=1), square, alone)
+
+
+def _matched(belief: Array, evidence: Array, moment: Array) -> Array:
+    """Return the variances (d,) whose moments are the means of those (s, d) of all sizes."""
+    posterior = belief + evidence
+    weights = np.exp(posterior - posterior.max(axis=0))
+    means = (weights * moment).sum(axis=0) / weights.sum(axis=0)
+    return np.exp([np.interp(mean, of_size, LOGARITHMS)
+                   for mean, of_size in zip(means, moment.T, strict=True)])

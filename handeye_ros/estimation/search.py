@@ -1,0 +1,161 @@
+"""One start, refined while stations that do not fit lose their say, and how well it does."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from handeye_ros.data import Array
+from handeye_ros.estimation.linearise import linearise, points_in_base, Problem
+from handeye_ros.estimation.model import Estimate, UNUSED
+from handeye_ros.estimation.noise import Noise
+from handeye_ros.estimation.solution import evaluate, system, Weighed, weighed
+from handeye_ros.estimation.solver import (
+    ANNEALING_STEPS,
+    believed,
+    BELIEVED_SHARE,
+    graduated,
+    least_squares,
+    NEAR,
+)
+import numpy as np
+from numpy.typing import NDArray
+
+LOST_SHARE = 0.1  # of the stations far from an estimate, from which another is looked for
+FAR, FAR_RATIO = 5e-3, 5.0  # residual (m; over the largest of an answer) of a hopeless start
+LOST_EDGE = 8.0  # squared residual of a station that shows an edge which lies on none of ours
+SURE = 0.5  # squared residual of the believed share, in variances with all doubts, of no other
+CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good answer
+LARGEST_SQUARE = 16.0  # squared residual, in variances, that a clean recording stays below
+LARGEST_VARIANCE = 1.0  # m^2 or rad^2: more is no answer at all
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """
+    A robustly refined estimate and the squared residuals (n,) of all stations.
+
+    problem: with its observations labelled as they fit, those of whole that do. hollow: whether
+    it has no use for some observations, and the rest leave a direction free.
+    """
+
+    whole: Problem
+    problem: Problem
+    estimate: Estimate
+    squares: Array
+    hollow: bool
+
+    @property
+    def spread(self) -> float:
+        """Return the squared residual that the believed share of stations stays below."""
+        return believed(self.squares)
+
+    @property
+    def misfit(self) -> float:
+        """Return the spread, large where too much was thrown away: less always fits better."""
+        return max(self.spread, 2 * LARGEST_SQUARE) if self.hollow else self.spread
+
+    @property
+    def loss(self) -> float:
+        """
+        Return how poorly all stations are explained, whatever the size of their noise.
+
+        Those that are not explained at all count too: less always fits better.
+        """
+        loss = float(np.log1p(self.squares).mean())
+        return max(loss, float(np.log1p(2 * LARGEST_SQUARE))) if self.hollow else loss
+
+    @property
+    def accepted(self) -> bool:
+        """Return whether nearly all stations are explained, as far as a poor robot lets them."""
+        return self.misfit <= CONVINCING and self.far_share <= LOST_SHARE
+
+    @property
+    def conclusive(self) -> bool:
+        """Return whether nearly all stations are explained so well that no other need be tried."""
+        return self.accepted and self.misfit <= SURE
+
+    @property
+    def far_share(self) -> float:
+        """Return the share of stations far from the estimate, or with an edge that is."""
+        far_off = self.squares > LARGEST_SQUARE * max(1.0, self.spread)
+        return float((far_off | unused_edges(self.whole, self.problem)).mean())
+
+
+def guesses(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+    """Return estimates to start from, best first, made when they are asked for."""
+    return iter(problem.method.guess(problem.observations, problem.poses, problem.config, rng))
+
+
+def refined(problem: Problem, estimate: Estimate) -> Refined:
+    """Return the trial that graduated non-convexity leads to from an estimate."""
+    def refit(at: Weighed, weights: Array) -> Weighed:
+        before = at.linear.problem
+        at = least_squares(system(before, at.noise), at, weights, ANNEALING_STEPS, NEAR)
+        now = relabelled(problem, at.linear.estimate, before)
+        return at if now is before else weighed(now, at.linear.estimate, at.noise)
+
+    start = weighed(relabelled(problem, estimate), estimate, Noise())
+    at = graduated(start, _mean_squares, refit)
+    labelled, estimate, squares = at.linear.problem, at.linear.estimate, _mean_squares(at)
+    squares = np.where(unused_edges(problem, labelled), np.maximum(squares, LOST_EDGE), squares)
+    return Refined(problem, labelled, estimate, squares, _hollow(problem, labelled, estimate))
+
+
+def _hollow(whole: Problem, labelled: Problem, estimate: Estimate) -> bool:
+    """Return whether observations were lost in labelling, and with them a direction."""
+    if len(labelled.observations.kind) == len(whole.observations.kind):
+        return False
+    solution = evaluate(labelled, estimate, Noise())
+    return float(np.linalg.eigvalsh(solution.covariance)[-1]) > LARGEST_VARIANCE
+
+
+def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = None) -> Problem:
+    """
+    Return the problem with its observations as they fit an estimate, the unfit left out.
+
+    before: with the labels of another estimate; it is returned where these are the same, as what
+    it has found out about its stations still holds.
+    """
+    p = points_in_base(problem, estimate.X)
+    labelled = problem.method.relabel(problem.observations, p, estimate.target, problem.config)
+    found = labelled.select(labelled.kind != UNUSED)
+    for known in (problem, before):
+        if known and found.same(known.observations):
+            return known
+    return replace(problem, observations=found)
+
+
+def mean_squares(problem: Problem, estimate: Estimate) -> Array:
+    """Return the mean squared whitened residual (n,) of each station, 0 of one with none."""
+    return _mean_squares(weighed(problem, estimate, Noise()))
+
+
+def _mean_squares(at: Weighed) -> Array:
+    problem, r = at.linear.problem, at.white(at.linear.residuals)
+    station, n = problem.observations.station, len(problem.poses)
+    count = np.bincount(station, minlength=n)
+    return np.bincount(station, r ** 2, minlength=n) / np.maximum(count, 1)
+
+
+def unused_edges(whole: Problem, labelled: Problem) -> NDArray[np.bool_]:
+    """Return which stations (n,) show an edge, none of which the labelled problem uses."""
+    return shows_edge(whole) & ~shows_edge(labelled)
+
+
+def shows_edge(problem: Problem) -> NDArray[np.bool_]:
+    """Return which stations (n,) of a problem have an edge among their observations."""
+    method, obs = problem.method, problem.observations
+    edge = np.array([*(name in method.edges for name in method.kinds), False])  # last: UNUSED
+    shows = np.zeros(len(problem.poses), dtype=bool)
+    shows[obs.station[edge[obs.kind]]] = True
+    return shows
+
+
+def far(problem: Problem, estimate: Estimate) -> bool:
+    """Return whether most stations are too far from an estimate for it to become a good one."""
+    labelled = relabelled(problem, estimate)
+    station, n = labelled.observations.station, len(problem.poses)
+    count = np.bincount(station, minlength=n)
+    squares = np.bincount(station, linearise(labelled, estimate).residuals ** 2, minlength=n)
+    typical = np.quantile((squares / np.maximum(count, 1))[count > 0], BELIEVED_SHARE)
+    return bool(np.sqrt(typical) > max(FAR, FAR_RATIO * problem.config.limits.residual))

@@ -1,0 +1,244 @@
+"""Least squares over the transform and the target, the same for every method."""
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.estimation import influence
+from handeye_ros.estimation.best_fit import by_blocks
+from handeye_ros.estimation.blocks import ParameterBlock, pose_errors
+from handeye_ros.estimation.factored import Columns
+from handeye_ros.estimation.linalg import covariance_of, covering
+from handeye_ros.estimation.linearise import Linear, linearise, Problem
+from handeye_ros.estimation.model import Estimate
+from handeye_ros.estimation.noise import Noise, Whitening, whitening
+from handeye_ros.estimation.solver import least_squares, Rows, System
+import numpy as np
+from numpy.typing import NDArray
+
+ASKED = 100  # stations, beyond which there are enough poses
+SAME = 1e-3  # relative singular value of what a station says twice, but for its noise
+
+
+def retracted(problem: Problem, estimate: Estimate, step: Array) -> Estimate:
+    """Return the estimate, or several, moved by a step (..., u) in the unknown columns."""
+    delta = np.zeros((*step.shape[:-1], 6 + len(problem.method.labels)))
+    delta[..., problem.columns] = step
+    return Estimate(se3.perturb(estimate.X, delta[..., :6]),
+                    problem.method.retract(estimate.target, delta[..., 6:]))
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A problem linearised at an estimate, weighed by a noise as soon as that is asked for."""
+
+    linear: Linear
+    noise: Noise
+
+    @cached_property
+    def white(self) -> Whitening:
+        """Return the map to residuals of unit covariance."""
+        return whitening(self.linear.problem, self.linear, self.noise)
+
+
+def weighed(problem: Problem, estimate: Estimate, noise: Noise) -> Weighed:
+    """Return a problem linearised at an estimate, to be weighed by a noise."""
+    return Weighed(linearise(problem, estimate), noise)
+
+
+def system(problem: Problem, noise: Noise) -> System[Weighed]:
+    """Return what is to be made small; a station is a block."""
+    def rows(at: Weighed) -> Rows:
+        return Rows(at.linear.residuals, lambda: at.linear.jacobian[:, problem.columns],
+                    lambda: at.white)
+
+    def moved(at: Weighed, step: Array) -> Weighed:
+        return weighed(problem, retracted(problem, at.linear.estimate, step), noise)
+    return System(rows, moved, problem.observations.station)
+
+
+def fitted(problem: Problem, start: Estimate, noise: Noise) -> Estimate:
+    """Return the estimate with the least squared whitened residuals."""
+    there = least_squares(system(problem, noise), weighed(problem, start, noise))
+    return there.linear.estimate
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """
+    An estimate with what the data says of it.
+
+    white: whitened residuals (m,), what doubts explain taken out; columns: whitened derivatives by
+    u unknowns, X's six first, then q of the doubts in units of their sigma; covariance: of all
+    of them, infinite variances cut at LARGEST_STD; doubtful: (q,) how large those of the doubts
+    are; doubts: the doubts, their sigmas as estimated; cautious: the solution with doubts as large
+    as they may be, which moves the estimate further than it should, but tells how uncertain it is;
+    suspicion: (6, 6) what the covariance grows by as a station may be wrong.
+    """
+
+    problem: Problem
+    estimate: Estimate
+    noise: Noise
+    linear: Linear
+    white: Array
+    columns: Columns
+    covariance: Array
+    nuisance: Array = field(default_factory=lambda: np.empty(0))
+    blocks: tuple[ParameterBlock, ...] = ()
+    conservative: Solution | None = None
+    contamination: Array | None = None
+
+    @cached_property
+    def reported(self) -> Array:
+        """
+        Return the covariance (u, u) of the unknowns that is stated of the estimate.
+
+        Both the transform of the mount and the one that serves best are within it.
+        """
+        conservative = self.conservative
+        if conservative is None:
+            return self.covariance[:self.unknowns, :self.unknowns]
+        away = se3.difference(conservative.estimate.X, self.estimate.X)
+        reported = conservative.reported.copy()
+        reported[:6, :6] = covering(reported[:6, :6] + np.outer(away, away),
+                                  self._best_fit(conservative, away))
+        if self.contamination is not None:
+            reported[:6, :6] += self.contamination
+        return reported
+
+    def _best_fit(self, conservative: Solution, away: Array) -> Array:
+        """Return the mean square (6, 6) of what serves best, about the estimate."""
+        moving = by_blocks(self.linear, conservative.blocks)
+        columns = np.hstack([np.eye(6, conservative.unknowns), moving])
+        away = away + moving @ conservative.nuisance
+        return np.asarray(columns @ conservative.covariance @ columns.T + np.outer(away, away))
+
+    @property
+    def unknowns(self) -> int:
+        """Return the number of unknowns that are no doubts."""
+        return self.columns.count - len(self.nuisance)
+
+    @property
+    def jacobian(self) -> Array:
+        """Return the whitened derivatives (m, u + q) themselves."""
+        return self.columns.dense
+
+    @cached_property
+    def information(self) -> Array:
+        """Return that of all unknowns, (u + q, u + q): of the residuals and of the priors."""
+        prior = np.append(np.zeros(self.unknowns), np.ones(len(self.nuisance)))
+        return np.asarray(self.columns.gram + np.diag(prior))
+
+    @cached_property
+    def ranks(self) -> NDArray[np.intp]:
+        """
+        Return how many independent things (n,) each station says of the unknowns.
+
+        Many points of one line say two: where it is, and how it is turned.
+        """
+        station = self.problem.observations.station
+        ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
+        J = self.columns.own[:, :self.unknowns]
+        J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+        for at in self.problem.stations:
+            s = np.linalg.svd(J[at.rows], compute_uv=False)
+            ranks[station[at.rows[:, 0]]] = (s > SAME * s[:, :1]).sum(axis=1)
+        return ranks
+
+    @property
+    def squares(self) -> float:
+        """Return the sum of squares, of residuals and of what doubts were taken to be."""
+        return float(self.white @ self.white + self.nuisance @ self.nuisance)
+
+    @property
+    def variance_factor(self) -> float:
+        """Return the squared whitened residual per degree of freedom."""
+        return self.squares / max(self.degrees_of_freedom, 1)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Return the number of conditions less the number of unknowns."""
+        return len(self.white) - self.unknowns
+
+    @property
+    def target_std(self) -> Array:
+        """Return 1 sigma (k,) of the target's parameters, 0 of those that were given."""
+        if self.conservative is not None:
+            return self.conservative.target_std
+        std = np.zeros(len(self.problem.method.labels))
+        variances = np.diag(self.covariance)
+        std[self.problem.columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])
+        first = self.unknowns
+        for block in self.blocks:
+            if block.parameter is not None:
+                std[block.parameter] = block.std * variances[first] ** 0.5
+            first += block.count
+        return std
+
+
+def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
+    """Return the solution that an estimate is, with its covariance."""
+    linear = linearise(problem, estimate)
+    white = whitening(problem, linear, noise)
+    r, J = white(linear.residuals), white(linear.jacobian[:, problem.columns])
+    return Solution(problem, estimate, noise, linear, r, columns_of(problem, J, 0),
+                    covariance_of(J))
+
+
+def columns_of(problem: Problem, own: Array, axes: int) -> Columns:
+    """Return derivatives, the last axes of own (m, c + axes) by the robot's smooth errors."""
+    nothing = np.empty((len(problem.poses), 0))
+    shared, both = (problem.smooth, problem.smooth_products) if axes else (nothing, nothing)
+    return Columns(own, shared, both, axes, [at.rows for at in problem.stations],
+                   problem.observations.station)
+
+
+def redundancy(solution: Solution) -> int:
+    """
+    Return how many independent conditions there are beyond the number of unknowns.
+
+    A pose that is taken again says nothing new.
+    """
+    ranks = solution.ranks
+    if len(ranks) <= ASKED:
+        ranks = ranks[solution.problem.apart]
+    return int(ranks.sum()) - solution.unknowns
+
+
+def station_squares(solution: Solution) -> Array:
+    """Return the sum (n,) of the squared whitened residuals of each station."""
+    squares = np.bincount(solution.problem.observations.station, solution.white ** 2,
+                          minlength=len(solution.problem.poses))
+    return np.asarray(squares, dtype=float)
+
+
+def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
+    """
+    Return for each station its squared deleted residual and the number of its conditions.
+
+    The deleted residual is that against the solution without the station, to first order;
+    squared and whitened it is chi-squared distributed when the station is good.
+    """
+    station, n = solution.problem.observations.station, len(solution.problem.poses)
+    statistic = np.zeros(n)
+    for rows in solution.columns.rows:
+        r = solution.white[rows]
+        explained = solution.columns.predicted_covariance(solution.covariance, rows)
+        left_out = influence.leave_own_out(explained, r)
+        statistic[station[rows[:, 0]]] = (r * left_out).sum(axis=1)
+    return statistic, np.bincount(station, minlength=n)
+
+
+def corrected_poses(solution: Solution, nuisance: Array | None = None) -> Array:
+    """
+    Return the poses (n, 4, 4) without the smooth error of the robot that was found.
+
+    doubtful: (n, q) what the doubts are at each pose, None: as found.
+    """
+    errors = pose_errors(solution.problem, solution.blocks,
+                         solution.nuisance if nuisance is None else nuisance)
+    T = solution.problem.poses
+    return se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
+                         T[:, :3, 3] + errors[:, :3])

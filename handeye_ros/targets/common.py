@@ -1,0 +1,126 @@
+"""What the methods share: collecting observations, and searching for a start linearly."""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from handeye_ros import se3
+from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.estimation.model import ENDS, Observations
+import numpy as np
+from numpy.typing import NDArray
+
+NOWHERE = np.zeros(2)  # is out of a face at points that are no edges
+FACE = 0  # the kind of a condition on a face, in every method that has them
+SOURCES = 64  # of one feature at most
+GUESS_STATIONS = 40  # more add time to a guess, nothing else
+FINER = 4  # times as many directions tried, and candidates refined, when the first do not do
+
+
+@dataclass
+class ObservationRows:
+    """Collects the conditions of a method, station by station, a few of one feature at a time."""
+
+    points: list[Array] = field(default_factory=list)
+    noise: list[Array] = field(default_factory=list)
+    numbers: list[tuple[int, int, int, int]] = field(default_factory=list)
+    outward: list[Array] = field(default_factory=list)
+    shape: list[float] = field(default_factory=list)
+
+    def add(self, station: int, point: Array, kind: int, noise: Array, source: int,
+            edge: EdgePoint | None = None) -> None:
+        """Append one condition; see Observations. edge: that the point is."""
+        self.add_points(station, point[None], kind, noise[None], source, edge)
+
+    def add_points(self, station: int, points: Array, kind: int, noise: Array, source: int = 0,
+                   edge: EdgePoint | None = None) -> None:
+        """Append a condition for each of points (k, 2), with factors (k, 2, 2)."""
+        self.points.append(points)
+        self.noise.append(noise)
+        self.numbers.append((station, kind, source, 1 + ENDS.index(edge.kind) if edge else 0))
+        self.outward.append(edge.direction if edge else NOWHERE)
+        self.shape.append(edge.shape_std if edge else 0.0)
+
+    def observations(self) -> Observations:
+        """Return what was collected; each point of a feature has an error of its own."""
+        count = [len(points) for points in self.points]
+        first = np.repeat(np.cumsum(count, dtype=np.intp) - count, count)
+        numbers = np.array(self.numbers, dtype=np.intp).reshape(-1, 4).T
+        station, kind, source, end = np.repeat(numbers, count, axis=1)
+        return Observations(
+            station, np.concatenate([np.empty((0, 2)), *self.points]), kind,
+            np.concatenate([np.empty((0, 2, 2)), *self.noise]),
+            source + np.arange(len(first)) - first, end,
+            np.repeat(np.array(self.outward).reshape(-1, 2), count, axis=0),
+            np.repeat(np.array(self.shape), count))
+
+
+def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int,
+             kind: int = FACE) -> None:
+    """Append the normal points of a face line, its two decorrelated points where it has none."""
+    across = np.array([-line.direction[1], line.direction[0]])
+    points, std = line.points, line.points_std
+    if not len(points):
+        points = line.centre + np.outer([-1.0, 1.0], line.spread * line.direction)
+        std = np.full(2, line.std * 2 ** 0.5)
+    noise = np.zeros((len(points), 2, 2))
+    noise[:, :, 0] = std[:, None] * across
+    rows.add_points(station, points, kind, noise, source)
+
+
+def collect(samples: Sequence[Sample],
+            add: Callable[[ObservationRows, int, Feature, int], None]) -> Observations:
+    """Return the conditions that add(rows, station, feature, source) appends for each feature."""
+    rows = ObservationRows()
+    for station, sample in enumerate(samples):
+        for i, feature in enumerate(sample.features):
+            add(rows, station, feature, SOURCES * i)
+    return rows.observations()
+
+
+def edge_noise(edge: EdgePoint) -> Array:
+    """Return the factor (2, 2) of an edge point's covariance."""
+    along = edge.direction
+    across = np.array([-along[1], along[0]])
+    return np.column_stack([along * edge.std, across * edge.std_across])
+
+
+def some_stations(count: int, most: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return at most so many of count stations, ascending."""
+    return np.sort(rng.permutation(count)[:most])
+
+
+def hemisphere(count: int) -> Array:
+    """Return unit vectors (count, 3), spread evenly over half a sphere (Fibonacci)."""
+    i = np.arange(count) + 0.5
+    z, turn = i / count, i * np.pi * (3 - 5 ** 0.5)
+    r = np.sqrt(1 - z * z)
+    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+
+
+def best_linear(products: Array, rows: int, count: int) -> tuple[NDArray[np.intp], Array]:
+    """
+    Return which of k linear systems fit best, best first, and all their solutions (k, u).
+
+    products: (k, u + 1, u + 1) of each two columns of A and b of systems A x = b of so many
+    rows. The first six unknowns are r1 and r3 of the sensor: systems with small residuals and
+    these near orthonormal come first.
+    """
+    N, right = products[:, :-1, :-1], products[:, :-1, -1:]
+    scale = np.sqrt(np.einsum('kii->ki', N))
+    scaled = N / scale[:, None] / scale[..., None] + 1e-12 * np.eye(N.shape[1])
+    x = np.linalg.solve(scaled, right / scale[..., None]) / scale[..., None]
+    both = np.concatenate([x, np.full((len(x), 1, 1), -1.0)], axis=1)
+    squares = (np.swapaxes(both, 1, 2) @ products @ both)[:, 0, 0]
+    rms, x = np.sqrt(np.maximum(squares, 0.0) / rows), x[..., 0]
+    r1, r3 = x[:, :3], x[:, 3:6]
+    defect = (np.abs((r1 ** 2).sum(1) - 1) + np.abs((r3 ** 2).sum(1) - 1)
+              + np.abs((r1 * r3).sum(1)))
+    return np.argsort(rms / 1e-3 + defect)[:count], x
+
+
+def nearest_transform(x: Array) -> Array:
+    """Return the transforms (..., 4, 4) nearest to r1, r3, t of linear solutions (..., 9+)."""
+    U, _, Vt = np.linalg.svd(x[..., :6].reshape(*x.shape[:-1], 2, 3), full_matrices=False)
+    r1, r3 = np.moveaxis(U @ Vt, -2, 0)
+    return se3.transform(np.stack([r1, se3.cross(r3, r1), r3], axis=-1), x[..., 6:9])

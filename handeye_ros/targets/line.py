@@ -1,0 +1,214 @@
+"""
+One straight edge: every edge point lies on one line of the base frame.
+
+Frame of the target: x along the line, the origin the point of it nearest to the mean of the
+points the guess saw. An edge point gives two conditions, its distance from the line in y and in
+z, which share the point's error. On demand (target.use_face) the face beside the edge takes
+part: then z is its normal, and the two decorrelated points of each face line take the place of
+the edge point's z, which is measured on that same line.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.estimation.linearise import points_at, Problem
+from handeye_ros.estimation.model import (
+    Conditions,
+    Estimate,
+    Method,
+    Observations,
+    observed_points,
+    UNUSED,
+)
+from handeye_ros.estimation.starts import best_of
+from handeye_ros.profiles.faces import face_features
+from handeye_ros.targets.common import (
+    add_face,
+    best_linear,
+    collect,
+    edge_noise,
+    FACE,
+    FINER,
+    GUESS_STATIONS,
+    hemisphere,
+    nearest_transform,
+    ObservationRows,
+    some_stations,
+)
+from handeye_ros.targets.line_ends import other_choices, same_side
+import numpy as np
+from numpy.typing import NDArray
+
+EDGE_Y, EDGE_Z = 1, 2
+KINDS = ('face', 'edge', 'edge_z')
+LABELS = ('y', 'z', 'rx', 'ry', 'rz')
+NORMALS = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
+DIRECTIONS = 400
+CANDIDATES = 24
+MINIMUM = 7  # samples
+BELIEVED_SHARE = 0.7
+SAME_FACE = 0.25  # rad that faces of two stations may be turned against each other about the edge
+
+
+def observe(samples: Sequence[Sample]) -> Observations:
+    """Return the conditions of face lines and edge points; which take part is found later."""
+    return collect(samples, _add)
+
+
+def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
+    if isinstance(feature, FaceLine):
+        add_face(rows, station, feature, source)
+    elif isinstance(feature, EdgePoint):
+        for kind in (EDGE_Y, EDGE_Z):
+            rows.add(station, feature.point, kind, edge_noise(feature), source, feature)
+
+
+def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
+    """Return the distances from the line in y and z, or from the face, of points (..., m, 3)."""
+    T = target.reshape(*target.shape[:-1], 4, 4)
+    R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
+    dg_dp = NORMALS[kind] @ np.swapaxes(R, -1, -2)
+    by_rotation = -se3.cross(offset, dg_dp) @ R
+    return Conditions((offset * dg_dp).sum(axis=-1), dg_dp,
+                      np.concatenate([-dg_dp @ R[..., 1:], by_rotation], axis=-1))
+
+
+def retract(target: Array, delta: Array) -> Array:
+    """Return lines (..., 16) moved: along their y and z, turned about their x, y and z."""
+    T = target.reshape(*target.shape[:-1], 4, 4)
+    step = np.concatenate([np.einsum('...ij,...j->...i', T[..., :3, 1:3], delta[..., :2]),
+                           np.einsum('...ij,...j->...i', T[..., :3, :3], delta[..., 2:])],
+                          axis=-1)
+    return se3.perturb(T, step).reshape(target.shape)
+
+
+def free(config: Config) -> NDArray[np.bool_]:
+    """Return which parameters are unknown: the turn about the line only with the face."""
+    return np.array([True, True, config.target.use_face, True, True])
+
+
+def relabel(observations: Observations, p: Array, target: Array, config: Config
+            ) -> Observations:
+    """
+    Return the observations without what takes no part.
+
+    Of several edge points of one station only the nearest to the line is on it. A station that
+    shows another face, as the edge of a block has two, takes part with its edge point alone.
+    """
+    edge, away = observations.kind != FACE, _away(p, target)
+    nearest = np.full(observations.station.max() + 1, np.inf)
+    np.minimum.at(nearest, observations.station[edge], away[edge])
+    with_face = np.zeros(len(nearest), dtype=bool)
+    if config.target.use_face:
+        turn = np.abs(_turns(observations, p, target))
+        with_face = np.minimum(turn, np.pi - turn) < SAME_FACE
+    idle = np.where(with_face[observations.station], EDGE_Z, FACE)
+    unused = (observations.kind == idle) | (edge & (away > nearest[observations.station]))
+    return replace(observations, kind=np.where(unused, UNUSED, observations.kind))
+
+
+def _turns(observations: Observations, p: Array, target: Array) -> Array:
+    """Return at which angle (n,) about the line, from its y, the face of each station lies."""
+    T, face = target.reshape(4, 4), observations.kind == FACE
+    local = ((p[face] - T[:3, 3]) @ T[:3, :3])[:, 1:]
+    y, z = (np.bincount(observations.station[face], values, observations.station.max() + 1)
+            for values in local.T)
+    return np.asarray(np.where((y == 0) & (z == 0), np.pi / 2, np.arctan2(z, y)))
+
+
+def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
+          ) -> Iterator[Estimate]:
+    """
+    Yield estimates from nothing, best first: every direction of the line is tried.
+
+    Where several ends of a face are in sight it is not told which of them is the edge: the same
+    side in all stations first; only when none of these will do, other ways to choose.
+    """
+    alone = replace(config, target=replace(config.target, use_face=False))
+    problem = Problem(LINE, poses, observations, alone)
+    problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
+    for parts, finer in ((same_side, 1), (other_choices, 1), (same_side, FINER)):
+        found = (e for part in parts(problem, MINIMUM)
+                 for e in best_of(part, linear_candidates(part, finer), finer))
+        for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
+            yield _with_face(observations, poses, e) if config.target.use_face else e
+
+
+def _nearness(problem: Problem, estimate: Estimate) -> float:
+    """Return the distance from the line that the nearest edge points of most stations keep."""
+    edge = problem.observations.select(problem.observations.kind == EDGE_Y)
+    away = _away(points_at(edge, problem.poses, estimate.X), estimate.target)
+    nearest = np.full(len(problem.poses), np.inf)
+    np.minimum.at(nearest, edge.station, away)
+    return float(np.quantile(nearest[np.isfinite(nearest)], BELIEVED_SHARE))
+
+
+def _away(p: Array, target: Array) -> Array:
+    """Return the distances (m,) of points (m, 3) in base from the line."""
+    T = target.reshape(4, 4)
+    return np.asarray(np.linalg.norm(((p - T[:3, 3]) @ T[:3, :3])[:, 1:], axis=1))
+
+
+def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:
+    """
+    Return the best of the linear solutions over a sweep of the line's direction.
+
+    finer: so many times the usual number. For a known direction d, (I - d d') (R (x r1 + z r3
+    + t) + a - c) = 0 is linear in r1, r3, t and the two coordinates of c across d.
+    """
+    obs = problem.observations
+    obs = obs.select(obs.kind == EDGE_Y)
+    R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
+    a_mean = problem.poses[:, :3, 3].mean(axis=0)
+    frames = _frames(hemisphere(DIRECTIONS * finer))
+    across = frames[:, :, 1:]
+    nR = np.einsum('kji,mjl->kmil', across, R)
+    u, v = obs.points.T[:, None, :, None, None]
+    offset = np.broadcast_to(-np.eye(2), (*nR.shape[:3], 2))
+    A = np.concatenate([u * nR, v * nR, nR, offset], axis=3).reshape(len(across), -1, 11)
+    b = -np.einsum('kji,mj->kmi', across, a - a_mean).reshape(len(across), -1, 1)
+    both = np.concatenate([A, b], axis=2)
+    best, x = best_linear(np.swapaxes(both, 1, 2) @ both, both.shape[1], CANDIDATES * finer)
+    return [_estimate(x[k], frames[k], a_mean) for k in best]
+
+
+def _frames(x: Array) -> Array:
+    """Return rotations (k, 3, 3) with the given unit vectors (k, 3) as their x."""
+    helper = np.where(np.abs(x[:, :1]) < 0.6, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    z = se3.cross(x, helper)
+    z /= np.linalg.norm(z, axis=1, keepdims=True)
+    return np.stack([x, se3.cross(z, x), z], axis=2)
+
+
+def _estimate(x: Array, R: Array, a_mean: Array) -> Estimate:
+    """Return the estimate nearest to a linear solution x (11,) for the target's rotation."""
+    return Estimate(nearest_transform(x), se3.transform(R, a_mean + R[:, 1:] @ x[9:]).ravel())
+
+
+def _with_face(observations: Observations, poses: Array, estimate: Estimate) -> Estimate:
+    """Return the estimate with the target's z turned to the normal of the face most seen."""
+    T = estimate.target.reshape(4, 4)
+    angle = 2 * _turns(observations, points_at(observations, poses, estimate.X), estimate.target)
+    near = np.cos(angle[:, None] - angle) > np.cos(2 * SAME_FACE)
+    middle = angle[np.argmax(near.sum(axis=1))]
+    chosen = angle[np.cos(angle - middle) > np.cos(2 * SAME_FACE)]
+    middle = np.angle(np.exp(1j * chosen).sum()) / 2
+    y, z = np.cos(middle), np.sin(middle)
+    turn = np.array([[1.0, 0, 0], [0, y, -z], [0, z, y]])
+    return replace(estimate, target=se3.transform(T[:3, :3] @ turn, T[:3, 3]).ravel())
+
+
+def describe(target: Array, std: Array) -> dict[str, Any]:
+    """Return a point of the line and its direction."""
+    T = target.reshape(4, 4)
+    return {'point': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
+            'direction': T[:3, 0].tolist()}
+
+
+LINE = Method('line', KINDS, LABELS, face_features, observe, guess, conditions, retract, free,
+              relabel, describe, observed_points, edges=('edge',), minimum=MINIMUM)

@@ -1,0 +1,131 @@
+"""
+A plane: whole profiles lie in it, whether or not an edge of it is in sight.
+
+Frame of the target: any point of the plane as origin, z its normal, towards the sensor.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array, FaceLine, Feature, Sample
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.model import (
+    Conditions,
+    Estimate,
+    kind_unchanged,
+    Method,
+    Observations,
+    observed_points,
+)
+from handeye_ros.estimation.starts import best_of, different, FEW_STATIONS
+from handeye_ros.profiles.faces import plane_features
+from handeye_ros.targets.common import (
+    add_face,
+    best_linear,
+    collect,
+    FINER,
+    GUESS_STATIONS,
+    hemisphere,
+    nearest_transform,
+    ObservationRows,
+    some_stations,
+)
+import numpy as np
+from numpy.typing import NDArray
+
+NORMALS = 400
+CANDIDATES = 10
+SWEEPS = ((1, 1), (FINER, FINER))  # finer, and more candidates
+CROWD = 10  # times as many where few stations nearly fit in many wrong ways
+
+
+def observe(samples: Sequence[Sample]) -> Observations:
+    """Return the conditions of the face lines of samples."""
+    return collect(samples, _add)
+
+
+def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
+    if isinstance(feature, FaceLine):
+        add_face(rows, station, feature, source)
+
+
+def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
+    """Return the height over the plane of points p (..., m, 3) in base, targets (..., 16)."""
+    T = target.reshape(*target.shape[:-1], 4, 4)
+    offset, normal = p - T[..., None, :3, 3], T[..., None, :3, 2]
+    by_tilt = se3.cross(normal, offset) @ T[..., :3, :2]
+    return Conditions((offset * normal).sum(axis=-1), np.broadcast_to(normal, p.shape),
+                      np.concatenate([-np.ones((*p.shape[:-1], 1)), by_tilt], axis=-1))
+
+
+def retract(target: Array, delta: Array) -> Array:
+    """Return planes (..., 16) moved: along their normals, and turned about their x and y."""
+    T = target.reshape(*target.shape[:-1], 4, 4)
+    step = np.concatenate([delta[..., :1] * T[..., :3, 2],
+                           np.einsum('...ij,...j->...i', T[..., :3, :2], delta[..., 1:])], axis=-1)
+    return se3.perturb(T, step).reshape(target.shape)
+
+
+def free(config: Config) -> NDArray[np.bool_]:
+    """Return that all three parameters of the plane are unknown."""
+    return np.ones(3, dtype=bool)
+
+
+def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
+          ) -> Iterator[Estimate]:
+    """Yield estimates from nothing, best first; from a finer sweep when these do not do."""
+    problem = Problem(PLANE, poses, observations, config)
+    problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
+    few = len(poses) <= FEW_STATIONS
+    found: list[Estimate] = []
+    for finer, more in ((1, CROWD), (1, NORMALS // CANDIDATES)) if few else SWEEPS:
+        known = len(found)
+        found += best_of(problem, linear_candidates(problem, finer, more), more)
+        yield from (found[i] for i in different(np.array([e.X for e in found])) if i >= known)
+
+
+def linear_candidates(problem: Problem, finer: int = 1, more: int = 1) -> list[Estimate]:
+    """
+    Return the best of the linear solutions over a sweep of plane normals.
+
+    finer: so many times the usual number of normals; more: the same of solutions. For a known
+    normal n, n . (R (x r1 + z r3 + t) + a) = d is linear in r1, r3, t, d.
+    """
+    obs = problem.observations
+    R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
+    a_mean = problem.poses[:, :3, 3].mean(axis=0)
+    normals = hemisphere(NORMALS * finer)
+    # a row of A and b is (n, 1) times what stands here: its products are sums, formed once
+    rows = np.zeros((len(R), 4, 11))
+    u, v = obs.points.T[:, :, None, None]
+    rows[:, :3, :9] = np.concatenate([u * R, v * R, R], axis=2)
+    rows[:, 3, 9], rows[:, :3, 10] = -1.0, a_mean - a
+    flat, by_normal = rows.reshape(-1, 44), np.column_stack([normals, np.ones(len(normals))])
+    sums = (flat.T @ flat).reshape(4, 11, 4, 11).swapaxes(1, 2).reshape(16, 121)
+    products = (by_normal[:, :, None] * by_normal[:, None]).reshape(-1, 16) @ sums
+    best, x = best_linear(products.reshape(-1, 11, 11), len(R), CANDIDATES * more)
+    return _estimates(x[best], normals[best], a_mean)
+
+
+def _estimates(x: Array, normal: Array, a_mean: Array) -> list[Estimate]:
+    """Return the estimates nearest to linear solutions x (c, 10) for normals (c, 3)."""
+    tangent = se3.cross(np.eye(3)[np.argmin(np.abs(normal), axis=1)], normal)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    R = np.stack([tangent, se3.cross(normal, tangent), normal], axis=2)
+    T = se3.transform(R, a_mean + x[:, 9:] * normal).reshape(-1, 16)
+    return [Estimate(*both) for both in zip(nearest_transform(x), T, strict=True)]
+
+
+def describe(target: Array, std: Array) -> dict[str, Any]:
+    """Return the plane's normal and distance from the base."""
+    T = target.reshape(4, 4)
+    return {'normal': T[:3, 2].tolist(), 'distance': float(T[:3, 2] @ T[:3, 3])}
+
+
+PLANE = Method('plane', ('face',), ('z', 'rx', 'ry'), plane_features, observe, guess, conditions,
+               retract, free, kind_unchanged, describe, observed_points, edges=(), minimum=6,
+               one_axis='the position along it is free, and if it is the normal of the plane '
+               '(yaw only) all of the position and part of the rotation')

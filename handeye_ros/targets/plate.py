@@ -1,0 +1,249 @@
+"""
+A plate: two straight edges that meet in a corner, and the face between them.
+
+Frame of the target: corner at the origin, edge p along x, edge q along y (turned by the edge
+angle when that is free), face z = 0. Unknown beside X: the target's pose and, on demand, the
+angle between the edges. An edge point and a face line, both from the same profile, give three
+conditions: the two decorrelated points of the line lie in z = 0, the edge point on its edge.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.estimation.linearise import points_at
+from handeye_ros.estimation.model import (
+    Conditions,
+    Estimate,
+    Method,
+    Observations,
+    observed_points,
+    UNUSED,
+)
+from handeye_ros.profiles.faces import face_features
+from handeye_ros.targets.common import add_face, collect, edge_noise, FACE, ObservationRows
+from handeye_ros.targets.plane import guess as plane_guess
+from handeye_ros.targets.two_lines import turned, two_lines
+import numpy as np
+from numpy.typing import NDArray
+
+P, Q, P_FAR, Q_FAR = range(1, 5)
+OUTWARD = np.array([[0, 0], [0, -1.0], [-1.0, 0], [0, 1.0], [1.0, 0]])  # by kind, in the face
+KINDS = ('face', 'p', 'q', 'p_far', 'q_far')
+LABELS = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
+SIZE, ANGLE = slice(16, 18), 18  # of the target's state, after its pose
+GATE = 10.0  # an edge point this many times further from its edge than most is no edge of ours
+SMALLEST_GATE = 1e-3
+SMALLEST_SIZE = 0.02  # of a plate: what ends nearer to an edge of it is something beside it
+BELIEVED_SHARE = 0.3  # of the edge points that are surely on an edge of ours
+
+
+def observe(samples: Sequence[Sample]) -> Observations:
+    """Return the conditions of face lines and edge points; which edge is found later."""
+    return collect(samples, _add)
+
+
+def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
+    if isinstance(feature, FaceLine):
+        add_face(rows, station, feature, source)
+    elif isinstance(feature, EdgePoint):
+        # the wall below is as far out as the edge, however the laser crosses it
+        rows.add(station, feature.point + feature.drop, P, edge_noise(feature), source, feature)
+
+
+def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
+    """Return the height over the face, or the distance from the edge, of points (m, 3)."""
+    T, size, angle = target[:16].reshape(4, 4), target[SIZE], target[ANGLE]
+    R = T[:3, :3]
+    local = (p - T[:3, 3]) @ R
+    along_q = np.array([np.cos(angle), np.sin(angle), 0.0])
+    across_q = np.array([np.sin(angle), -np.cos(angle), 0.0])
+    normals = np.array([[0, 0, 1.0], [0, 1.0, 0], across_q, [0, 1.0, 0], across_q])[kind]
+    offsets = np.array([0.0, 0.0, 0.0, size[1] * np.sin(angle), size[0] * np.sin(angle)])[kind]
+    g = (local * normals).sum(axis=1) - offsets
+    dg_dp = normals @ R.T
+    by_angle = np.where((kind == Q) | (kind == Q_FAR), local @ along_q, 0.0)
+    by_angle = by_angle - np.where(kind == P_FAR, size[1], np.where(
+        kind == Q_FAR, size[0], 0.0)) * np.cos(angle)
+    by_rotation = -se3.cross(p - T[:3, 3], dg_dp)
+    by_size = [np.where(kind == k, -np.sin(angle), 0.0) for k in (Q_FAR, P_FAR)]
+    return Conditions(g, dg_dp, np.column_stack([-dg_dp, by_rotation, *by_size, by_angle]))
+
+
+def retract(target: Array, delta: Array) -> Array:
+    """Return the target's state moved by delta (9,)."""
+    T = se3.perturb(target[:16].reshape(4, 4), delta[:6])
+    return np.append(T.ravel(), target[16:] + delta[6:])
+
+
+def free(config: Config) -> NDArray[np.bool_]:
+    """Return which parameters are unknown: all but the lengths and the edge angle."""
+    return np.array([True] * 6 + [False] * 2 + [config.target.edge_angle_free])
+
+
+def tolerances(config: Config) -> Array:
+    """Return 1 sigma of the stated lengths and of the right angle."""
+    size = config.target.size_std if config.target.size else 0.0
+    angle = 0.0 if config.target.edge_angle_free else config.target.edge_angle_std
+    return np.array([0.0] * 6 + [size, size, angle])
+
+
+def state(T_base_target: Array, config: Config) -> Array:
+    """Return what describes a plate as configured at a pose (4, 4): (19,) values."""
+    return np.concatenate([T_base_target.ravel(), config.target.size or (0.0, 0.0), [np.pi / 2]])
+
+
+def relabel(observations: Observations, p: Array, target: Array, config: Config
+            ) -> Observations:
+    """
+    Return the edge points given to the edge that they are nearest to.
+
+    Only an edge that the face lies on the right side of, crossed steeply enough, can be it. One
+    far from all is not used: where a face leaves the sensor's range, say, it ends too.
+    """
+    rows, outward = _edge_points(observations, p, target)
+    kinds = np.array([P, Q] + ([P_FAR, Q_FAR] if config.target.size else []))
+    distance = np.array([np.abs(conditions(p[rows], np.full(len(rows), k), target, config).g)
+                         for k in kinds])
+    steepness = OUTWARD[kinds] @ outward.T
+    distance[steepness < np.sin(config.sampling.min_crossing_angle)] = np.inf
+    nearest, far = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
+    kind = observations.kind.copy()
+    kind[rows] = np.where(far > _gate(far), UNUSED, nearest)
+    return replace(observations, kind=kind)
+
+
+def _edge_points(observations: Observations, p: Array, target: Array
+                 ) -> tuple[NDArray[np.intp], Array]:
+    """Return the rows (k,) of edge points, and the ways (k, 2) out of the face there."""
+    rows = np.flatnonzero(observations.kind != FACE)
+    T = target[:16].reshape(4, 4)
+    flat = ((p - T[:3, 3]) @ T[:3, :3])[:, :2]
+    outward = flat[rows] - _face_centres(observations, flat, rows)
+    outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
+    return rows, outward
+
+
+def _gate(distance: Array) -> float:
+    """Return how far from its edge an edge point may be, of the distances (m,) of all."""
+    believed = np.quantile(distance, BELIEVED_SHARE, method='lower') if len(distance) else 0.0
+    return max(SMALLEST_GATE, GATE * float(believed))
+
+
+def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
+          ) -> Iterator[Estimate]:
+    """Return estimates from nothing: the plane first, then the two edges in it."""
+    faces = observations.select(observations.kind == FACE)
+    for plane in plane_guess(faces, poses, config, rng):
+        estimate = _with_edges(observations, poses, plane, config, rng)
+        yield estimate
+        if config.target.size:  # whose edge p may run along either of the two
+            yield _turned_around_corner(estimate)
+
+
+def _with_edges(observations: Observations, poses: Array, plane: Estimate, config: Config,
+                rng: np.random.Generator) -> Estimate:
+    """Return an estimate of the plate in an estimated plane."""
+    T_base_plane = _facing_sensor(plane, poses, config)
+    p = points_at(observations, poses, plane.X)
+    flat = ((p - T_base_plane[:3, 3]) @ T_base_plane[:3, :3])[:, :2]
+    edge = np.flatnonzero(observations.kind != FACE)
+    corner, turn = two_lines(flat[edge], rng)
+    inward = _face_centres(observations, flat, edge) - flat[edge]
+    T_plane_target = _oriented(flat[edge] - corner, inward, corner, turn)
+    return Estimate(plane.X, state(T_base_plane @ T_plane_target, config))
+
+
+def _turned_around_corner(estimate: Estimate) -> Estimate:
+    """Return the estimate with the same corner, taken for the one at the end of edge p."""
+    T, length = estimate.target[:16].reshape(4, 4), estimate.target[SIZE][0]
+    turned = se3.transform(np.array([[0, 1.0, 0], [-1.0, 0, 0], [0, 0, 1.0]]),
+                           np.array([0.0, length, 0.0]))
+    return Estimate(estimate.X, np.append((T @ turned).ravel(), estimate.target[16:]))
+
+
+def _facing_sensor(plane: Estimate, poses: Array, config: Config) -> Array:
+    """Return the plane's frame with z towards the sensor."""
+    T = plane.target.reshape(4, 4)
+    looking = (poses[:, :3, :3] @ plane.X[:3, 2]).mean(axis=0) * config.profile.range_sign
+    flip = np.diag([1.0, -1.0, -1.0, 1.0]) if T[:3, 2] @ looking > 0 else np.eye(4)
+    return T @ flip
+
+
+def _face_centres(observations: Observations, flat: Array, rows: NDArray[np.intp]) -> Array:
+    """Return the middle of the face line (k, 2) seen in the same station as each row."""
+    face = observations.kind == FACE
+    count = np.bincount(observations.station[face], minlength=observations.station[-1] + 1)
+    total = np.zeros((len(count), 2))
+    np.add.at(total, observations.station[face], flat[face])
+    return (total / np.maximum(count, 1)[:, None])[observations.station[rows]]
+
+
+def _oriented(points: Array, inward: Array, corner: Array, turn: float) -> Array:
+    """Return T_plane_target, of the four possible that with the face where x, y > 0."""
+    best, best_votes = np.eye(4), -1
+    for quarter in range(4):
+        R = turned(turn + quarter * np.pi / 2)
+        local, to_face = points @ R, inward @ R
+        off = np.abs(local).min(axis=1)  # points on neither line have no say
+        on_p = np.abs(local[:, 1]) < np.abs(local[:, 0])
+        inside = np.where(on_p, to_face[:, 1], to_face[:, 0]) > 0
+        votes = int((inside & (off <= _gate(off))).sum())
+        if votes > best_votes:
+            R3 = np.eye(3)
+            R3[:2, :2] = R
+            best, best_votes = se3.transform(R3, np.append(corner, 0.0)), votes
+    return best
+
+
+def relax(config: Config) -> Config | None:
+    """Return the configuration with the edge angle unknown, None where it is."""
+    if config.target.edge_angle_free:
+        return None
+    return replace(config, target=replace(config.target, edge_angle_free=True))
+
+
+def configured(config: Config) -> Array:
+    """Return the configured lengths and the right angle between the edges, (9,)."""
+    return np.array([0.0] * 6 + [*(config.target.size or (0.0, 0.0)), np.pi / 2])
+
+
+def elsewhere(observations: Observations, p: Array, target: Array, config: Config) -> str:
+    """
+    Return how far from the opposite edge those lie that are none of the plate's.
+
+    observations, p: all that their stations show; where several agree, it is another edge.
+    """
+    rows, outward = _edge_points(observations, p, target)
+    size, found = config.target.size, []
+    for kind, axis, opposite in ((Q_FAR, 0, Q), (P_FAR, 1, P), (Q, 0, Q_FAR), (P, 1, P_FAR)):
+        if opposite in (P_FAR, Q_FAR) and not size:
+            continue
+        facing = outward @ OUTWARD[kind] > np.sin(config.sampling.min_crossing_angle)
+        away = np.abs(conditions(p, np.full(len(p), opposite), target, config).g[rows[facing]])
+        middle = float(np.median(away)) if len(away) else 0.0
+        count = int((np.abs(away - middle) < SMALLEST_GATE).sum())
+        if count > 1:
+            found.append(f'{count} of them {middle * 1e3:.1f} mm from {KINDS[opposite]}' + (
+                f', and not {size[axis] * 1e3:.1f} mm as target.size has it' if size else
+                ' (with target.size they could be used)' if middle > SMALLEST_SIZE else ''))
+    return '; '.join(found)
+
+
+def describe(target: Array, std: Array) -> dict[str, Any]:
+    """Return the target's pose and edge angle as plain values."""
+    T = target[:16].reshape(4, 4)
+    x, y, z, w = map(float, se3.quaternion(T))
+    translation = dict(zip('xyz', map(float, T[:3, 3]), strict=True))
+    return {'pose': {'translation': translation, 'rotation': {'x': x, 'y': y, 'z': z, 'w': w}},
+            'edge_angle': float(target[ANGLE]), 'edge_angle_std': float(std[8])}
+
+
+PLATE = Method('plate', KINDS, LABELS, face_features, observe, guess, conditions, retract, free,
+               relabel, describe, observed_points, edges=KINDS[1:], minimum=6,
+               relax=relax, configured=configured, tolerances=tolerances,
+               elsewhere=elsewhere)

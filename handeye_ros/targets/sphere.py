@@ -1,0 +1,220 @@
+"""
+A sphere: every point of every arc has the distance of the radius from one centre.
+
+Unknown beside X: the centre in the base frame and, on demand, the radius. Neither the side of
+the sensor plane that the centre lies on nor any other sign is asked for.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Arc, Array, Feature, Sample
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.model import (
+    Conditions,
+    Estimate,
+    kind_unchanged,
+    Method,
+    Observations,
+)
+from handeye_ros.estimation.starts import best_of
+from handeye_ros.profiles.arcs import arc_features, arcs_of_each
+from handeye_ros.profiles.circles import fit_circle
+from handeye_ros.targets.common import (
+    collect,
+    FINER,
+    GUESS_STATIONS,
+    ObservationRows,
+    some_stations,
+)
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+ROTATIONS = 600
+CANDIDATES = 16
+LONG = 9  # points, of an arc of which some are enough for a start
+REGULAR = 1e-9  # stations more, that see every centre at the middle of the poses
+AT_ONCE = 50  # rotations, of which the offset across the plane is looked for
+
+
+def observe(samples: Sequence[Sample]) -> Observations:
+    """Return the conditions of the arcs' normal points."""
+    return collect(samples, _add)
+
+
+def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
+    if isinstance(feature, Arc):
+        outward = feature.points - feature.centre
+        outward /= np.linalg.norm(outward, axis=1)[:, None]
+        noise = np.zeros((len(outward), 2, 2))
+        noise[:, :, 0] = outward * feature.std[:, None]
+        rows.add_points(station, feature.points, 0, noise)
+
+
+def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
+    """Return the distance from the sphere's surface of points p (..., m, 3) in base."""
+    outward = p - target[..., None, :3]
+    x, y, z = outward[..., 0], outward[..., 1], outward[..., 2]
+    distance = np.sqrt(x * x + y * y + z * z)
+    outward /= distance[..., None]
+    by_target = np.full((*p.shape[:-1], 4), -1.0)
+    np.negative(outward, out=by_target[..., :3])
+    return Conditions(distance - target[..., 3:], outward, by_target)
+
+
+def retract(target: Array, delta: Array) -> Array:
+    """Return centre and radius (..., 4) moved by delta."""
+    return target + delta
+
+
+def free(config: Config) -> NDArray[np.bool_]:
+    """Return that the centre is unknown, and the radius when it is not given."""
+    return np.array([True, True, True, config.target.radius <= 0])
+
+
+def tolerances(config: Config) -> Array:
+    """Return 1 sigma of the stated radius."""
+    return np.array([0.0] * 3 + [config.target.radius_std if config.target.radius > 0 else 0.0])
+
+
+def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
+          ) -> Iterator[Estimate]:
+    """
+    Yield estimates from nothing, best first: every rotation is tried, and refined.
+
+    For a given rotation the centre's projections onto the sensor plane are linear in the
+    remaining unknowns, whatever the side of the plane that the centre lies on.
+    """
+    chosen = some_stations(len(poses), GUESS_STATIONS, rng)
+    problem = Problem(SPHERE, poses, observations, config).subset(chosen)
+    some = replace(problem, observations=_fewer(problem.observations))
+    for finer in (1, FINER):
+        yield from best_of(some, _candidates(problem, config.target.radius, finer), finer)
+
+
+def _fewer(observations: Observations) -> Observations:
+    """Return every third point of long arcs, which tell as well where to start."""
+    station = observations.station
+    place = np.arange(len(station)) - np.searchsorted(station, station)
+    short = np.bincount(station)[station] < LONG
+    return observations.select(short | (place % 3 == 1))
+
+
+def _candidates(problem: Problem, radius: float, finer: int) -> list[Estimate]:
+    """Return the best linear solutions over a sweep of rotations of the sensor."""
+    obs = problem.observations
+    bounds = np.searchsorted(obs.station, np.arange(1, len(problem.poses)))
+    circles = np.array([fit_circle(p, steps=1) for p in np.split(obs.points, bounds)])
+    radius = radius or 1.05 * float(circles[:, 2].max())
+    height = np.sqrt(np.maximum(radius ** 2 - circles[:, 2] ** 2, 0.0))
+    a_mean = problem.poses[:, :3, 3].mean(axis=0)
+    R_sensor = rotations(ROTATIONS * finer)
+    centre, t, rms, y = _centres(R_sensor, problem.poses[:, :3, :3],
+                                 problem.poses[:, :3, 3] - a_mean, circles)
+    k = len(R_sensor)
+    rms_y = np.full(k, np.inf)
+    count, order = CANDIDATES * finer, np.argsort(rms)
+    for first in range(0, k, AT_ONCE):  # those that fit poorly whatever the side are not tried
+        some = order[first:first + AT_ONCE]
+        if np.partition(np.hypot(rms, rms_y), count)[count] < rms[some[0]]:
+            break
+        t[some, 1], rms_y[some] = _side(y[some], height)
+    best = np.argsort(np.hypot(rms, rms_y))[:count]
+    X = se3.transform(R_sensor[best], (R_sensor[best] @ t[best, :, None])[..., 0])
+    return [Estimate(*both) for both in zip(X, np.column_stack(
+        [a_mean + centre[best], np.full(count, radius)]), strict=True)]
+
+
+def _centres(R_sensor: Array, R: Array, a: Array, circles: Array
+             ) -> tuple[Array, Array, Array, Array]:
+    """
+    Return for k rotations of the sensor what the circles (n, 3) in it say of the rest.
+
+    R (n, 3, 3), a (n, 3): of the poses, about their middle. The centre in base (k, 3), the
+    position of the sensor (k, 3), that across its plane 0, the RMS (k,) of what remains in the
+    plane, and the coordinates (k, n) of the centre across it. Sums over the stations are formed
+    first: what they are for a rotation is then a product with its axes.
+    """
+    n, turns, own = len(R), R.transpose(2, 1, 0).reshape(9, -1), np.einsum('nlj,nl->jn', R, a)
+    x, y, z = np.moveaxis(R_sensor, 2, 0)
+
+    def coordinate(axis: Array, centre: Array) -> Array:
+        return np.asarray(_outer(axis, centre) @ turns - axis @ own)
+    normal = (n + REGULAR) * np.eye(3) - (_outer(y, y) @ np.einsum(
+        'nlj,nqm->jmlq', R, R).reshape(9, 9)).reshape(-1, 3, 3)
+    right = -_outer(y, y) @ np.einsum('nlj,mn->jml', R, own).reshape(9, 3)
+    for axis, predicted_covariance in ((x, circles[:, 0]), (z, circles[:, 1])):
+        mean = axis @ R.mean(axis=0).T
+        normal -= n * mean[:, :, None] * mean[:, None]
+        right += axis @ np.einsum('nlj,n->jl', R, predicted_covariance) - mean * (
+            predicted_covariance.sum() + axis @ own.sum(axis=1))[:, None]
+    centre = np.linalg.solve(normal, right[..., None])[..., 0]
+    left = [coordinate(x, centre) - circles[:, 0], coordinate(z, centre) - circles[:, 1]]
+    t = np.zeros((len(centre), 3))
+    t[:, 0], t[:, 2] = left[0].mean(axis=1), left[1].mean(axis=1)
+    rms = np.sqrt((left[0].var(axis=1) + left[1].var(axis=1)) / 2)
+    return centre, t, rms, coordinate(y, centre)
+
+
+def _outer(a: Array, b: Array) -> Array:
+    """Return the products (k, 9) of each two components of vectors (k, 3)."""
+    return np.asarray((a[:, :, None] * b[:, None]).reshape(-1, 9))
+
+
+def _side(y: Array, height: Array) -> tuple[Array, Array]:
+    """Return the offset (k,) with |y - offset| nearest to height (n,) for y (k, n), and RMS."""
+    offsets = np.concatenate([y - height, y + height], axis=1)
+    misfit = np.abs(np.abs(y[:, None, :] - offsets[:, :, None]) - height)
+    total = (misfit ** 2).mean(axis=2)
+    best = np.argmin(total, axis=1)
+    rows = np.arange(len(y))
+    return offsets[rows, best], np.sqrt(total[rows, best])
+
+
+@cache
+def rotations(count: int) -> Array:
+    """Return (count, 3, 3) rotations spread evenly (super-Fibonacci spiral)."""
+    s = np.arange(count) + 0.5
+    r, big_r = np.sqrt(s / count), np.sqrt(1 - s / count)
+    alpha, beta = 2 * np.pi * s / 2 ** 0.5, 2 * np.pi * s / 1.533751168755204288118041
+    q = np.column_stack([r * np.sin(alpha), r * np.cos(alpha),
+                         big_r * np.sin(beta), big_r * np.cos(beta)])
+    return np.asarray(Rotation.from_quat(q).as_matrix())
+
+
+def arc_points(sample: Sample, points: Array, kind: NDArray[np.intp]
+               ) -> tuple[Array, NDArray[np.intp]]:
+    """Return all points of the arcs of a sample, which its normal points stand for."""
+    arcs = [f.raw for f in sample.features if isinstance(f, Arc)]
+    points = np.concatenate(arcs) if len(arcs) > 1 else arcs[0]
+    return points, np.zeros(len(points), dtype=np.intp)
+
+
+def relax(config: Config) -> Config | None:
+    """Return the configuration with the radius unknown, None where it is."""
+    if config.target.radius <= 0:
+        return None
+    return replace(config, target=replace(config.target, radius=0.0))
+
+
+def configured(config: Config) -> Array:
+    """Return the configured radius, (4,)."""
+    return np.array([0.0] * 3 + [config.target.radius])
+
+
+def describe(target: Array, std: Array) -> dict[str, Any]:
+    """Return the sphere's centre and radius as plain values."""
+    return {'centre': dict(zip('xyz', map(float, target[:3]), strict=True)),
+            'radius': float(target[3]), 'radius_std': float(std[3])}
+
+
+SPHERE = Method('sphere', ('arc',), ('x', 'y', 'z', 'radius'), arc_features, observe, guess,
+                conditions, retract, free, kind_unchanged, describe, arc_points, edges=(),
+                minimum=6, relax=relax, configured=configured, tolerances=tolerances,
+                extract_each=arcs_of_each)

@@ -1,0 +1,193 @@
+"""
+The edge of a block, or a groove: two faces that meet, both in every profile.
+
+Frame of the target: x along the edge, the origin a point of it; each face goes through the edge
+and is turned about it by an angle. Unknown beside X: the edge as a line (4) and the turn of each
+face about it (2). A profile gives two face lines, each lies in its face; that they cross on the
+edge follows. Which face is which follows from the sides, so it need not be told.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array, FaceLine, Feature, Sample
+from handeye_ros.estimation.linearise import linearise, points_at, Problem
+from handeye_ros.estimation.model import (
+    Conditions,
+    Estimate,
+    Method,
+    Observations,
+    observed_points,
+)
+from handeye_ros.estimation.starts import best_of
+from handeye_ros.profiles.corners import corner_features
+from handeye_ros.targets import line as edge_line
+from handeye_ros.targets import plane
+from handeye_ros.targets.common import (
+    add_face,
+    collect,
+    GUESS_STATIONS,
+    ObservationRows,
+    some_stations,
+)
+import numpy as np
+from numpy.typing import NDArray
+
+KINDS = ('face_1', 'face_2')
+LABELS = ('y', 'z', 'ry', 'rz', 'turn', 'angle')
+SHARE = np.array([-0.5, 0.5])  # of a change of the angle between them, by which each face turns
+SWEEP = 24  # turns of the pair of faces tried about an edge that is known
+
+
+def observe(samples: Sequence[Sample]) -> Observations:
+    """Return the conditions of the face lines; the left one counts as face 1 for now."""
+    return collect(samples, _add)
+
+
+def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
+    if isinstance(feature, FaceLine):
+        add_face(rows, station, feature, source, kind=int(source > 0))
+
+
+def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
+    """Return the height over its face of points p (..., m, 3) in base, targets (..., 18)."""
+    T = target[..., :16].reshape(*target.shape[:-1], 4, 4)
+    R, offset, turn = T[..., :3, :3], p - T[..., None, :3, 3], target[..., 16:][..., kind]
+    c, s = np.cos(turn), np.sin(turn)
+    normal = c[..., None] * R[..., None, :, 1] + s[..., None] * R[..., None, :, 2]
+    along, y, z = np.moveaxis(offset @ R, -1, 0)
+    by_turn = c * z - s * y
+    by_target = np.stack([-c, -s, s * along, -c * along, by_turn, SHARE[kind] * by_turn], axis=-1)
+    return Conditions((offset * normal).sum(axis=-1), normal, by_target)
+
+
+def retract(target: Array, delta: Array) -> Array:
+    """Return targets (..., 18) moved: along and about their y and z, turn, and angle."""
+    T = target[..., :16].reshape(*target.shape[:-1], 4, 4)
+    across = T[..., :3, 1:3]
+    step = np.concatenate([np.einsum('...ij,...j->...i', across, delta[..., :2]),
+                           np.einsum('...ij,...j->...i', across, delta[..., 2:4])], axis=-1)
+    pose = se3.perturb(T, step).reshape(*target.shape[:-1], 16)
+    turns = target[..., 16:] + delta[..., 4:5] + SHARE * delta[..., 5:]
+    return np.concatenate([pose, turns], axis=-1)
+
+
+def free(config: Config) -> NDArray[np.bool_]:
+    """Return that all parameters are unknown."""
+    return np.ones(len(LABELS), dtype=bool)
+
+
+def relabel(observations: Observations, p: Array, target: Array, config: Config
+            ) -> Observations:
+    """Return each station's two lines given to the faces in the way that fits better."""
+    kind = observations.kind
+    as_is, swapped = (np.bincount(
+        observations.station, conditions(p, k, target, config).g ** 2)
+        for k in (kind, 1 - kind))
+    swap = (swapped < as_is)[observations.station]
+    return replace(observations, kind=np.where(swap, 1 - kind, kind))
+
+
+def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
+          ) -> Iterator[Estimate]:
+    """
+    Yield estimates from nothing.
+
+    The crossings of the two lines lie on one straight edge, whatever the labels; and where the
+    labels are right by chance, the left lines lie in one plane and so do the right ones.
+    """
+    chosen = some_stations(len(poses), GUESS_STATIONS, rng)
+    problem = Problem(WEDGE, poses, observations, config).subset(chosen)
+    corners = crossings(problem.observations)
+    edges = replace(problem, method=edge_line.LINE, observations=corners)
+    yield from _refined(problem, [_with_faces(problem, e) for e in best_of(
+        edges, edge_line.linear_candidates(edges))])
+    for side in range(len(KINDS)):
+        lines = problem.observations.select(problem.observations.kind == side)
+        lines = replace(lines, kind=np.zeros_like(lines.kind))
+        faces = replace(problem, method=plane.PLANE, observations=lines)
+        yield from _refined(problem, [
+            _with_faces(problem, _edge_in(corners, problem.poses, e))
+            for e in best_of(faces, plane.linear_candidates(faces))])
+
+
+def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
+    """Return where the starts lead, each with the labels that it makes, best first."""
+    alike: dict[bytes, tuple[Problem, list[Estimate]]] = {}  # starts that make the same labels
+    for start in starts:
+        p = points_at(problem.observations, problem.poses, start.X)
+        labelled = relabel(problem.observations, p, start.target, problem.config)
+        part = replace(problem, observations=labelled)
+        alike.setdefault(labelled.kind.tobytes(), (part, []))[1].append(start)
+    found = [(float((linearise(labelled, end).residuals ** 2).sum()), end)
+             for labelled, some in alike.values()
+             for end in best_of(labelled, some, len(some))]
+    return [end for _, end in sorted(found, key=lambda pair: pair[0])]
+
+
+def crossings(observations: Observations) -> Observations:
+    """Return the conditions that the crossing of each station's two lines lies on an edge."""
+    rows = ObservationRows()
+    for station in np.unique(observations.station):
+        here = observations.select(observations.station == station)
+        (a, u), (b, v) = (_fitted(here.points[here.kind == side]) for side in range(2))
+        along, _ = np.linalg.solve(np.column_stack([u, -v]), b - a)
+        for kind in (edge_line.EDGE_Y, edge_line.EDGE_Z):
+            rows.add(int(station), a + along * u, kind, 1e-5 * np.eye(2), 0)
+    return rows.observations()
+
+
+def _fitted(points: Array) -> tuple[Array, Array]:
+    """Return a point of the line through points (k, 2), and its direction."""
+    centre = points.mean(axis=0)
+    return centre, np.linalg.svd(points - centre)[2][0]
+
+
+def _edge_in(corners: Observations, poses: Array, face: Estimate) -> Estimate:
+    """Return the estimate of the edge through the crossings, with the X of a face's estimate."""
+    p = points_at(corners, poses, face.X)
+    centre = p.mean(axis=0)
+    return Estimate(face.X, se3.transform(np.linalg.svd(p - centre)[2].T, centre).ravel())
+
+
+def _with_faces(problem: Problem, edge: Estimate) -> Estimate:
+    """Return the estimate with the two turns that put the faces into the points."""
+    T = edge.target.reshape(4, 4).copy()
+    T[:3, :3] = se3.nearest_rotation(T[:3, :3])
+    obs = problem.observations
+    local = (points_at(obs, problem.poses, edge.X) - T[:3, 3]) @ T[:3, :3]
+    angle = np.arctan2(local[:, 2], local[:, 1])
+    first, second = _two_directions(angle, np.hypot(local[:, 1], local[:, 2]))
+    return Estimate(edge.X, np.append(T.ravel(), [first + np.pi / 2, second + np.pi / 2]))
+
+
+def _two_directions(angle: Array, weight: Array) -> tuple[float, float]:
+    """Return the two directions (rad) about which angles (m,) gather most closely."""
+    best, least = (0.0, np.pi / 2), np.inf
+    for parting in np.linspace(0.0, np.pi, SWEEP, endpoint=False):
+        side = np.sin(angle - parting) > 0
+        sums = [(weight[part] * np.exp(1j * angle[part])).sum() for part in (side, ~side)]
+        spread = weight.sum() - sum(abs(total) for total in sums)
+        if spread < least:
+            least = spread
+            best = (float(np.angle(sums[0])), float(np.angle(sums[1])))
+    return best
+
+
+def describe(target: Array, std: Array) -> dict[str, Any]:
+    """Return the edge's point and direction, the faces' normals and the angle between (rad)."""
+    T, (first, second) = target[:16].reshape(4, 4), target[16:]
+    between = float(np.arccos(np.clip(np.cos(second - first), -1.0, 1.0)))
+    return {'point': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
+            'direction': T[:3, 0].tolist(),
+            **{f'normal_{k}': (np.cos(turn) * T[:3, 1] + np.sin(turn) * T[:3, 2]).tolist()
+               for k, turn in enumerate((first, second), 1)}, 'face_angle': between,
+            'face_angle_std': float(std[5])}
+
+
+WEDGE = Method('wedge', KINDS, LABELS, corner_features, observe, guess, conditions, retract, free,
+               relabel, describe, observed_points, edges=(), minimum=6)

@@ -1,0 +1,254 @@
+"""Doubts are unknowns with priors: what the data show is found, what they do not is stated."""
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+
+from cells import Cell, cell, NO_DOUBTS, solved
+from cells import config as settings_of
+from handeye_ros import pipeline, se3
+from handeye_ros.config import Config, with_values
+from handeye_ros.data import Arc, Calibration, EdgePoint, FaceLine, Sample
+from handeye_ros.estimation.basis import bending, kernel, places, process_root
+from handeye_ros.estimation.blocks import deformation, parameter_blocks, ParameterBlock
+from handeye_ros.estimation.linalg import inverse
+from handeye_ros.estimation.linearise import linearise
+from handeye_ros.estimation.posterior import map_solution
+from handeye_ros.estimation.solution import Solution
+from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate_samples
+import numpy as np
+import pytest
+
+MANY = replace(SCENARIOS['plate'], stations=(24, 24))
+LARGEST_SQUARE = {key: getattr(getattr(Config(), part), name) for key in NO_DOUBTS
+            for part, name in [key.split('__')]}
+
+
+def told(made: Cell, **factors: float) -> Cell:
+    """Return a cell whose settings misjudge the robot's noise."""
+    noise = made.config.noise
+    values = {f'noise.{key}': getattr(noise, key) * factors['robot']
+              for key in ('robot_translation', 'robot_rotation')}
+    return replace(made, config=with_values(made.config, values, 'test'))
+
+
+def misjudged(sample: Sample, factor: float) -> Sample:
+    """Return a sample whose features state their noise times a factor."""
+    def scaled(f: object) -> object:
+        if isinstance(f, EdgePoint):
+            return replace(f, std=f.std * factor, std_across=f.std_across * factor)
+        assert isinstance(f, FaceLine | Arc)
+        return replace(f, std=f.std * factor)
+    return replace(sample, features=tuple(scaled(f) for f in sample.features))
+
+
+def final(made: Cell) -> Solution:
+    first = solved(made.problem)
+    return map_solution(first.problem, first.estimate)
+
+
+def answer(made: Cell) -> Calibration:
+    return pipeline.solve(made.samples, [], made.config, 'laser')
+
+
+def squared(made: Cell) -> float:
+    """Return the squared Mahalanobis error of a cell's answer."""
+    found = answer(made)
+    error = se3.difference(found.T_flange_sensor, made.truth.T_flange_sensor)
+    return float(error @ np.linalg.solve(found.covariance, error))
+
+
+# -- noise
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('factor', [1 / 3, 3.0])
+def test_robot_noise_that_was_told_wrongly_is_found(factor: float) -> None:
+    found = [final(told(cell(MANY, seed), robot=factor)).noise.robot for seed in range(4)]
+    assert np.sqrt(np.median(found)) == pytest.approx(1 / factor, rel=0.3)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('factor', [1 / 3, 3.0])
+def test_sensor_noise_that_was_told_wrongly_is_found(factor: float) -> None:
+    # of a robot that is hardly noisy, so that the sensor's shows
+    quiet = replace(MANY, robot=replace(MANY.robot, repeatability=(2e-6, 4e-6)),
+                    sensor=replace(MANY.sensor, noise=3e-4))
+    found = []
+    for seed in range(4):
+        made = cell(quiet, seed)
+        made = replace(made, samples=tuple(misjudged(s, factor) for s in made.samples))
+        found.append(final(made).noise.sensor)
+    assert np.sqrt(np.median(found)) == pytest.approx(1 / factor, rel=0.3)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('factor', [1 / 3, 3.0])
+def test_the_covariance_is_true_though_the_noise_was_told_wrongly(factor: float) -> None:
+    squares = [squared(told(cell(MANY, seed), robot=factor)) / 6 for seed in range(8)]
+    assert 0.4 < np.mean(squares) < 1.7
+
+
+@pytest.mark.thorough
+def test_noise_that_was_told_rightly_is_kept() -> None:
+    noises = [final(cell('plate', seed)).noise for seed in range(10)]
+    factors = [[noise.sensor, noise.edge, noise.robot] for noise in noises]
+    sensor, edge, robot = np.abs(np.log(factors)).max(axis=0)
+    assert max(sensor, robot) < math.log(2.5)
+    # the own noise of 18 edge points is a fifth of their residuals' variance: they say little
+    assert edge < math.log(5)
+    assert np.abs(np.log(np.median(factors, axis=0))).max() < 0.2
+
+
+@pytest.mark.thorough
+def test_what_is_doubted_but_not_there_costs_the_estimate_little() -> None:
+    squares = np.zeros((2, 2))
+    for seed in range(12):
+        made = cell('plate', seed)
+        for i, of in enumerate((made, replace(made, config=settings_of(made.scenario)))):
+            error = se3.difference(answer(of).T_flange_sensor, of.truth.T_flange_sensor)
+            squares[i] += [error[:3] @ error[:3], error[3:] @ error[3:]]
+    assert (np.sqrt(squares[1] / squares[0]) < 1.3).all()
+
+
+def test_settling_changes_no_input() -> None:
+    made = told(cell(MANY, 1), robot=1 / 3)
+    solution = solved(made.problem)
+    X = solution.estimate.X.copy()
+    other = map_solution(solution.problem, solution.estimate)
+    assert other.noise.robot > 2 and np.array_equal(solution.estimate.X, X)
+
+
+# -- robots
+
+
+def real_robot(size: float) -> Scenario:
+    """Return a plate whose robot errs smoothly by size (m, RMS), and turns in proportion."""
+    robot = SCENARIOS['plate'].robot
+    return replace(SCENARIOS['plate'],
+                   robot=replace(robot, systematic=(size, math.radians(0.02) * size / 1.5e-4)))
+
+
+@pytest.mark.thorough
+def test_a_systematic_robot_makes_the_stated_uncertainty_grow() -> None:
+    def size(systematic: float) -> float:
+        stds = []
+        for seed in range(3):
+            found = answer(cell(real_robot(systematic), seed, **LARGEST_SQUARE))
+            stds.append(np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3])[2]))
+        return float(np.median(stds))
+    none, some, more = size(0.0), size(1.5e-4), size(4.5e-4)
+    assert some > 1.1 * none and more > 1.25 * some
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('size', [0.0, 1.5e-4])
+def test_the_stated_uncertainty_holds_for_every_robot(size: float) -> None:
+    squares = [squared(cell(real_robot(size), seed, **LARGEST_SQUARE)) for seed in range(12)]
+    assert np.mean(np.array(squares) < 12.59) >= 0.9, 'the 95 % quantile of chi-squared over 6'
+    assert 0.1 < np.mean(squares) / 6 < 1.5
+
+
+def test_a_programme_run_again_tells_nothing_new_of_the_robots_error() -> None:
+    made = cell('plate', 0, **LARGEST_SQUARE)
+    place = places(made.problem.poses)
+    once, twice = process_root(place), process_root(np.concatenate([place, place]))
+    assert twice.shape == (2 * len(once), once.shape[1])
+    assert np.allclose(twice[:len(once)], twice[len(once):])
+    assert np.allclose(once @ once.T, kernel(place, place), atol=1e-4)
+
+
+def test_many_places_are_spanned_by_some() -> None:
+    rng = np.random.default_rng(0)
+    T = se3.from_quaternion(rng.uniform(-0.2, 0.2, (400, 3)), np.column_stack(
+        [rng.uniform(-0.2, 0.2, (400, 3)), np.ones(400)]))
+    root = process_root(places(T))
+    assert root.shape[1] <= 24
+    exact = kernel(places(T), places(T))
+    assert np.diag(exact - root @ root.T).mean() < 0.25 < 0.5 < np.diag(root @ root.T).min()
+
+
+# -- sensor, target, scale
+
+
+def test_a_distortion_is_no_motion_of_the_plane() -> None:
+    points = np.random.default_rng(0).uniform([-0.02, 0.15], [0.02, 0.2], (300, 2))
+    (fields,) = bending(points, [2])
+    x, z = (points - points.mean(axis=0)).T
+    for motion in (np.stack([x * 0 + 1, x * 0], 1), np.stack([x * 0, x * 0 + 1], 1),
+                   np.stack([z, -x], 1)):
+        assert np.abs(np.einsum('mi,mik->k', motion, fields)).max() < 1e-9
+    assert np.sqrt((fields ** 2).sum(axis=2).mean(axis=0)) == pytest.approx([1, 1], rel=0.1)
+
+
+def found_at(solution: Solution) -> tuple[ParameterBlock, ...]:
+    linear = linearise(solution.problem, solution.estimate)
+    return parameter_blocks(solution.problem, linear, deformation(linear))
+
+
+def test_every_doubt_has_a_prior_and_what_is_certain_is_none() -> None:
+    made = cell('plate', 0, **LARGEST_SQUARE)
+    solution = solved(made.problem)
+    names = [d.name for d in found_at(solution)]
+    assert {'scale', 'robot_position', 'robot_rotation', 'distortion_1', 'flatness_2',
+            'edge_angle'} <= set(names)
+    certain = solved(cell('plate', 0).problem)
+    assert not found_at(certain)
+
+
+def test_without_doubts_the_answer_is_plain_least_squares() -> None:
+    made = cell('plate', 0)
+    first, last = solved(made.problem), final(made)
+    assert np.abs(se3.difference(first.estimate.X, last.estimate.X)).max() < 3e-5
+    assert last.unknowns == 12 and not len(last.nuisance)
+
+
+@pytest.mark.parametrize('scale', [1.0, 1.0015, 0.999])
+def test_a_scale_of_the_robot_is_taken_out(scale: float) -> None:
+    made = cell('plate', 2, **LARGEST_SQUARE)
+    samples = tuple(replace(s, T_base_flange=se3.transform(
+        s.T_base_flange[:3, :3], scale * s.T_base_flange[:3, 3])) for s in made.samples)
+    scaled = replace(made, samples=samples)
+    assert squared(scaled) < 20
+
+
+def test_the_inverse_of_a_free_direction_is_large() -> None:
+    information = np.diag([4.0, 1e10, 0.0])
+    covariance = inverse(information)
+    assert np.diag(covariance)[:2] == pytest.approx([0.25, 1e-10])
+    assert covariance[2, 2] > 1e10
+
+
+def test_the_settings_of_a_scenario_tell_its_noise() -> None:
+    config = settings_of(SCENARIOS['plate'])
+    assert config.noise.sensor == SCENARIOS['plate'].sensor.noise
+    assert (config.noise.robot_translation, config.noise.robot_rotation) == (
+        SCENARIOS['plate'].robot.repeatability)
+
+
+@pytest.mark.thorough
+def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
+    many = replace(SCENARIOS['sphere'], stations=(1000, 1000))
+    samples, truth = simulate_samples(many, np.random.default_rng(0))
+    _, found = pipeline.estimate(samples, (), with_values(Config(), settings(many), 'a test'))
+    assert found.conservative, 'the sizes of doubts settled: it is no answer to fall back to'
+    off = se3.difference(found.estimate.X, truth.T_flange_sensor)
+    assert np.abs(off).max() < 1e-4
+    lengths = [d.std for d in found.blocks if d.name in ('scale', 'radius')]
+    assert lengths and max(lengths) < 1e-4, 'nothing is wrong with them'
+
+
+@pytest.mark.parametrize('off', [-1.5, 0.0, 1.5])
+def test_edges_whose_shape_was_misjudged_move_the_answer_little(off: float) -> None:
+    made = cell(MANY, 3)
+    rng, doubt = np.random.default_rng(5), 2e-4
+
+    def misplaced(feature: object) -> object:
+        if not isinstance(feature, EdgePoint):
+            return feature
+        share = rng.uniform(0.2, 0.8)  # how much of a rounding is seen differs
+        return replace(feature, shape_std=share * doubt,
+                       point=feature.point + off * share * doubt * feature.direction)
+    wrong = replace(made, samples=[replace(s, features=tuple(map(misplaced, s.features)))
+                                   for s in made.samples])
+    assert squared(wrong) < squared(made) + 2
