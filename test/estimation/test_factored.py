@@ -44,7 +44,7 @@ def test_factors_do_what_their_products_do(counts: list[int], single: int, axes:
     C = root @ root.T
     for rows in made.rows:
         J = dense[rows]
-        assert np.allclose(made.seen(C, rows), J @ C @ np.swapaxes(J, 1, 2))
+        assert np.allclose(made.predicted_covariance(C, rows), J @ C @ np.swapaxes(J, 1, 2))
     some = np.arange(0, len(counts), 2)
     part = dense[np.isin(made.station, some)]
     assert np.allclose(made.gram_of(made.of(some)), part.T @ part)

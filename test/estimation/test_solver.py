@@ -122,16 +122,3 @@ def test_targets_from_files_give_the_answer_that_they_gave(name: str, tmp_path: 
     found = answer(name, tmp_path)
     near = 1e-8 if name == 'tracker' else 1e-9  # its derivatives are differences
     assert np.abs(found - FROM_FILES[name]).max() < near
-
-
-def test_users_have_no_damping_and_no_annealing_of_their_own() -> None:
-    sources = {file.stem: file.read_text(encoding='utf-8')
-               for file in (ROOT / 'handeye_ros').rglob('*.py')}
-    assert {name for name, text in sources.items() if 'damping' in text.lower()} == {
-        'least_squares'}
-    for user in ('solve', 'adjust'):
-        assert 'least_squares(' in sources[user] and 'blocks' in sources[user]
-    for user in ('trial', 'adjust'):
-        assert 'graduated(' in sources[user]
-    for user in ('robust', 'adjust'):
-        assert 'outliers(' in sources[user]
