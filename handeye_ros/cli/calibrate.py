@@ -5,6 +5,7 @@ from typing import Annotated, Any, TYPE_CHECKING
 
 from handeye_ros.cli.app import app
 from handeye_ros.cli.common import (
+    Angles,
     Assignments,
     ConfigFile,
     configuration,
@@ -36,13 +37,14 @@ def solve(
     path: Input,
     config: ConfigFile = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
+    angles: Angles = '',
     out: Annotated[NoPath, typer.Option(
         metavar='DIR', help='Where calibration.yaml is written; if not given, the folder NAME in '
                             'output_dir, or in out.')] = None,
 ) -> None:
     """Find the transform from a recording or a file, and write calibration.yaml."""
     stored = stored_session(path)
-    settings = configuration(config, assignments, stored.config if stored else None)
+    settings = configuration(config, assignments, stored.config if stored else None, angles)
     folder = _target(out, settings)
 
     from handeye_ros.results import exports, table
@@ -124,9 +126,10 @@ def compare(
     path: Input,
     config: ConfigFile = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
+    angles: Angles = '',
 ) -> None:
     """Put the same samples through every estimator that applies, ours and published ones."""
-    settings = configuration(config, assignments)
+    settings = configuration(config, assignments, angles=angles)
 
     from handeye_ros.comparison import compare as comparing
     from handeye_ros.comparison import table

@@ -29,11 +29,21 @@ Assignments = Annotated[list[str], typer.Option(
     '--set', metavar='KEY=VALUE', help='Set a key of the configuration; may be repeated.')]
 
 
-def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None
-                  ) -> 'Config':
-    """Return the base (default: the defaults) with the keys of a file, and those set by hand."""
+Angles = Annotated[str, typer.Option(
+    metavar='NOTATION', help='How a table of poses writes orientations: kuka-abc, fanuc-wpr, '
+    'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
+
+
+def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None,
+                  angles: str = '') -> 'Config':
+    """
+    Return the base (default: the defaults) with the keys of a file, and those set by hand.
+
+    angles: the notation of a table of poses.
+    """
     from handeye_ros.config import Config, load, with_assignments
     base = base or Config()
+    assignments = [*assignments, f'target.angles={angles}'] if angles else assignments
     return with_assignments(load(file, base) if file else base, assignments)
 
 

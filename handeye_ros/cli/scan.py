@@ -22,9 +22,9 @@ def calibrated(file: Path, config: Path | None, assignments: list[str]
     """Return a calibration, and the settings that read what is measured with it."""
     from handeye_ros.config import load, with_assignments
     from handeye_ros.results.calibration_file import read_calibration
-    from handeye_ros.scanning.settings import settings_of
+    from handeye_ros.results.report.evidence import config_of
     calibration = read_calibration(file)
-    settings = load(config) if config else settings_of(calibration)
+    settings = load(config) if config else config_of(calibration)
     return calibration, with_assignments(settings, assignments)
 
 

@@ -22,13 +22,26 @@ from handeye_ros.config.cell import (
     TrackerConfig,
 )
 from handeye_ros.config.files import EVERY_NODES, load, NODE
-from handeye_ros.config.keys import Config, flatten, parameters, UNNAMED_FRAME
+from handeye_ros.config.keys import (
+    Config,
+    flatten,
+    parameters,
+    RECORD,
+    RECORD_NAMES,
+    UNNAMED_FRAME,
+)
 from handeye_ros.config.parameter import Parameter
 from handeye_ros.config.plain_yaml import yaml_content
-from handeye_ros.config.values import flipped_range, with_assignments, with_values
+from handeye_ros.config.values import (
+    flipped_range,
+    from_provenance,
+    with_assignments,
+    with_values,
+)
 
 __all__ = [
-    'Config', 'EVERY_NODES', 'GuidanceConfig', 'LimitsConfig', 'NODE', 'NoiseConfig', 'PageConfig',
-    'Parameter', 'ProfileConfig', 'SAVE_FORMATS', 'SIGNED_AXES', 'SamplesConfig', 'SamplingConfig',
-    'SaveConfig', 'TargetConfig', 'TrackerConfig', 'UNNAMED_FRAME', 'VerifyConfig', 'flatten',
-    'flipped_range', 'load', 'parameters', 'with_assignments', 'with_values', 'yaml_content']
+    'Config', 'EVERY_NODES', 'GuidanceConfig', 'LimitsConfig', 'NODE', 'NoiseConfig',
+    'PageConfig', 'Parameter', 'ProfileConfig', 'RECORD', 'RECORD_NAMES', 'SAVE_FORMATS',
+    'SIGNED_AXES', 'SamplesConfig', 'SamplingConfig', 'SaveConfig', 'TargetConfig',
+    'TrackerConfig', 'UNNAMED_FRAME', 'VerifyConfig', 'flatten', 'flipped_range',
+    'from_provenance', 'load', 'parameters', 'with_assignments', 'with_values', 'yaml_content']

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from handeye_ros.config.parameter import key
 
-SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'shell', 'easy_handeye2', 'matrix', 'json')
+SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'shell', 'easy_handeye2', 'matrix', 'json', 'kuka',
+                'fanuc', 'abb', 'ur', 'staubli', 'yaskawa')
 
 
 @dataclass(frozen=True)

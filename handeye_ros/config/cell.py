@@ -55,6 +55,9 @@ class TargetConfig:
                              'sharp edge: deburring, smoothing (m).', minimum=0.0, maximum=0.01)
     edge_angle_free: bool = key(False, 'Estimate the angle between the edges of the plate '
                                 'instead of taking it as a right angle.')
+    angles: str = key('', 'How a table of poses writes orientations, such as kuka-abc, fanuc-wpr, '
+                      'abb-quaternion, ur-rotation-vector, staubli-rxryrz, yaskawa-rxryrz; '
+                      'empty: quaternion x y z w, or roll pitch yaw, as its columns say.')
     use_face: bool = key(False, 'Use the face beside the straight edge (line) too; it must be '
                          'flat.')
 

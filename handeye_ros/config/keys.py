@@ -22,6 +22,9 @@ from handeye_ros.config.cell import (
 )
 from handeye_ros.config.parameter import key, Parameter, parameters_of
 
+# Of record.*, whose names are free: those that a form for acceptance has.
+RECORD_NAMES = ('operator', 'sensor_serial', 'robot_serial', 'artefact', 'temperature', 'note')
+RECORD = 'record.'
 UNNAMED_FRAME = 'sensor'  # what the frame of profiles without a frame_id is called
 
 
@@ -61,6 +64,7 @@ class Config:
     guidance: GuidanceConfig = field(default_factory=GuidanceConfig)
     verify: VerifyConfig = field(default_factory=VerifyConfig)
     page: PageConfig = field(default_factory=PageConfig)
+    record: tuple[tuple[str, str], ...] = ()  # record.*: names and texts, free
 
 
 @cache
@@ -72,6 +76,7 @@ def parameters() -> tuple[Parameter, ...]:
 def flatten(config: Config) -> dict[str, Any]:
     """Return the values of a configuration by dotted key; tuples become lists."""
     values = {p.key: _get(config, p.key) for p in parameters()}
+    values |= {f'{RECORD}{name}': text for name, text in config.record}
     return {key: list(v) if isinstance(v, tuple) else v for key, v in values.items()}
 
 

@@ -38,5 +38,5 @@ def parameters_of(part: Any, prefix: str) -> Iterable[Parameter]:
         value = getattr(part, item.name)
         if is_dataclass(value):
             yield from parameters_of(value, f'{prefix}{item.name}.')
-        else:
+        elif item.metadata:
             yield Parameter(f'{prefix}{item.name}', value, **item.metadata)

@@ -4,13 +4,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 import math
+import re
 from typing import Any
 
-from handeye_ros.config.keys import Config, parameters
+from handeye_ros.config.keys import Config, parameters, RECORD
 from handeye_ros.config.parameter import Parameter
 from handeye_ros.config.plain_yaml import yaml_content
 from handeye_ros.errors import BadValueError, InputError, UnknownKeyError
 import yaml
+
+LONGEST_TEXT = 1000  # characters of a record.*
 
 
 def with_values(config: Config, values: Mapping[str, Any], source: str) -> Config:
@@ -22,9 +25,24 @@ def with_values(config: Config, values: Mapping[str, Any], source: str) -> Confi
     """
     known = {p.key: p for p in parameters()}
     for key, value in values.items():
+        if key.startswith(RECORD):
+            config = _with_record(config, key, value)
+            continue
         if key not in known:
             raise UnknownKeyError(key, list(known), source)
         config = _put(config, key.split('.'), _checked(known[key], value))
+    return config
+
+
+def from_provenance(values: Any) -> Config:
+    """Return the configuration that a file tells of; what is not known here is left out."""
+    config, known = Config(), {p.key for p in parameters()}
+    for key, value in values.items() if isinstance(values, Mapping) else ():
+        if key in known or str(key).startswith(RECORD):
+            try:
+                config = with_values(config, {key: value}, 'the calibration')
+            except BadValueError:
+                continue  # written by a version that knew more
     return config
 
 
@@ -45,6 +63,17 @@ def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
 def flipped_range(config: Config) -> Config:
     """Return the configuration with profile.range_sign the other way."""
     return replace(config, profile=replace(config.profile, range_sign=-config.profile.range_sign))
+
+
+def _with_record(config: Config, key: str, value: Any) -> Config:
+    """Return config with a free text put in; an empty one takes it away."""
+    name, text = key.removeprefix(RECORD), '' if value is None else str(value)
+    if not re.fullmatch(r'[A-Za-z]\w*', name):
+        raise BadValueError(key, value, 'a name of letters, digits and _ after record.')
+    if len(text) > LONGEST_TEXT or not text.isprintable():
+        raise BadValueError(key, value, f'one line of at most {LONGEST_TEXT} characters')
+    kept = {**dict(config.record), name: text}
+    return replace(config, record=tuple((n, t) for n, t in kept.items() if t))
 
 
 def _put(part: Any, names: list[str], value: Any) -> Any:

@@ -35,7 +35,7 @@ class Views:
 
 
 def _read(path: Path, config: Config, read_bag: ReadBag) -> Input[Views]:
-    T_base_flange, T_camera_target = hand_eye_estimate.read(path)
+    T_base_flange, T_camera_target = hand_eye_estimate.read(path, config.target.angles)
     in_hand = config.calibration_type == 'eye_in_hand'
     views = Views(T_base_flange if in_hand else se3.inverse(T_base_flange), T_camera_target)
     return Input(views, config.sensor_frame, (input_values(path),))

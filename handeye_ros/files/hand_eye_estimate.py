@@ -69,15 +69,15 @@ class HandEyeResult:
     holdout_rms: tuple[float, float]
 
 
-def read(path: Path) -> tuple[Array, Array]:
+def read(path: Path, angles: str = '') -> tuple[Array, Array]:
     """
     Return T_base_flange and T_camera_target (n, 4, 4) of a file.
 
-    Columns flange_x ... and target_x ... as in Table.poses, each with its unit. Raises
-    TableError.
+    Columns flange_x ... and target_x ... as in Table.poses, each with its unit; angles: how a
+    controller writes the poses of the flange. Raises TableError.
     """
     table = Table(path)
-    return table.poses('flange'), table.poses('target')
+    return table.poses('flange', angles), table.poses('target')
 
 
 def solve(T_base_flange: Array, T_camera_target: Array, noise: PoseNoise | None = None,

@@ -13,7 +13,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from handeye_ros import se3
+from handeye_ros import orientations, se3
 from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
 from handeye_ros.errors import nearest
@@ -24,7 +24,7 @@ import yaml
 
 LENGTH, ANGLE, NUMBER, TEXT = 'length', 'angle', 'number', 'text'
 UNITS = {LENGTH: {'m': 1.0, 'mm': 1e-3, 'um': 1e-6},
-         ANGLE: {'rad': 1.0, 'deg': math.radians(1.0)}}
+         ANGLE: {'rad': 1.0, 'deg': math.radians(1.0), 'degrees': math.radians(1.0)}}
 QUATERNION, RPY = ('qx', 'qy', 'qz', 'qw'), ('roll', 'pitch', 'yaw')
 QUATERNION_TOLERANCE = 1e-3
 LARGEST = 1e6  # m or rad: more is a mistake
@@ -65,31 +65,52 @@ class Table:
         """Return the words of a column; raises TableError."""
         return [str(value).strip() for value in self._column(name)]
 
-    def values(self, names: Sequence[str], kind: str) -> Array:
-        """Return columns (n, k) of a kind in SI units; raises TableError."""
-        return np.column_stack([self._values(name, kind) for name in names])
+    def values(self, names: Sequence[str], kind: str, unit: str | None = None) -> Array:
+        """
+        Return columns (n, k) of a kind in SI units; raises TableError.
+
+        unit: of columns whose header names none; None: these are refused.
+        """
+        return np.column_stack([self._values(name, kind, unit) for name in names])
 
     def points(self, prefix: str) -> Array:
         """Return points, (n, 3) in metres, of the columns PREFIX_x, PREFIX_y, PREFIX_z."""
         return self.values([f'{prefix}_{axis}' for axis in 'xyz'], LENGTH)
 
-    def poses(self, prefix: str) -> Array:
+    def poses(self, prefix: str, angles: str = '') -> Array:
         """
         Return transforms (n, 4, 4): the translation as points, the rotation as a quaternion.
 
-        Columns PREFIX_qx, _qy, _qz, _qw, or PREFIX_roll, _pitch, _yaw (URDF). Raises TableError.
+        Columns PREFIX_qx, _qy, _qz, _qw, or PREFIX_roll, _pitch, _yaw (URDF); or, with the name
+        of a notation, those of a controller (PREFIX_a, _b, _c of KUKA), in its units where the
+        header says none. Raises TableError, and UnknownNameError for the notation.
         """
+        if angles:
+            return self._controller_poses(prefix, orientations.of(angles))
         quaternion, rpy = ([f'{prefix}_{name}' for name in names] for names in (QUATERNION, RPY))
         if self.has(rpy):
             R = Rotation.from_euler('xyz', self.values(rpy, ANGLE))
         else:
-            q = self.values(quaternion, NUMBER)
-            off = np.abs(np.linalg.norm(q, axis=1) - 1.0)
-            if off.max() > QUATERNION_TOLERANCE:
-                raise TableError(self.path, f'row {int(np.argmax(off)) + 1}: {prefix}_q... is no '
-                                 'unit quaternion')
-            R = Rotation.from_quat(q)
+            R = Rotation.from_quat(self._unit(quaternion, prefix))
         return se3.transform(R.as_matrix(), self.points(prefix))
+
+    def _controller_poses(self, prefix: str, notation: orientations.Notation) -> Array:
+        names = [f'{prefix}_{label}' for label in notation.labels]
+        if notation.angle:
+            numbers = self.values(names, ANGLE, notation.angle) / UNITS[ANGLE][notation.angle]
+        else:
+            numbers = self._unit(names, prefix)
+        xyz = self.values([f'{prefix}_{axis}' for axis in 'xyz'], LENGTH, notation.length)
+        return se3.transform(notation.rotation(numbers).as_matrix(), xyz)
+
+    def _unit(self, names: Sequence[str], prefix: str) -> Array:
+        """Return quaternions (n, 4), of length 1; raises TableError."""
+        q = self.values(names, NUMBER)
+        off = np.abs(np.linalg.norm(q, axis=1) - 1.0)
+        if off.max() > QUATERNION_TOLERANCE:
+            raise TableError(self.path, f'row {int(np.argmax(off)) + 1}: {prefix}_q... is no '
+                             'unit quaternion')
+        return q
 
     def _column(self, name: str) -> Sequence[Any]:
         if name not in self._columns:
@@ -98,8 +119,9 @@ class Table:
         column: Sequence[Any] = self._columns[name]
         return column
 
-    def _values(self, name: str, kind: str) -> Array:
-        column, unit = self._column(name), self._units[name]
+    def _values(self, name: str, kind: str, default: str | None) -> Array:
+        column = self._column(name)
+        unit = self._units[name] or default
         factors: Mapping[Any, float] = UNITS.get(kind, {None: 1.0})
         if unit not in factors:
             raise TableError(self.path, f'the column {name} ' + (

@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 from handeye_ros import se3
+from handeye_ros.config import RECORD
 from handeye_ros.data import Array, Calibration, SampleReport
 from handeye_ros.results.truth_errors import Errors
 import numpy as np
@@ -96,6 +97,14 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
     for reason, count in _reasons(calibration.samples).items():
         yield '', f'{count} rejected: {reason}'
     yield from _target_values(calibration.target)
+    yield from records(calibration)
+
+
+def records(calibration: Calibration) -> Iterator[tuple[str, str]]:
+    """Yield the names and texts of record.* that a calibration was made with."""
+    for key, text in (calibration.provenance.get('config') or {}).items():
+        if key.startswith(RECORD):
+            yield key.removeprefix(RECORD).replace('_', ' '), str(text)
 
 
 def _reasons(samples: tuple[SampleReport, ...]) -> Counter[str]:

@@ -24,6 +24,7 @@ from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.errors import DataError, NoRosError
 from handeye_ros.results.calibration_file import file_of, read_calibration
+from handeye_ros.results.report.evidence import config_of
 from handeye_ros.ros.bags.flow import returns_of
 from handeye_ros.ros.bags.messages import pose_from_stamped
 from handeye_ros.ros.bags.transforms import FlangeTracker
@@ -32,7 +33,6 @@ from handeye_ros.ros.executable import exit_code, RCLError, ros
 from handeye_ros.ros.node.intake import TFMessage
 from handeye_ros.scanning.cloud_files import Points
 from handeye_ros.scanning.scan import Scanner, ScanOptions
-from handeye_ros.scanning.settings import settings_of
 from handeye_ros.scanning.track import Track
 import rclpy
 from rclpy.node import Node
@@ -138,7 +138,7 @@ def _cloud(points: Points, frame: str, stamp: int) -> PointCloud2:
 def scan(path: Path, assignments: Sequence[str], options: ScanOptions) -> None:
     """Publish until Ctrl-C; raises InputError for a calibration that cannot be read."""
     calibration = read_calibration(file_of(path))
-    config = with_assignments(settings_of(calibration), assignments)
+    config = with_assignments(config_of(calibration), assignments)
     with ros():
         try:
             node = ScanNode(calibration, config, options)

@@ -46,6 +46,16 @@ def test_any_yaml(columns: object, rows: object) -> None:
     read('table.yaml', f'columns: {columns!r}\nrows: {rows!r}\n'.encode('utf-8', 'ignore'))
 
 
+def test_poses_as_a_controller_shows_them(tmp_path: Path) -> None:
+    path = tmp_path / 'table.csv'
+    path.write_text('f_x,f_y [m],f_z,f_a,f_b [rad],f_c\n10,0.02,30,90,0,0\n')
+    T = Table(path).poses('f', 'kuka-abc')[0]
+    np.testing.assert_allclose(T, [[0, -1, 0, 0.01], [1, 0, 0, 0.02], [0, 0, 1, 0.03],
+                                   [0, 0, 0, 1]], atol=1e-12)
+    with pytest.raises(TableError, match='has no column f_q1'):
+        Table(path).poses('f', 'abb')
+
+
 def test_values_are_in_si_units(tmp_path: Path) -> None:
     path = tmp_path / 'table.csv'
     path.write_text('\ufeff# remark\nx [mm];y[ um ]\n1;2\n\n-3.5; 4e3\n', encoding='utf-8')

@@ -9,12 +9,12 @@ from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Profile, TimedPose
 from handeye_ros.results.calibration_file import write_calibration
+from handeye_ros.results.report.evidence import config_of
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.scanning.cloud_files import cloud_writer, read_cloud
 from handeye_ros.scanning.errors import CloudFileError, EmptyScanError, NoPosesAroundError
 from handeye_ros.scanning.point_std import point_std, variance_polynomial
 from handeye_ros.scanning.scan import Scanner, ScanOptions
-from handeye_ros.scanning.settings import settings_of
 from handeye_ros.scanning.track import Track
 from moving_scan import calibration, moving, plane_profiles, STEP, T0, true_flange
 import numpy as np
@@ -213,7 +213,7 @@ def test_a_cloud_that_breaks_off_is_not_there(tmp_path):
 
 
 def test_settings_come_with_the_calibration():
-    config = settings_of(calibration(**{'profile_topic': 'laser/points', 'noise.sensor': 1e-5,
+    config = config_of(calibration(**{'profile_topic': 'laser/points', 'noise.sensor': 1e-5,
                                         'of_tomorrow': 3, 'profile.unit': 'furlong'}))
     assert (config.profile_topic, config.noise.sensor, config.profile.unit) == (
         'laser/points', 1e-5, 'm')

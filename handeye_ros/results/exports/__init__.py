@@ -10,7 +10,7 @@ import shutil
 from handeye_ros.data import Calibration
 from handeye_ros.errors import UnknownNameError, UnwritableError
 from handeye_ros.results import calibration_file
-from handeye_ros.results.exports import easy_handeye2, plain, ros
+from handeye_ros.results.exports import easy_handeye2, plain, robots, ros
 from handeye_ros.results.exports.format import Format
 
 YAML = 'yaml'
@@ -30,6 +30,7 @@ FORMATS = {
                             easy_handeye2.text),
     'matrix': Format('the 4x4 matrix as text', lambda _: 'matrix.txt', plain.matrix),
     'json': Format('JSON', lambda _: 'calibration.json', plain.as_json),
+    **robots.FORMATS,
 }
 
 

@@ -9,6 +9,9 @@ from handeye_ros import __version__, se3
 from handeye_ros.data import Array, Calibration
 import numpy as np
 
+SI = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed axes x, '
+      'y, z, as in URDF.')
+
 
 @dataclass(frozen=True)
 class Format:
@@ -24,7 +27,7 @@ class Format:
     text: Callable[[Calibration], str]
 
 
-def preamble(calibration: Calibration) -> tuple[str, ...]:
+def preamble(calibration: Calibration, units: str = SI) -> tuple[str, ...]:
     """Return lines that say what the numbers mean: direction, frames, units, uncertainty."""
     parent, child = one_line(calibration.parent_frame), one_line(calibration.child_frame)
     std = np.sqrt(np.diag(calibration.covariance))
@@ -36,8 +39,7 @@ def preamble(calibration: Calibration) -> tuple[str, ...]:
         f'written by handeye_ros {__version__}.',
         f'The pose of {child} in {parent}: p_{parent} = T @ p_{child}, so it maps points of '
         f'{child} into {parent}.',
-        f'Parent frame {parent}, child frame {child}. Metres and radians; quaternions are x y z '
-        'w; roll pitch yaw turn about the fixed axes x, y, z, as in URDF.',
+        f'Parent frame {parent}, child frame {child}. {units}',
         f'1 sigma of the position: {position} mm; of the rotation about the axes of {parent}: '
         f'{turns} degrees.')
 
@@ -47,9 +49,9 @@ def one_line(text: str) -> str:
     return ' '.join(text.split())
 
 
-def commented(calibration: Calibration, mark: str = '# ') -> str:
+def commented(calibration: Calibration, mark: str = '# ', units: str = SI) -> str:
     """Return the preamble as comment lines."""
-    return ''.join(f'{mark}{line}\n' for line in preamble(calibration))
+    return ''.join(f'{mark}{line}\n' for line in preamble(calibration, units))
 
 
 def numbers(values: Array) -> str:

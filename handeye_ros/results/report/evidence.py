@@ -72,11 +72,7 @@ def recording_of(calibration: Calibration) -> tuple[Path | None, str]:
 
 def config_of(calibration: Calibration) -> Config:
     """Return the configuration that a calibration was made with, as far as it says so."""
-    known = {p.key for p in configuration.parameters()}
-    told = calibration.provenance.get('config') or {}
-    return configuration.with_values(
-        Config(), {key: value for key, value in told.items() if key in known},
-        'the provenance of the calibration')
+    return configuration.from_provenance(calibration.provenance.get('config'))
 
 
 def judged(stops: Sequence[StopSnapshot], used: Sequence[Sample], solution: Solution,

@@ -11,7 +11,7 @@ from typing import Any
 
 from handeye_ros import config as configuration
 from handeye_ros import targets
-from handeye_ros.config import Config, EVERY_NODES, Parameter
+from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD, RECORD_NAMES
 from handeye_ros.errors import InputError, UnknownKeyError
 from handeye_ros.results import calibration_file
 from handeye_ros.ros.node.store import Place
@@ -42,6 +42,11 @@ def declare(node: Node) -> tuple[Config, Stored | None]:
     for parameter in parameters():
         node.declare_parameter(parameter.key, values[parameter.key], descriptor(parameter),
                                ignore_override=True)
+    about = ParameterDescriptor(description='Free text, kept with the answer.',
+                                dynamic_typing=True)
+    for name in dict.fromkeys((*RECORD_NAMES, *dict(config.record))):
+        node.declare_parameter(f'{RECORD}{name}', dict(config.record).get(name, ''), about,
+                               ignore_override=True)
     return config, stored
 
 
@@ -61,7 +66,7 @@ def _values(given: Iterable[RosParameter]) -> dict[str, Any]:
     values = {p.name: _value(p) for p in given if not p.name.startswith(EVERY_NODES)}
     known = [p.key for p in parameters()]
     for name in values:
-        if name not in known:
+        if name not in known and not name.startswith(RECORD):
             raise UnknownKeyError(name, known, "the node's parameters")
     return values
 
