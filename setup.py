@@ -24,7 +24,7 @@ setup(
     ],
     zip_safe=False,
     install_requires=['aiohttp', 'numpy>=1.26', 'scipy>=1.11', 'PyYAML', 'jinja2', 'matplotlib',
-                      'mcap', 'rosbags', 'rich', 'typer'],
+                      'mcap', 'rosbags', 'rich', 'threadpoolctl', 'typer'],
     extras_require={
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': ['hypothesis', 'opencv-python-headless<5', 'plyfile', 'pypcd4', 'pytest>=7.4',

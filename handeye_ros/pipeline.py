@@ -35,6 +35,7 @@ from handeye_ros.results.outcome import describe_calibration, mounted
 from handeye_ros.results.report.evidence import Evidence, judged
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.session import Session
+from handeye_ros.threads import single_threaded
 import numpy as np
 
 Solver = Callable[[Sequence[Sample], Sequence[Reject], Config, str], Calibration]
@@ -78,6 +79,7 @@ def solve_session(session: Session, config: Config, solver: Solver | None = None
         raise
 
 
+@single_threaded
 def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: Config) -> Session:
     """
     Return the samples and rejects of a recording, its messages in the order of their stamps.
@@ -105,6 +107,7 @@ def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, 
     return solved(samples, rejects, config, frame_id)[0]
 
 
+@single_threaded
 def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, frame_id: str
            ) -> tuple[Calibration, list[Sample], Solution]:
     """Return the calibration as solve does, the samples it comes from, and the solution."""
@@ -137,6 +140,7 @@ def evidence(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config:
     return judged(seen, used, solution, found)
 
 
+@single_threaded
 def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None) -> advice.Advice:
     """
     Return what to do next after samples, in the order of their stamps.

@@ -15,9 +15,11 @@ from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.files.method import Answer, FileMethod, Input
 from handeye_ros.results.outcome import sensor_axes
+from handeye_ros.threads import single_threaded
 import numpy as np
 
 
+@single_threaded
 def calibrate(method: FileMethod[Any], given: Input[Any], config: Config) -> Calibration:
     """Return the calibration; raises DataError when the files cannot carry an answer."""
     answer = method.solve(given.data, config)
