@@ -125,16 +125,16 @@ def main() -> None:
     parser.add_argument('seeds', type=int, nargs='?', default=200)
     parser.add_argument('routines', nargs='*', default=list(SCENES))
     given = parser.parse_args()
-    print(f'{"":9} within  wrong fails  noticed [mm]  verdicts of the right calibration')
+    print(f'{"":9} within  wrong fails  smallest_error [mm]  verdicts of the right calibration')
     for name in given.routines:
         trials = [trial(name, given.first + k, RENDERED if given.rendered else SCENES)
                   for k in range(given.seeds)]
         inside = np.mean([within(right) for right, _ in trials])
         failed = np.mean([wrong.verdict == 'fail' for _, wrong in trials])
-        noticed = np.median([right.noticed for right, _ in trials])
+        smallest_error = np.median([right.smallest_error for right, _ in trials])
         verdicts = Counter(right.verdict for right, _ in trials)
         told = ', '.join(f'{count} {verdict}' for verdict, count in verdicts.most_common())
-        print(f'{name:9} {inside:6.1%} {failed:11.1%} {1e3 * noticed:13.3f}  {told}', flush=True)
+        print(f'{name:9} {inside:6.1%} {failed:11.1%} {1e3 * smallest_error:13.3f}  {told}', flush=True)
 
 
 if __name__ == '__main__':

@@ -16,25 +16,36 @@ if TYPE_CHECKING:
     from handeye_ros.verification.routine import Routine, Seen
     from handeye_ros.verification.verification import Verification
 
+NOT_PASSED = 1  # exit code: the measurement was made, and it is no pass
 NOWHERE = (math.nan, math.nan, math.nan)  # the typer of Jazzy knows no tuple without a value
 Name = Annotated[str, typer.Argument(metavar='ROUTINE', help='See docs/measure.md.')]
 Bags = Annotated[list[Path], typer.Argument(
     metavar='BAG...', help='Recordings with stops, one of each face or ball, in their order.')]
 NoFloat = Optional[float]  # noqa: UP045 - the typer of Jazzy does not know `float | None`
 Lengths = Annotated[list[float], typer.Option(
-    '--length', metavar='L', help='Nominal length, or height over the first face (m), once for '
-    'each; of teeth pitch and height.')]
+    '--length', metavar='L', click_type=Length(2.0), help='Nominal length, or height over the '
+    'first face, once for each; of teeth pitch and height (metres, or with a unit: 25mm).')]
 Flank = Annotated[NoFloat, typer.Option(
-    min=0.0, help="Horizontal way of a tooth's flank (m); 0: a quarter of the pitch.")]
-Radius = Annotated[NoFloat, typer.Option(min=0.0, help='Radius of the balls (m).')]
+    click_type=Length(0.1), metavar='L',
+    help="Horizontal way of a tooth's flank; 0: a quarter of the pitch.")]
+Radius = Annotated[NoFloat, typer.Option(
+    click_type=Length(0.5), metavar='L', help='Radius of the balls (metres, or 20mm).')]
 Reference = Annotated[tuple[float, float, float], typer.Option(
-    metavar='X Y Z', help='The point as a tip of the robot touched it (m, base).')]
+    metavar='X Y Z', click_type=Length(10.0, ANY_SIGN),
+    help='The point as a tip of the robot touched it (base).')]
 Aim = Annotated[NoFloat, typer.Option(
-    min=0.0, help='How exactly the laser was put to the point, 1 sigma (m).')]
-Tolerance = Annotated[NoFloat, typer.Option(min=1e-9, help='Largest error of a length (m).')]
+    click_type=Length(0.01), metavar='L',
+    help='How exactly the laser was put to the point, 1 sigma.')]
+Certificate = Annotated[NoFloat, typer.Option(
+    click_type=Length(0.01), metavar='U', help='Expanded uncertainty (k = 2) of lengths, radius '
+    "and reference by the artefact's certificate.")]
+Tolerance = Annotated[NoFloat, typer.Option(
+    click_type=Length(0.01, 1e-9), metavar='L',
+    help='Largest error of a length (metres, or 0.3mm).')]
 AngleTolerance = Annotated[NoFloat, typer.Option(
     min=1e-9, help='Largest error of an angle (degrees).')]
 Out = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the result as YAML too.')]
+Stations = Annotated[NoPath, typer.Option(metavar='FILE', help='Write a table of the stops (CSV).')]
 
 
 def _given(point: tuple[float, float, float]) -> tuple[float, ...] | None:
@@ -53,20 +64,21 @@ def verify(
     reference: Reference = NOWHERE,
     aim: Aim = None,
     flank: Flank = None,
+    certificate: Certificate = None,
     tolerance: Tolerance = None,
     angle_tolerance: AngleTolerance = None,
     out: Out = None,
+    stations: Stations = None,
 ) -> None:
-    """Measure something known with a calibration: pass, fail, or why neither can be said."""
+    """Measure something known with a calibration: exit code 0 only for a pass, 1 otherwise."""
     from handeye_ros.config import with_values
     from handeye_ros.results.calibration_file import write_whole
     from handeye_ros.verification import verification
-    from handeye_ros.verification.errors import NoAnswerError
     from handeye_ros.verification.routines import routine_of
     routine = routine_of(name)
     found, settings = calibrated(calibration, config, assignments)
     given = {'lengths': length or None, 'radius': radius, 'reference': _given(reference),
-             'aim': aim, 'flank': flank, 'tolerance': tolerance,
+             'aim': aim, 'flank': flank, 'certificate': certificate, 'tolerance': tolerance,
              'angle_tolerance': angle_tolerance and math.radians(angle_tolerance)}
     settings = with_values(settings, {f'verify.{key}': value for key, value in given.items()
                                       if value is not None}, 'the options')
@@ -74,10 +86,12 @@ def verify(
     show(verification.table(result))
     if out:
         write_whole(out, verification.yaml_text(result))
-    if result.verdict not in ('pass', 'fail'):
-        raise NoAnswerError(result.verdict, result.reasons)
+    if stations:
+        write_whole(stations, verification.stations_csv(result))
     for sentence in (result.verdict, *result.reasons):
         typer.echo(sentence)
+    if result.verdict != 'pass':
+        raise typer.Exit(NOT_PASSED)
 
 
 def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',

@@ -67,6 +67,8 @@ class VerifyConfig:
                      minimum=0.0, maximum=0.1)
     flank: float = key(0.0, "Horizontal way of a tooth's flank (m); 0: a quarter of the pitch.",
                        minimum=0.0, maximum=1.0)
+    certificate: float = key(0.0, "Expanded uncertainty (k = 2) of lengths, radius and reference "
+                             "by the artefact's certificate (m).", minimum=0.0, maximum=0.1)
     tolerance: float = key(3e-4, 'Largest error of a length that passes (m).',
                            minimum=1e-9, maximum=1.0)
     angle_tolerance: float = key(1.7453e-3, 'Largest error of an angle that passes '

@@ -1,4 +1,4 @@
-"""A verification as its YAML holds it (see measure/verification.py), for a person."""
+"""A verification as its YAML holds it (see verification/verification.py), for a person."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
@@ -12,10 +12,13 @@ from handeye_ros.results.errors import VerificationFileError
 import yaml
 
 FORMAT = 'handeye_ros/verification/1'
-COLUMNS = ('measured', 'nominal', 'error', '1 sigma', 'of it calibration')
+COLUMNS = ('measured', 'nominal', 'deviation', 'U (k = 2)', 'claimed, 1 sigma')
 SCATTER = (('mean distance from the fit', 'mean'), ('its standard deviation', 'std'),
            ('its maximum', 'maximum'), ('its RMS', 'rms'),
            ('95 % of such RMS lie below', 'expected'))
+LIMITS = (('tolerance of lengths', 'tolerance', 'm'),
+          ('tolerance of angles', 'angle_tolerance', 'rad'),
+          ('smallest error of the calibration that would show', 'smallest_error', 'm'))
 
 
 @dataclass(frozen=True)
@@ -46,9 +49,11 @@ def rows_of(told: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
         nominal = q['nominal']
         error = None if nominal is None else q['value'] - nominal
         yield q['name'], tuple(shown(v, q['unit']) for v in (
-            q['value'], nominal, error, q['std'], q['from_calibration']))
+            q['value'], nominal, error, told['k'] * q['std'], q['claimed']))
     for name, key in SCATTER:
         yield name, (shown(told['scatter'][key], 'm'), '', '', '', '')
+    for name, key, unit in LIMITS:
+        yield name, (shown(told[key], unit), '', '', '', '')
 
 
 def read(path: Path) -> Verified:

@@ -22,6 +22,24 @@ class TooFewSeenError(DataError):
                          + ': measure more, with the sensor turned differently at each')
 
 
+class SameRecordingError(InputError):
+    """Two recordings of a verification that hold the same stops; their numbers, from 1."""
+
+    def __init__(self, first: int, second: int) -> None:
+        super().__init__(f'recordings {first} and {second} hold the same stops (equal stamps): '
+                         'give one recording of each face or ball')
+
+
+class NotTheArtefactError(DataError):
+    """Points that do not have the shape of the artefact, whatever the calibration."""
+
+    def __init__(self, routine: str, rms: float) -> None:
+        super().__init__(
+            f'this is not what "{routine}" measures: no error of the calibration brings the '
+            f'points closer than {mm(rms)} RMS to its shape. Check which artefact stood under the '
+            'sensor, that it did not move, and that nothing else was in sight (--near)')
+
+
 class NoAnswerError(DataError):
     """A verification that says neither pass nor fail."""
 

@@ -3,8 +3,9 @@ A shape fitted to what a calibrated robot measured, and what that says of the ca
 
 The calibration is held fixed, as it is in use: r = d(p, q), weighted by sensor and robot, gives q.
 Whitened station by station, r = J dq + G dX + n with n of unit covariance; so the error of q is
--K (G dX + n), K = pinv(J), and what is left is M (G dX + n), M = I - J K. The calibration's own
-covariance C enters through G.
+-K (G dX + n), K = pinv(J), and what is left is M (G dX + n), M = I - J K. An error dX of the
+calibration enters through G: its claimed covariance C is never part of the measurement's own
+uncertainty.
 """
 from __future__ import annotations
 
@@ -12,21 +13,25 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from handeye_ros import se3
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
-from handeye_ros.estimation.model import Observations
 from handeye_ros.estimation.quantiles import chi2_sf
-from handeye_ros.verification.routine import groups_of, Seen, Shape
+from handeye_ros.estimation.model import Observations
+from handeye_ros.verification.routine import groups_of, Nominal, Seen, Shape
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg
 
 STEP = 1e-7  # of numeric derivatives (m, rad)
 ITERATIONS = 25
+REFITS = 5  # of the calibration's error, which is linear by then
 CONVERGED = 1e-10
 LEAST_NOISE = 1e-8  # m of any distance
 DRAWS = 4000  # for the distribution of an RMS
-MOST_DISTANCES = 1500  # whose distribution is told
+MOST_DISTANCES = 1500  # whose distribution is simulated
+NOTHING_KNOWN = Nominal()
+RANK = 1e-8  # relative singular value of an unknown that the points do not show
 
 Blocks: TypeAlias = list[tuple[NDArray[np.intp], Array]]
 """Rows of each station, and the Cholesky factor of the covariance of their distances."""
@@ -37,30 +42,35 @@ class FixedFit:
     """
     The fit.
 
-    values (v,) with their covariance, and the part of it that the calibration makes. distances
-    (m,) that are left, plain; rms_expected: what 95 % of such RMS lie below; p: the share whose
-    points disagree at least as much. information (6, 6): of an error of the calibration, as far
-    as the distances, and the values with a nominal, show it; shift (6, 6): mean square of the
-    displacement that it makes of the points. region: (v - nominal)' cov^-1 (v - nominal), of
-    freedom values. implied: largest displacement of a point by that error of the calibration
-    which the distances suggest (m), and implied_noise: what noise alone makes of it; error (6,):
-    that error, p_error: the p of the distances with it.
+    values (v,), covariance (v, v): by sensor and robot; claimed (v, v): by the calibration's
+    covariance. distances (m,) that are left, distance_std (m,) of each by sensor and robot, plain;
+    rms_expected: what 95 % of such RMS lie below; p: of the distances, with the calibration's
+    covariance. information (6, 6): of an error of the calibration, as far as the distances, and
+    the values with a nominal, show it; shift (6, 6): mean square of the displacement that it makes
+    of the points. region: (v - nominal)' cov^-1 (v - nominal) by both covariances, of freedom
+    values. error (6,): that of the calibration which the distances suggest, p_error: of the
+    distances with it, p_no_error: of its being chance; implied: its largest displacement of a
+    point (m), and implied_std. deleted (g, 3): of each group of poses its number, the squared
+    deleted residual that no error of the calibration explains, and the count of its distances.
     """
 
     values: Array
     covariance: Array
-    from_calibration: Array
+    claimed: Array
     distances: Array
+    distance_std: Array
     rms_expected: float
     p: float
     information: Array
     shift: Array
     region: float
     freedom: int
-    implied: float
-    implied_noise: float
     error: Array
     p_error: float
+    p_no_error: float
+    implied: float
+    implied_std: float
+    deleted: Array
 
 
 def points_in_base(seen: Seen, X: Array) -> Array:
@@ -71,69 +81,81 @@ def points_in_base(seen: Seen, X: Array) -> Array:
     return np.asarray(np.einsum('mij,mj->mi', T[:, :3, :3], in_mount) + T[:, :3, 3])
 
 
-def fit(seen: Seen, X: Array, C: Array, noise: NoiseConfig, shape: Shape, aim: float = 0.0
-        ) -> FixedFit:
+def fit(seen: Seen, X: Array, C: Array, noise: NoiseConfig, shape: Shape,
+        nominal: Nominal = NOTHING_KNOWN) -> FixedFit:
     """
     Return the fit of a shape.
 
-    X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; aim: 1 sigma of how exactly the
-    laser was put to the artefact (m).
+    X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; nominal: of the artefact, for
+    the uncertainty of its nominal values and of how the laser was put to it.
     """
     obs, kind = seen.observations, seen.observations.kind
     p = points_in_base(seen, X)
-    normals = _by_point(shape, p, kind, shape.start)
-    blocks = _factors(obs, seen, X, normals, noise, aim)
+    blocks = noise_factors(seen, X, _by_point(shape, p, kind, shape.start), noise, nominal.aim)
     q, J = shape.start, _by_unknowns(shape, p, kind, shape.start)
     for _ in range(ITERATIONS):
         J = _by_unknowns(shape, p, kind, q)
-        step = np.linalg.lstsq(_white(blocks, J), -_white(
+        step = np.linalg.lstsq(white(blocks, J), -white(
             blocks, shape.distance(p, kind, q)[:, None])[:, 0], rcond=None)[0]
         q = q + step
         if np.abs(step).max() < CONVERGED:
             break
     by_p = _by_point(shape, p, kind, q)
-    blocks = _factors(obs, seen, X, by_p, noise, aim)
-    by_X = _by_calibration(obs, seen, X)
+    blocks = noise_factors(seen, X, by_p, noise, nominal.aim)
+    by_X = by_calibration(seen, X)
     G = np.einsum('mi,mij->mj', by_p, by_X)
-    return _told(shape, q, shape.distance(p, kind, q), J, G, C, blocks,
-                 by_X)
+    groups = groups_of(seen)[obs.station]
+    return _result(shape, q, shape.distance(p, kind, q), J, G, C, blocks, by_X, groups,
+                   nominal.std)
 
 
-def _told(shape: Shape, q: Array, distances: Array, J: Array, G: Array, C: Array,
-          blocks: Blocks, by_X: Array) -> FixedFit:
-    white_J, white_G = _white(blocks, J), _white(blocks, G)
-    white_r = _white(blocks, distances[:, None])[:, 0]
+def refit(seen: Seen, X: Array, C: Array, noise: NoiseConfig, shape: Shape,
+          nominal: Nominal = NOTHING_KNOWN) -> tuple[FixedFit, Array]:
+    """Return the fit with the calibration's error estimated too, and that error (6,)."""
+    moved = X
+    for _ in range(REFITS):
+        found = fit(seen, moved, C, noise, shape, nominal)
+        moved = se3.perturb(moved, -found.error)
+    return found, se3.difference(X, moved)
+
+
+def _result(shape: Shape, q: Array, distances: Array, J: Array, G: Array, C: Array,
+            blocks: Blocks, by_X: Array, groups: NDArray[np.intp], nominal_std: float
+            ) -> FixedFit:
+    white_J, white_G = white(blocks, J), white(blocks, G)
+    white_r = white(blocks, distances[:, None])[:, 0]
     K = np.asarray(np.linalg.pinv(white_J), dtype=float)
     A = white_G - white_J @ (K @ white_G)
     rest = white_r - white_J @ (K @ white_r)
-    inner = A.T @ A
-    root = np.asarray(np.linalg.cholesky(C + 1e-30 * np.eye(6)), dtype=float)
+    inner, root = A.T @ A, root_of(C)
     explained = root.T @ A.T @ rest
     statistic = rest @ rest - explained @ np.linalg.solve(
         np.eye(6) + root.T @ inner @ root, explained)
     freedom = max(len(rest) - len(q), 1)
     F = _numeric(lambda at: shape.values(at), q)
-    by_calibration = F @ K @ white_G
-    noise = F @ K @ K.T @ F.T
-    part = by_calibration @ C @ by_calibration.T
+    by_error = F @ K @ white_G
+    noise, claimed = F @ K @ K.T @ F.T, by_error @ C @ by_error.T
     known = np.array([k for k, n in enumerate(shape.nominals) if n is not None], dtype=int)
+    noise[known, known] += nominal_std ** 2
     region = 0.0
     if len(known):
         off = shape.values(q)[known] - [shape.nominals[k] for k in known]
-        both = (noise + part)[np.ix_(known, known)]
-        region = float(off @ np.linalg.solve(both, off))
-        own = noise[np.ix_(known, known)]
-        inner = inner + by_calibration[known].T @ np.linalg.solve(own, by_calibration[known])
-    return FixedFit(shape.values(q), noise + part, part, distances,
-                    _expected_rms(J, K, A, root, blocks, len(q)),
-                    float(chi2_sf(statistic, freedom)), inner,
+        region = float(off @ np.linalg.solve((noise + claimed)[np.ix_(known, known)], off))
+        factor = np.linalg.cholesky(noise[np.ix_(known, known)])
+        A = np.vstack([A, -np.linalg.solve(factor, by_error[known])])
+        rest = np.append(rest, np.linalg.solve(factor, off))
+    std = np.concatenate([np.linalg.norm(factor, axis=1) for _, factor in blocks])
+    return FixedFit(shape.values(q), noise, claimed, distances, std,
+                    _expected_rms(J, K, A[:len(J)], root, blocks),
+                    float(chi2_sf(statistic, freedom)), A.T @ A,
                     np.einsum('mik,mil->kl', by_X, by_X) / len(J), region, len(known),
-                    *_implied(A, rest, by_X, freedom))
+                    *_implied(A, rest, by_X, freedom + len(known)),
+                    _deleted(np.hstack([white_J, white_G]), white_r, groups))
 
 
 def _implied(A: Array, rest: Array, by_X: Array, freedom: int
-             ) -> tuple[float, float, Array, float]:
-    """Return how far the likeliest error moves a point, the same of noise, the error, its p."""
+             ) -> tuple[Array, float, float, float, float]:
+    """Return the likeliest error (6,), p with it, p without it, what it moves at most, its std."""
     inverse = np.linalg.pinv(A.T @ A, rcond=1e-12, hermitian=True)
     error = np.asarray(inverse @ A.T @ rest, dtype=float)
     left, fewer = rest - A @ error, max(freedom - 6, 1)
@@ -141,29 +163,54 @@ def _implied(A: Array, rest: Array, by_X: Array, freedom: int
     moved = np.linalg.norm(by_X @ error, axis=1)
     by_noise = np.einsum('mik,kl,mil->m', by_X, inverse, by_X, optimize=True)
     worst = int(np.argmax(moved))
-    return (float(moved[worst]), float(np.sqrt(scale * by_noise[worst])), error,
-            float(chi2_sf(left @ left, fewer)))
+    explained = float(rest @ rest - left @ left) / scale
+    return (error, float(chi2_sf(left @ left, fewer)), float(chi2_sf(explained, 6)),
+            float(moved[worst]), float(np.sqrt(scale * by_noise[worst])))
 
 
-def _expected_rms(J: Array, K: Array, A: Array, root: Array, blocks: Blocks, unknowns: int
-                  ) -> float:
+def _deleted(columns: Array, r: Array, groups: NDArray[np.intp]) -> Array:
+    """Return FixedFit.deleted: columns (m, u) of all unknowns, those of the calibration too."""
+    if len(r) > MOST_DISTANCES:
+        return np.empty((0, 3))
+    size = np.linalg.norm(columns, axis=0)
+    U, s, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+    U = U[:, s > RANK * s[0]]
+    rest = r - U @ (U.T @ r)
+    found = []
+    for group in np.unique(groups):
+        rows = np.flatnonzero(groups == group)
+        S = np.eye(len(rows)) - U[rows] @ U[rows].T
+        value, vectors = np.linalg.eigh(S)
+        part = (vectors.T @ rest[rows])[value > RANK]
+        found.append((group, part @ (part / value[value > RANK]), (value > RANK).sum()))
+    return np.array(found, dtype=float)
+
+
+def root_of(C: Array) -> Array:
+    """Return R (n, n) with R R' = C, which may be singular."""
+    value, vectors = np.linalg.eigh((C + C.T) / 2)
+    return np.asarray(vectors * np.sqrt(np.maximum(value, 0.0)))
+
+
+def _expected_rms(J: Array, K: Array, A: Array, root: Array, blocks: Blocks) -> float:
     """Return what 95 % of the RMS distances lie below; nan of very many."""
     m = len(J)
     if m > MOST_DISTANCES:
         return float('nan')
     rng = np.random.default_rng(0)
     n = rng.normal(size=(m, DRAWS))
-    white_J = _white(blocks, J)
-    white = n - white_J @ (K @ n) + A @ (root @ rng.normal(size=(6, DRAWS)))
-    plain = np.empty_like(white)
+    white_J = white(blocks, J)
+    drawn = n - white_J @ (K @ n) + A @ (root @ rng.normal(size=(6, DRAWS)))
+    plain = np.empty_like(drawn)
     for rows, factor in blocks:
-        plain[rows] = factor @ white[rows]
+        plain[rows] = factor @ drawn[rows]
     return float(np.quantile(np.sqrt((plain ** 2).mean(axis=0)), 0.95))
 
 
-def _factors(obs: Observations, seen: Seen, X: Array, by_p: Array, noise: NoiseConfig,
-             aim: float) -> Blocks:
+def noise_factors(seen: Seen, X: Array, by_p: Array, noise: NoiseConfig, aim: float = 0.0
+                  ) -> Blocks:
     """Return rows and Cholesky factor of the covariance of the distances of each group."""
+    obs = seen.observations
     R = seen.poses[obs.station, :3, :3]
     by_point = np.einsum('mi,mij,jk->mk', by_p, R, X[:3, [0, 2]])
     by_feature = np.einsum('mi,mij->mj', by_point, obs.noise)
@@ -181,22 +228,20 @@ def _factors(obs: Observations, seen: Seen, X: Array, by_p: Array, noise: NoiseC
     return blocks
 
 
-def _white(blocks: Blocks, values: Array) -> Array:
+def white(blocks: Blocks, values: Array) -> Array:
     """Return values (m, c) with unit covariance."""
-    white = np.empty_like(values)
+    found = np.empty_like(values)
     for rows, factor in blocks:
-        white[rows] = scipy.linalg.solve_triangular(factor, values[rows], lower=True)
-    return white
+        found[rows] = scipy.linalg.solve_triangular(factor, values[rows], lower=True)
+    return found
 
 
-def _by_calibration(obs: Observations, seen: Seen, X: Array) -> Array:
-    """Return the derivatives (m, 3, 6) of the points by the calibration's error."""
+def by_calibration(seen: Seen, X: Array) -> Array:
+    """Return the derivatives (m, 3, 6) of the points in the base by the calibration's error."""
+    obs = seen.observations
     R = seen.poses[obs.station, :3, :3]
     lever = obs.points @ X[:3, [0, 2]].T
-    turn = np.zeros((len(obs), 3, 3))
-    turn[:, 0, 1], turn[:, 0, 2], turn[:, 1, 2] = lever[:, 2], -lever[:, 1], lever[:, 0]
-    turn -= np.swapaxes(turn, 1, 2)
-    return np.concatenate([R, R @ turn], axis=2)
+    return np.concatenate([R, -R @ se3.skew(lever)], axis=2)
 
 
 def _by_point(shape: Shape, p: Array, kind: NDArray[np.intp], q: Array) -> Array:

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.model import Observations
@@ -20,12 +20,27 @@ class Seen:
 
     poses: (n, 4, 4) of what carries the sensor in what carries the target; observations: points
     of the sensor plane with their noise, kind: what they are of. groups: (n,) which poses share
-    their error, ascending; each has its own where there are none.
+    their error, ascending; each has its own where there are none. stamps, bags: (n,) of the
+    poses; surface: what was taken of several in sight, in words.
     """
 
     poses: Array
     observations: Observations
     groups: NDArray[np.intp] | None = None
+    stamps: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    bags: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    surface: str = ''
+
+    def __post_init__(self) -> None:
+        """Take poses without stamps or bags for those of one bag."""
+        for name in ('stamps', 'bags'):
+            if len(getattr(self, name)) < len(self.poses):
+                object.__setattr__(self, name, np.zeros(len(self.poses), dtype=np.int64))
+
+    def without(self, group: int) -> Seen:
+        """Return what the other groups of poses saw."""
+        obs = self.observations
+        return replace(self, observations=obs.select(groups_of(self)[obs.station] != group))
 
 
 @dataclass(frozen=True)
@@ -35,7 +50,8 @@ class Nominal:
 
     lengths: of the ball bar, heights of the steps, or pitch and height of the teeth; radius: of
     the spheres (0: unknown); reference: the touched point; aim: 1 sigma of how exactly the laser
-    was put to the point; flank: horizontal way of a tooth's flank (0: unknown).
+    was put to the point; flank: horizontal way of a tooth's flank (0: unknown); std: 1 sigma of
+    all these values, as the artefact's certificate states it.
     """
 
     lengths: tuple[float, ...] = ()
@@ -43,6 +59,7 @@ class Nominal:
     reference: tuple[float, ...] = ()
     aim: float = 0.0
     flank: float = 0.0
+    std: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,4 +114,7 @@ def stacked(seen: Sequence[Seen]) -> Seen:
         np.concatenate([o.points for o in obs]),
         np.concatenate([o.kind + BAGS * k for k, o in enumerate(obs)]),
         np.concatenate([o.noise for o in obs]), np.concatenate([o.source for o in obs])),
-        np.concatenate([groups_of(s) + n for s, n in zip(seen, groups[:-1], strict=True)]))
+        np.concatenate([groups_of(s) + n for s, n in zip(seen, groups[:-1], strict=True)]),
+        np.concatenate([s.stamps for s in seen]),
+        np.repeat(np.arange(len(seen)), [len(s.poses) for s in seen]),
+        '; '.join(s.surface for s in seen if s.surface))

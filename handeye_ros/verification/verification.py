@@ -1,7 +1,9 @@
 """What a verification found: plain values, the table that tells them, and their YAML."""
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import csv
+from dataclasses import asdict, astuple, dataclass, fields
+import io
 import math
 from typing import Any
 
@@ -11,19 +13,22 @@ from rich.table import Table
 import yaml
 
 
+K = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
+
+
 @dataclass(frozen=True)
 class Quantity:
     """
     A measured value beside its nominal one; metres, or radians where unit is rad.
 
-    std: 1 sigma of the value, of which from_calibration comes from the calibration, and the rest
-    from sensor and robot here. nominal: None where there is none.
+    std: 1 sigma of the deviation by sensor and robot here, and by the nominal value; claimed: 1
+    sigma that the calibration's covariance makes of it. nominal: None where there is none.
     """
 
     name: str
     value: float
     std: float
-    from_calibration: float
+    claimed: float
     nominal: float | None = None
     unit: str = 'm'
 
@@ -31,6 +36,35 @@ class Quantity:
     def error(self) -> float | None:
         """Return value less nominal."""
         return None if self.nominal is None else self.value - self.nominal
+
+    @property
+    def expanded(self) -> float:
+        """Return the expanded uncertainty of the measurement, k times std."""
+        return K * self.std
+
+
+@dataclass(frozen=True)
+class StationResult:
+    """
+    What one stop showed: its largest distance from the fit and 1 sigma of it (m).
+
+    bag, number: which stop of which recording, from 1; stamp: ns; p: how often a good stop is
+    as far off, whatever the error of the calibration; reason: why it is not used.
+    """
+
+    bag: int
+    number: int
+    stamp: int
+    distance: float
+    std: float
+    p: float
+    used: bool = True
+    reason: str = ''
+
+    @property
+    def name(self) -> str:
+        """Return which stop it is."""
+        return f'stop {self.number} of recording {self.bag}'
 
 
 @dataclass(frozen=True)
@@ -57,11 +91,12 @@ class Verification:
     """
     The result of a routine.
 
-    verdict: pass, fail, undecided (the uncertainty is too large for the tolerance), or blind (an
-    error of the calibration of NOTICED would not have shown). reasons: sentences. noticed: the
-    smallest error of the calibration that would have shown, in the direction that shows least (m).
-    region: squared distance of all values with a nominal from it, in units of the stated
-    covariance; freedom: how many they are.
+    verdict: pass, fail, undecided (the uncertainty is too large for the tolerance), or
+    insensitive (an error of the calibration as large as the tolerance would not have shown).
+    reasons: sentences. smallest_error: of the calibration that would have shown, in the direction
+    that shows least (m). region: squared distance of all values with a nominal from it, in units
+    of both covariances; freedom: how many they are; claim_p: how often it is as large where the
+    calibration's covariance is true. surface: what was taken of several in sight.
     """
 
     routine: str
@@ -73,10 +108,13 @@ class Verification:
     stations: int
     quantities: tuple[Quantity, ...]
     scatter: Scatter
-    noticed: float
-    blind_direction: str
+    smallest_error: float
+    weakest_direction: str
     region: float
     freedom: int
+    claim_p: float
+    per_station: tuple[StationResult, ...] = ()
+    surface: str = ''
     inputs: tuple[str, ...] = ()
 
 
@@ -84,7 +122,9 @@ def values(found: Verification) -> dict[str, Any]:
     """Return a verification as plain values, for YAML and for the report."""
     told = {'format': FORMAT, 'version': __version__, **asdict(found)}
     told['reasons'], told['inputs'] = list(found.reasons), list(found.inputs)
+    told['k'] = K
     told['quantities'] = [asdict(q) for q in found.quantities]
+    told['per_station'] = [asdict(s) for s in found.per_station]
     return told
 
 
@@ -93,10 +133,19 @@ def yaml_text(found: Verification) -> str:
     return yaml.safe_dump(values(found), sort_keys=False, width=100, default_flow_style=None)
 
 
+def stations_csv(found: Verification) -> str:
+    """Return what each stop showed as CSV, in metres."""
+    lines = io.StringIO()
+    table = csv.writer(lines, lineterminator='\n')
+    table.writerow(field.name for field in fields(StationResult))
+    table.writerows(astuple(station) for station in found.per_station)
+    return lines.getvalue()
+
+
 def sentence(found: Verification) -> str:
     """Return a verification as one sentence: verdict, figures with units, reasons."""
-    told = [f'{q.name} {shown(q.value, q.unit)} ± {shown(q.std, q.unit)} (1 sigma, of it '
-            f'calibration {shown(q.from_calibration, q.unit)})'
+    told = [f'{q.name} {shown(q.value, q.unit)} ± {shown(q.expanded, q.unit)} (k = '
+            f'{K:g}; the calibration claims {shown(q.claimed, q.unit)}, 1 sigma)'
             + ('' if q.nominal is None else f', nominal {shown(q.nominal, q.unit)}, off by '
                f'{shown(q.error, q.unit)}') for q in found.quantities]
     s = found.scatter

@@ -2,48 +2,45 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
-from handeye_ros.config import Config, VerifyConfig, with_values
+from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, Sample
-from handeye_ros.errors import mm
+from handeye_ros.estimation.quantiles import chi2_sf
 from handeye_ros.results.outcome import mounted, sensor_axes
 from handeye_ros.verification import spreads
-from handeye_ros.verification.errors import TooFewSeenError, WrongCountError
-from handeye_ros.verification.fixed_fit import fit, FixedFit, points_in_base
-from handeye_ros.verification.routine import Nominal, Routine, Seen, stacked, TEETH
-from handeye_ros.verification.verification import Quantity, Scatter, Verification
+from handeye_ros.verification.decision import claim_p, decide, sensitivity, Tolerances
+from handeye_ros.verification.errors import (
+    NotTheArtefactError,
+    SameRecordingError,
+    TooFewSeenError,
+    WrongCountError,
+)
+from handeye_ros.verification.fixed_fit import fit, FixedFit, points_in_base, refit
+from handeye_ros.verification.routine import Nominal, Routine, Seen, Shape, stacked, TEETH
+from handeye_ros.verification.verification import (
+    K,
+    Quantity,
+    Scatter,
+    StationResult,
+    Verification,
+)
 import numpy as np
-import scipy.linalg
 
 LEAST_STATIONS = 4  # of a bag
-NOTICED = 3e-4  # m: an error of the calibration that a verification must be able to notice
-SURE = 3.6  # sigmas: found with 95 % where false alarms are 5 %
-INCONSISTENT = 1e-3  # p of points that disagree
-COVERAGE = 1.96
-LEAST_OVER_NOISE = 1.8  # times what noise alone makes: an error that is implied
+OUTLIER = 0.01  # chance that any of the good stations is left out
+MOST_OUTLIERS = 0.2  # of the stations: more are no outliers, but a disagreement
+FOREIGN = 1e-6  # p of points that no error of the calibration explains
 
 
 SPREADS: dict[str, Callable[[Seen, Array, FixedFit], tuple[Quantity, ...]]] = {
     'point': spreads.of_points, 'sphere': spreads.of_centres, 'ball_bar': spreads.of_centres,
     'plane': spreads.of_faces, 'square': spreads.of_faces}
-"""What is told of single stations, by routine."""
+"""What single stations show beside the fit, by routine."""
 
 
 def _no_spread(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
     return ()
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """What the errors may reach: of lengths (m) and of angles (rad)."""
-
-    length: float = VerifyConfig.tolerance
-    angle: float = VerifyConfig.angle_tolerance
-
-    def of(self, unit: str) -> float:
-        """Return that of a unit."""
-        return self.length if unit == 'm' else self.angle
 
 
 def verify(routine: Routine, bags: Sequence[Seen], calibration: Calibration, config: Config,
@@ -53,27 +50,91 @@ def verify(routine: Routine, bags: Sequence[Seen], calibration: Calibration, con
     Return what a routine says of a calibration.
 
     bags: what was seen, in the order that the routine wants; reason: why other stations gave
-    nothing. Raises TooFewSeenError.
+    nothing. Raises TooFewSeenError, SameRecordingError and NotTheArtefactError.
     """
-    seen = stacked(bags)
-    stations = len(np.unique(seen.observations.station))
+    seen, tolerances = stacked(bags), tolerances or Tolerances()
     if min(len(np.unique(bag.observations.station)) for bag in bags) < LEAST_STATIONS:
-        raise TooFewSeenError(stations, LEAST_STATIONS * len(bags), reason)
+        raise TooFewSeenError(len(np.unique(seen.observations.station)),
+                              LEAST_STATIONS * len(bags), reason)
+    _require_different(bags)
     X = calibration.T_flange_sensor @ sensor_axes(config)
-    p = points_in_base(seen, X)
-    seen, shape = routine.shape(seen, p, nominal)
-    found = fit(seen, X, calibration.covariance, config.noise, shape, nominal.aim)
+    used, shape, found, left_out = _agreeing(routine, seen, X, calibration, config, nominal)
+    if found.p_error < FOREIGN:
+        freed, _ = refit(used, X, calibration.covariance, config.noise, shape, nominal)
+        rms = float(np.sqrt((freed.distances ** 2).mean()))
+        if freed.p_error < FOREIGN and rms > tolerances.length:
+            raise NotTheArtefactError(routine.name, rms)
     quantities = (*_quantities(routine, found, shape.nominals),
-                  *SPREADS.get(routine.name, _no_spread)(seen, X, found))
-    tolerances = tolerances or Tolerances()
-    noticed, direction = _noticed(found)
-    scatter = _scatter(found)
-    verdict, reasons = _verdict(quantities, scatter, tolerances, (noticed, direction),
-                                _implied(found, tolerances))
+                  *SPREADS.get(routine.name, _no_spread)(used, X, found))
+    stations = _station_results(seen, used, found, left_out, tolerances)
+    shown = sensitivity(found)
+    verdict, reasons = decide(found, shown, quantities, stations, tolerances)
     return Verification(
-        routine.name, calibration.name, verdict, tuple(reasons), tolerances.length,
-        tolerances.angle, stations, quantities, scatter, noticed, direction, found.region,
-        found.freedom)
+        routine.name, calibration.name, verdict, reasons, tolerances.length, tolerances.angle,
+        len(np.unique(used.observations.station)), quantities, _scatter(found), shown.size,
+        shown.direction, found.region, found.freedom, claim_p(found), stations, seen.surface)
+
+
+def _require_different(bags: Sequence[Seen]) -> None:
+    stops = [{(int(stamp), T.tobytes()) for stamp, T in zip(bag.stamps, bag.poses, strict=True)}
+             for bag in bags]
+    for k, bag in enumerate(stops):
+        for other in range(k):
+            if bag & stops[other]:
+                raise SameRecordingError(other + 1, k + 1)
+
+
+def _agreeing(routine: Routine, seen: Seen, X: Array, calibration: Calibration, config: Config,
+              nominal: Nominal) -> tuple[Seen, Shape, FixedFit, dict[int, float]]:
+    """
+    Return the stations that agree, the shape and its fit, and the p of each that is left out.
+
+    A station is left out when it contradicts the others whatever the error of the calibration.
+    """
+    def fitted(seen: Seen) -> tuple[Seen, Shape, FixedFit]:
+        used, shape = routine.shape(seen, points_in_base(seen, X), nominal)
+        return used, shape, fit(used, X, calibration.covariance, config.noise, shape, nominal)
+
+    all_of_them, left_out = fitted(seen), dict[int, float]()
+    found, kept = all_of_them, seen
+    while len(found[2].deleted):
+        group, square, count = found[2].deleted.T
+        p = np.where(count > 0, chi2_sf(square, count), 1.0)
+        worst = int(np.argmin(p))
+        if p[worst] * len(p) > OUTLIER:
+            break
+        if len(left_out) + 1 > MOST_OUTLIERS * len(seen.poses):
+            return *all_of_them, {}
+        kept = kept.without(int(group[worst]))
+        if min(len(np.unique(kept.observations.station[kept.bags[kept.observations.station] == b]))
+               for b in np.unique(seen.bags)) < LEAST_STATIONS:
+            return *all_of_them, {}
+        left_out[int(group[worst])] = float(p[worst])
+        found = fitted(kept)
+    return *found, left_out
+
+
+def _station_results(seen: Seen, used: Seen, found: FixedFit, left_out: dict[int, float],
+                     tolerances: Tolerances) -> tuple[StationResult, ...]:
+    """Return what each stop showed; nothing of passes, whose points share their pose."""
+    station, results = used.observations.station, []
+    p_of = {int(g): float(chi2_sf(square, count))
+            for g, square, count in found.deleted if count}
+    for s in range(len(seen.poses)) if seen.groups is None or len(p_of) else ():
+        number = int((seen.bags[:s] == seen.bags[s]).sum()) + 1
+        rows = np.flatnonzero(station == s)
+        at = (int(seen.bags[s]) + 1, number, int(seen.stamps[s]))
+        if s in left_out:
+            results.append(StationResult(*at, 0.0, 0.0, left_out[s], False, (
+                f'it contradicts the others, whatever the calibration (p = {left_out[s]:.1g})')))
+        if not len(rows):
+            continue
+        worst = rows[np.argmax(np.abs(found.distances[rows]))]
+        std = float(found.distance_std[worst])
+        results.append(StationResult(*at, float(abs(found.distances[worst])), std,
+                                     p_of.get(s, 1.0), reason=(
+            '' if K * std <= tolerances.length else 'its uncertainty is larger than the tolerance')))
+    return tuple(results)
 
 
 def seen_in(routine: Routine, samples: Sequence[Sample], calibration: Calibration,
@@ -81,7 +142,8 @@ def seen_in(routine: Routine, samples: Sequence[Sample], calibration: Calibratio
     """Return what the samples of one bag are to a routine."""
     poses = mounted(samples, config) if samples else np.empty((0, 4, 4))
     X = calibration.T_flange_sensor @ sensor_axes(config)
-    return Seen(poses, routine.observe(samples, poses, X))
+    return Seen(poses, routine.observe(samples, poses, X),
+                stamps=np.array([sample.stamp for sample in samples], dtype=np.int64))
 
 
 def settings_for(routine: Routine, config: Config, nominal: Nominal, bags: int) -> Config:
@@ -117,7 +179,8 @@ def parts_of(routine: Routine, nominal: Nominal) -> tuple[int, int]:
 def nominal_of(config: Config) -> Nominal:
     """Return what the settings tell of the artefact."""
     known = config.verify
-    return Nominal(known.lengths, known.radius, known.reference, known.aim, known.flank)
+    return Nominal(known.lengths, known.radius, known.reference, known.aim, known.flank,
+                   known.certificate / K)
 
 
 def tolerances_of(config: Config) -> Tolerances:
@@ -128,12 +191,12 @@ def tolerances_of(config: Config) -> Tolerances:
 def _quantities(routine: Routine, found: FixedFit, nominals: tuple[float | None, ...]
                 ) -> tuple[Quantity, ...]:
     names = routine.names(len(found.values))
-    std, part = (np.sqrt(np.maximum(np.diag(C), 0.0)) for C in (
-        found.covariance, found.from_calibration))
+    std, claimed = (np.sqrt(np.maximum(np.diag(C), 0.0)) for C in (
+        found.covariance, found.claimed))
     return tuple(
         Quantity(name, float(value), float(s), float(c), nominal, unit)
         for (name, unit), value, s, c, nominal in zip(
-            names, found.values, std, part, nominals, strict=True))
+            names, found.values, std, claimed, nominals, strict=True))
 
 
 def _scatter(found: FixedFit) -> Scatter:
@@ -141,63 +204,3 @@ def _scatter(found: FixedFit) -> Scatter:
     return Scatter(len(away), float(away.mean()), float(away.std()),
                    float(np.sqrt((away ** 2).mean())), float(away.max()), found.rms_expected,
                    found.p)
-
-
-def _noticed(found: FixedFit) -> tuple[float, str]:
-    """Return the displacement of the points that would just be noticed, in the worst direction."""
-    size = found.shift + 1e-12 * np.trace(found.shift) * np.eye(6)
-    power, directions = scipy.linalg.eigh(found.information, size)
-    worst = directions[:, 0]
-    moved = np.linalg.norm(worst[:3])
-    turned = np.sqrt(max(worst[3:] @ found.shift[3:, 3:] @ worst[3:], 0.0))
-    if moved >= turned:
-        name = f'position along {_axis(worst[:3])} of the flange'
-    else:
-        name = f'rotation about {_axis(worst[3:])} of the flange'
-    return float(SURE / np.sqrt(max(power[0], 1e-12))), name
-
-
-def _implied(found: FixedFit, tolerances: Tolerances) -> list[str]:
-    """Return a sentence when the distances are those of a calibration that is off by more."""
-    sure = found.implied ** 2 - (LEAST_OVER_NOISE * found.implied_noise) ** 2
-    if sure <= tolerances.length ** 2:
-        return []
-    return [f'the points disagree as those of a calibration do that is {mm(found.implied)} off at '
-            'them']
-
-
-def _axis(direction: Array) -> str:
-    names = [name for size, name in zip(np.abs(direction), 'xyz', strict=True)
-             if size > 0.5 * np.abs(direction).max()]
-    return ' and '.join(names)
-
-
-def _verdict(quantities: tuple[Quantity, ...], scatter: Scatter, tolerances: Tolerances,
-             noticed: tuple[float, str], implied: list[str]) -> tuple[str, list[str]]:
-    notes = []
-    if scatter.p < INCONSISTENT:
-        notes.append(f'the points disagree by more than calibration, noise.sensor and '
-                     f'noise.robot_* explain (p = {scatter.p:.1g}): the calibration is worse than '
-                     'it states, the artefact moved, or the noise is set too small')
-    failed = [f'{q.name} is off by {_shown(q.error, q.unit)}' for q in quantities
-              if q.error is not None and abs(q.error) > tolerances.of(q.unit)]
-    if scatter.maximum > tolerances.length:
-        failed.append(f'a point lies {mm(scatter.maximum)} from the fit')
-    failed += implied
-    if failed:
-        return 'fail', failed + notes
-    if noticed[0] > NOTICED:
-        return 'blind', [f'an error of the calibration would show only from {mm(noticed[0])} on '
-                         f'({noticed[1]}): measure more stations, and turn the sensor more '
-                         'between them', *notes]
-    unsure = [q.name for q in quantities if q.error is not None
-              and abs(q.error) + COVERAGE * q.std > tolerances.of(q.unit)]
-    if unsure:
-        return 'undecided', [f'the uncertainty of {", ".join(unsure)} is too large for the '
-                             'tolerance: measure more stations', *notes]
-    return 'pass', notes
-
-
-def _shown(error: float | None, unit: str) -> str:
-    error = error or 0.0
-    return f'{error * 1e3:.3f} mm' if unit == 'm' else f'{np.degrees(error):.3f} degrees'

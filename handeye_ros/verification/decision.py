@@ -1,0 +1,164 @@
+"""
+Pass, fail or undecided: the rule that a verification is decided by.
+
+ISO 14253-1 with the expanded uncertainty U = k u of the measurement here (sensor, robot, nominal
+value): pass where |deviation| + U <= tolerance, fail where |deviation| - U > tolerance. The
+covariance that the calibration claims is what is verified, and takes no part in U.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+from handeye_ros.config import VerifyConfig
+from handeye_ros.data import Array
+from handeye_ros.errors import mm
+from handeye_ros.estimation.quantiles import chi2_sf
+from handeye_ros.verification.fixed_fit import FixedFit
+from handeye_ros.verification.verification import K, Quantity, StationResult
+import numpy as np
+import scipy.linalg
+from scipy.special import ndtri
+
+SENSITIVE = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % where false alarms are 5 %
+NORMAL_95 = 1.96
+SIGNIFICANT = 0.01  # p of what is no chance
+INCONSISTENT = 1e-3  # p of points that disagree
+LARGE = 0.01  # m: a tolerance that is questioned
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What the errors may reach: of lengths (m) and of angles (rad)."""
+
+    length: float = VerifyConfig.tolerance
+    angle: float = VerifyConfig.angle_tolerance
+
+    def of(self, unit: str) -> float:
+        """Return that of a unit."""
+        return self.length if unit == 'm' else self.angle
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """
+    The smallest error of the calibration that shows, in the direction that shows least.
+
+    size: root mean square displacement of the points (m); estimate: the same of what was found in
+    this direction; direction: in words.
+    """
+
+    size: float
+    estimate: float
+    direction: str
+
+    @property
+    def std(self) -> float:
+        """Return 1 sigma of the estimate."""
+        return self.size / SENSITIVE
+
+
+def sensitivity(found: FixedFit) -> Sensitivity:
+    """Return which error of the calibration would just show, in the worst direction."""
+    shift = found.shift + 1e-12 * np.trace(found.shift) * np.eye(6)
+    power, directions = scipy.linalg.eigh(found.information, shift)
+    worst = directions[:, 0]  # displaces the points by 1 m RMS
+    moved = np.linalg.norm(worst[:3])
+    turned = np.sqrt(max(worst[3:] @ found.shift[3:, 3:] @ worst[3:], 0.0))
+    what, axis = (('position along', worst[:3]) if moved >= turned else
+                  ('rotation about', worst[3:]))
+    return Sensitivity(float(SENSITIVE / np.sqrt(max(power[0], 1e-12))),
+                       abs(float(worst @ shift @ found.error)),
+                       f'{what} {_axis(axis)} of the flange')
+
+
+def _axis(direction: Array) -> str:
+    names = [name for size, name in zip(np.abs(direction), 'xyz', strict=True)
+             if size > 0.5 * np.abs(direction).max()]
+    return ' and '.join(names)
+
+
+def decide(found: FixedFit, shown: Sensitivity, quantities: Sequence[Quantity],
+           stations: Sequence[StationResult], tolerances: Tolerances
+           ) -> tuple[str, tuple[str, ...]]:
+    """Return the verdict (pass, fail, undecided or insensitive), and the reasons as sentences."""
+    notes = _notes(found, stations, tolerances)
+    failed = [*_failed(quantities, stations, tolerances), *_implied(found, tolerances)]
+    if failed:
+        return 'fail', (*failed, *notes)
+    used = sum(station.used for station in stations)
+    if shown.size > tolerances.length:
+        more = math.ceil(used * (shown.size / tolerances.length) ** 2)
+        return 'insensitive', (
+            f'an error of the calibration would show only from {mm(shown.size)} on '
+            f'({shown.direction}), and the tolerance is {mm(tolerances.length)}: turn the sensor '
+            f'more between the stops, or measure at about {more} stops like these', *notes)
+    unsure = _unsure(quantities, tolerances, used)
+    if shown.estimate > NORMAL_95 * shown.std and (
+            shown.estimate + K * shown.std > tolerances.length):
+        unsure.append(f'the points suggest an error of the calibration of {mm(shown.estimate)} ± '
+                      f'{mm(K * shown.std)} (k = {K:g}, {shown.direction}), which may exceed the '
+                      'tolerance: measure at more stops')
+    return ('undecided', (*unsure, *notes)) if unsure else ('pass', notes)
+
+
+def _failed(quantities: Sequence[Quantity], stations: Sequence[StationResult],
+            tolerances: Tolerances) -> list[str]:
+    failed = [f'{q.name} is off by {_shown(q.error, q.unit)} ± {_shown(q.expanded, q.unit)} '
+              f'(k = {K:g})' for q in quantities
+              if q.error is not None and abs(q.error) - q.expanded > tolerances.of(q.unit)]
+    sigmas = float(ndtri(1 - 0.025 / max(len(stations), 1)))  # of the largest of so many
+    failed += [f'a point of {s.name} lies {mm(s.distance)} from the fit' for s in stations
+               if s.used and s.distance - sigmas * s.std > tolerances.length]
+    return failed
+
+
+def _implied(found: FixedFit, tolerances: Tolerances) -> list[str]:
+    """Return a sentence when the points show that the calibration is off by more."""
+    if found.p_no_error > SIGNIFICANT or (
+            found.implied - NORMAL_95 * found.implied_std <= tolerances.length):
+        return []
+    return [f'the pattern of the distances matches a calibration error of {mm(found.implied)} ± '
+            f'{mm(K * found.implied_std)} (k = {K:g}) at the points']
+
+
+def _unsure(quantities: Sequence[Quantity], tolerances: Tolerances, used: int) -> list[str]:
+    unsure = []
+    for q in quantities:
+        left = None if q.error is None else tolerances.of(q.unit) - abs(q.error)
+        if left is None or q.expanded <= left:
+            continue
+        more = math.ceil(used * (q.expanded / left) ** 2) if left > 0 else 0
+        unsure.append(
+            f'{q.name} is off by {_shown(q.error, q.unit)}, its uncertainty is '
+            f'{_shown(q.expanded, q.unit)} (k = {K:g}), and together they exceed the tolerance '
+            f'of {_shown(tolerances.of(q.unit), q.unit)}'
+            + (f': measure at about {more} stops' if 0 < more < 100 * used else ''))
+    return unsure
+
+
+def _notes(found: FixedFit, stations: Sequence[StationResult], tolerances: Tolerances
+           ) -> tuple[str, ...]:
+    notes = [f'{s.name} is left out: {s.reason}' for s in stations if not s.used]
+    if found.p < INCONSISTENT:
+        notes.append(f'the points disagree by more than calibration, noise.sensor and '
+                     f'noise.robot_* explain (p = {found.p:.1g}): the calibration is worse than '
+                     'it claims, the artefact moved, or the noise is set too small')
+    claim = claim_p(found)
+    if claim < SIGNIFICANT:
+        notes.append(f'the deviations are larger than the calibration claims (p = {claim:.1g})')
+    if tolerances.length > LARGE:
+        notes.append(f'the tolerance is {mm(tolerances.length)}: verify.tolerance and --tolerance '
+                     'are in metres unless a unit is given')
+    return tuple(notes)
+
+
+def claim_p(found: FixedFit) -> float:
+    """Return how often deviations are as large with the calibration's claimed covariance."""
+    return float(chi2_sf(found.region, found.freedom)) if found.freedom else 1.0
+
+
+def _shown(value: float | None, unit: str) -> str:
+    value = value or 0.0
+    return f'{value * 1e3:.3f} mm' if unit == 'm' else f'{np.degrees(value):.3f} degrees'
