@@ -134,7 +134,8 @@ def main() -> None:
         smallest_error = np.median([right.smallest_error for right, _ in trials])
         verdicts = Counter(right.verdict for right, _ in trials)
         told = ', '.join(f'{count} {verdict}' for verdict, count in verdicts.most_common())
-        print(f'{name:9} {inside:6.1%} {failed:11.1%} {1e3 * smallest_error:13.3f}  {told}', flush=True)
+        print(f'{name:9} {inside:6.1%} {failed:11.1%} {1e3 * smallest_error:13.3f}  {told}',
+              flush=True)
 
 
 if __name__ == '__main__':

@@ -10,6 +10,7 @@ import typer
 if TYPE_CHECKING:
     from handeye_ros.verification.check import Check
 
+CHANGED = 1  # exit code: a recording was checked, and something is not as it was
 SomeBags = Annotated[Optional[list[Path]], typer.Argument(  # noqa: UP045 - see common.py
     metavar='[BAG]...', help='Short recordings of the same target, the oldest first.')]
 Against = Annotated[NoPath, typer.Option(
@@ -31,18 +32,21 @@ def check(
     picture: Picture = None,
     out: Out = None,
 ) -> None:
-    """Tell whether a calibration still holds: what moved, by how much, since when."""
+    """Check whether a calibration still holds: exit code 0 only where nothing changed, 1 if so."""
     from handeye_ros.verification.errors import NothingToCheckError
     if not (bags and against or folder):
         raise NothingToCheckError
-    if bags and against:
-        _check_bags(bags, against, config, assignments, out)
+    changed = (_check_bags(bags, against, config, assignments, out) if bags and against
+               else False)
     if folder:
         _tell_trend(folder, against, picture)
+    if changed:
+        raise typer.Exit(CHANGED)
 
 
 def _check_bags(bags: list[Path], against: Path, config: Path | None, assignments: list[str],
-                out: Path | None) -> None:
+                out: Path | None) -> bool:
+    """Return whether a recording shows a change."""
     from handeye_ros import pipeline
     from handeye_ros.results.calibration_file import write_whole
     from handeye_ros.verification import check as checking
@@ -63,6 +67,7 @@ def _check_bags(bags: list[Path], against: Path, config: Path | None, assignment
         typer.echo(f'since {changed[0]}')
     if out:
         write_whole(out, yaml.safe_dump(checking.values(checks, str(against)), sort_keys=False))
+    return bool(changed)
 
 
 def _tell_trend(folder: Path, against: Path | None, picture: Path | None) -> None:

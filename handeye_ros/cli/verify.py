@@ -1,10 +1,11 @@
 """The verb that lets a calibration prove itself on something known."""
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 import math
 from pathlib import Path
 from typing import Annotated, Optional, TYPE_CHECKING
 
+from handeye_ros.cli import units
 from handeye_ros.cli.app import app
 from handeye_ros.cli.common import Assignments, doing, NoPath, read_bag, show, warn
 from handeye_ros.cli.scan import calibrated, CalibrationFile, MeasureConfig
@@ -17,39 +18,47 @@ if TYPE_CHECKING:
     from handeye_ros.verification.verification import Verification
 
 NOT_PASSED = 1  # exit code: the measurement was made, and it is no pass
-NOWHERE = (math.nan, math.nan, math.nan)  # the typer of Jazzy knows no tuple without a value
+NOWHERE = ('', '', '')  # the typer of Jazzy knows no tuple without a value
 Name = Annotated[str, typer.Argument(metavar='ROUTINE', help='See docs/measure.md.')]
 Bags = Annotated[list[Path], typer.Argument(
     metavar='BAG...', help='Recordings with stops, one of each face or ball, in their order.')]
 NoFloat = Optional[float]  # noqa: UP045 - the typer of Jazzy does not know `float | None`
-Lengths = Annotated[list[float], typer.Option(
-    '--length', metavar='L', click_type=Length(2.0), help='Nominal length, or height over the '
-    'first face, once for each; of teeth pitch and height (metres, or with a unit: 25mm).')]
-Flank = Annotated[NoFloat, typer.Option(
-    click_type=Length(0.1), metavar='L',
-    help="Horizontal way of a tooth's flank; 0: a quarter of the pitch.")]
-Radius = Annotated[NoFloat, typer.Option(
-    click_type=Length(0.5), metavar='L', help='Radius of the balls (metres, or 20mm).')]
-Reference = Annotated[tuple[float, float, float], typer.Option(
-    metavar='X Y Z', click_type=Length(10.0, ANY_SIGN),
-    help='The point as a tip of the robot touched it (base).')]
-Aim = Annotated[NoFloat, typer.Option(
-    click_type=Length(0.01), metavar='L',
-    help='How exactly the laser was put to the point, 1 sigma.')]
-Certificate = Annotated[NoFloat, typer.Option(
-    click_type=Length(0.01), metavar='U', help='Expanded uncertainty (k = 2) of lengths, radius '
-    "and reference by the artefact's certificate.")]
-Tolerance = Annotated[NoFloat, typer.Option(
-    click_type=Length(0.01, 1e-9), metavar='L',
-    help='Largest error of a length (metres, or 0.3mm).')]
+NoText = Optional[str]  # noqa: UP045 - likewise
+Lengths = Annotated[list[str], typer.Option(
+    '--length', metavar='L', help='Nominal length, or height over the first face, once for each; '
+    'of teeth pitch and height (metres, or with a unit: 25mm).')]
+Flank = Annotated[NoText, typer.Option(
+    metavar='L', help="Horizontal way of a tooth's flank; 0: a quarter of the pitch.")]
+Radius = Annotated[NoText, typer.Option(metavar='L', help='Radius of the balls.')]
+Reference = Annotated[tuple[str, str, str], typer.Option(
+    metavar='X Y Z', help='The point as a tip of the robot touched it (base).')]
+Aim = Annotated[NoText, typer.Option(
+    metavar='L', help='How exactly the laser was put to the point, 1 sigma.')]
+Certificate = Annotated[NoText, typer.Option(
+    metavar='U', help='Expanded uncertainty (k = 2) of lengths, radius and reference by the '
+    "artefact's certificate.")]
+Tolerance = Annotated[NoText, typer.Option(
+    metavar='L', help='Largest error of a length (0.3mm, or metres).')]
 AngleTolerance = Annotated[NoFloat, typer.Option(
     min=1e-9, help='Largest error of an angle (degrees).')]
+USUAL = {'lengths': 2.0, 'radius': 0.5, 'reference': 10.0, 'aim': 0.01, 'flank': 0.1,
+         'certificate': 0.01, 'tolerance': 0.01}  # m: a larger plain number meant mm
 Out = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the result as YAML too.')]
-Stations = Annotated[NoPath, typer.Option(metavar='FILE', help='Write a table of the stops (CSV).')]
+Stations = Annotated[NoPath, typer.Option(
+    metavar='FILE', help='Write a table of the stops (CSV).')]
 
 
-def _given(point: tuple[float, float, float]) -> tuple[float, ...] | None:
-    return None if any(map(math.isnan, point)) else point
+def _keys(given: 'Mapping[str, str | Sequence[str] | None]', angle: float | None
+          ) -> 'dict[str, object]':
+    """Return the keys of the configuration that were given, in metres and radians."""
+    found: dict[str, object] = {}
+    for name, text in given.items():
+        option = '--length' if name == 'lengths' else f'--{name}'
+        if isinstance(text, str):
+            found[f'verify.{name}'] = units.length(text, option, USUAL[name])
+        elif text:
+            found[f'verify.{name}'] = [units.length(one, option, USUAL[name]) for one in text]
+    return found | ({'verify.angle_tolerance': math.radians(angle)} if angle else {})
 
 
 @app.command()
@@ -77,11 +86,9 @@ def verify(
     from handeye_ros.verification.routines import routine_of
     routine = routine_of(name)
     found, settings = calibrated(calibration, config, assignments)
-    given = {'lengths': length or None, 'radius': radius, 'reference': _given(reference),
-             'aim': aim, 'flank': flank, 'certificate': certificate, 'tolerance': tolerance,
-             'angle_tolerance': angle_tolerance and math.radians(angle_tolerance)}
-    settings = with_values(settings, {f'verify.{key}': value for key, value in given.items()
-                                      if value is not None}, 'the options')
+    given = {'lengths': length, 'radius': radius, 'reference': reference if reference[0] else (),
+             'aim': aim, 'flank': flank, 'certificate': certificate, 'tolerance': tolerance}
+    settings = with_values(settings, _keys(given, angle_tolerance), 'the options')
     result = _verified(routine, bags, found, settings)
     show(verification.table(result))
     if out:

@@ -22,7 +22,7 @@ import scipy.linalg
 from scipy.special import ndtri
 
 SENSITIVE = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % where false alarms are 5 %
-NORMAL_95 = 1.96
+NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
 SIGNIFICANT = 0.01  # p of what is no chance
 INCONSISTENT = 1e-3  # p of points that disagree
 LARGE = 0.01  # m: a tolerance that is questioned
@@ -94,13 +94,20 @@ def decide(found: FixedFit, shown: Sensitivity, quantities: Sequence[Quantity],
             f'an error of the calibration would show only from {mm(shown.size)} on '
             f'({shown.direction}), and the tolerance is {mm(tolerances.length)}: turn the sensor '
             f'more between the stops, or measure at about {more} stops like these', *notes)
-    unsure = _unsure(quantities, tolerances, used)
-    if shown.estimate > NORMAL_95 * shown.std and (
-            shown.estimate + K * shown.std > tolerances.length):
-        unsure.append(f'the points suggest an error of the calibration of {mm(shown.estimate)} ± '
-                      f'{mm(K * shown.std)} (k = {K:g}, {shown.direction}), which may exceed the '
-                      'tolerance: measure at more stops')
+    unsure = _unsure(quantities, tolerances, used) + _suggested(found, shown, tolerances)
     return ('undecided', (*unsure, *notes)) if unsure else ('pass', notes)
+
+
+def _suggested(found: FixedFit, shown: Sensitivity, tolerances: Tolerances) -> list[str]:
+    """Return a sentence where the points show an error that may exceed the tolerance."""
+    for size, std, is_seen in (
+            (found.implied, found.implied_std, found.p_no_error < SIGNIFICANT),
+            (shown.estimate, shown.std, shown.estimate > NORMAL_95 * shown.std)):
+        if is_seen and size + ONE_SIDED_95 * std > tolerances.length:
+            return [f'the points suggest an error of the calibration of {mm(size)} ± '
+                    f'{mm(K * std)} (k = {K:g}), which may exceed the tolerance: measure at more '
+                    'stops']
+    return []
 
 
 def _failed(quantities: Sequence[Quantity], stations: Sequence[StationResult],
@@ -109,8 +116,11 @@ def _failed(quantities: Sequence[Quantity], stations: Sequence[StationResult],
               f'(k = {K:g})' for q in quantities
               if q.error is not None and abs(q.error) - q.expanded > tolerances.of(q.unit)]
     sigmas = float(ndtri(1 - 0.025 / max(len(stations), 1)))  # of the largest of so many
-    failed += [f'a point of {s.name} lies {mm(s.distance)} from the fit' for s in stations
-               if s.used and s.distance - sigmas * s.std > tolerances.length]
+    far = [s for s in stations if s.used and s.distance - sigmas * s.std > tolerances.length]
+    if far:
+        worst = max(far, key=lambda s: s.distance)
+        failed.append(f'points of {len(far)} of {len(stations)} stops lie up to '
+                      f'{mm(worst.distance)} from the fit (the worst: {worst.name})')
     return failed
 
 

@@ -30,6 +30,14 @@ class SameRecordingError(InputError):
                          'give one recording of each face or ball')
 
 
+class BadCovarianceError(InputError):
+    """A calibration whose covariance is none."""
+
+    def __init__(self) -> None:
+        super().__init__('the covariance of the calibration has a negative variance, so it is '
+                         'none: use the calibration.yaml as it was written')
+
+
 class NotTheArtefactError(DataError):
     """Points that do not have the shape of the artefact, whatever the calibration."""
 
@@ -87,12 +95,13 @@ class TooLongPassError(DataError):
 
 
 class NoTeethError(DataError):
-    """Points that are not those of the gauge; share: of them that are."""
+    """Points that are not those of the gauge; share: of them that are; least: of one face."""
 
-    def __init__(self, pitch: float, height: float, share: float) -> None:
-        super().__init__(f'only {share:.0%} of the points lie on teeth of pitch {mm(pitch)} and '
-                         f'height {mm(height)}: give both (--length PITCH --length HEIGHT), and '
-                         'scan the gauge alone')
+    def __init__(self, pitch: float, height: float, share: float, least: float) -> None:
+        super().__init__(
+            f'this is not the gauge: {share:.0%} of the points lie on teeth of pitch {mm(pitch)} '
+            f'and height {mm(height)}, and {least:.1%} on their flats or on their flanks. Give '
+            'both lengths (--length PITCH --length HEIGHT), and scan the gauge alone')
 
 
 class NoCheckError(InputError):

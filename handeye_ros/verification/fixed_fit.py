@@ -17,7 +17,7 @@ from handeye_ros import se3
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
 from handeye_ros.estimation.quantiles import chi2_sf
-from handeye_ros.estimation.model import Observations
+from handeye_ros.verification.errors import BadCovarianceError
 from handeye_ros.verification.routine import groups_of, Nominal, Seen, Shape
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +27,12 @@ STEP = 1e-7  # of numeric derivatives (m, rad)
 ITERATIONS = 25
 REFITS = 5  # of the calibration's error, which is linear by then
 CONVERGED = 1e-10
+FARTHEST = 0.1  # m: an error beyond it is none of a calibration
 LEAST_NOISE = 1e-8  # m of any distance
 DRAWS = 4000  # for the distribution of an RMS
 MOST_DISTANCES = 1500  # whose distribution is simulated
 NOTHING_KNOWN = Nominal()
+LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
 RANK = 1e-8  # relative singular value of an unknown that the points do not show
 
 Blocks: TypeAlias = list[tuple[NDArray[np.intp], Array]]
@@ -92,9 +94,9 @@ def fit(seen: Seen, X: Array, C: Array, noise: NoiseConfig, shape: Shape,
     obs, kind = seen.observations, seen.observations.kind
     p = points_in_base(seen, X)
     blocks = noise_factors(seen, X, _by_point(shape, p, kind, shape.start), noise, nominal.aim)
-    q, J = shape.start, _by_unknowns(shape, p, kind, shape.start)
+    q = shape.start
     for _ in range(ITERATIONS):
-        J = _by_unknowns(shape, p, kind, q)
+        J = _numeric(lambda at: shape.distance(p, kind, at), q)
         step = np.linalg.lstsq(white(blocks, J), -white(
             blocks, shape.distance(p, kind, q)[:, None])[:, 0], rcond=None)[0]
         q = q + step
@@ -115,6 +117,8 @@ def refit(seen: Seen, X: Array, C: Array, noise: NoiseConfig, shape: Shape,
     moved = X
     for _ in range(REFITS):
         found = fit(seen, moved, C, noise, shape, nominal)
+        if not found.implied < FARTHEST:
+            break
         moved = se3.perturb(moved, -found.error)
     return found, se3.difference(X, moved)
 
@@ -156,7 +160,7 @@ def _result(shape: Shape, q: Array, distances: Array, J: Array, G: Array, C: Arr
 def _implied(A: Array, rest: Array, by_X: Array, freedom: int
              ) -> tuple[Array, float, float, float, float]:
     """Return the likeliest error (6,), p with it, p without it, what it moves at most, its std."""
-    inverse = np.linalg.pinv(A.T @ A, rcond=1e-12, hermitian=True)
+    inverse = np.linalg.inv(A.T @ A + np.diag(LARGEST_ERROR ** -2.0))
     error = np.asarray(inverse @ A.T @ rest, dtype=float)
     left, fewer = rest - A @ error, max(freedom - 6, 1)
     scale = max(float(left @ left) / fewer, 1.0)
@@ -187,18 +191,19 @@ def _deleted(columns: Array, r: Array, groups: NDArray[np.intp]) -> Array:
 
 
 def root_of(C: Array) -> Array:
-    """Return R (n, n) with R R' = C, which may be singular."""
+    """Return R (n, n) with R R' = C, which may be singular; raises BadCovarianceError."""
     value, vectors = np.linalg.eigh((C + C.T) / 2)
+    if value[0] < -1e-9 * value[-1]:
+        raise BadCovarianceError
     return np.asarray(vectors * np.sqrt(np.maximum(value, 0.0)))
 
 
 def _expected_rms(J: Array, K: Array, A: Array, root: Array, blocks: Blocks) -> float:
     """Return what 95 % of the RMS distances lie below; nan of very many."""
-    m = len(J)
-    if m > MOST_DISTANCES:
+    if len(J) > MOST_DISTANCES:
         return float('nan')
     rng = np.random.default_rng(0)
-    n = rng.normal(size=(m, DRAWS))
+    n = rng.normal(size=(len(J), DRAWS))
     white_J = white(blocks, J)
     drawn = n - white_J @ (K @ n) + A @ (root @ rng.normal(size=(6, DRAWS)))
     plain = np.empty_like(drawn)
@@ -247,10 +252,6 @@ def by_calibration(seen: Seen, X: Array) -> Array:
 def _by_point(shape: Shape, p: Array, kind: NDArray[np.intp], q: Array) -> Array:
     return np.stack([(shape.distance(p + d, kind, q) - shape.distance(p - d, kind, q))
                      / (2 * STEP) for d in STEP * np.eye(3)], axis=1)
-
-
-def _by_unknowns(shape: Shape, p: Array, kind: NDArray[np.intp], q: Array) -> Array:
-    return _numeric(lambda at: shape.distance(p, kind, at), q)
 
 
 def _numeric(function: Callable[[Array], Array], q: Array) -> Array:

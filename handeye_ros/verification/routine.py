@@ -1,7 +1,7 @@
 """What a verification routine is: the shape it fits, and what it reads off it."""
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 from handeye_ros.data import Array, Sample
@@ -37,10 +37,11 @@ class Seen:
             if len(getattr(self, name)) < len(self.poses):
                 object.__setattr__(self, name, np.zeros(len(self.poses), dtype=np.int64))
 
-    def without(self, group: int) -> Seen:
+    def without(self, groups: Collection[int]) -> Seen:
         """Return what the other groups of poses saw."""
         obs = self.observations
-        return replace(self, observations=obs.select(groups_of(self)[obs.station] != group))
+        left = np.isin(groups_of(self)[obs.station], list(groups), invert=True)
+        return replace(self, observations=obs.select(left)) if len(groups) else self
 
 
 @dataclass(frozen=True)

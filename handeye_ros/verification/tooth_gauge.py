@@ -27,6 +27,7 @@ FAR = 0.15  # of the height: a point further from all faces is of none
 BIN = 0.05  # of the pitch
 CUT = 4.0  # sigmas of the points of a face
 LEAST_SHARE = 0.2  # of the points that must be of the gauge
+LEAST_FACE = 0.01  # of the points that must be of tops and valleys, and of flanks
 ROUNDS = 6
 
 
@@ -70,9 +71,13 @@ def fitted(seen: Seen, p: Array, nominal: Nominal) -> tuple[Seen, Shape]:
     for _ in range(ROUNDS):
         kind, tooth, kept = _faces(_local(p, frame, q), pitch, height, q)
         if kept.mean() < LEAST_SHARE:
-            raise NoTeethError(pitch, height, float(kept.mean()))
+            break
         shape = _shape(frame, pitch, height, tooth[kept], q)
         q = _improved(shape, p[kept], kind[kept], q)
+    top, valley, *flanks = np.bincount(kind[kept], minlength=4) / len(p)
+    least = float(min(top + valley, sum(flanks)))
+    if kept.mean() < LEAST_SHARE or least < LEAST_FACE:
+        raise NoTeethError(pitch, height, float(kept.mean()), least)
     obs = seen.observations
     kept, scale = _cleaned(shape.distance(p[kept], kind[kept], q), kept, obs.kind // BAGS, kind,
                            tooth, abs(q[8]))

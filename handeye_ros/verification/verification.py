@@ -12,7 +12,6 @@ from handeye_ros.results.verified import COLUMNS, FORMAT, rows_of, shown, title_
 from rich.table import Table
 import yaml
 
-
 K = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
 
 

@@ -1,8 +1,7 @@
 """From the stations of some bags and a calibration to the verdict of a routine."""
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Sequence
 
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, Sample
@@ -17,7 +16,15 @@ from handeye_ros.verification.errors import (
     WrongCountError,
 )
 from handeye_ros.verification.fixed_fit import fit, FixedFit, points_in_base, refit
-from handeye_ros.verification.routine import Nominal, Routine, Seen, Shape, stacked, TEETH
+from handeye_ros.verification.routine import (
+    groups_of,
+    Nominal,
+    Routine,
+    Seen,
+    Shape,
+    stacked,
+    TEETH,
+)
 from handeye_ros.verification.verification import (
     K,
     Quantity,
@@ -59,7 +66,7 @@ def verify(routine: Routine, bags: Sequence[Seen], calibration: Calibration, con
     _require_different(bags)
     X = calibration.T_flange_sensor @ sensor_axes(config)
     used, shape, found, left_out = _agreeing(routine, seen, X, calibration, config, nominal)
-    if found.p_error < FOREIGN:
+    if found.p_error < FOREIGN and routine.target != TEETH:
         freed, _ = refit(used, X, calibration.covariance, config.noise, shape, nominal)
         rms = float(np.sqrt((freed.distances ** 2).mean()))
         if freed.p_error < FOREIGN and rms > tolerances.length:
@@ -91,49 +98,58 @@ def _agreeing(routine: Routine, seen: Seen, X: Array, calibration: Calibration, 
 
     A station is left out when it contradicts the others whatever the error of the calibration.
     """
-    def fitted(seen: Seen) -> tuple[Seen, Shape, FixedFit]:
-        used, shape = routine.shape(seen, points_in_base(seen, X), nominal)
+    def fitted(out: Collection[int]) -> tuple[Seen, Shape, FixedFit]:
+        some = seen.without(out)
+        used, shape = routine.shape(some, points_in_base(some, X), nominal)
         return used, shape, fit(used, X, calibration.covariance, config.noise, shape, nominal)
 
-    all_of_them, left_out = fitted(seen), dict[int, float]()
-    found, kept = all_of_them, seen
-    while len(found[2].deleted):
-        group, square, count = found[2].deleted.T
-        p = np.where(count > 0, chi2_sf(square, count), 1.0)
-        worst = int(np.argmin(p))
-        if p[worst] * len(p) > OUTLIER:
-            break
-        if len(left_out) + 1 > MOST_OUTLIERS * len(seen.poses):
-            return *all_of_them, {}
-        kept = kept.without(int(group[worst]))
-        if min(len(np.unique(kept.observations.station[kept.bags[kept.observations.station] == b]))
-               for b in np.unique(seen.bags)) < LEAST_STATIONS:
-            return *all_of_them, {}
-        left_out[int(group[worst])] = float(p[worst])
-        found = fitted(kept)
+    left_out = dict[int, float]()
+    everything = found = fitted(())
+    while (worst := _worst(found[2]))[1] < OUTLIER:
+        left_out[worst[0]] = worst[1]
+        kept = np.bincount(seen.bags[np.setdiff1d(seen.observations.station, list(left_out))])
+        if len(left_out) > MOST_OUTLIERS * len(seen.poses) or kept.min() < LEAST_STATIONS:
+            return *everything, {}
+        found = fitted(left_out)
+    for group in list(left_out)[:-1]:  # it may only have looked bad beside a worse one
+        again = fitted(left_out.keys() - {group})
+        if _worst(again[2])[1] >= OUTLIER:
+            del left_out[group]
+            found = again
     return *found, left_out
+
+
+def _worst(found: FixedFit) -> tuple[int, float]:
+    """Return the group that contradicts the others most, and the chance that any is so bad."""
+    if not len(found.deleted):
+        return -1, 1.0
+    group, square, count = found.deleted.T
+    p = np.where(count > 0, chi2_sf(square, count), 1.0)
+    worst = int(np.argmin(p))
+    return int(group[worst]), float(p[worst]) * len(p)
 
 
 def _station_results(seen: Seen, used: Seen, found: FixedFit, left_out: dict[int, float],
                      tolerances: Tolerances) -> tuple[StationResult, ...]:
-    """Return what each stop showed; nothing of passes, whose points share their pose."""
-    station, results = used.observations.station, []
+    """Return what each stop, or pass, showed."""
+    groups, results = groups_of(seen), []
+    of_row = groups_of(used)[used.observations.station]
     p_of = {int(g): float(chi2_sf(square, count))
             for g, square, count in found.deleted if count}
-    for s in range(len(seen.poses)) if seen.groups is None or len(p_of) else ():
-        number = int((seen.bags[:s] == seen.bags[s]).sum()) + 1
-        rows = np.flatnonzero(station == s)
-        at = (int(seen.bags[s]) + 1, number, int(seen.stamps[s]))
-        if s in left_out:
-            results.append(StationResult(*at, 0.0, 0.0, left_out[s], False, (
-                f'it contradicts the others, whatever the calibration (p = {left_out[s]:.1g})')))
-        if not len(rows):
-            continue
-        worst = rows[np.argmax(np.abs(found.distances[rows]))]
-        std = float(found.distance_std[worst])
-        results.append(StationResult(*at, float(abs(found.distances[worst])), std,
-                                     p_of.get(s, 1.0), reason=(
-            '' if K * std <= tolerances.length else 'its uncertainty is larger than the tolerance')))
+    for group in np.unique(groups).tolist():
+        first = int(np.argmax(groups == group))
+        bag = int(seen.bags[first])
+        number = group - int(groups[seen.bags == bag].min()) + 1
+        at, rows = (bag + 1, number, int(seen.stamps[first])), np.flatnonzero(of_row == group)
+        if group in left_out:
+            results.append(StationResult(*at, 0.0, 0.0, left_out[group], False, (
+                'it contradicts the others, whatever the error of the calibration')))
+        elif len(rows):
+            worst = rows[np.argmax(np.abs(found.distances[rows]))]
+            std = float(found.distance_std[worst])
+            note = 'its uncertainty exceeds the tolerance' if K * std > tolerances.length else ''
+            results.append(StationResult(*at, float(abs(found.distances[worst])), std,
+                                         p_of.get(group, 1.0), reason=note))
     return tuple(results)
 
 

@@ -155,6 +155,7 @@ def test_the_verb_on_recordings_and_a_folder(tmp_path):
     assert 'UNCHANGED' in run.stdout
     assert yaml.safe_load((tmp_path / 'c.yaml').read_text())['checks'][0]['stations'] == 7
     run = handeye('check', 'today', 'today', '--against', 'b/calibration.yaml', cwd=tmp_path)
+    assert run.returncode == 1, run.stderr
     assert 'UNCHANGED' not in run.stdout and run.stdout.endswith('since today\n')
     run = handeye('check', '--folder', '.', '--picture', 't.png', cwd=tmp_path)
     assert run.returncode == 0, run.stderr

@@ -62,7 +62,7 @@ def test_start_stops_result(tmp_path: Path, client: Client) -> None:
         told = client.call('verify_result')
         assert told.success, told.message
         assert told.message.startswith('sphere: PASS, 6 stations; radius '), told.message
-        assert '(1 sigma, of it calibration ' in told.message
+        assert '(k = 2; the calibration claims ' in told.message
         assert client.state()['samples'] == str(STOPS)
     written = yaml.safe_load((tmp_path / 'sphere' / 'verification_sphere.yaml').read_text())
     assert written['verdict'] == 'pass'
