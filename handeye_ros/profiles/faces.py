@@ -30,6 +30,7 @@ SHADOW_SLOPE = 2.0  # a step hides less than this many times its height behind i
 WIDEST_GAP, SPLINTER = 0.02, 0.002  # between surfaces side by side; one that is none (m)
 LARGEST_BEVEL = 2.5e-3  # of the piece between a face and its wall; a larger one is a face (m)
 STEEP_ERROR = 1.0  # of a surface seen steeply, as a share of the noise that it adds
+MOST_SURFACES, SMALLEST_SURFACE = 3, 0.1  # that may be a plane; of the longest's points
 EDGE_KINDS = ('roof', 'step', 'gap', 'open')  # a step may turn out as a shadow
 
 
@@ -53,9 +54,9 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
     return (line, *(on_line(edge, line, line.std / white_std(face)) for edge in edges))
 
 
-def plane_features(points: Array, config: Config) -> tuple[FaceLine]:
+def plane_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     """
-    Return the longest straight piece of a profile: all of a plane that is in sight.
+    Return the straight pieces of a profile, any of which may be the plane, the longest first.
 
     points: (n, 2) in the sensor plane, NaN where there was no return. Edges are neither needed
     nor looked for. Raises FeatureError.
@@ -64,7 +65,9 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine]:
     if not segments:
         raise FeatureError('no straight piece of '
                            f'{config.sampling.min_points} points or more in the profile')
-    return (face_line(max(segments, key=lambda s: len(s.rows)), points),)
+    longest = sorted(segments, key=lambda s: -len(s.rows))[:MOST_SURFACES]
+    return tuple(face_line(segment, points) for segment in longest
+                 if len(segment.rows) >= SMALLEST_SURFACE * len(longest[0].rows))
 
 
 def _preferred(segments: Sequence[Segment], seen: Returns

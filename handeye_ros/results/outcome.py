@@ -12,7 +12,7 @@ from handeye_ros.checks.shape import contradictions, found_doubts
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport
 from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.predictions import predictions
 from handeye_ros.estimation.solution import corrected_poses, Solution
@@ -86,7 +86,29 @@ def describe_target(agreed: Consensus, config: Config) -> dict[str, Any]:
     told |= found_doubts(solution)
     notes = [shape.note for shape in contradictions(solution, config)]
     notes += [lost] if (lost := lost_edges(agreed)) else []
+    notes += [beside] if (beside := other_surfaces(agreed)) else []
     return told | ({'note': '; '.join(notes)} if notes else {})
+
+
+def other_surfaces(agreed: Consensus) -> str:
+    """Return which of several surfaces in view is the target, in words, '' where it is the one."""
+    whole, problem = agreed.whole.subset(agreed.used), agreed.solution.problem
+    several = len(whole.observations) > len(problem.observations)
+    if problem.method.edges or not several:
+        return ''
+    estimate, obs = agreed.solution.estimate, whole.observations
+    unused = ~np.isin(np.column_stack([obs.station, obs.source]) @ [1, 1j], np.column_stack(
+        [problem.observations.station, problem.observations.source]) @ [1, 1j])
+    sensors = problem.poses[obs.station[unused]] @ estimate.X[:, 3]
+    height, of_sensor = (problem.method.conditions(
+        p, obs.kind[unused], estimate.target, problem.config).g
+        for p in (points_in_base(whole, estimate.X)[unused], sensors[:, :3]))
+    nearer = height * np.sign(of_sensor) > 0
+    where = 'nearer and farther' if 0 < nearer.sum() < len(nearer) else (
+        'nearer' if nearer.any() else 'farther')
+    stations = len(np.unique(obs.station[unused]))
+    return (f'{stations} of {len(agreed.used)} samples show other surfaces too, {where} than the '
+            f'{problem.method.name} that was used in all of them')
 
 
 def _used_reports(used: Sequence[Sample], problem: Problem, station: NDArray[np.intp],

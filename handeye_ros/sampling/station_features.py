@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 LARGEST_DISAGREEMENT = 5e-4  # between profiles of a robot that stands still (m)
 SMALLEST_DISAGREEMENT = 1e-4  # the same of arcs, beyond their scatter
 LEAST_AGREEING = 0.6  # of the profiles of a stop
+ALONG = 0.1  # of a distance along a surface, in one across it, that tells two surfaces apart
 MOST_TIMES = 4  # that profiles of one stop say more of an edge than a single one
 MOST_RAW = 50_000  # points of an arc that are held for its residuals: 0.8 MB of a sample
 
@@ -73,7 +74,8 @@ def combine(found: Sequence[tuple[Feature, ...]]) -> tuple[Feature, ...]:
     if arcs:
         return (_combined_arc(arcs),)
     edges = [f for features in found for f in features if isinstance(f, EdgePoint)]
-    lines = [_combined_line(same) for same in _by_place(found)]
+    lines = _combined_lines([[f for f in features if isinstance(f, FaceLine)]
+                             for features in found])
     combined: list[Feature] = list(lines)
     for sign in (-1.0, 1.0):
         same = [e for e in edges if np.sign(e.direction[0]) == sign]
@@ -86,12 +88,31 @@ def combine(found: Sequence[tuple[Feature, ...]]) -> tuple[Feature, ...]:
     return tuple(combined)
 
 
-def _by_place(found: Sequence[tuple[Feature, ...]]) -> list[list[FaceLine]]:
-    """Return the first lines of all profiles, the second ones, as many as most profiles have."""
-    lines = [[f for f in features if isinstance(f, FaceLine)] for features in found]
-    count = Counter(map(len, lines)).most_common(1)[0][0]
-    alike = [seen for seen in lines if len(seen) == count]
-    return [list(same) for same in zip(*alike, strict=True)]
+def _combined_lines(seen: Sequence[Sequence[FaceLine]]) -> list[FaceLine]:
+    """
+    Return one line for each surface that most profiles show, of those that each shows.
+
+    Raises DisagreeingProfilesError when they agree on fewer than every one of them shows.
+    """
+    usual = Counter(map(len, seen)).most_common(1)[0][0]
+    combined: list[FaceLine] = []
+    failed = None
+    for line in next(lines for lines in seen if len(lines) == usual):
+        try:
+            combined.append(_combined_line([min(lines, key=lambda other: _apart(other, line))
+                                            for lines in seen if lines]))
+        except DisagreeingProfilesError as error:
+            failed = failed or error
+    if failed and len(combined) < min(map(len, seen)):
+        raise failed
+    return combined
+
+
+def _apart(line: FaceLine, other: FaceLine) -> float:
+    """Return how far apart two lines are (m): across, and a little of how far along."""
+    away = line.centre - other.centre
+    across = away[1] * line.direction[0] - away[0] * line.direction[1]
+    return float(abs(across) + ALONG * abs(away[0]))
 
 
 def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:

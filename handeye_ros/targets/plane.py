@@ -1,24 +1,28 @@
 """
-A plane: whole profiles lie in it, whether or not an edge of it is in sight.
+A plane: a straight piece of each profile lies in it, whether or not its edge is in sight.
+
+Where other surfaces are in view too, the same one is chosen in all stations: that of each which
+fits the plane.
 
 Frame of the target: any point of the plane as origin, z its normal, towards the sensor.
 """
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Feature, Sample
-from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.estimation.model import (
     Conditions,
     Estimate,
-    kind_unchanged,
     Method,
     Observations,
     observed_points,
+    UNUSED,
 )
 from handeye_ros.estimation.starts import best_of, different, FEW_STATIONS
 from handeye_ros.profiles.faces import plane_features
@@ -32,6 +36,7 @@ from handeye_ros.targets.common import (
     nearest_transform,
     ObservationRows,
     some_stations,
+    SOURCES,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +44,10 @@ from numpy.typing import NDArray
 NORMALS = 400
 CANDIDATES = 10
 SWEEPS = ((1, 1), (FINER, FINER))  # finer, and more candidates
+BELIEVED_SHARE = 0.7  # of the stations
+AS_NEAR = 2.0  # times the distance of the best start: the order of the surfaces decides
+TINY = 1e-30  # m^2
+SAME_SURFACE = 3e-4  # m: pieces of one surface may lie so far from one plane
 CROWD = 10  # times as many where few stations nearly fit in many wrong ways
 
 
@@ -74,6 +83,48 @@ def free(config: Config) -> NDArray[np.bool_]:
     return np.ones(3, dtype=bool)
 
 
+def relabel(observations: Observations, p: Array, target: Array, config: Config
+            ) -> Observations:
+    """Return the observations with one surface of each station, the longest that is near."""
+    surface = observations.source // SOURCES
+    if not surface.any():
+        return observations
+    count = int(surface.max()) + 1
+    group = observations.station * count + surface
+    size = (int(observations.station.max()) + 1) * count
+    number = np.bincount(group, minlength=size)
+    squares = np.bincount(group, conditions(p, observations.kind, target, config).g ** 2, size)
+    away = np.where(number, np.sqrt(squares / np.maximum(number, 1)), np.inf).reshape(-1, count)
+    near = away <= away.min(axis=1, keepdims=True) + SAME_SURFACE
+    chosen = near.argmax(axis=1)[observations.station] == surface
+    return replace(observations, kind=np.where(chosen, observations.kind, UNUSED))
+
+
+def one_surface(problem: Problem) -> list[Problem]:
+    """
+    Return the problem with one surface of each station: the nearest, longest, or farthest.
+
+    Only the problem itself where no station shows several.
+    """
+    obs, sign = problem.observations, problem.config.profile.range_sign
+    surface = obs.source // SOURCES
+    if not surface.any():
+        return [problem]
+    count = int(surface.max()) + 1
+    shape, group = (len(problem.poses), count), obs.station * count + surface
+    x, z = obs.points.T
+    n, x, z, xx, xz = (np.bincount(group, values, shape[0] * count).reshape(shape)
+                       for values in (np.ones_like(x), x, z, x * x, x * z))
+    some = np.maximum(n, 1.0)
+    slope = ((xz - x * z / some) / np.maximum(xx - x * x / some, TINY))[:, :1]
+    # of surfaces that are tilted, that is nearer which lies above the line of the longest
+    depth = sign * (z / some - slope * x / some)
+    ranks = [depth, np.broadcast_to(np.arange(count), shape), -depth]
+    chosen = [np.where(n, rank, np.inf).argmin(axis=1) for rank in ranks]
+    return [replace(problem, observations=obs.select(one[obs.station] == surface))
+            for one in chosen]
+
+
 def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
           ) -> Iterator[Estimate]:
     """Yield estimates from nothing, best first; from a finer sweep when these do not do."""
@@ -83,8 +134,24 @@ def guess(observations: Observations, poses: Array, config: Config, rng: np.rand
     found: list[Estimate] = []
     for finer, more in ((1, CROWD), (1, NORMALS // CANDIDATES)) if few else SWEEPS:
         known = len(found)
-        found += best_of(problem, linear_candidates(problem, finer, more), more)
-        yield from (found[i] for i in different(np.array([e.X for e in found])) if i >= known)
+        for part in one_surface(problem):
+            found += best_of(part, linear_candidates(part, finer, more), more)
+        fresh = [i for i in different(np.array([e.X for e in found])) if i >= known]
+        if problem.observations.source.max(initial=0) >= SOURCES:
+            away = {i: _typical_distance(problem, found[i]) for i in fresh}
+            fresh.sort(key=lambda i: away[i] > AS_NEAR * min(away.values()))
+        yield from (found[i] for i in fresh)
+
+
+def _typical_distance(problem: Problem, estimate: Estimate) -> float:
+    """Return the distance from the plane (m) that the nearest surface of most stations keeps."""
+    p = points_in_base(problem, estimate.X)
+    labelled = relabel(problem.observations, p, estimate.target, problem.config)
+    used = labelled.kind != UNUSED
+    station, n = labelled.station[used], len(problem.poses)
+    away = conditions(p[used], labelled.kind[used], estimate.target, problem.config).g
+    count = np.maximum(np.bincount(station, minlength=n), 1)
+    return float(np.quantile(np.bincount(station, away ** 2, n) / count, BELIEVED_SHARE) ** 0.5)
 
 
 def linear_candidates(problem: Problem, finer: int = 1, more: int = 1) -> list[Estimate]:
@@ -126,6 +193,6 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 
 
 PLANE = Method('plane', ('face',), ('z', 'rx', 'ry'), plane_features, observe, guess, conditions,
-               retract, free, kind_unchanged, describe, observed_points, edges=(), minimum=6,
+               retract, free, relabel, describe, observed_points, edges=(), minimum=6,
                one_axis='the position along it is free, and if it is the normal of the plane '
                '(yaw only) all of the position and part of the rotation')

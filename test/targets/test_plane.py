@@ -42,7 +42,8 @@ def test_a_profile_without_an_edge_is_a_plane_and_no_face() -> None:
     x = np.linspace(-0.02, 0.02, 200)
     points = np.column_stack([x, 0.17 + 0.1 * x + 1e-5 * np.sin(1e5 * x)])
     points[-30:, 1] += 0.05  # 5 mm of something else
-    (line,) = plane_features(points, Config())
+    line, beside = plane_features(points, Config())
+    assert beside.centre[0] > line.centre[0]
     assert isinstance(line, FaceLine)
     np.testing.assert_allclose(line.direction[1] / line.direction[0], 0.1, atol=1e-3)
     assert line.centre[0] < 0
@@ -62,3 +63,14 @@ def test_yaw_alone_is_refused_with_what_it_leaves_open() -> None:
     message = str(caught.value)
     assert 'if it is the normal of the plane (yaw only) all of the position' in message
     assert 'tilt the tool by 15 degrees or more about flange' in message
+
+
+@pytest.mark.parametrize('values', [{'table': 0.010}, {'table': 0.003}, {
+    'table': None, 'clutter': 0.002, 'clutter_gap': 0.003, 'clutter_width': 0.06}])
+def test_one_surface_is_chosen_where_others_lie_beside(values: dict[str, float]) -> None:
+    plate = SCENARIOS['plate']
+    made = recorded(replace(plate, target=replace(plate.target, **values)), 1, columns=640,
+                    target__type='plane')
+    found = pipeline.calibrate(made.profiles, made.poses, made.config)
+    assert made.error(found.T_flange_sensor) < 3e-4
+    assert 'samples show other surfaces too, farther than the plane' in found.target['note']
