@@ -46,8 +46,9 @@ class DataError(HandeyeError):
 
 
 def nearest(word: str, known: Sequence[str]) -> str:
-    """Return a hint at the known word nearest to word, or an empty string."""
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.65)
+    """Return a hint at the known word nearest to word, or whose last part it is, or nothing."""
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.65) or [
+        other for other in known if other.endswith(f'.{word}')]
     return f'; did you mean "{close[0]}"?' if close else ''
 
 

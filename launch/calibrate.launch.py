@@ -16,7 +16,7 @@ KEYS = {'name': 'name', 'profile_topic': 'profile_topic', 'pose_topic': 'pose_to
         'effector_frame': 'robot_effector_frame', 'output_dir': 'output_dir',
         'session': 'session'}
 OTHERS = {
-    'page': ('', 'port of the page of the session, such as 8080; empty: as the file says'),
+    'page': ('', 'port of the page of the session, such as 8765; empty: as the file says'),
     'namespace': ('', 'namespace of all that is started'),
     'bag': ('', 'a recording to replay: a rosbag2 folder, or an .mcap or .db3 file'),
     'rate': ('1.0', 'speed of the replay; 1: as recorded'),

@@ -84,7 +84,8 @@ def test_every_number_has_a_range_with_ends(parameter: Parameter) -> None:
 
 @pytest.mark.parametrize(('key', 'meant'), [
     ('noise.sensr', 'noise.sensor'), ('sampling.stil_time', 'sampling.still_time'),
-    ('targettype', 'target.type'), ('Limits.Residual', 'limits.residual')])
+    ('targettype', 'target.type'), ('Limits.Residual', 'limits.residual'),
+    ('unit', 'profile.unit')])
 def test_an_unknown_key_suggests_the_nearest(key: str, meant: str) -> None:
     with pytest.raises(UnknownKeyError) as caught:
         with_values(Config(), {key: 1.0}, 'plate.yaml')

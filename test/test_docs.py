@@ -54,6 +54,14 @@ def of(program: str) -> list[object]:
             if PROGRAM.match(text)[1] == program]  # type: ignore[index]
 
 
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
+def test_commands_are_found_by_their_name(page: Path) -> None:
+    """One line of the README activates the environment; nothing else names its folder."""
+    lines = page.read_text(encoding='utf-8').splitlines()
+    named = [line.strip() for line in lines if '.venv/bin' in line]
+    assert named == (['source .venv/bin/activate'] if page.name == 'README.md' else [])
+
+
 def test_there_are_commands() -> None:
     assert {'handeye', 'make', 'ros2'} <= {
         PROGRAM.match(text)[1] for page in PAGES for text in commands(page)}  # type: ignore[index]

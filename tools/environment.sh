@@ -98,9 +98,11 @@ case ",$extras," in *,test,*) what="$what, what tests need (120 MB)" ;; esac
 say "Installing into $venv from PyPI: $what; with a fast network this takes a minute or two ..."
 touch "$venv/.interrupted"
 if [ -t 2 ]; then quiet=; else quiet='--quiet --quiet'; fi  # pip shows a person its progress
+# editable_mode: by a path, so that a script beside the clone finds the package and not its folder
 # shellcheck disable=SC2086
 "$venv/bin/python" -m pip install $quiet --disable-pip-version-check \
-    ${constraints:+--constraint "$constraints"} --editable ".[$extras]"
+    ${constraints:+--constraint "$constraints"} \
+    --config-settings editable_mode=compat --editable ".[$extras]"
 for part in package $(echo "$extras" | tr ',' ' '); do
     echo "$key" > "$venv/.installed-$part"
 done

@@ -15,7 +15,8 @@ Saved = Annotated[Path, typer.Argument(
 def export(
     path: Saved,
     name: Annotated[str, typer.Option(
-        '--format', help=f'One of {", ".join(SAVE_FORMATS)}.')],
+        '--format', autocompletion=lambda: list(SAVE_FORMATS),
+        help=f'One of {", ".join(SAVE_FORMATS)}.')],
     out: Annotated[NoPath, typer.Option(metavar='FILE', help=(
         'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
 ) -> None:

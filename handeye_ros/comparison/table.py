@@ -59,7 +59,7 @@ def _table(comparison: Comparison, transforms: bool, figures: bool) -> Table:
         table.add_column('x, y, z (mm)' + ('; ' if whole else '\n') + 'roll, pitch, yaw (degrees)',
                          min_width=TRANSFORM_WIDTH if whole else None)
     errors = ('error:\nmm', '\ndegrees', 'mapped\nmm') if with_errors else ()
-    for name in ('residual\nmm', 'left out\nmm', *errors, 'time\ns') if figures else ():
+    for name in ('residual\nmm', 'held out\nmm', *errors, 'time\ns') if figures else ():
         table.add_column(name, justify='right', no_wrap=True)
     for row in comparison.rows:
         table.add_row(row.name, *([_transform(row, whole)] if transforms else []),
@@ -97,6 +97,6 @@ def _millimetres(value: float | None) -> str:
 
 def _legend(over: str) -> Iterator[str]:
     yield ('residual: RMS of what the first method minimises, with each transform, the target '
-           'fitted to it; left out: of samples the estimator was not given')
+           'fitted to it; held out: of samples the estimator was not given')
     if over:
         yield f'error: against truth.yaml; mapped: RMS over {over}'

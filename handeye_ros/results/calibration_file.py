@@ -20,7 +20,9 @@ from handeye_ros.config import Config, yaml_content
 from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.errors import BadValueError, UnwritableError
 from handeye_ros.results.errors import CalibrationFileError
+from handeye_ros.results.section import Section
 import numpy as np
+from scipy.spatial.transform import Rotation
 import yaml
 
 FORMAT = 'handeye_ros/calibration/'
@@ -33,6 +35,7 @@ HEADER = """\
 # that of URDF; the covariance (6x6) is of x y z rx ry rz, in {parent}.
 """
 
+SAME_ROTATION = 1e-5  # rad between rpy and quaternion: written with few digits
 ROUNDING = 1e-12  # of a rotation that goes through a quaternion and back
 
 
@@ -147,65 +150,27 @@ def read_calibration(path: Path) -> Calibration:
         raise CalibrationFileError(path, error.strerror or str(error)) from error
     except (UnicodeDecodeError, yaml.YAMLError, ValueError) as error:
         raise CalibrationFileError(path, 'it is not valid YAML') from error
-    file = _Section(path, '', content)
+    file = Section(path, '', content)
     _check_format(path, file.get('format', str))
+    T = _transform(file.section('transform'))
+    _check_rpy(file, T)
     return Calibration(
         name=file.get('name', str),
         method=file.get('method', str),
         parent_frame=file.get('parent_frame', str),
         child_frame=file.get('child_frame', str),
-        T_flange_sensor=_transform(file.section('transform')),
+        T_flange_sensor=T,
         covariance=_covariance(file),
         target=file.get('target', dict),
         quality=_quality(file.section('quality')),
-        samples=tuple(_sample(_Section(path, f'samples[{i}].', item))
+        samples=tuple(_sample(Section(path, f'samples[{i}].', item))
                       for i, item in enumerate(file.get('samples', list))),
         provenance=file.get('provenance', dict))
 
 
 def transform_from(path: Path, key: str, values: Any) -> Array:
     """Return the transform (4, 4) of plain values, which path holds under key."""
-    return _transform(_Section(path, f'{key}.', values))
-
-
-class _Section:
-    """A mapping in a file, of which every value is checked before it is used."""
-
-    def __init__(self, path: Path, prefix: str, values: Any) -> None:
-        if not isinstance(values, dict):
-            what = prefix.rstrip('.') or 'the file'
-            raise CalibrationFileError(path, f'{what} is no mapping')
-        self.path, self._prefix, self._values = path, prefix, values
-
-    def get(self, key: str, kind: type, default: Any = None) -> Any:
-        """Return a value of a kind, or the default where there is none."""
-        value = self._values.get(key, default)
-        if value is None:
-            raise self.error(key, 'is missing')
-        if kind is float and type(value) is int:
-            value = float(value)
-        if type(value) is not kind:
-            raise self.error(key, f'is {value!r}, expected {kind.__name__}')
-        return value
-
-    def number(self, key: str) -> float:
-        """Return a finite number."""
-        value = float(self.get(key, float))
-        if not math.isfinite(value):
-            raise self.error(key, f'is {value}')
-        return value
-
-    def has(self, key: str) -> bool:
-        """Tell whether there is a value."""
-        return self._values.get(key) is not None
-
-    def section(self, key: str) -> _Section:
-        """Return a mapping inside."""
-        return _Section(self.path, f'{self._prefix}{key}.', self.get(key, dict))
-
-    def error(self, key: str, what: str) -> CalibrationFileError:
-        """Return the error for a key."""
-        return CalibrationFileError(self.path, f'{self._prefix}{key} {what}')
+    return _transform(Section(path, f'{key}.', values))
 
 
 def _check_format(path: Path, text: str) -> None:
@@ -217,7 +182,7 @@ def _check_format(path: Path, text: str) -> None:
                                    f'handeye_ros ({__version__}) knows; update the package')
 
 
-def _transform(section: _Section) -> Array:
+def _transform(section: Section) -> Array:
     translation, rotation = section.section('translation'), section.section('rotation')
     quaternion = np.array([rotation.number(key) for key in 'xyzw'])
     length = float(np.linalg.norm(quaternion))
@@ -226,7 +191,21 @@ def _transform(section: _Section) -> Array:
     return se3.from_quaternion(np.array([translation.number(key) for key in 'xyz']), quaternion)
 
 
-def _covariance(file: _Section) -> Array:
+def _check_rpy(file: Section, T: Array) -> None:
+    """Refuse angles that somebody changed beside the quaternion, which is what counts."""
+    if not file.has('rpy'):
+        return
+    rpy = file.get('rpy', list)
+    if len(rpy) != 3 or not all(type(v) in (int, float) and math.isfinite(v) for v in rpy):
+        raise file.error('rpy', 'does not hold 3 numbers')
+    R = Rotation.from_euler('xyz', rpy).inv() * Rotation.from_matrix(T[:3, :3])
+    if R.magnitude() > SAME_ROTATION:
+        raise file.error('rpy', f'and transform.rotation differ by '
+                         f'{math.degrees(R.magnitude()):.4g} degrees. The quaternion counts: '
+                         'correct it, and correct rpy or delete it')
+
+
+def _covariance(file: Section) -> Array:
     values = file.get('covariance', list)
     numbers = [v for v in values if type(v) in (int, float) and math.isfinite(v)]
     if len(values) != 36 or len(numbers) != 36:
@@ -234,13 +213,13 @@ def _covariance(file: _Section) -> Array:
     return np.array(numbers, dtype=float).reshape(6, 6)
 
 
-def _quality(section: _Section) -> Quality:
+def _quality(section: Section) -> Quality:
     return Quality(section.get('samples_used', int), section.get('samples_rejected', int),
                    section.number('residual_rms'), section.number('holdout_rms'),
                    section.get('weakest_direction', str), section.number('weakest_std'))
 
 
-def _sample(section: _Section) -> SampleReport:
+def _sample(section: Section) -> SampleReport:
     residual = section.number('residual') if section.has('residual') else None
     return SampleReport(section.get('stamp', int), section.get('used', bool),
                         section.get('edge', str, ''), residual, section.get('reason', str, ''))

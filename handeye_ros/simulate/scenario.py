@@ -1,8 +1,10 @@
 """The parameters of a simulated recording, and what is true of it; metres, radians, seconds."""
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, is_dataclass
 import math
+import re
 from typing import Any
 
 from handeye_ros.data import Array
@@ -149,6 +151,25 @@ class Layout:
     no_return: str = 'nan'
 
 
+# Fields whose differences say nothing of what is seen.
+UNTOLD = ('name', 'scene', 'sensor.rate', 'sensor.delay', 'sensor.thinning', 'robot.rate',
+          'robot.dwell', 'robot.move')
+
+
+def _short(number: re.Match[str]) -> str:
+    return f'{float(number[0]):.4g}'
+
+
+def _differences(one: Any, other: Any, prefix: str) -> Iterator[tuple[str, Any]]:
+    """Yield the dotted names of the fields that differ, and their values in the first."""
+    for item in fields(one):
+        a, b = getattr(one, item.name), getattr(other, item.name)
+        if is_dataclass(a) and type(a) is type(b):
+            yield from _differences(a, b, f'{prefix}{item.name}.')
+        elif a != b:
+            yield f'{prefix}{item.name}', re.sub(r'\d+\.\d{5,}', _short, str(a))
+
+
 @dataclass(frozen=True)
 class Scenario:
     """
@@ -182,6 +203,14 @@ class Scenario:
     repeats: int = 1
     lever: tuple[float, float] = (0.1, 0.2)
     told: tuple[tuple[str, Any], ...] = ()
+
+    @property
+    def description(self) -> str:
+        """Say what it shows, and what is other than in a plain recording of it."""
+        plain = Scenario(target=type(self.target)())
+        values = [f'{key} {value}' for key, value in _differences(self, plain, '')
+                  if key not in UNTOLD]
+        return ', '.join([self.scene, *values])
 
     @property
     def profiles_per_stop(self) -> int:

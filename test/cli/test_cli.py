@@ -79,7 +79,9 @@ def test_simulate_knows_its_scenarios(tmp_path):
 def test_the_scenarios_are_listed(tmp_path):
     run = handeye('simulate', '--list', cwd=tmp_path)
     assert run.returncode == 0
-    assert {'plate', 'wedge', 'points'} <= set(run.stdout.splitlines())
+    shown = dict(line.split(maxsplit=1) for line in run.stdout.splitlines())
+    assert shown['plate'] == 'plate' and shown['wedge'].startswith('wedge')
+    assert 'sensor.reflections 0.3' in shown['plate_reflections']
     run = handeye('simulate', 'nope', 'x', cwd=tmp_path)
     assert_refused(run, 2, 'there is no scenario "nope"; "handeye simulate --list" lists them')
 

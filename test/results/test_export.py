@@ -245,3 +245,11 @@ def test_errors_of_known_differences():
     # turned about y, a point moves by its distance times the angle
     assert errors.mapped_points == pytest.approx(0.01 * math.sqrt(0.175 ** 2 + (
         0.02 ** 2 + 0.015 ** 2) / 3), rel=3e-3)
+
+
+def test_angles_edited_beside_the_quaternion_are_refused(path):
+    values = content_of(CALIBRATION, path)
+    values['rpy'][2] += 0.01  # the last turn: the difference is as large
+    path.write_text(yaml.safe_dump(values))
+    with pytest.raises(CalibrationFileError, match=r'rpy and transform.rotation differ by 0\.573'):
+        calibration_file.read_calibration(path)
