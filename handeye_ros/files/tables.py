@@ -24,11 +24,14 @@ import yaml
 
 LENGTH, ANGLE, NUMBER, TEXT = 'length', 'angle', 'number', 'text'
 UNITS = {LENGTH: {'m': 1.0, 'mm': 1e-3, 'um': 1e-6},
-         ANGLE: {'rad': 1.0, 'deg': math.radians(1.0), 'degrees': math.radians(1.0)}}
+         ANGLE: {'rad': 1.0, 'deg': math.radians(1.0)}}
+SPELLINGS = {'degree': 'deg', 'degrees': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad',
+             'metre': 'm', 'metres': 'm', 'meter': 'm', 'meters': 'm', 'millimetres': 'mm',
+             'millimeters': 'mm', 'µm': 'um'}
 QUATERNION, RPY = ('qx', 'qy', 'qz', 'qw'), ('roll', 'pitch', 'yaw')
 QUATERNION_TOLERANCE = 1e-3
 LARGEST = 1e6  # m or rad: more is a mistake
-_HEADER = re.compile(r'\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*')
+_HEADER = re.compile(r'\s*([\w.:/-]+)\s*(?:\[\s*(\w+|°)\s*\])?\s*')
 
 
 class Table:
@@ -46,7 +49,7 @@ class Table:
             if match is None:
                 raise TableError(path, f'cannot read the column header "{cell}"; expected a name '
                                  'with its unit, such as base_x [mm]')
-        self._units = {m[1]: m[2] for m in names if m}
+        self._units = {m[1]: SPELLINGS.get(m[2], m[2]) for m in names if m}
         if len(self._units) != len(header):
             raise TableError(path, 'two columns have the same name')
         if not rows:
@@ -60,6 +63,16 @@ class Table:
     def has(self, names: Sequence[str]) -> bool:
         """Tell whether all of these columns are there."""
         return all(name in self._columns for name in names)
+
+    def kind(self, name: str) -> str:
+        """Return what a column holds, by its unit."""
+        unit = self._units.get(name)
+        return next((kind for kind, units in UNITS.items() if unit in units), NUMBER)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the columns."""
+        return tuple(self._columns)
 
     def text(self, name: str) -> list[str]:
         """Return the words of a column; raises TableError."""

@@ -1,0 +1,80 @@
+"""Why the robot's kinematics cannot be found: the URDF, the joints, the configurations."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+
+from handeye_ros.errors import DataError, InputError, mm, nearest
+
+
+class UrdfError(InputError):
+    """A URDF, or kinematics.yaml, that cannot be read or does not describe a serial arm."""
+
+    def __init__(self, path: object, reason: str) -> None:
+        super().__init__(f'{path}: {reason}')
+
+
+class MissingPinocchioError(InputError):
+    """A URDF is to be read without pinocchio."""
+
+    def __init__(self) -> None:
+        super().__init__('reading a URDF needs pinocchio: install the package '
+                         'ros-jazzy-pinocchio, or handeye_ros[kinematics] with pip')
+
+
+class JointNamesError(InputError):
+    """Joint values and joints of the URDF that have different names."""
+
+    @classmethod
+    def missing(cls, source: object, joint: str, found: Sequence[str]) -> JointNamesError:
+        """Return the error for a joint of the robot without values."""
+        return cls(f'{source}: there are no values of the joint {joint}{nearest(joint, found)}; '
+                   f'the joints with values are {", ".join(found) or "none"}; name them as the '
+                   'URDF does')
+
+    @classmethod
+    def unknown(cls, source: object, joint: str, known: Sequence[str]) -> JointNamesError:
+        """Return the error for values of a joint that the URDF does not have."""
+        return cls(f'{source}: the joint {joint} is not in the URDF{nearest(joint, known)}; its '
+                   f'joints are {", ".join(known)}')
+
+
+class JointRangeError(DataError):
+    """Joint values beyond what the joint can reach."""
+
+    def __init__(self, joint: str, value: float, lower: float, upper: float) -> None:
+        hint = ('; they seem to be degrees that are stated as radians'
+                if abs(value) > 2 * math.pi else '')
+        super().__init__(f'{joint} reaches {value:.4g}, and the URDF limits it to {lower:.4g} to '
+                         f'{upper:.4g} (radians or metres){hint}: check the unit of the joint '
+                         'values, or the limits in the URDF')
+
+
+class TooFewConfigurationsError(DataError):
+    """Fewer poses than the kinematics need."""
+
+    def __init__(self, usable: int, needed: int) -> None:
+        super().__init__(f'{usable} usable robot configurations; the kinematics need at least '
+                         f'{needed}, and 40 are a good number: record more, with all joints '
+                         'moving')
+
+
+class ContradictionError(DataError):
+    """Joint values, URDF and measured points that do not belong together."""
+
+    def __init__(self, residual: float, limit: float, cause: str = '') -> None:
+        super().__init__(f'joint values and measured points contradict each other by '
+                         f'{mm(residual)} RMS, beyond the {mm(limit)} of a robot that is only '
+                         f'inaccurate: {cause or DEFAULT_CAUSE}')
+
+
+DEFAULT_CAUSE = ('check that the URDF is of this robot, the unit and the sign of each joint, '
+                 'calibration_type, and that the target did not move')
+
+
+class DegenerateConfigurationsError(DataError):
+    """Configurations that leave the hand-eye transform open."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(f'these configurations leave {what} open: let all joints move, and '
+                         'bring the target to different points of the field of view')

@@ -1,0 +1,257 @@
+"""
+Hand-eye transform and joints from the same points: one least squares with stated priors.
+
+The estimate, and what is stated of it, are found as those of profiles are: the size of each kind
+of error is judged by the data (see estimation), with a small prior for the estimate and a wide
+one for its covariance.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.estimation.algebra import covariance_of
+from handeye_ros.estimation.blocks import deleted, unexplained
+from handeye_ros.estimation.fields import places, process
+from handeye_ros.estimation.least_squares import (
+    ANNEALING_STEPS,
+    graduated,
+    least_squares,
+    NEAR,
+    Rows,
+    System,
+)
+from handeye_ros.estimation.sizes import Sizes, sizes
+from handeye_ros.kinematics.errors import TooFewConfigurationsError
+from handeye_ros.kinematics.model import Arm
+from handeye_ros.kinematics.points import linearised, Points, State, starts
+import numpy as np
+from numpy.typing import NDArray
+
+MINIMUM = 12  # configurations
+ROUGH = 1e-3  # residuals (m) of a start, whose robot is only inaccurate
+SMOOTH = 2e-4  # 1 sigma of what is left of the robot's error, each axis (m)
+ROUNDS, SETTLED = 6, 0.02  # of estimating sizes and noise; relative change that ends them
+POOLED = 4.0  # degrees of freedom with which the noise of all axes counts for each
+LEAST_NOISE = 1e-6  # rounding of the values (m)
+SMOOTH_ROUNDS = 2  # of estimating its size and the noise beside it
+LARGEST = 1e3  # variance of a kind over the configured one
+SEED = 0  # of the search: the same points give the same answer
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Sigma (3,) of the residuals along each axis of the sensor; variances (g,) of each kind."""
+
+    noise: Array
+    variances: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """
+    An estimate with its weights, of the rows used (n,) of data; root: the smooth functions.
+
+    residuals: (3 n,) whitened, of all rows, the smooth part taken out; jacobian: (3 n, u) the
+    same.
+    """
+
+    data: Points
+    state: State
+    weights: Weights
+    used: NDArray[np.bool_]
+    root: Array
+    residuals: Array
+    jacobian: Array
+
+    @property
+    def unknowns(self) -> int:
+        """Return the number of unknowns without a prior: X and the targets."""
+        return 6 + self.state.targets.size
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Return the kinds of unknowns with a prior, in their order."""
+        found = dict.fromkeys(p.kind for p in self.state.arm.parameters)
+        return (*found, 'smooth') if self.root.shape[1] else tuple(found)
+
+    @cached_property
+    def group(self) -> NDArray[np.intp]:
+        """Return the kind of each unknown with a prior, an index into kinds."""
+        kinds = self.kinds
+        own = [kinds.index(p.kind) for p in self.state.arm.parameters]
+        return np.array(own + [len(kinds) - 1] * (3 * self.root.shape[1]), dtype=np.intp)
+
+    @property
+    def configured(self) -> Array:
+        """Return the configured sigmas (q,) of the unknowns with a prior."""
+        return np.append(self.state.arm.stds, np.full(3 * self.root.shape[1], SMOOTH))
+
+    @property
+    def stds(self) -> Array:
+        """Return their sigmas (q,) as weighed."""
+        return self.configured * np.sqrt(self.weights.variances[self.group])
+
+    @property
+    def values(self) -> Array:
+        """Return the unknowns (q,) with a prior themselves."""
+        return np.append(self.state.arm.values, self.state.smooth.ravel())
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Return that (u, u) of all unknowns."""
+        rows = np.repeat(self.used, 3)
+        prior = np.zeros((len(self.stds), self.jacobian.shape[1]))
+        prior[:, self.unknowns:] = np.diag(1 / self.stds)
+        return covariance_of(np.vstack([self.jacobian[rows], prior]))
+
+    @property
+    def noise_rms(self) -> float:
+        """Return the RMS of the residuals of the used rows, each a distance (m)."""
+        own = self.residuals.reshape(-1, 3)[self.used] * self.weights.noise
+        return float(np.sqrt((own ** 2).sum(axis=1).mean()))
+
+    @property
+    def smooth_std(self) -> float:
+        """Return 1 sigma of what is left of the robot's error (m), 0 where it is not asked."""
+        return SMOOTH * float(self.weights.variances[-1]) ** 0.5 if self.root.shape[1] else 0.0
+
+    @cached_property
+    def shown(self) -> Sizes:
+        """Return how large each kind shows itself."""
+        q, s = self.unknowns, self.stds
+        first = np.searchsorted(self.group, np.arange(len(self.kinds)))
+        return sizes(self.covariance[q:, q:] / np.outer(s, s), self.values / s, first,
+                     self.weights.variances, np.full(len(first), LARGEST))
+
+
+def fitted(data: Points, state: State, weights: Weights, used: NDArray[np.bool_], root: Array,
+           iterations: int = 20) -> Fit:
+    """Return the estimate with the least squares of residuals and priors near a state."""
+    frame = Fit(data, state, weights, used, root, np.zeros(0), np.zeros((0, 0)))
+    prior, n, u = 1 / frame.stds, len(data), frame.unknowns
+    whiten = np.tile(1 / weights.noise, n)
+
+    def rows(at: State) -> Rows:
+        r, J = linearised(data, at, root)
+        values = np.append(at.arm.values, at.smooth.ravel())
+        by_prior = np.zeros((len(prior), J.shape[1]))
+        by_prior[:, u:] = np.diag(prior)
+        return Rows(np.append(r * whiten, values * prior),
+                    lambda: np.vstack([J * whiten[:, None], by_prior]))
+    block = np.append(np.repeat(np.arange(n), 3), np.full(len(prior), n))
+    system = System(rows, State.moved, block)
+    state = least_squares(system, state, np.append(used.astype(float), 1.0), iterations, 1e-4)
+    r, J = linearised(data, state, root)
+    return replace(frame, state=state, residuals=r * whiten, jacobian=J * whiten[:, None])
+
+
+def weighed(fit: Fit, stated: bool = False) -> Weights:
+    """Return the weights that a fit shows, those of kinds for an estimate or as stated of it."""
+    shown = fit.shown if fit.kinds else None
+    variances = fit.weights.variances if shown is None else (
+        shown.stated if stated else shown.lean)
+    rows = np.repeat(fit.used, 3)
+    J, own = fit.jacobian[rows], (fit.residuals * np.tile(fit.weights.noise, len(fit.data)))[rows]
+    free = (1 - np.einsum('mi,ij,mj->m', J, fit.covariance, J)).reshape(-1, 3).sum(axis=0)
+    squares = (own.reshape(-1, 3) ** 2).sum(axis=0)
+    pooled = squares.sum() / max(free.sum(), 1.0)
+    noise = np.sqrt((squares + POOLED * pooled) / (np.maximum(free, 0.0) + POOLED))
+    return Weights(np.maximum(noise, LEAST_NOISE), variances)
+
+
+def adjusted(fit: Fit, stated: bool = False, rounds: int = ROUNDS) -> Fit:
+    """Return a fit with weights as the data show them; stated: see weighed."""
+    for _ in range(rounds):
+        weights = weighed(fit, stated)
+        change = max(np.abs(np.log(weights.noise / fit.weights.noise)).max(),
+                     np.abs(np.log(weights.variances / fit.weights.variances)).max(initial=0.0))
+        fit = fitted(fit.data, fit.state, weights, fit.used, fit.root)
+        if change < SETTLED:
+            break
+    return fit
+
+
+def without_outliers(fit: Fit) -> Fit:
+    """Return a fit, adjusted, after leaving out the rows that the others do not explain."""
+    while True:
+        fit = adjusted(fit)
+        rows, used = np.repeat(fit.used, 3), np.flatnonzero(fit.used)
+        r, block = fit.residuals[rows], np.repeat(np.arange(len(used)), 3)
+        left_out = deleted(r, fit.jacobian[rows], fit.covariance, block)
+        squares = (r * left_out).reshape(-1, 3).mean(axis=1)
+        worst = unexplained(squares, 3, len(fit.data), len(used) - MINIMUM)
+        if not len(worst):
+            return fit
+        keep = fit.used.copy()
+        keep[used[worst]] = False
+        fit = replace(fit, used=keep)
+
+
+def first_fit(data: Points, arm: Arm) -> Fit:
+    """
+    Return the hand-eye transform alone, with the arm as it is, however far it is off.
+
+    Raises TooFewConfigurationsError.
+    """
+    if len(data) < MINIMUM:
+        raise TooFewConfigurationsError(len(data), MINIMUM)
+    rough, nothing = Weights(np.full(3, ROUGH), np.zeros(0)), np.zeros((len(data), 0))
+
+    def refit(state: State, weights: Array) -> State:
+        block = np.repeat(np.arange(len(data)), 3)
+        system = System(rows, State.moved, block)
+        return least_squares(system, state, weights, ANNEALING_STEPS, NEAR)
+
+    def rows(at: State) -> Rows:
+        r, J = linearised(data, at, nothing)
+        return Rows(r / ROUGH, lambda: J / ROUGH)
+
+    def squares(at: State) -> Array:
+        return np.asarray((rows(at).residuals.reshape(-1, 3) ** 2).mean(axis=1))
+    ends = [graduated(start, squares, refit)
+            for start in starts(data, arm, np.random.default_rng(SEED))]
+    state = min(ends, key=lambda end: float(np.median(squares(end))))
+    now = squares(state)
+    used = now <= max(25.0 * float(np.median(now)), 1e-12)
+    if used.sum() < MINIMUM:
+        raise TooFewConfigurationsError(int(used.sum()), MINIMUM)
+    return adjusted(fitted(data, state, rough, used, nothing))
+
+
+def with_arm(fit: Fit, arm: Arm) -> Fit:
+    """Return the fit with the parameters of an arm too, at their configured size."""
+    state = replace(fit.state, arm=arm)
+    variances = np.ones(len({p.kind for p in arm.parameters}))
+    return fitted(fit.data, state, Weights(fit.weights.noise, variances), fit.used, fit.root)
+
+
+def stated_covariance(fit: Fit) -> tuple[Fit, Array]:
+    """
+    Return the fit with the errors as large as they may be, and the covariance of the estimate.
+
+    (u, u), of X, the targets, the parameters: what the wider errors move the estimate by is in it,
+    and that what is left of the robot's error is smooth, so that neighbours share it.
+    """
+    wide = _with_smooth(adjusted(fit, stated=True))
+    own = fit.jacobian.shape[1]
+    away = np.concatenate([se3.difference(wide.state.X, fit.state.X),
+                           (wide.state.targets - fit.state.targets).ravel(),
+                           wide.state.arm.values - fit.state.arm.values])
+    return wide, wide.covariance[:own, :own] + np.outer(away, away)
+
+
+def _with_smooth(fit: Fit) -> Fit:
+    """Return a fit with what is left of the robot's error, as large as it may be."""
+    root = process(places(fit.state.arm.forward(fit.data.q)))
+    state = replace(fit.state, smooth=np.zeros((root.shape[1], 3)))
+    for _ in range(SMOOTH_ROUNDS):
+        weights = Weights(fit.weights.noise, np.append(
+            fit.weights.variances[:len(fit.kinds) - bool(fit.root.shape[1])], 1.0))
+        fit = fitted(fit.data, state, weights, fit.used, root)
+        after = weighed(fit, stated=True)
+        fit = replace(fit, weights=Weights(after.noise, np.append(
+            weights.variances[:-1], after.variances[-1])))
+    return fit

@@ -1,0 +1,180 @@
+"""
+From configurations and points to the corrected arm: models from simple to rich, and the answer.
+
+Each model predicts points that were left out, region by region of the joint space; one that
+predicts them worse than a simpler one does is not the answer.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from handeye_ros.data import Array
+from handeye_ros.kinematics.chain import Chain
+from handeye_ros.kinematics.errors import (
+    ContradictionError,
+    DegenerateConfigurationsError,
+)
+from handeye_ros.kinematics.estimate import (
+    adjusted,
+    Fit,
+    first_fit,
+    stated_covariance,
+    with_arm,
+    without_outliers,
+)
+from handeye_ros.kinematics.model import Arm, GEOMETRY, OFFSET, parameters, REVOLUTE
+from handeye_ros.kinematics.points import Points, residuals
+import numpy as np
+from numpy.typing import NDArray
+
+REGIONS = 8  # of the joint space, each left out once
+FEWEST_OF_REGION = 3
+FOLD_ROUNDS = 2
+UNKNOWN = 0.9  # of the prior sigma: what is left is next to all of it
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A fit with some kinds of parameters; left_out: (n,) errors (m) of left-out points."""
+
+    kinds: tuple[str, ...]
+    fit: Fit
+    left_out: Array
+
+    @property
+    def left_out_rms(self) -> float:
+        """Return the RMS of the left-out errors of the used points (m)."""
+        return float(np.sqrt((self.left_out[self.fit.used] ** 2).mean()))
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """
+    The answer: the model chosen, and all models from the simplest, which has no errors of the arm.
+
+    covariance: (u, u) of X, the targets, the parameters; known: (k,) sigma over prior of each
+    parameter; smooth: 1 sigma (m) of what is left of the robot's error; warnings: sentences.
+    """
+
+    models: tuple[Model, ...]
+    chosen: Model
+    covariance: Array
+    known: Array
+    smooth: float
+    warnings: tuple[str, ...]
+
+    @property
+    def arm(self) -> Arm:
+        """Return the arm with its errors."""
+        return self.chosen.fit.state.arm
+
+    @property
+    def stds(self) -> Array:
+        """Return 1 sigma (k,) of its parameters."""
+        first = self.chosen.fit.unknowns
+        return np.sqrt(np.diag(self.covariance)[first:first + len(self.arm.values)])
+
+
+def solve(data: Points, chain: Chain, more: Sequence[str], limit: float) -> Outcome:
+    """
+    Return the corrected arm and the hand-eye transform that belongs to it.
+
+    more: kinds of parameters beside the geometry; limit: the largest residual of a trusted
+    answer (m). Raises DataError.
+    """
+    start = first_fit(data, Arm(chain))
+    _require_rotation(start)
+    ladder = [(OFFSET,), GEOMETRY, *([(*GEOMETRY, *more)] if more else [])]
+    richest = _fit(start, chain, ladder[-1])
+    if richest.noise_rms > limit:
+        from handeye_ros.kinematics.causes import cause_of
+        raise ContradictionError(richest.noise_rms, limit, cause_of(start, chain))
+    fold = regions(data.q)
+    start = adjusted(replace(start, used=richest.used))
+    fits = [(kinds, _fit(start, chain, kinds) if kinds != ladder[-1] else richest)
+            for kinds in ladder]
+    models = tuple(Model(kinds, replace(fit, used=richest.used), _left_out(fit, fold))
+                   for kinds, fit in [((), start), *fits])
+    chosen = min(models, key=lambda model: model.left_out_rms)
+    wide, covariance = stated_covariance(chosen.fit)
+    return Outcome(models, chosen, covariance, _known(chosen.fit), wide.smooth_std,
+                   tuple(_warnings(models, chosen)))
+
+
+def _fit(start: Fit, chain: Chain, kinds: Sequence[str]) -> Fit:
+    own = parameters(chain, kinds)
+    return without_outliers(with_arm(start, Arm(chain, own, np.zeros(len(own)))))
+
+
+def regions(q: Array) -> NDArray[np.intp]:
+    """Return the region (n,) of the joint space that configurations (n, joints) belong to."""
+    parts = [np.arange(len(q))]
+    while len(parts) < REGIONS and min(map(len, parts)) >= 2 * FEWEST_OF_REGION:
+        halves = []
+        for part in parts:
+            centred = q[part] - q[part].mean(axis=0)
+            _, _, axes = np.linalg.svd(centred, full_matrices=False)
+            order = part[np.argsort(centred @ axes[0], kind='stable')]
+            halves += [order[:len(order) // 2], order[len(order) // 2:]]
+        parts = halves
+    region = np.empty(len(q), dtype=np.intp)
+    for number, part in enumerate(parts):
+        region[part] = number
+    return region
+
+
+def _left_out(fit: Fit, fold: NDArray[np.intp]) -> Array:
+    """Return the errors (n,) of points, each against the answer without its region."""
+    data, errors = fit.data, np.empty(len(fit.data))
+    for number in range(int(fold.max()) + 1):
+        there = fold == number
+        others = adjusted(replace(fit, used=fit.used & ~there), rounds=FOLD_ROUNDS)
+        own = data.select(there)
+        off = residuals(own, others.state, others.state.arm.forward(own.q))
+        errors[there] = np.linalg.norm(off, axis=1)
+    return errors
+
+
+def _known(fit: Fit) -> Array:
+    """Return the sigma over the prior (k,) of the parameters, both as configured."""
+    first, arm = fit.unknowns, fit.state.arm
+    as_configured = replace(fit, weights=replace(
+        fit.weights, variances=np.ones_like(fit.weights.variances)))
+    variances = np.diag(as_configured.covariance)[first:first + len(arm.values)]
+    return np.sqrt(variances) / arm.stds
+
+
+def _require_rotation(fit: Fit) -> None:
+    std = np.sqrt(np.diag(fit.covariance)[:6])
+    if std[3:].max() > 0.1:
+        raise DegenerateConfigurationsError('the orientation of the sensor')
+    if std[:3].max() > 0.1:
+        raise DegenerateConfigurationsError('the position of the sensor')
+
+
+def _warnings(models: Sequence[Model], chosen: Model) -> list[str]:
+    told, last = [], models[-1]
+    lost = int((~last.fit.used).sum())
+    if lost:
+        told.append(f'{lost} of {len(last.fit.used)} points contradict the others and are left '
+                    'out')
+    if chosen is not last:
+        told.append(f'the model with {" and ".join(last.kinds)} predicts left-out points worse '
+                    f'than {" and ".join(chosen.kinds) or "the URDF as it is"}: the simpler one '
+                    'is the answer')
+    arm, q = last.fit.state.arm, last.fit.data.q
+    if one_configuration(arm, q):
+        told.append('all poses are of one configuration of elbow and wrist: others make more of '
+                    'the joints known')
+    return told
+
+
+def one_configuration(arm: Arm, q: Array) -> bool:
+    """Tell whether a six-axis arm stays on one side of all its singular configurations."""
+    chain = arm.chain
+    if len(chain.joints) != 6 or any(joint.kind != REVOLUTE for joint in chain.joints):
+        return False
+    own = parameters(chain, (OFFSET,))
+    _, J = Arm(chain, own, np.zeros(6)).with_twists(q)
+    return len(np.unique(np.sign(np.linalg.det(J)))) == 1
