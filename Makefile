@@ -33,7 +33,7 @@ demo:
 
 # Every part of the product, in the environment of the demo; without the long tests.
 test:
-	@tools/environment.sh .venv ros,test
+	@tools/environment.sh .venv ros,kinematics,test
 	@$(MAKE) --no-print-directory tf2_msgs || true  # the last line of the tests says what is missing
 	.venv/bin/python $(PYTEST) -n $(WORKERS) -m 'not thorough' $(PYTEST_OPTIONS)
 
@@ -43,7 +43,7 @@ test-all:
 	    $(MAKE) --no-print-directory $$part || status=1; done; exit $$status
 
 test-newest:
-	@tools/environment.sh .venv ros,test,dev
+	@tools/environment.sh .venv ros,kinematics,test,dev
 	@$(MAKE) --no-print-directory tf2_msgs || true
 	.venv/bin/python $(PYTEST) -n $(WORKERS) $(PYTEST_OPTIONS)
 
@@ -66,14 +66,14 @@ tf2_msgs:
 	    .venv/bin/python tools/build_interfaces.py test/interfaces/tf2_msgs
 
 lint:
-	@tools/environment.sh .venv ros,test,dev
+	@tools/environment.sh .venv ros,kinematics,test,dev
 	.venv/bin/ruff check
 	.venv/bin/flake8
 	.venv/bin/mypy
 
 # What the documentation draws and lists from the code.
 figures:
-	@tools/environment.sh .venv ros,test,dev
+	@tools/environment.sh .venv ros,kinematics,test,dev
 	.venv/bin/python tools/draw_architecture.py
 	.venv/bin/python tools/draw_targets.py
 	.venv/bin/python tools/draw_routines.py

@@ -25,7 +25,7 @@ FLOORS = (
     ('sampling', 'files', 'scanning', 'verification', 'guidance'),
     ('diagnosis',),
     ('pipeline',),
-    ('comparison',),
+    ('comparison', 'kinematics'),
     ('cli', 'ros'),
     ('__main__',),
 )

@@ -3,8 +3,18 @@ Every verb of the command `handeye`, each of which wraps one function of the lib
 
 One file per group of verbs; importing it here makes its verbs known.
 """
-from handeye_ros.cli import calibrate, check, recordings, results, scan, seam, session, verify
+from handeye_ros.cli import (
+    calibrate,
+    check,
+    kinematics,
+    recordings,
+    results,
+    scan,
+    seam,
+    session,
+    verify,
+)
 from handeye_ros.cli.app import app
 
-__all__ = ['app', 'calibrate', 'check', 'recordings', 'results', 'scan', 'seam', 'session',
-           'verify']
+__all__ = ['app', 'calibrate', 'check', 'kinematics', 'recordings', 'results', 'scan', 'seam',
+           'session', 'verify']

@@ -12,6 +12,7 @@ from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.points import Points
 import numpy as np
 
+FEW = 2  # starts: a cause is seen by any of them
 BETTER = 0.2  # of the residual: what explains so much is the cause
 
 
@@ -20,7 +21,7 @@ def cause_of(fit: Fit, chain: Chain) -> str:
     best, found = BETTER * fit.noise_rms, ''
     for words, changed in _changes(fit.data, chain):
         try:
-            rms = first_fit(changed, Arm(chain)).noise_rms
+            rms = first_fit(changed, Arm(chain), FEW).noise_rms
         except DataError:
             continue
         if rms < best:

@@ -139,13 +139,13 @@ def chain_of(text: str, base: str = '', flange: str = '', source: object = 'robo
 
 
 def _parsed(text: str, source: object) -> ElementTree.Element:
+    if '<xacro:' in text:
+        raise UrdfError(source, 'holds xacro macros: write it as URDF first, with "xacro FILE '
+                        '-o robot.urdf"')
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise UrdfError(source, f'is no XML: {error}') from error
-    if '<xacro:' in text:
-        raise UrdfError(source, 'holds xacro macros: write it as URDF first, with "xacro FILE '
-                        '-o robot.urdf"')
     if root.tag != 'robot':
         raise UrdfError(source, f'is no URDF: its first element is <{root.tag}>, not <robot>')
     return root

@@ -26,11 +26,12 @@ from handeye_ros.estimation.least_squares import (
 from handeye_ros.estimation.sizes import Sizes, sizes
 from handeye_ros.kinematics.errors import TooFewConfigurationsError
 from handeye_ros.kinematics.model import Arm
-from handeye_ros.kinematics.points import linearised, Points, State, starts
+from handeye_ros.kinematics.points import linearised, Points, starts, State
 import numpy as np
 from numpy.typing import NDArray
 
 MINIMUM = 12  # configurations
+STARTS = 8  # that are refined
 ROUGH = 1e-3  # residuals (m) of a start, whose robot is only inaccurate
 SMOOTH = 2e-4  # 1 sigma of what is left of the robot's error, each axis (m)
 ROUNDS, SETTLED = 6, 0.02  # of estimating sizes and noise; relative change that ends them
@@ -190,11 +191,11 @@ def without_outliers(fit: Fit) -> Fit:
         fit = replace(fit, used=keep)
 
 
-def first_fit(data: Points, arm: Arm) -> Fit:
+def first_fit(data: Points, arm: Arm, most: int = STARTS) -> Fit:
     """
     Return the hand-eye transform alone, with the arm as it is, however far it is off.
 
-    Raises TooFewConfigurationsError.
+    most: starts that are refined. Raises TooFewConfigurationsError.
     """
     if len(data) < MINIMUM:
         raise TooFewConfigurationsError(len(data), MINIMUM)
@@ -212,7 +213,7 @@ def first_fit(data: Points, arm: Arm) -> Fit:
     def squares(at: State) -> Array:
         return np.asarray((rows(at).residuals.reshape(-1, 3) ** 2).mean(axis=1))
     ends = [graduated(start, squares, refit)
-            for start in starts(data, arm, np.random.default_rng(SEED))]
+            for start in starts(data, arm, most, np.random.default_rng(SEED))]
     state = min(ends, key=lambda end: float(np.median(squares(end))))
     now = squares(state)
     used = now <= max(25.0 * float(np.median(now)), 1e-12)
@@ -228,19 +229,20 @@ def with_arm(fit: Fit, arm: Arm) -> Fit:
     return fitted(fit.data, state, Weights(fit.weights.noise, variances), fit.used, fit.root)
 
 
-def stated_covariance(fit: Fit) -> tuple[Fit, Array]:
+def stated_covariance(fit: Fit, chosen: State) -> tuple[Fit, Array]:
     """
-    Return the fit with the errors as large as they may be, and the covariance of the estimate.
+    Return a fit with the errors as large as they may be, and the covariance of a chosen estimate.
 
-    (u, u), of X, the targets, the parameters: what the wider errors move the estimate by is in it,
-    and that what is left of the robot's error is smooth, so that neighbours share it.
+    (u, u), of X, the targets and the first of the parameters, which the chosen one has too: what
+    the wider errors move it by is in it, and that what is left of the robot's error is smooth, so
+    that neighbours share it.
     """
     wide = _with_smooth(adjusted(fit, stated=True))
-    own = fit.jacobian.shape[1]
-    away = np.concatenate([se3.difference(wide.state.X, fit.state.X),
-                           (wide.state.targets - fit.state.targets).ravel(),
-                           wide.state.arm.values - fit.state.arm.values])
-    return wide, wide.covariance[:own, :own] + np.outer(away, away)
+    own = len(chosen.arm.values)
+    away = np.concatenate([se3.difference(wide.state.X, chosen.X),
+                           (wide.state.targets - chosen.targets).ravel(),
+                           wide.state.arm.values[:own] - chosen.arm.values])
+    return wide, wide.covariance[:len(away), :len(away)] + np.outer(away, away)
 
 
 def _with_smooth(fit: Fit) -> Fit:

@@ -9,21 +9,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from handeye_ros.data import Array
-from handeye_ros.kinematics.chain import Chain
+from handeye_ros import __version__
+from handeye_ros.checks.motion import mount_frame, name_direction, worst_translation
+from handeye_ros.config import Config, flatten
+from handeye_ros.data import Array, Calibration, Quality, SampleReport
+from handeye_ros.kinematics.answer import Answer, ModelErrors
+from handeye_ros.kinematics.causes import cause_of
+from handeye_ros.kinematics.chain import Chain, REVOLUTE
 from handeye_ros.kinematics.errors import (
     ContradictionError,
     DegenerateConfigurationsError,
 )
 from handeye_ros.kinematics.estimate import (
     adjusted,
-    Fit,
     first_fit,
+    Fit,
     stated_covariance,
     with_arm,
     without_outliers,
 )
-from handeye_ros.kinematics.model import Arm, GEOMETRY, OFFSET, parameters, REVOLUTE
+from handeye_ros.kinematics.model import Arm, GEOMETRY, OFFSET, parameters
 from handeye_ros.kinematics.points import Points, residuals
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +36,8 @@ from numpy.typing import NDArray
 REGIONS = 8  # of the joint space, each left out once
 FEWEST_OF_REGION = 3
 FOLD_ROUNDS = 2
-UNKNOWN = 0.9  # of the prior sigma: what is left is next to all of it
+HOPELESS = 20.0  # times the limit of a corrected arm: no arm is so inaccurate
+LARGEST_TURN, LARGEST_SHIFT = 0.02, 0.01  # 1 sigma of the sensor's place (rad, m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +52,12 @@ class Model:
     def left_out_rms(self) -> float:
         """Return the RMS of the left-out errors of the used points (m)."""
         return float(np.sqrt((self.left_out[self.fit.used] ** 2).mean()))
+
+
+    @property
+    def left_out_median(self) -> float:
+        """Return the median of the same (m)."""
+        return float(np.median(self.left_out[self.fit.used]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,20 +96,23 @@ def solve(data: Points, chain: Chain, more: Sequence[str], limit: float) -> Outc
     answer (m). Raises DataError.
     """
     start = first_fit(data, Arm(chain))
-    _require_rotation(start)
+    if start.noise_rms > HOPELESS * limit:
+        raise ContradictionError(start.noise_rms, HOPELESS * limit, cause_of(start, chain))
     ladder = [(OFFSET,), GEOMETRY, *([(*GEOMETRY, *more)] if more else [])]
     richest = _fit(start, chain, ladder[-1])
     if richest.noise_rms > limit:
-        from handeye_ros.kinematics.causes import cause_of
         raise ContradictionError(richest.noise_rms, limit, cause_of(start, chain))
+    _require_mount(richest)
     fold = regions(data.q)
     start = adjusted(replace(start, used=richest.used))
     fits = [(kinds, _fit(start, chain, kinds) if kinds != ladder[-1] else richest)
             for kinds in ladder]
     models = tuple(Model(kinds, replace(fit, used=richest.used), _left_out(fit, fold))
                    for kinds, fit in [((), start), *fits])
-    chosen = min(models, key=lambda model: model.left_out_rms)
-    wide, covariance = stated_covariance(chosen.fit)
+    chosen = models[0]
+    for model in models[1:]:
+        chosen = model if _better(model, chosen) else chosen
+    wide, covariance = stated_covariance(richest, chosen.fit.state)
     return Outcome(models, chosen, covariance, _known(chosen.fit), wide.smooth_std,
                    tuple(_warnings(models, chosen)))
 
@@ -136,6 +151,13 @@ def _left_out(fit: Fit, fold: NDArray[np.intp]) -> Array:
     return errors
 
 
+def _better(model: Model, simpler: Model) -> bool:
+    """Tell whether a model predicts left-out points better, by more than one standard error."""
+    used = model.fit.used
+    gain = simpler.left_out[used] ** 2 - model.left_out[used] ** 2
+    return bool(gain.mean() > gain.std() / len(gain) ** 0.5)
+
+
 def _known(fit: Fit) -> Array:
     """Return the sigma over the prior (k,) of the parameters, both as configured."""
     first, arm = fit.unknowns, fit.state.arm
@@ -145,12 +167,12 @@ def _known(fit: Fit) -> Array:
     return np.sqrt(variances) / arm.stds
 
 
-def _require_rotation(fit: Fit) -> None:
+def _require_mount(fit: Fit) -> None:
     std = np.sqrt(np.diag(fit.covariance)[:6])
-    if std[3:].max() > 0.1:
-        raise DegenerateConfigurationsError('the orientation of the sensor')
-    if std[:3].max() > 0.1:
-        raise DegenerateConfigurationsError('the position of the sensor')
+    for what, size, limit in (('orientation', std[3:].max(), LARGEST_TURN),
+                              ('position', std[:3].max(), LARGEST_SHIFT)):
+        if size > limit:
+            raise DegenerateConfigurationsError(f'the {what} of the sensor')
 
 
 def _warnings(models: Sequence[Model], chosen: Model) -> list[str]:
@@ -160,9 +182,9 @@ def _warnings(models: Sequence[Model], chosen: Model) -> list[str]:
         told.append(f'{lost} of {len(last.fit.used)} points contradict the others and are left '
                     'out')
     if chosen is not last:
-        told.append(f'the model with {" and ".join(last.kinds)} predicts left-out points worse '
-                    f'than {" and ".join(chosen.kinds) or "the URDF as it is"}: the simpler one '
-                    'is the answer')
+        told.append(f'the model with {" and ".join(last.kinds)} predicts left-out points no '
+                    f'better than {" and ".join(chosen.kinds) or "the URDF as it is"}: the '
+                    'simpler one is the answer')
     arm, q = last.fit.state.arm, last.fit.data.q
     if one_configuration(arm, q):
         told.append('all poses are of one configuration of elbow and wrist: others make more of '
@@ -178,3 +200,31 @@ def one_configuration(arm: Arm, q: Array) -> bool:
     own = parameters(chain, (OFFSET,))
     _, J = Arm(chain, own, np.zeros(6)).with_twists(q)
     return len(np.unique(np.sign(np.linalg.det(J)))) == 1
+
+
+def answer_of(outcome: Outcome, config: Config, inputs: Sequence[dict[str, str]]) -> Answer:
+    """Return what is told of an outcome."""
+    fit, models, chain = outcome.chosen.fit, outcome.models, outcome.arm.chain
+    config = replace(config, robot_base_frame=chain.base, robot_effector_frame=chain.flange)
+    chosen = models.index(outcome.chosen)
+    told = tuple(ModelErrors(m.kinds, m.fit.noise_rms, m.left_out_rms, m.left_out_median)
+                 for m in models)
+    provenance = {'version': __version__, 'inputs': list(inputs), 'config': flatten(config)}
+    std, direction = worst_translation(outcome.covariance[:6, :6])
+    parent, used = mount_frame(config), fit.used
+    quality = Quality(int(used.sum()), int((~used).sum()), fit.noise_rms,
+                      outcome.chosen.left_out_rms,
+                      f'position along {name_direction(direction, parent)} (m)', std)
+    off = np.linalg.norm(fit.residuals.reshape(-1, 3) * fit.weights.noise, axis=1)
+    samples = tuple(SampleReport(int(number), bool(good), fit.data.names[target], float(distance),
+                                 '' if good else 'contradicts the others')
+                    for number, good, target, distance in zip(
+                        fit.data.number, used, fit.data.target, off, strict=True))
+    target = {f'point_{name}': dict(zip('xyz', map(float, centre), strict=True))
+              for name, centre in zip(fit.data.names, fit.state.targets, strict=True)}
+    calibration = Calibration(
+        config.name or 'kinematics', 'kinematics', parent, config.sensor_frame, fit.state.X,
+        outcome.covariance[:6, :6], {**target, 'robot_position_error': outcome.smooth}, quality,
+        samples, provenance)
+    return Answer(outcome.arm, outcome.stds, outcome.known, told, chosen, outcome.smooth,
+                  calibration, outcome.warnings)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 SWEPT = 4000  # rotations that a start is looked for among
-STARTS = 8  # of them that are refined
 APART = 0.2  # starts are turned by more than this against each other (rad)
 
 
@@ -97,7 +96,7 @@ def linearised(data: Points, state: State, root: Array) -> tuple[Array, Array]:
     """
     T, twists = state.arm.with_twists(data.q)
     n, t = len(data), len(state.targets)
-    R, a = T[:, :3, :3], T[:, :3, 3]
+    R = T[:, :3, :3]
     lever = data.points @ state.X[:3, :3].T
     off, axes = _off(data, state, T)
     by_mount = np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), -se3.skew(lever)], axis=2)
@@ -118,9 +117,9 @@ def linearised(data: Points, state: State, root: Array) -> tuple[Array, Array]:
     return (turned @ off[:, :, None]).ravel(), (turned @ J).reshape(3 * n, -1)
 
 
-def starts(data: Points, arm: Arm, rng: np.random.Generator) -> list[State]:
+def starts(data: Points, arm: Arm, most: int, rng: np.random.Generator) -> list[State]:
     """
-    Return estimates to start from, the best first, without any error of the arm.
+    Return so many estimates to start from, the best first, without any error of the arm.
 
     For a given rotation of the sensor all else is linear, so the squared residual is a quadratic
     function of the nine numbers of a rotation, which many are put into.
@@ -136,9 +135,9 @@ def starts(data: Points, arm: Arm, rng: np.random.Generator) -> list[State]:
     b = a if data.on_flange else -a
     M = np.einsum('nij,nk->nijk', to_mount, data.points).reshape(3 * n, 9)
     both = np.column_stack([M, b.ravel()])
-    A = A.reshape(3 * n, -1)
-    inverse = np.linalg.pinv(A, rcond=1e-9)
-    left = both - A @ (inverse @ both)
+    flat = A.reshape(3 * n, -1)
+    inverse = np.linalg.pinv(flat, rcond=1e-9)
+    left = both - flat @ (inverse @ both)
     gram = left.T @ left
     rotations = Rotation.random(SWEPT, random_state=rng).as_matrix()
     v = np.column_stack([rotations.reshape(-1, 9), np.ones(SWEPT)])
@@ -150,6 +149,6 @@ def starts(data: Points, arm: Arm, rng: np.random.Generator) -> list[State]:
             linear = -inverse @ (both @ v[i])
             found.append(State(se3.transform(turned, linear[:3]), linear[3:].reshape(t, 3), arm,
                                np.zeros((0, 3))))
-        if len(found) == STARTS:
+        if len(found) == most:
             break
     return found

@@ -1,0 +1,213 @@
+"""
+Robots with errors of their own: how well their joints are found, and what is left of the error.
+
+usage: .venv/bin/python bench/kinematics.py [--seeds N] [--stops N] [CASE...]
+
+Each seed draws a robot whose flange is off by the stated RMS over its workspace, a sensor on it,
+and configurations that see one ball (noise 0.03 mm each axis); 22 more are held out. "before" and
+"after": RMS error of where held-out balls are predicted, without their noise (mm), with the URDF
+as it is and with the answer; "bound": what the best estimator with the true sizes of all errors
+would reach, of what the model holds. "NEES": squared error of the hand-eye transform over its
+stated covariance, over 6: 1 is honest. "95 %": how often it lies in its stated region. "joints":
+how often a parameter lies within 2 sigma.
+"""
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+import time
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.kinematics.chain import chain_of
+from handeye_ros.kinematics.estimate import fitted, Weights
+from handeye_ros.kinematics.model import Arm, GEOMETRY, ON_DEMAND, parameters
+from handeye_ros.kinematics.outcome import Outcome, solve
+from handeye_ros.kinematics.points import linearised, Points, State
+import numpy as np
+from scipy.stats import chi2
+
+NOISE, HELD_OUT, LIMIT = 3e-5, 22, 1e-3
+# xyz of each joint's origin in the joint before, its axis, and its limits (rad)
+SIX = (((0, 0, 0.495), (0, 0, 1), 3.1), ((0.175, 0, 0), (0, 1, 0), 1.6),
+       ((0, 0, 0.9), (0, 1, 0), 2.5), ((0, 0, 0.175), (1, 0, 0), 6.0),
+       ((0.96, 0, 0), (0, 1, 0), 2.1), ((0.135, 0, 0), (1, 0, 0), 6.0))
+SEVEN = (((0, 0, 0.34), (0, 0, 1), 2.9), ((0, 0, 0), (0, 1, 0), 2.1),
+         ((0, 0, 0.4), (0, 0, 1), 2.9), ((0, 0, 0), (0, -1, 0), 2.1),
+         ((0, 0, 0.4), (0, 0, 1), 2.9), ((0, 0, 0), (0, 1, 0), 2.1),
+         ((0, 0, 0.126), (0, 0, 1), 3.0))
+STARTS = {6: (0.0, 0.1, 0.3, 0.0, 1.0, 0.0), 7: (0.0, 0.6, 0.0, -1.2, 0.0, 1.2, 0.0)}
+SPREADS = {6: (0.5, 0.3, 0.4, 2.0, 0.8, 2.0), 7: (0.5, 0.4, 0.8, 0.5, 1.0, 0.6, 2.0)}
+BALLS = {6: (1.5, 0.1, 0.5), 7: (0.65, 0.05, 0.15)}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A kind of robots: its joints, RMS of its error (m), and what else is wrong."""
+
+    joints: tuple = SIX
+    error: float = 5e-4
+    more: tuple[str, ...] = ()
+    on_flange: bool = True
+
+
+CASES = {
+    'six': Case(), 'seven': Case(SEVEN), 'small': Case(error=1e-4), 'large': Case(error=1e-3),
+    'none': Case(error=0.0), 'beside': Case(on_flange=False),
+    'eccentric': Case(more=('eccentricity',)),
+    'eccentric_sag': Case(more=('eccentricity', 'sag')),
+}
+
+
+def urdf(joints: tuple) -> str:
+    """Return the URDF of joints in a row, with a last fixed frame."""
+    links = ''.join(f'<link name="link_{k}"/>' for k in range(len(joints) + 1))
+    moving = ''.join(
+        f'<joint name="joint_{k}" type="revolute"><origin xyz="{x} {y} {z}"/>'
+        f'<parent link="link_{k - 1}"/><child link="link_{k}"/>'
+        f'<axis xyz="{" ".join(map(str, axis))}"/>'
+        f'<limit lower="{-limit}" upper="{limit}" effort="0" velocity="0"/></joint>'
+        for k, ((x, y, z), axis, limit) in enumerate(joints, 1))
+    return (f'<?xml version="1.0"?><robot name="arm">{links}<link name="tool0"/>{moving}'
+            f'<joint name="end" type="fixed"><origin xyz="0 0 0.05" rpy="0 1.5708 0"/>'
+            f'<parent link="link_{len(joints)}"/><child link="tool0"/></joint></robot>')
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """What is true: the arm, the sensor, the ball; the points seen, with and without noise."""
+
+    arm: Arm
+    X: Array
+    ball: Array
+    data: Points
+    exact: Points
+
+
+def draw(case: Case, stops: int, seed: int) -> Cell:
+    """Return a robot with its errors, and configurations that see the ball."""
+    rng, n = np.random.default_rng(seed), len(case.joints)
+    chain = chain_of(urdf(case.joints))
+    own = parameters(chain, (*GEOMETRY, *case.more))
+    arm = Arm(chain, own, rng.normal(size=len(own)) * [p.prior for p in own])
+    near = rng.uniform(-1, 1, (200, n)) * SPREADS[n] + STARTS[n]
+    off = arm.forward(near)[:, :3, 3] - chain.forward(near)[:, :3, 3]
+    rms = np.sqrt(((off - off.mean(axis=0)) ** 2).sum(axis=1).mean())
+    arm = replace(arm, values=arm.values * case.error / rms)
+    X = se3.perturb(np.eye(4), rng.uniform([-.1, -.1, .1, -.4, -.4, -3], [.1, .1, .2, .4, .4, 3]))
+    ball = np.array(BALLS[n])
+    if not case.on_flange:
+        X, ball = se3.transform(X[:3, :3], ball + X[:3, 3] - [0, 0, 0.2]), X[:3, 3]
+    q, points = [], []
+    while len(q) < stops:
+        found = _seen(arm, X, ball, case, rng)
+        if found is not None:
+            q.append(found[0])
+            points.append(found[1])
+    target, number = np.zeros(stops, dtype=int), np.arange(1, stops + 1)
+    exact = Points(np.array(q), np.array(points), target, ('ball',), number, case.on_flange)
+    noise = rng.normal(size=(stops, 3)) * NOISE
+    return Cell(arm, X, ball, replace(exact, points=exact.points + noise), exact)
+
+
+def _seen(arm: Arm, X: Array, ball: Array, case: Case, rng: np.random.Generator
+          ) -> tuple[Array, Array] | None:
+    """Return joint values that bring the ball near a point of the field of view, and where."""
+    n = len(case.joints)
+    q = STARTS[n] + rng.uniform(-1, 1, n) * SPREADS[n]
+    wanted = rng.uniform([-0.03, -0.02, 0.15], [0.03, 0.02, 0.25])
+    for _ in range(12):
+        T = arm.forward(q[None])[0]
+        off, J = _off(arm, q, X, ball, wanted, case.on_flange)
+        if np.linalg.norm(off) < 1e-3:
+            break
+        q = q - np.clip(J.T @ np.linalg.solve(J @ J.T + 1e-6 * np.eye(3), off), -0.3, 0.3)
+    T = arm.forward(q[None])[0]
+    point = (se3.inverse(T @ X) @ np.append(ball, 1) if case.on_flange else
+             se3.inverse(X) @ T @ np.append(ball, 1))[:3]
+    limits = np.array([limit for _, _, limit in case.joints])
+    inside = (np.abs(q) < limits).all() and np.abs(point - wanted).max() < 0.01
+    return (q, point) if inside else None
+
+
+def _off(arm: Arm, q: Array, X: Array, ball: Array, wanted: Array, on_flange: bool
+         ) -> tuple[Array, Array]:
+    offsets = parameters(arm.chain, ('offset',))
+    T, twists = Arm(arm.chain, offsets, np.zeros(len(offsets))).with_twists(q[None])
+    carried, fixed = (X @ np.append(wanted, 1), np.append(ball, 1)) if on_flange else (
+        np.append(ball, 1), X @ np.append(wanted, 1))
+    there = (T[0] @ carried)[:3]
+    J = twists[0, :3] + np.cross(twists[0, 3:], (there - T[0, :3, 3])[:, None], axis=0)
+    return there - fixed[:3], J
+
+
+def predicted(state: State, data: Points) -> Array:
+    """Return where the points (n, 3) are in the sensor, by an estimate."""
+    T, X = state.arm.forward(data.q), state.X
+    targets = np.hstack([state.targets[data.target], np.ones((len(data), 1))])[:, :, None]
+    sensor = T @ X if data.on_flange else np.broadcast_to(X, T.shape)
+    there = targets if data.on_flange else T @ targets
+    return (np.linalg.inv(sensor) @ there)[:, :3, 0]
+
+
+def rms(off: Array) -> float:
+    """Return the RMS length (mm)."""
+    return float(np.sqrt((off ** 2).sum(axis=1).mean())) * 1e3
+
+
+def bound(cell: Cell, fit: Points, held: Points, case: Case) -> float:
+    """Return the RMS error (mm) of the best prediction that knows the sizes of all errors."""
+    own = parameters(cell.arm.chain, GEOMETRY)
+    values = cell.arm.values[:len(own)]
+    scale = max(float(np.sqrt((values ** 2 / [p.prior ** 2 for p in own]).mean())), 1e-6)
+    state = State(cell.X, cell.ball[None], Arm(cell.arm.chain, own, values), np.zeros((0, 3)))
+    best = fitted(fit, state, Weights(np.full(3, NOISE), np.full(3, scale ** 2)),
+                  np.ones(len(fit), dtype=bool), np.zeros((len(fit), 0)))
+    J = linearised(held, best.state, np.zeros((len(held), 0)))[1]
+    variances = np.einsum('mi,ij,mj->m', J, best.covariance, J).reshape(-1, 3)
+    return float(np.sqrt(variances.sum(axis=1).mean())) * 1e3
+
+
+def judged(cell: Cell, case: Case, outcome: Outcome, held: Points) -> tuple[float, ...]:
+    """Return before and after (mm), NEES over 6, and the share of parameters within 2 sigma."""
+    before, after = (rms(predicted(m.fit.state, held) - held.points)
+                     for m in (outcome.models[0], outcome.chosen))
+    away = se3.difference(outcome.chosen.fit.state.X, cell.X)
+    nees = float(away @ np.linalg.solve(outcome.covariance[:6, :6], away)) / 6
+    true = {(p.joint, p.kind, p.which): v
+            for p, v in zip(cell.arm.parameters, cell.arm.values, strict=True)}
+    off = [v - true[p.joint, p.kind, p.which]
+           for p, v in zip(outcome.arm.parameters, outcome.arm.values, strict=True)]
+    inside = np.abs(off) < 2 * np.maximum(outcome.stds, 1e-12)
+    return before, after, nees, float(inside.mean()) if len(off) else 1.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument('--seeds', type=int, default=10)
+    parser.add_argument('--stops', type=int, default=40)
+    parser.add_argument('--with', dest='more', nargs='*', default=[], choices=ON_DEMAND)
+    parser.add_argument('cases', nargs='*', default=[])
+    given = parser.parse_args()
+    print(f'{"case":14} {"before":>7} {"after":>7} {"bound":>7} {"ratio":>6} {"NEES":>6} '
+          f'{"95 %":>5} {"joints":>6} {"time":>6}')
+    for name in given.cases or CASES:
+        case, rows, times = CASES[name], [], []
+        for seed in range(given.seeds):
+            cell = draw(case, given.stops + HELD_OUT, seed)
+            first = np.arange(len(cell.data)) < given.stops
+            began = time.perf_counter()
+            outcome = solve(cell.data.select(first), cell.arm.chain, given.more, LIMIT)
+            times.append(time.perf_counter() - began)
+            held = cell.exact.select(~first)
+            rows.append((*judged(cell, case, outcome, held),
+                         bound(cell, cell.data.select(first), held, case)))
+        before, after, nees, joints, best = np.array(rows).T
+        print(f'{name:14} {np.median(before):7.3f} {np.median(after):7.3f} '
+              f'{np.median(best):7.3f} {np.median(after / best):6.2f} {nees.mean():6.2f} '
+              f'{(6 * nees < chi2.ppf(0.95, 6)).mean():5.2f} {joints.mean():6.2f} '
+              f'{np.median(times):5.1f}s', flush=True)
+
+
+if __name__ == '__main__':
+    main()

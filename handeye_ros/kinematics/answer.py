@@ -1,0 +1,175 @@
+"""What is told and written of a corrected arm: kinematics.yaml, corrected.urdf."""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime, UTC
+import math
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from handeye_ros import __version__, se3
+from handeye_ros.config import yaml_content
+from handeye_ros.data import Array, Calibration
+from handeye_ros.kinematics.chain import Chain, Joint, motion, REVOLUTE
+from handeye_ros.kinematics.errors import UrdfError
+from handeye_ros.kinematics.model import Arm, COUNTS, OFFSET, ON_DEMAND, Parameter, PRIORS
+from handeye_ros.results.calibration_file import transform_from, transform_values
+import numpy as np
+import yaml
+
+FORMAT = 'handeye_ros/kinematics/1'
+NAME, URDF = 'kinematics.yaml', 'corrected.urdf'
+UNKNOWN = 0.9  # of the prior sigma: the data say next to nothing
+HEADER = """\
+# Errors of the joints and axes of an arm, found with the hand-eye transform in calibration.yaml.
+# offset is added to the joint's reading; direction (rad) and position (m) turn and shift its axis
+# across itself. known: sigma after over sigma before; {limit} or more: these data cannot tell.
+"""
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """A model of the arm: its kinds of parameters, and by how much it misses points (m, RMS)."""
+
+    kinds: tuple[str, ...]
+    residual: float
+    left_out: float
+    left_out_median: float
+
+    @property
+    def words(self) -> str:
+        """Return the kinds in words."""
+        return ', '.join(self.kinds) or 'URDF as it is'
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """
+    The corrected arm.
+
+    stds, known: (k,) 1 sigma of its parameters, and that over the prior one; models: from the
+    simplest, of which chosen is the answer; smooth: 1 sigma of what is left of the robot's error,
+    each axis (m); calibration: the hand-eye transform that belongs to it.
+    """
+
+    arm: Arm
+    stds: Array
+    known: Array
+    models: tuple[ModelErrors, ...]
+    chosen: int
+    smooth: float
+    calibration: Calibration
+    warnings: tuple[str, ...]
+
+
+def text(answer: Answer) -> str:
+    """Return what is in kinematics.yaml."""
+    arm, calibration = answer.arm, answer.calibration
+    provenance = {'version': __version__,
+                  'created': datetime.now(UTC).isoformat(timespec='seconds'),
+                  **calibration.provenance, 'warnings': list(answer.warnings)}
+    content = {
+        'format': FORMAT, 'name': calibration.name, 'base': arm.chain.base,
+        'flange': arm.chain.flange, 'joints': _joints(answer),
+        'end': transform_values(arm.chain.end),
+        'zero_offsets_degrees': {
+            j.name: round(math.degrees(float(arm.of(i, OFFSET)[0])), 5)
+            for i, j in enumerate(arm.chain.joints) if j.kind == REVOLUTE},
+        'transform': transform_values(calibration.T_flange_sensor),
+        'models': [{'parameters': list(m.kinds), 'residual_rms': m.residual,
+                    'left_out_rms': m.left_out, 'left_out_median': m.left_out_median,
+                    'chosen': i == answer.chosen} for i, m in enumerate(answer.models)],
+        'robot_smooth_error': answer.smooth,
+        'provenance': provenance}
+    return HEADER.format(limit=UNKNOWN) + str(yaml.safe_dump(
+        content, sort_keys=False, width=100, default_flow_style=None, allow_unicode=True))
+
+
+def _joints(answer: Answer) -> list[dict[str, Any]]:
+    found = []
+    for i, joint in enumerate(answer.arm.chain.joints):
+        values: dict[str, Any] = {
+            'name': joint.name, 'type': joint.kind, 'origin': transform_values(joint.origin),
+            'axis': joint.axis.tolist(), 'follows': joint.follows, 'factor': joint.factor,
+            'shift': joint.shift, 'lower': joint.lower, 'upper': joint.upper}
+        for k, parameter in enumerate(answer.arm.parameters):
+            if parameter.joint == i:
+                own = values.setdefault(parameter.kind, {'value': [], 'std': [], 'known': []})
+                for key, array in (('value', answer.arm.values), ('std', answer.stds),
+                                   ('known', answer.known)):
+                    own[key].append(float(array[k]))
+        found.append(values)
+    return found
+
+
+def read_arm(path: Path) -> Arm:
+    """Return the arm of a kinematics.yaml, or of the folder that holds it; raises UrdfError."""
+    path = path / NAME if path.is_dir() else path
+    try:
+        content = yaml_content(path.read_text(encoding='utf-8'))
+        if content.get('format') != FORMAT:
+            raise UrdfError(path, f'its format is {content.get("format")!r}, expected {FORMAT}: '
+                            'it is written by "handeye kinematics"')
+        joints, own, values = [], [], []
+        for i, joint in enumerate(content['joints']):
+            joints.append(_joint(path, joint))
+            for kind in (kind for kind in COUNTS if kind in joint):
+                for which, value in enumerate(joint[kind]['value']):
+                    own.append(Parameter(i, kind, which, PRIORS[kind][0]))
+                    values.append(float(value))
+        chain = Chain(str(content['base']), str(content['flange']), tuple(joints),
+                      transform_from(path, 'end', content['end']))
+    except OSError as error:
+        raise UrdfError(path, f'cannot be read: {error.strerror}') from error
+    except (UnicodeDecodeError, yaml.YAMLError, AttributeError, KeyError, TypeError,
+            ValueError) as error:
+        raise UrdfError(path, f'is no kinematics.yaml: {error}') from error
+    return Arm(chain, tuple(own), np.array(values))
+
+
+def _joint(path: Path, values: Mapping[str, Any]) -> Joint:
+    numbers = (float(values[key]) for key in ('factor', 'shift', 'lower', 'upper'))
+    return Joint(str(values['name']), str(values['type']),
+                 transform_from(path, 'origin', values['origin']),
+                 np.array(values['axis'], dtype=float), str(values['follows']), *numbers)
+
+
+def corrected_urdf(urdf: str, arm: Arm) -> str:
+    """
+    Return a URDF with the same links and joints, the origins of the joints corrected.
+
+    P_j D_j Exp(a_j o_j) is a transform like P_j; what changes with the joints is left out.
+    """
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    root = ElementTree.fromstring(urdf, parser)
+    elements = {e.get('name'): e for e in root.findall('joint')}
+    for i, joint in enumerate(arm.chain.joints):
+        element = elements[joint.name]
+        origin = element.find('origin')
+        if origin is None:
+            origin = ElementTree.SubElement(element, 'origin')
+        xyz, rpy = (np.array([float(v) for v in origin.get(key, '0 0 0').split()])
+                    for key in ('xyz', 'rpy'))
+        stated = se3.transform(_from_rpy(rpy), xyz)
+        T = stated @ arm.displacements[i] @ motion(joint, arm.of(i, OFFSET))[0]
+        origin.set('xyz', ' '.join(f'{v:.12g}' for v in T[:3, 3]))
+        origin.set('rpy', ' '.join(f'{v:.12g}' for v in se3.rpy(T)))
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding='unicode') + '\n'
+
+
+def _from_rpy(rpy: Array) -> Array:
+    roll, pitch, yaw = (se3.exp_rotation(angle * axis)
+                        for angle, axis in zip(rpy, np.eye(3), strict=True))
+    return np.asarray(yaw @ pitch @ roll)
+
+
+def only_in_yaml(arm: Arm) -> tuple[str, ...]:
+    """Return the kinds of parameters that no URDF can hold."""
+    return tuple(kind for kind in ON_DEMAND if any(p.kind == kind for p in arm.parameters))
+
+
+def without(arm: Arm) -> Arm:
+    """Return the arm as it was stated, without errors."""
+    return replace(arm, parameters=(), values=np.zeros(0))
