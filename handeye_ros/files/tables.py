@@ -24,9 +24,9 @@ import yaml
 
 LENGTH, ANGLE, NUMBER, TEXT = 'length', 'angle', 'number', 'text'
 UNITS = {LENGTH: {'m': 1.0, 'mm': 1e-3, 'um': 1e-6},
-         ANGLE: {'rad': 1.0, 'deg': math.radians(1.0)}}
-SPELLINGS = {'degree': 'deg', 'degrees': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad',
-             'metre': 'm', 'metres': 'm', 'meter': 'm', 'meters': 'm', 'millimetres': 'mm',
+         ANGLE: {'rad': 1.0, 'deg': math.radians(1.0), 'degrees': math.radians(1.0)}}
+SPELLINGS = {'degree': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad', 'metre': 'm',
+             'metres': 'm', 'meter': 'm', 'meters': 'm', 'millimetres': 'mm',
              'millimeters': 'mm', 'µm': 'um'}
 QUATERNION, RPY = ('qx', 'qy', 'qz', 'qw'), ('roll', 'pitch', 'yaw')
 QUATERNION_TOLERANCE = 1e-3

@@ -12,10 +12,10 @@ from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.algebra import covariance_of
-from handeye_ros.estimation.blocks import deleted, unexplained
-from handeye_ros.estimation.fields import places, process
-from handeye_ros.estimation.least_squares import (
+from handeye_ros.estimation.basis import places, process_root
+from handeye_ros.estimation.influence import leave_one_out, outliers
+from handeye_ros.estimation.linalg import covariance_of
+from handeye_ros.estimation.solver import (
     ANNEALING_STEPS,
     graduated,
     least_squares,
@@ -23,7 +23,7 @@ from handeye_ros.estimation.least_squares import (
     Rows,
     System,
 )
-from handeye_ros.estimation.sizes import Sizes, sizes
+from handeye_ros.estimation.scales import prior_scales, Scales
 from handeye_ros.kinematics.errors import TooFewConfigurationsError
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.points import linearised, Points, starts, State
@@ -120,11 +120,11 @@ class Fit:
         return SMOOTH * float(self.weights.variances[-1]) ** 0.5 if self.root.shape[1] else 0.0
 
     @cached_property
-    def shown(self) -> Sizes:
+    def shown(self) -> Scales:
         """Return how large each kind shows itself."""
         q, s = self.unknowns, self.stds
         first = np.searchsorted(self.group, np.arange(len(self.kinds)))
-        return sizes(self.covariance[q:, q:] / np.outer(s, s), self.values / s, first,
+        return prior_scales(self.covariance[q:, q:] / np.outer(s, s), self.values / s, first,
                      self.weights.variances, np.full(len(first), LARGEST))
 
 
@@ -153,7 +153,7 @@ def weighed(fit: Fit, stated: bool = False) -> Weights:
     """Return the weights that a fit shows, those of kinds for an estimate or as stated of it."""
     shown = fit.shown if fit.kinds else None
     variances = fit.weights.variances if shown is None else (
-        shown.stated if stated else shown.lean)
+        shown.conservative if stated else shown.map_scales)
     rows = np.repeat(fit.used, 3)
     J, own = fit.jacobian[rows], (fit.residuals * np.tile(fit.weights.noise, len(fit.data)))[rows]
     free = (1 - np.einsum('mi,ij,mj->m', J, fit.covariance, J)).reshape(-1, 3).sum(axis=0)
@@ -181,9 +181,9 @@ def without_outliers(fit: Fit) -> Fit:
         fit = adjusted(fit)
         rows, used = np.repeat(fit.used, 3), np.flatnonzero(fit.used)
         r, block = fit.residuals[rows], np.repeat(np.arange(len(used)), 3)
-        left_out = deleted(r, fit.jacobian[rows], fit.covariance, block)
+        left_out = leave_one_out(r, fit.jacobian[rows], fit.covariance, block)
         squares = (r * left_out).reshape(-1, 3).mean(axis=1)
-        worst = unexplained(squares, 3, len(fit.data), len(used) - MINIMUM)
+        worst = outliers(squares, 3, len(fit.data), len(used) - MINIMUM)
         if not len(worst):
             return fit
         keep = fit.used.copy()
@@ -247,7 +247,7 @@ def stated_covariance(fit: Fit, chosen: State) -> tuple[Fit, Array]:
 
 def _with_smooth(fit: Fit) -> Fit:
     """Return a fit with what is left of the robot's error, as large as it may be."""
-    root = process(places(fit.state.arm.forward(fit.data.q)))
+    root = process_root(places(fit.state.arm.forward(fit.data.q)))
     state = replace(fit.state, smooth=np.zeros((root.shape[1], 3)))
     for _ in range(SMOOTH_ROUNDS):
         weights = Weights(fit.weights.noise, np.append(
