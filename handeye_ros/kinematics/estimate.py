@@ -15,6 +15,7 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.basis import places, process_root
 from handeye_ros.estimation.influence import leave_one_out, outliers
 from handeye_ros.estimation.linalg import covariance_of
+from handeye_ros.estimation.scales import prior_scales, Scales
 from handeye_ros.estimation.solver import (
     ANNEALING_STEPS,
     graduated,
@@ -23,7 +24,6 @@ from handeye_ros.estimation.solver import (
     Rows,
     System,
 )
-from handeye_ros.estimation.scales import prior_scales, Scales
 from handeye_ros.kinematics.errors import TooFewConfigurationsError
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.points import linearised, Points, starts, State
