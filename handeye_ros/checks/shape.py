@@ -13,7 +13,6 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import ParameterBlock, tolerances
 from handeye_ros.estimation.consensus import Consensus, consensus
 from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import ENDS
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.quantiles import f_isf
 from handeye_ros.estimation.solution import redundancy, Solution
@@ -106,20 +105,15 @@ def sizes(solution: Solution) -> Iterator[tuple[ParameterBlock, float, float, fl
         first += doubt.count
 
 
-def found_doubts(solution: Solution) -> dict[str, Any]:
-    """Return what of the doubts is worth telling: scale, set-backs, sizes of the smooth errors."""
+def reported_blocks(solution: Solution) -> dict[str, Any]:
+    """Return what is told of the nuisance parameters: values of single ones, sizes of others."""
     told: dict[str, Any] = {}
-    known = solution.conservative or solution
-    for doubt, value, std, _ in sizes(solution):
-        if doubt.name == 'scale':
-            told |= {'scale': 1 + value, 'scale_std': std}
-        elif doubt.name.startswith('setback'):
-            name, end = doubt.name.rsplit('_', 1)
-            told |= {f'{name}_{ENDS[int(end) - 1]}': value,
-                     f'{name}_{ENDS[int(end) - 1]}_std': std}
-    for name in ('robot_position', 'robot_rotation', 'distortion', 'flatness'):
-        parts = [d.std for d in known.blocks if d.name.startswith(name)]
-        told |= {f'{name}_error': math.hypot(*parts)} if parts else {}
+    for block, value, std, _ in sizes(solution):
+        if block.report:
+            told |= {block.report: block.origin + value, f'{block.report}_std': std}
+    for block in (solution.conservative or solution).blocks:
+        if block.report and block.count > 1:
+            told[block.report] = math.hypot(told.get(block.report, 0.0), block.std)
     return told
 
 

@@ -8,45 +8,20 @@ answer follows from what is known of the doubts, and it is part of what is state
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.basis import box, field_motions
-from handeye_ros.estimation.blocks import DISTORTION, ParameterBlock, points_on_target, SMOOTH
-from handeye_ros.estimation.linearise import Linear, Problem
+from handeye_ros.estimation.linearise import Problem
 import numpy as np
 
 
-def by_blocks(linear: Linear, found: Sequence[ParameterBlock]) -> Array:
-    """Return by how much (6, q) what serves best moves with the unknowns of the doubts found."""
-    problem, X, points = linear.problem, linear.estimate.X, points_on_target(linear)
-    by_pose = by_poses(problem, X, box(points, (-1, 0, 1)))
-    motions = {}
-    if any(block.name.startswith('distortion') for block in found):
-        motions = dict(zip((f'distortion_{degree}' for degree in DISTORTION),
-                           field_motions(points, list(DISTORTION)), strict=True))
-    parts = [np.zeros((6, 0))]
-    for block in found:
-        if block.name in SMOOTH:
-            by_axis = by_pose[:, :, SMOOTH[block.name]]
-            part = np.einsum('xna,nk->xak', by_axis, problem.smooth).reshape(6, -1)
-        elif block.name in motions:
-            part = _of_mount(X) @ motions[block.name]
-        else:
-            part = np.zeros((6, block.count))
-        parts.append(part * block.std)
-    return np.concatenate(parts, axis=1)
-
-
-def _of_mount(X: Array) -> Array:
+def of_mount(X: Array) -> Array:
     """Return the motion (6, 3) of the mount by one of the sensor plane: along x, z, and turned."""
     x, y, z = X[:3, :3].T
     none = np.zeros(3)
     return np.column_stack([np.append(x, none), np.append(z, none), np.append(none, y)])
 
 
-def by_poses(problem: Problem, X: Array, field: Array) -> Array:
+def motions_by_poses(problem: Problem, X: Array, field: Array) -> Array:
     """
     Return by how much (6, n, 6) what serves best moves with what is added to the poses.
 
@@ -64,7 +39,7 @@ def by_poses(problem: Problem, X: Array, field: Array) -> Array:
         robot = np.concatenate([every, -se3.skew(p - a)], axis=3)
     else:  # the poses are those of the base in the flange; the robot errs in its base
         about = lever + X[:3, 3] + (np.swapaxes(R, 2, 3) @ a[..., None])[..., 0]
-        robot = R @ np.concatenate([every, -se3.skew(about)], axis=3)
+        robot = -R @ np.concatenate([every, -se3.skew(about)], axis=3)
     A = np.concatenate([mount, target], axis=3).reshape(len(R), -1, 12)
     scale = np.sqrt((A ** 2).sum(axis=(0, 1)))
     A = A / scale

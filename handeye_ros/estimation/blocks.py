@@ -1,64 +1,101 @@
 """
-What may be wrong beside the noise: each doubt is some unknowns with a prior.
+Blocks of nuisance parameters: what may be wrong beside the noise (docs/estimator.md, section 2).
 
-With residuals r = J u + K n + e, a doubt gives columns of K, scaled so that its unknowns n are of
-unit variance; how large they really were is estimated (see mixed).
+With residuals r = J xi + sum of K_b n_b + e, a block gives the columns K_b by its parameters, each
+of a normal prior about nothing. How large they really are, over that prior, is estimated (see
+scales).
+
+A new block is one more source: a function that gets the problem linearised at the first estimate,
+and returns a function that gives the blocks at any later one. Those of all targets are in SOURCES,
+those of a target in Method.blocks. What the poses depend on (a time offset, the joints of the
+robot) comes with the problem instead, as a PoseModel:
+
+    def poses_and_twists(values):  # (k,), so far 0
+        return interpolated(stamps + values[0]), velocities(stamps + values[0])[:, :, None]
+
+    offset = PoseModel(poses_and_twists, names=('time_offset',), counts=(1,), stds=(0.05,))
+    solution = map_solution(Problem(method, poses, observations, config, offset), start)
+    solution.problem.pose_values, solution.problem.poses  # what was found of it
+
+Poses of an inverted problem (eye_on_base) are the robot's own in a PoseModel, too.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 
-from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.basis import bending, bent_faces
-from handeye_ros.estimation.linearise import Linear, points_in_base, Problem
+from handeye_ros.estimation.basis import bending, box, field_motions
+from handeye_ros.estimation.best_fit import motions_by_poses, of_mount
+from handeye_ros.estimation.linearise import Linear, Problem
+from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import TURN_LENGTH
 import numpy as np
 
 # Share of the RMS of each degree of the polynomials: the first of them are the largest.
 DISTORTION = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
-FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}
-# Of the six numbers of a pose, those that a smooth error of the robot changes, and its unit.
-SMOOTH = {'robot_position': slice(0, 3), 'robot_rotation': slice(3, 6)}
-SMOOTH_UNIT = {'robot_position': 1.0, 'robot_rotation': 1 / TURN_LENGTH}
+LARGEST_SCALE = 400.0  # of variances over the configured ones: 20 times as large
+STATED_MEASURE = 1e8  # the same of a stated measure, which may be plainly wrong
+
+Retraction = Callable[[Problem, Estimate, Array], tuple[Problem, Estimate]]
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterBlock:
     """
-    Something that may be wrong.
+    Some nuisance parameters of one prior, at an estimate.
 
-    columns: (m, k) derivatives of the residuals by taking it out, each unknown in units of its
-    prior sigma std (m, rad or 1); parameter: which of the target's it is of, None of none.
-    functions: of each column so many unknowns, times the functions of the poses (see Columns).
-    least: variance over the configured one that it has at least, whatever the data show.
+    columns: (m, k) derivatives of the residuals by the parameters in units of their prior sigma
+    std (m, rad, s or 1). functions: (n, f) at the poses; then each column stands for f parameters,
+    each of which acts by one of the functions. twists: (n, 6, k) change of the poses by the
+    parameters (not in sigmas), as in Linear.by_pose, None where they change none.
+    best_fit(linear): (6, k * f) by how much the transform that maps points best moves.
+    retract(problem, estimate, change (k,)): both with the parameters changed, None where they
+    are only taken out of the residuals. parameter: which of the target's it is, None if none.
+    least, largest: bounds of the variance over the configured one. report: the key under which
+    the answer tells it, '' of none; origin: added to what is told of one parameter.
     """
 
     name: str
     columns: Array
     std: float
+    functions: Array | None = None
+    twists: Array | None = None
+    best_fit: Callable[[Linear], Array] | None = None
+    retract: Retraction | None = None
     parameter: int | None = None
-    functions: int = 1
     least: float = 0.0
+    largest: float = LARGEST_SCALE
+    report: str = ''
+    origin: float = 0.0
 
     @property
     def count(self) -> int:
-        """Return the number of its unknowns."""
-        return int(self.columns.shape[1]) * self.functions
+        """Return the number of its parameters."""
+        k = int(self.columns.shape[1])
+        return k if self.functions is None else k * int(self.functions.shape[1])
 
 
-@dataclass(frozen=True, eq=False)
-class Deformation:
+Blocks = Callable[[Linear], Iterable[ParameterBlock]]
+"""The blocks at an estimate."""
+Source = Callable[[Linear], Blocks]
+"""What prepares them from the first estimate."""
+
+
+def prepared(first: Linear) -> Callable[[Linear], tuple[ParameterBlock, ...]]:
     """
-    In which ways, each of unit size, sensor and target may be bent.
+    Return what gives all blocks at an estimate, prepared at the first one.
 
-    sensor: by the degrees of DISTORTION, (m, 2, k) at each point; faces: of each face, by the
-    degrees of FLATNESS, (m, k).
+    Those of functions of the poses are the last.
     """
+    own = first.problem.method.blocks
+    every = [source(first) for source in ((own,) if own else ()) + SOURCES]
 
-    sensor: list[Array]
-    faces: list[list[Array]]
+    def at(linear: Linear) -> tuple[ParameterBlock, ...]:
+        return tuple(block for blocks in every for block in blocks(linear)
+                     if block.std > 0 and block.columns.any())
+    return at
 
 
 def tolerances(problem: Problem) -> Array:
@@ -67,141 +104,153 @@ def tolerances(problem: Problem) -> Array:
     return stated if len(stated) else np.zeros(len(problem.method.labels))
 
 
-def parameter_blocks(problem: Problem, linear: Linear, near: Deformation
-                     ) -> tuple[ParameterBlock, ...]:
+def stated_measures(first: Linear) -> Blocks:
+    """Return the blocks of the target's stated measures."""
+    method, stds = first.problem.method, tolerances(first.problem)
+
+    def retract_by(i: int) -> Retraction:
+        def retract(problem: Problem, estimate: Estimate, change: Array
+                    ) -> tuple[Problem, Estimate]:
+            delta = np.zeros(len(method.labels))
+            delta[i] = change[0]
+            return problem, Estimate(estimate.X, method.retract(estimate.target, delta))
+        return retract
+
+    def at(linear: Linear) -> Iterator[ParameterBlock]:
+        for i in np.flatnonzero(stds).tolist():
+            std = float(stds[i])
+            yield ParameterBlock(method.labels[i], linear.jacobian[:, 6 + i:7 + i] * std, std,
+                                 retract=retract_by(i), parameter=i, largest=STATED_MEASURE)
+    return at
+
+
+def robot_scale(first: Linear) -> Blocks:
+    """Return the block of the robot's lengths, all too long by one factor."""
+    problem, std = first.problem, first.problem.config.noise.robot_scale
+    poses = problem.robot_poses
+    twists = np.zeros((len(poses), 6, 1))
+    twists[:, :3, 0] = poses[:, :3, 3].mean(axis=0) - poses[:, :3, 3]
+
+    def at(linear: Linear) -> Iterator[ParameterBlock]:
+        yield ParameterBlock('scale', by_twists(linear, twists) * std, std, twists=twists,
+                             report='scale', origin=1.0)
+    return at
+
+
+def robot_smooth(first: Linear) -> Blocks:
+    """Return the blocks of the robot's smooth errors of position and of rotation."""
+    size = first.problem.config.noise.robot_smooth
+
+    @cache
+    def by_poses(linear: Linear) -> Array:
+        field = box(linear.points_on_target, (-1, 0, 1))
+        motions = motions_by_poses(linear.problem, linear.estimate.X, field)
+        return np.asarray(np.einsum('xna,nk->xak', motions, linear.problem.smooth))
+
+    def at(linear: Linear) -> Iterator[ParameterBlock]:
+        for name, axes, std in (('robot_position', slice(0, 3), size),
+                                ('robot_rotation', slice(3, 6), size / TURN_LENGTH)):
+            twists = np.broadcast_to(np.eye(6)[:, axes], (len(linear.problem.poses), 6, 3))
+            yield ParameterBlock(
+                name, linear.by_pose[:, axes] * std, std, linear.problem.smooth, twists,
+                partial(_motions_of_axes, by_poses, axes),
+                report=f'{name}_error')
+    return at if size else _none
+
+
+def sensor_distortion(first: Linear) -> Blocks:
+    """Return the blocks of the sensor's distortion: polynomials of its plane, by their degree."""
+    std, degrees = first.problem.config.noise.distortion, list(DISTORTION)
+    fields = bending(first.points_on_target, degrees) if std else []
+
+    @cache
+    def motions(linear: Linear) -> list[Array]:
+        plane = of_mount(linear.estimate.X)
+        return [plane @ each for each in field_motions(linear.points_on_target, degrees)]
+
+    def at(linear: Linear) -> Iterator[ParameterBlock]:
+        for i, (field, (degree, share)) in enumerate(zip(fields, DISTORTION.items(), strict=True)):
+            size = std * share
+            by_x, by_z = (linear.by_point * size).T[:, :, None]
+            yield ParameterBlock(
+                f'distortion_{degree}', by_x * field[:, 0] + by_z * field[:, 1], size,
+                best_fit=partial(_motions_of_degree, motions, i),
+                report='distortion_error')
+    return at if std else _none
+
+
+def _motions_of_axes(by_poses: Callable[[Linear], Array], axes: slice, linear: Linear) -> Array:
+    return by_poses(linear)[:, axes].reshape(6, -1)
+
+
+def _motions_of_degree(motions: Callable[[Linear], list[Array]], i: int, linear: Linear) -> Array:
+    return motions(linear)[i]
+
+
+def pose_model(first: Linear) -> Blocks:
+    """Return the blocks of the parameters that the poses of the problem depend on."""
+    if first.problem.pose_model is None:
+        return _none
+
+    def retract_in(block: slice) -> Retraction:
+        def retract(problem: Problem, estimate: Estimate, change: Array
+                    ) -> tuple[Problem, Estimate]:
+            values = problem.pose_values.copy()
+            values[block] += change
+            return problem.with_pose_values(values), estimate
+        return retract
+
+    def at(linear: Linear) -> Iterator[ParameterBlock]:
+        model = linear.problem.pose_model
+        assert model is not None
+        _, twists = model.at(linear.problem.pose_values)
+        last = np.cumsum(model.counts)
+        for name, count, std, end in zip(model.names, model.counts, model.stds, last, strict=True):
+            block = slice(int(end) - count, int(end))
+            own = twists[:, :, block]
+            yield ParameterBlock(name, by_twists(linear, own) * std, std, twists=own,
+                                 retract=retract_in(block), report=name)
+    return at
+
+
+def by_twists(linear: Linear, twists: Array) -> Array:
+    """Return the derivatives (m, k) of the residuals by parameters with twists (n, 6, k)."""
+    station = linear.problem.observations.station
+    return np.asarray((linear.by_pose[:, None] @ twists[station])[:, 0])
+
+
+def best_fit_motions(linear: Linear, blocks: Sequence[ParameterBlock]) -> Array:
+    """Return by how much (6, q) the best-fit transform moves with the parameters of blocks."""
+    parts = [np.zeros((6, block.count)) if block.best_fit is None else
+             block.best_fit(linear) * block.std for block in blocks]
+    return np.concatenate([np.zeros((6, 0)), *parts], axis=1)
+
+
+def pose_errors(problem: Problem, blocks: Sequence[ParameterBlock], values: Array) -> Array:
     """
-    Return all that may be wrong at an estimate, the smooth errors of the robot last.
+    Return the errors (n, 6) of the poses that blocks stand for.
 
-    near: the ways to be bent there.
-    """
-    found = [*_stated(problem, linear), *_setbacks(problem, linear), *_shapes(problem, linear),
-             *_scale(problem, linear), *_sensor(problem, linear, near.sensor),
-             *_faces(problem, near.faces), *_robot(problem, linear)]
-    return tuple(block for block in found if block.std > 0 and block.columns.any())
-
-
-def _stated(problem: Problem, linear: Linear) -> Iterator[ParameterBlock]:
-    stds = tolerances(problem)
-    for i in np.flatnonzero(stds).tolist():
-        std = float(stds[i])
-        column = linear.jacobian[:, 6 + i:7 + i] * std
-        yield ParameterBlock(problem.method.labels[i], column, std, i)
-
-
-def _setbacks(problem: Problem, linear: Linear) -> Iterator[ParameterBlock]:
-    """Yield by how much the faces end short of each edge, for each way in which they end."""
-    obs, std, ends = problem.observations, problem.config.target.setback_std, problem.ends
-    if not ends.parts:
-        return
-    outwards = ends.outwards((linear.by_point * obs.outward).sum(axis=1))
-    for (kind, end), here in ends.parts.items():
-        name = f'setback_{problem.method.kinds[kind]}_{end}'
-        yield ParameterBlock(name, np.where(here, outwards, 0.0)[:, None] * std, std)
-    # what of a bevel or of a blurred step is seen depends on the tilt
-    by_slope = np.column_stack([ends.slope, 2 * ends.slope ** 2])
-    for end in sorted({end for _, end in ends.parts}):
-        tilted = np.where(obs.end == end, outwards, 0.0)[:, None] * by_slope
-        yield ParameterBlock(f'incidence_{end}', tilted * std, std)
-
-
-def _shapes(problem: Problem, linear: Linear) -> Iterator[ParameterBlock]:
-    """Yield by how much the rounding or the bevel of each edge is not as the profiles show it."""
-    obs, ends = problem.observations, problem.ends
-    if not obs.shape.any():
-        return
-    outwards = ends.outwards((linear.by_point * obs.outward).sum(axis=1)) * obs.shape
-    for kind in sorted({kind for kind, _ in ends.parts}):
-        here = np.any([rows for (other, _), rows in ends.parts.items() if other == kind], axis=0)
-        name = f'shape_{problem.method.kinds[kind]}'
-        # it was told from few points of a curve, whatever that really goes on as
-        yield ParameterBlock(name, np.where(here, outwards, 0.0)[:, None], 1.0, least=1.0)
-
-
-def _scale(problem: Problem, linear: Linear) -> Iterator[ParameterBlock]:
-    """Yield the scale of the robot."""
-    std, station = problem.config.noise.robot_scale, problem.observations.station
-    by_scale = np.einsum('mi,mi->m', linear.by_pose[:, :3], _scaled(problem)[station])
-    yield ParameterBlock('scale', by_scale[:, None] * std, std)
-
-
-def _robot(problem: Problem, linear: Linear) -> Iterator[ParameterBlock]:
-    """Yield the smooth errors of the robot's position and of its rotation."""
-    size = problem.config.noise.robot_smooth
-    for name, axes in SMOOTH.items() if size else ():
-        std = size * SMOOTH_UNIT[name]
-        yield ParameterBlock(name, linear.by_pose[:, axes] * std, std,
-                             functions=problem.smooth.shape[1])
-
-
-def _scaled(problem: Problem) -> Array:
-    """Return by how much (n, 3) the positions of the robot shrink when its scale grows."""
-    poses = problem.poses
-    if problem.config.calibration_type != 'eye_in_hand':
-        poses = se3.inverse(poses)
-    return np.asarray(poses[:, :3, 3].mean(axis=0) - poses[:, :3, 3])
-
-
-def pose_errors(problem: Problem, found: Sequence[ParameterBlock], values: Array) -> Array:
-    """
-    Return the errors (n, 6) of the poses that doubts found by so much stand for.
-
-    values: (q,) of the unknowns of all doubts, one after the other, in their present sigmas; or
+    values: (q,) of the parameters of all blocks, one after the other, in their present sigmas; or
     (n, q), of each pose its own.
     """
     n = len(problem.poses)
     errors, values = np.zeros((n, 6)), np.broadcast_to(values, (n, values.shape[-1]))
     first = 0
-    for block in found:
-        last = first + block.count
-        if block.name == 'scale':
-            errors[:, :3] += _scaled(problem) * (values[:, first, None] * block.std)
-        elif block.name in SMOOTH:
-            by_axis = values[:, first:last].reshape(n, 3, -1)
-            errors[:, SMOOTH[block.name]] += block.std * np.einsum(
-                'nak,nk->na', by_axis, problem.smooth)
-        first = last
+    for block in blocks:
+        own = values[:, first:first + block.count]
+        first += block.count
+        if block.twists is None:
+            continue
+        if block.functions is not None:
+            own = np.einsum('nak,nk->na', own.reshape(n, -1, block.functions.shape[1]),
+                            block.functions)
+        errors += block.std * np.einsum('nxk,nk->nx', block.twists, own)
     return errors
 
 
-def _sensor(problem: Problem, linear: Linear, fields: list[Array]) -> Iterator[ParameterBlock]:
-    std = problem.config.noise.distortion
-    if not std:
-        return
-    for (degree, share), field in zip(DISTORTION.items(), fields, strict=True):
-        by_x, by_z = (linear.by_point * (std * share)).T[:, :, None]
-        columns = by_x * field[:, 0] + by_z * field[:, 1]
-        yield ParameterBlock(f'distortion_{degree}', columns, std * share)
+def _none(linear: Linear) -> Iterable[ParameterBlock]:
+    return ()
 
 
-def deformation(linear: Linear) -> Deformation:
-    """Return in which ways sensor and target may be bent, near an estimate."""
-    problem = linear.problem
-    noise, kind = problem.config.noise, problem.observations.kind
-    sensor = bending(points_on_target(linear), list(DISTORTION)) if noise.distortion else []
-    if not noise.flatness:
-        return Deformation(sensor, [])
-    p = points_in_base(problem, linear.estimate.X)
-    return Deformation(sensor, [bent_faces(p, kind == i, list(FLATNESS))
-                         for i, name in enumerate(problem.method.kinds)
-                         if name.startswith('face')])
-
-
-def points_on_target(linear: Linear) -> Array:
-    """
-    Return the points (m, 2) of the sensor's plane where their conditions hold.
-
-    The field at the points as measured has their errors in it: of many points least squares
-    would then find that all lengths are nothing, with which the errors vanish, too.
-    """
-    g = linear.by_point
-    square = (g ** 2).sum(axis=1)
-    share = np.divide(linear.residuals, square, out=np.zeros(len(g)), where=square > 0)
-    return np.asarray(linear.problem.observations.points - g * share[:, None])
-
-
-def _faces(problem: Problem, faces: list[list[Array]]) -> Iterator[ParameterBlock]:
-    std = problem.config.noise.flatness
-    for (degree, share), *columns in zip(FLATNESS.items(), *faces, strict=True):
-        if columns:
-            size = std * share
-            yield ParameterBlock(f'flatness_{degree}', np.hstack(columns) * size, size)
+SOURCES: tuple[Source, ...] = (stated_measures, robot_scale, sensor_distortion, pose_model,
+                               robot_smooth)

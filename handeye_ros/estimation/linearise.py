@@ -6,7 +6,7 @@ p = R_i (X s) + a_i.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from handeye_ros import se3
@@ -14,7 +14,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import places, process_root, spread
 from handeye_ros.estimation.factored import products
-from handeye_ros.estimation.model import Estimate, Method, Observations
+from handeye_ros.estimation.model import Estimate, Method, Observations, PoseModel
 from handeye_ros.estimation.stations import Ends, ends_of, Stations, stations_of
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +25,21 @@ class Problem:
     """
     What is to be solved: T_base_flange (n, 4, 4), observations of them, and settings.
 
-    What follows from these alone, whatever the estimate, is found once.
+    What follows from these alone, whatever the estimate, is found once. pose_model: what the
+    poses depend on, None if on nothing; pose_values: (k,) what that is taken to be.
     """
 
     method: Method
     poses: Array
     observations: Observations
     config: Config
+    pose_model: PoseModel | None = None
+    pose_values: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Take what poses depend on for nothing at first."""
+        if self.pose_model is not None and not len(self.pose_values):
+            object.__setattr__(self, 'pose_values', np.zeros(sum(self.pose_model.counts)))
 
     @cached_property
     def columns(self) -> NDArray[np.intp]:
@@ -72,17 +80,36 @@ class Problem:
         """Return the stations that are at places of their own: a pose may be taken again."""
         return spread(self.places, len(self.poses))
 
+    @property
+    def in_hand(self) -> bool:
+        """Return whether the sensor is on the flange; else the poses are inverted."""
+        return self.config.calibration_type == 'eye_in_hand'
+
+    @cached_property
+    def robot_poses(self) -> Array:
+        """Return the poses (n, 4, 4) of the flange in the base, whatever the sensor is on."""
+        return self.poses if self.in_hand else se3.inverse(self.poses)
+
     @cached_property
     def smooth(self) -> Array:
         """Return the root (n, r) of the covariance of a smooth error at the poses."""
-        robot = self.poses if self.config.calibration_type == 'eye_in_hand' else se3.inverse(
-            self.poses)
-        return process_root(places(robot))
+        return process_root(places(self.robot_poses))
 
     @cached_property
     def smooth_products(self) -> Array:
         """Return the products (n, r * r) of each two columns of this root."""
         return products(self.smooth)
+
+    def with_pose_values(self, values: Array) -> Problem:
+        """Return the problem with the poses that its model gives for values (k,)."""
+        assert self.pose_model is not None
+        poses, _ = self.pose_model.at(values)
+        other = replace(self, poses=poses if self.in_hand else se3.inverse(poses),
+                        pose_values=values)
+        # how alike errors are at the poses, and what stations have in common, hardly changes
+        vars(other).update(smooth=self.smooth, smooth_products=self.smooth_products,
+                           stations=self.stations, ends=self.ends)
+        return other
 
     def subset(self, stations: NDArray[np.intp]) -> Problem:
         """Return the problem with only the given stations (ascending indices)."""
@@ -92,7 +119,8 @@ class Problem:
         keep = np.isin(obs.station, stations)
         fewer = obs.select(keep)
         renumbered = np.searchsorted(stations, fewer.station)
-        return replace(self, poses=self.poses[stations],
+        model = self.pose_model and self.pose_model.subset(stations)
+        return replace(self, poses=self.poses[stations], pose_model=model,
                        observations=replace(fewer, station=renumbered))
 
 
@@ -117,12 +145,12 @@ class Linear:
         """Return the derivative (..., m, 6) by the robot's error, base frame, about the flange."""
         R, a = self.problem.flanges
         to_point = np.einsum('mij,...mj->...mi', R, self.lever + self._origin)
-        if self.problem.config.calibration_type == 'eye_in_hand':
+        if self.problem.in_hand:
             return np.concatenate([self.by_base, se3.cross(to_point, self.by_base)], axis=-1)
         # the poses are those of the base in the flange; the robot errs in its base
         by_mount = self.jacobian[..., :3]
         p_base = np.einsum('mji,...mj->...mi', R, to_point + a)
-        return np.concatenate([by_mount, se3.cross(p_base, by_mount)], axis=-1)
+        return -np.concatenate([by_mount, se3.cross(p_base, by_mount)], axis=-1)
 
     @cached_property
     def by_point(self) -> Array:
@@ -134,6 +162,19 @@ class Linear:
         """Return the derivative (..., m, 2) by the feature's unit errors."""
         noise = self.problem.observations.noise
         return np.asarray(np.einsum('...mi,mij->...mj', self.by_point, noise))
+
+    @cached_property
+    def points_on_target(self) -> Array:
+        """
+        Return the points (m, 2) of the sensor's plane where their conditions hold.
+
+        The points as measured have their errors in them: of many such least squares would find
+        that all lengths are nothing, with which the errors vanish, too.
+        """
+        g = self.by_point
+        square = (g ** 2).sum(axis=1)
+        share = np.divide(self.residuals, square, out=np.zeros(len(g)), where=square > 0)
+        return np.asarray(self.problem.observations.points - g * share[:, None])
 
     @property
     def _origin(self) -> Array:

@@ -2,14 +2,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, TYPE_CHECKING
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Feature, Sample
 from handeye_ros.errors import DataError
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from handeye_ros.estimation.blocks import Source
 
 ENDS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
 UNUSED = -1  # the kind of an observation that belongs to nothing
@@ -59,6 +62,36 @@ class Observations:
         return Observations(self.station[keep], self.points[keep], self.kind[keep],
                             self.noise[keep], self.source[keep], self.end[keep],
                             self.outward[keep], self.shape[keep])
+
+
+@dataclass(frozen=True, eq=False)
+class PoseModel:
+    """
+    Poses that depend on parameters which are known by a prior: a time offset, a robot's joints.
+
+    evaluate(values (k,)): poses T_base_flange (N, 4, 4) of all samples, and their twists
+    (N, 6, k), the derivatives by the values: a translation, and a rotation vector about the
+    flange's origin, both in the base frame. names, counts, stds: of blocks of the parameters, one
+    after the other, each with the 1 sigma of its prior about 0. stations: those of the N that a
+    problem has, None: all.
+    """
+
+    evaluate: Callable[[Array], tuple[Array, Array]]
+    names: tuple[str, ...]
+    counts: tuple[int, ...]
+    stds: tuple[float, ...]
+    stations: NDArray[np.intp] | None = None
+
+    def at(self, values: Array) -> tuple[Array, Array]:
+        """Return the poses (n, 4, 4) and twists (n, 6, k) of the stations of a problem."""
+        poses, twists = self.evaluate(values)
+        return (poses, twists) if self.stations is None else (
+            poses[self.stations], twists[self.stations])
+
+    def subset(self, stations: NDArray[np.intp]) -> PoseModel:
+        """Return the model of some of the stations."""
+        kept = stations if self.stations is None else self.stations[stations]
+        return replace(self, stations=kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +150,7 @@ class Method:
     where it is; configured(config): (k,) the stated values of those parameters that are stated.
     elsewhere(observations of stations whose edges are none of the target's, points in base,
     target, config): where these edges are, in words, '' where nothing is to be said.
+    blocks: what prepares the target's own blocks of nuisance parameters, see blocks.
     extract_each(profiles, config): what extract gives of each, or the error that it raises; where
     many at once are quicker.
     """
@@ -142,6 +176,7 @@ class Method:
     extract_each: Callable[[Sequence[Array], Config],
                            Sequence[tuple[Feature, ...] | DataError]] | None = None
     elsewhere: Callable[[Observations, Array, Array, Config], str] = _nothing_to_say
+    blocks: Source | None = None
 
 
 def kind_unchanged(observations: Observations, points: Array, target: Array, config: Config

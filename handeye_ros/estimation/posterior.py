@@ -12,16 +12,12 @@ nothing of should not move the answer, but it may well be there.
 """
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.blocks import (
-    Deformation,
-    deformation,
-    parameter_blocks,
-    ParameterBlock,
-)
+from handeye_ros.estimation.blocks import ParameterBlock, prepared
 from handeye_ros.estimation.factored import Columns
 from handeye_ros.estimation.linalg import from_conditions, from_information
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
@@ -49,7 +45,6 @@ BELIEF_NOISE = 4.0  # in the configured noise, in degrees of freedom
 CONFIGURED, MAP = np.ones(4), np.array([1.0, 1.0, 1e-4, 1.0])  # factors that are believed in
 MAP_STEPS = 3  # of estimating the noise that an estimate is best made with
 SMALLEST, LARGEST = 1e-4, 1e8
-MOST = 400.0  # of doubts but of the target's stated measures: 20 times as large
 
 
 def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) -> Solution:
@@ -59,13 +54,17 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) 
     start: with the target as stated; noise: from which to settle it, None: as configured. Of
     very many stations some lead near it first.
     """
-    noise, nothing = noise or Noise(lumped=False), np.zeros(len(problem.method.labels))
-    near, every = (start, noise, nothing), len(problem.poses) // ASKED
+    noise, every = noise or Noise(lumped=False), len(problem.poses) // ASKED
+    state = _State.of(problem, start)
     if every > 1:
         some = problem.subset(np.arange(0, len(problem.poses), every))
-        found, astray = _approached(_System.of(some, *near))
-        near = near if astray else (found.estimate, found.noise, found.deviation)
-    system, astray = _approached(_System.of(problem, *near))
+        found, astray = _approached(_System.begun(_State.of(some, start), noise))
+        if not astray:
+            state, noise = found.state, found.noise
+            if problem.pose_model is not None:
+                problem = problem.with_pose_values(state.problem.pose_values)
+            state = replace(state, problem=problem)
+    system, astray = _approached(_System.begun(state, noise))
     return system.solution() if astray else system.answer()
 
 
@@ -79,10 +78,10 @@ def _approached(system: _System) -> tuple[_System, bool]:
         if astray and count > SIZING:
             return best, True
         best, least = best if astray else system, min(size, least)
-        estimate, deviation = system.moved(x)
+        state = system.moved(x)
         noise, before = system.with_noise(x, covariance), system.noise.factors
         change = np.abs(np.log(noise.factors / before)).max()
-        there, steady = system.at(estimate, noise, deviation), change < SETTLED_NOISE
+        there, steady = system.at(state, noise), change < SETTLED_NOISE
         system = there if resting and steady else there.sized(STEPS)[0]
         resting = system is there
         if size < CONVERGED and steady:
@@ -92,8 +91,24 @@ def _approached(system: _System) -> tuple[_System, bool]:
 
 def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
     """Return the solution that an estimate is with doubts and noise of a given size."""
-    nothing = np.zeros(len(problem.method.labels))
-    return _System.of(problem, estimate, replace(noise, lumped=False), nothing).solution()
+    state = _State.of(problem, estimate)
+    return _System.begun(state, replace(noise, lumped=False)).solution()
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """An estimate, and what the parameters of blocks that retract are, in their own units."""
+
+    problem: Problem
+    estimate: Estimate
+    values: Mapping[str, Array]
+
+    @classmethod
+    def of(cls, problem: Problem, estimate: Estimate) -> _State:
+        """Return the state of a problem, its target as stated."""
+        model = problem.pose_model
+        split = np.split(problem.pose_values, np.cumsum(model.counts)[:-1]) if model else []
+        return cls(problem, estimate, dict(zip(model.names if model else (), split, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +121,7 @@ class _System:
     doubt of each.
     """
 
-    problem: Problem
-    estimate: Estimate
+    state: _State
     linear: Linear
     noise: Noise
     blocks: tuple[ParameterBlock, ...]
@@ -116,40 +130,45 @@ class _System:
     columns: Columns
     gradient: Array
     group: NDArray[np.intp]
-    deviation: Array
-    deformation: Deformation
+    blocks_at: Callable[[Linear], tuple[ParameterBlock, ...]]
 
     @classmethod
-    def of(cls, problem: Problem, estimate: Estimate, noise: Noise, deviation: Array,
-           near: Deformation | None = None) -> _System:
-        linear = linearise(problem, estimate)
-        near = deformation(linear) if near is None else near
-        found = parameter_blocks(problem, linear, near)
-        return cls.weighing(problem, estimate, linear, noise, found, deviation, near)
+    def begun(cls, state: _State, noise: Noise) -> _System:
+        """Return the system at the first state."""
+        linear = linearise(state.problem, state.estimate)
+        blocks_at = prepared(linear)
+        return cls.weighing(state, linear, noise, blocks_at(linear), blocks_at)
 
     @classmethod
-    def weighing(cls, problem: Problem, estimate: Estimate, linear: Linear, noise: Noise,
-                 found: tuple[ParameterBlock, ...], deviation: Array, near: Deformation
-                 ) -> _System:
+    def weighing(cls, state: _State, linear: Linear, noise: Noise,
+                 blocks: tuple[ParameterBlock, ...],
+                 blocks_at: Callable[[Linear], tuple[ParameterBlock, ...]]) -> _System:
         """Return the system of what is linearised, whitened by a noise."""
+        problem, residuals = state.problem, linear.residuals
         white: Whitening = whitening(problem, linear, noise)
-        residuals = linear.residuals - linear.jacobian[:, 6:] @ deviation
-        parts = [linear.jacobian[:, problem.columns], *(d.columns for d in found)]
+        for block in blocks:
+            if block.retract and block.name in state.values:
+                residuals = residuals - block.columns @ (state.values[block.name] / block.std)
+        parts = [linear.jacobian[:, problem.columns], *(b.columns for b in blocks)]
         own = white(np.column_stack([*parts, residuals]))
-        axes = sum(d.columns.shape[1] for d in found if d.functions > 1)
-        group = np.repeat(np.arange(len(found)), [d.count for d in found])
+        axes = sum(b.columns.shape[1] for b in blocks if b.functions is not None)
+        group = np.repeat(np.arange(len(blocks)), [b.count for b in blocks])
         columns, r = columns_of(problem, own[:, :-1], axes), own[:, -1]
-        return cls(problem, estimate, linear, noise, found, white, r, columns,
-                   columns.gradient_of(r, columns.rows), group, deviation, near)
+        return cls(state, linear, noise, blocks, white, r, columns,
+                   columns.gradient_of(r, columns.rows), group, blocks_at)
 
-    def at(self, estimate: Estimate, noise: Noise, deviation: Array) -> _System:
-        """Return the system at another estimate, from which what may be bent looks alike."""
-        return _System.of(self.problem, estimate, noise, deviation, self.deformation)
+    def at(self, state: _State, noise: Noise) -> _System:
+        """Return the system at another state, its blocks prepared as here."""
+        linear = linearise(state.problem, state.estimate)
+        return _System.weighing(state, linear, noise, self.blocks_at(linear), self.blocks_at)
 
     def weighed(self, noise: Noise) -> _System:
         """Return the system with another noise."""
-        return _System.weighing(self.problem, self.estimate, self.linear, noise, self.blocks,
-                                self.deviation, self.deformation)
+        return _System.weighing(self.state, self.linear, noise, self.blocks, self.blocks_at)
+
+    @property
+    def problem(self) -> Problem:
+        return self.state.problem
 
     @property
     def u(self) -> int:
@@ -196,7 +215,7 @@ class _System:
     def shown(self) -> Scales:
         """Return how large the doubts show themselves."""
         (x, covariance), u, before = self.solved, self.u, self.variances
-        largest = np.array([MOST if d.parameter is None else LARGEST for d in self.blocks])
+        largest = np.array([d.largest for d in self.blocks])
         return prior_scales(covariance[u:, u:], x[u:], self.first, before, largest)
 
     def with_noise(self, x: Array, covariance: Array, believed: Array = CONFIGURED) -> Noise:
@@ -218,16 +237,18 @@ class _System:
         sensor, edge, local, robot = np.clip(after, SMALLEST, LARGEST).tolist()
         return replace(self.noise, sensor=sensor, edge=edge, local=local, robot=robot)
 
-    def moved(self, x: Array) -> tuple[Estimate, Array]:
-        """Return the estimate moved by a solution, and how far the target is from as stated."""
-        after, s = np.zeros_like(self.deviation), self.scales
-        for i, block in enumerate(self.blocks):
-            if block.parameter is not None:
-                column = self.u + int(self.first[i])
-                after[block.parameter] = x[column] * s[column] * block.std
-        changed = retracted(self.problem, self.estimate, x[:self.u])
-        target = self.problem.method.retract(changed.target, after - self.deviation)
-        return Estimate(changed.X, target), after
+    def moved(self, x: Array) -> _State:
+        """Return the state moved by a solution."""
+        problem, values = self.problem, dict(self.state.values)
+        estimate = retracted(problem, self.state.estimate, x[:self.u])
+        scaled = x * self.scales
+        for first, block in zip(self.u + self.first, self.blocks, strict=True):
+            if block.retract:
+                after = scaled[first:first + block.count] * block.std
+                change = after - values.get(block.name, 0.0)
+                problem, estimate = block.retract(problem, estimate, change)
+                values[block.name] = after
+        return _State(problem, estimate, values)
 
     def with_sizes(self, variances: Array) -> _System:
         """Return the system with other sizes of the doubts."""
@@ -242,8 +263,7 @@ class _System:
             self.with_sizes(found.map_scales), self.with_sizes(found.conservative))
         for _ in range(MAP_STEPS):
             likely = likely.weighed(likely.with_noise(*likely.solved, MAP))
-        estimate, deviation = likely.moved(likely.solved[0])
-        there = self.at(estimate, likely.noise, deviation)
+        there = self.at(likely.moved(likely.solved[0]), likely.noise)
         wide = there.weighed(wide.noise)
         return replace(there.solution(), conservative=wide.solution())
 
@@ -254,6 +274,6 @@ class _System:
         columns = self.columns.scaled(s)
         sized = tuple(replace(d, std=d.std * float(size))
                       for d, size in zip(self.blocks, s[self.u:][self.first], strict=True))
-        estimate = retracted(self.problem, self.estimate, x[:self.u])
+        estimate = retracted(self.problem, self.state.estimate, x[:self.u])
         return Solution(self.problem, estimate, self.noise, self.linear, self.r + columns.times(x),
                         columns, covariance, x[self.u:], sized)

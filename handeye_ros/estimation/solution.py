@@ -7,8 +7,7 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation import influence
-from handeye_ros.estimation.best_fit import by_blocks
-from handeye_ros.estimation.blocks import ParameterBlock, pose_errors
+from handeye_ros.estimation.blocks import best_fit_motions, ParameterBlock, pose_errors
 from handeye_ros.estimation.factored import Columns
 from handeye_ros.estimation.linalg import covariance_of, covering
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
@@ -110,7 +109,7 @@ class Solution:
 
     def _best_fit(self, conservative: Solution, away: Array) -> Array:
         """Return the mean square (6, 6) of what serves best, about the estimate."""
-        moving = by_blocks(self.linear, conservative.blocks)
+        moving = best_fit_motions(self.linear, conservative.blocks)
         columns = np.hstack([np.eye(6, conservative.unknowns), moving])
         away = away + moving @ conservative.nuisance
         return np.asarray(columns @ conservative.covariance @ columns.T + np.outer(away, away))
@@ -233,12 +232,15 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
 
 def corrected_poses(solution: Solution, nuisance: Array | None = None) -> Array:
     """
-    Return the poses (n, 4, 4) without the smooth error of the robot that was found.
+    Return the poses (n, 4, 4) without the errors of the robot that were found.
 
-    doubtful: (n, q) what the doubts are at each pose, None: as found.
+    nuisance: (n, q) parameters of the blocks at each pose, None: as found.
     """
-    errors = pose_errors(solution.problem, solution.blocks,
-                         solution.nuisance if nuisance is None else nuisance)
-    T = solution.problem.poses
-    return se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
-                         T[:, :3, 3] + errors[:, :3])
+    problem, found = solution.problem, solution.nuisance
+    # what retracts is in the poses already
+    inside = [np.full(b.count, float(b.retract is not None)) for b in solution.blocks]
+    values = (found if nuisance is None else nuisance) - found * np.concatenate([[], *inside])
+    errors, T = pose_errors(problem, solution.blocks, values), problem.robot_poses
+    corrected = se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
+                              T[:, :3, 3] + errors[:, :3])
+    return corrected if problem.in_hand else se3.inverse(corrected)

@@ -8,7 +8,7 @@ from typing import Any
 from handeye_ros import __version__, se3
 from handeye_ros.checks.explained import lost_edges
 from handeye_ros.checks.motion import mount_frame, weakest
-from handeye_ros.checks.shape import contradictions, found_doubts
+from handeye_ros.checks.shape import contradictions, reported_blocks
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport
 from handeye_ros.estimation.consensus import Consensus
@@ -83,7 +83,7 @@ def describe_target(agreed: Consensus, config: Config) -> dict[str, Any]:
     """Return what was estimated of the target, and of all else that was in doubt."""
     solution = agreed.solution
     told = solution.problem.method.describe(solution.estimate.target, solution.target_std)
-    told |= found_doubts(solution)
+    told |= reported_blocks(solution)
     notes = [shape.note for shape in contradictions(solution, config)]
     notes += [lost] if (lost := lost_edges(agreed)) else []
     notes += [beside] if (beside := other_surfaces(agreed)) else []

@@ -27,6 +27,7 @@ from handeye_ros.estimation.model import (
 )
 from handeye_ros.estimation.starts import best_of
 from handeye_ros.profiles.faces import face_features
+from handeye_ros.targets.blocks import of_faces_and_edges
 from handeye_ros.targets.common import (
     add_face,
     best_linear,
@@ -211,4 +212,5 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 
 
 LINE = Method('line', KINDS, LABELS, face_features, observe, guess, conditions, retract, free,
-              relabel, describe, observed_points, edges=('edge',), minimum=MINIMUM)
+              relabel, describe, observed_points, edges=('edge',), minimum=MINIMUM,
+              blocks=of_faces_and_edges)

@@ -26,6 +26,7 @@ from handeye_ros.estimation.model import (
 )
 from handeye_ros.estimation.starts import best_of, different, FEW_STATIONS
 from handeye_ros.profiles.faces import plane_features
+from handeye_ros.targets.blocks import of_faces_and_edges
 from handeye_ros.targets.common import (
     add_face,
     best_linear,
@@ -195,4 +196,5 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 PLANE = Method('plane', ('face',), ('z', 'rx', 'ry'), plane_features, observe, guess, conditions,
                retract, free, relabel, describe, observed_points, edges=(), minimum=6,
                one_axis='the position along it is free, and if it is the normal of the plane '
-               '(yaw only) all of the position and part of the rotation')
+               '(yaw only) all of the position and part of the rotation',
+               blocks=of_faces_and_edges)

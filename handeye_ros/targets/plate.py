@@ -25,6 +25,7 @@ from handeye_ros.estimation.model import (
     UNUSED,
 )
 from handeye_ros.profiles.faces import face_features
+from handeye_ros.targets.blocks import of_faces_and_edges
 from handeye_ros.targets.common import add_face, collect, edge_noise, FACE, ObservationRows
 from handeye_ros.targets.plane import guess as plane_guess
 from handeye_ros.targets.two_lines import turned, two_lines
@@ -246,4 +247,4 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 PLATE = Method('plate', KINDS, LABELS, face_features, observe, guess, conditions, retract, free,
                relabel, describe, observed_points, edges=KINDS[1:], minimum=6,
                relax=relax, configured=configured, tolerances=tolerances,
-               elsewhere=elsewhere)
+               elsewhere=elsewhere, blocks=of_faces_and_edges)

@@ -27,6 +27,7 @@ from handeye_ros.estimation.starts import best_of
 from handeye_ros.profiles.corners import corner_features
 from handeye_ros.targets import line as edge_line
 from handeye_ros.targets import plane
+from handeye_ros.targets.blocks import of_faces_and_edges
 from handeye_ros.targets.common import (
     add_face,
     collect,
@@ -190,4 +191,4 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 
 
 WEDGE = Method('wedge', KINDS, LABELS, corner_features, observe, guess, conditions, retract, free,
-               relabel, describe, observed_points, edges=(), minimum=6)
+               relabel, describe, observed_points, edges=(), minimum=6, blocks=of_faces_and_edges)

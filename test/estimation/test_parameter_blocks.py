@@ -10,7 +10,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Calibration, EdgePoint, FaceLine, Sample
 from handeye_ros.estimation.basis import bending, kernel, places, process_root
-from handeye_ros.estimation.blocks import deformation, parameter_blocks, ParameterBlock
+from handeye_ros.estimation.blocks import ParameterBlock, prepared
 from handeye_ros.estimation.linalg import inverse
 from handeye_ros.estimation.linearise import linearise
 from handeye_ros.estimation.posterior import map_solution
@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 MANY = replace(SCENARIOS['plate'], stations=(24, 24))
-LARGEST_SQUARE = {key: getattr(getattr(Config(), part), name) for key in NO_DOUBTS
+ALL_BLOCKS = {key: getattr(getattr(Config(), part), name) for key in NO_DOUBTS
             for part, name in [key.split('__')]}
 
 
@@ -134,7 +134,7 @@ def test_a_systematic_robot_makes_the_stated_uncertainty_grow() -> None:
     def size(systematic: float) -> float:
         stds = []
         for seed in range(3):
-            found = answer(cell(real_robot(systematic), seed, **LARGEST_SQUARE))
+            found = answer(cell(real_robot(systematic), seed, **ALL_BLOCKS))
             stds.append(np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3])[2]))
         return float(np.median(stds))
     none, some, more = size(0.0), size(1.5e-4), size(4.5e-4)
@@ -144,13 +144,13 @@ def test_a_systematic_robot_makes_the_stated_uncertainty_grow() -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize('size', [0.0, 1.5e-4])
 def test_the_stated_uncertainty_holds_for_every_robot(size: float) -> None:
-    squares = [squared(cell(real_robot(size), seed, **LARGEST_SQUARE)) for seed in range(12)]
+    squares = [squared(cell(real_robot(size), seed, **ALL_BLOCKS)) for seed in range(12)]
     assert np.mean(np.array(squares) < 12.59) >= 0.9, 'the 95 % quantile of chi-squared over 6'
     assert 0.1 < np.mean(squares) / 6 < 1.5
 
 
 def test_a_programme_run_again_tells_nothing_new_of_the_robots_error() -> None:
-    made = cell('plate', 0, **LARGEST_SQUARE)
+    made = cell('plate', 0, **ALL_BLOCKS)
     place = places(made.problem.poses)
     once, twice = process_root(place), process_root(np.concatenate([place, place]))
     assert twice.shape == (2 * len(once), once.shape[1])
@@ -183,11 +183,11 @@ def test_a_distortion_is_no_motion_of_the_plane() -> None:
 
 def found_at(solution: Solution) -> tuple[ParameterBlock, ...]:
     linear = linearise(solution.problem, solution.estimate)
-    return parameter_blocks(solution.problem, linear, deformation(linear))
+    return prepared(linear)(linear)
 
 
 def test_every_doubt_has_a_prior_and_what_is_certain_is_none() -> None:
-    made = cell('plate', 0, **LARGEST_SQUARE)
+    made = cell('plate', 0, **ALL_BLOCKS)
     solution = solved(made.problem)
     names = [d.name for d in found_at(solution)]
     assert {'scale', 'robot_position', 'robot_rotation', 'distortion_1', 'flatness_2',
@@ -205,7 +205,7 @@ def test_without_doubts_the_answer_is_plain_least_squares() -> None:
 
 @pytest.mark.parametrize('scale', [1.0, 1.0015, 0.999])
 def test_a_scale_of_the_robot_is_taken_out(scale: float) -> None:
-    made = cell('plate', 2, **LARGEST_SQUARE)
+    made = cell('plate', 2, **ALL_BLOCKS)
     samples = tuple(replace(s, T_base_flange=se3.transform(
         s.T_base_flange[:3, :3], scale * s.T_base_flange[:3, 3])) for s in made.samples)
     scaled = replace(made, samples=samples)

@@ -1,0 +1,78 @@
+"""Nuisance parameters that targets share: where faces end, shapes of edges, flatness."""
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from handeye_ros.estimation.basis import bent_faces
+from handeye_ros.estimation.blocks import Blocks, ParameterBlock
+from handeye_ros.estimation.linearise import Linear, points_in_base
+from handeye_ros.estimation.model import ENDS
+import numpy as np
+
+FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}  # share of the RMS of each degree: the first are the largest
+
+
+def of_faces_and_edges(first: Linear) -> Blocks:
+    """Return the blocks of where faces end, of the shape of edges, and of how flat faces are."""
+    every = [source(first) for source in (setbacks, edge_shapes, flatness)]
+
+    def at(linear: Linear) -> Iterator[ParameterBlock]:
+        for blocks in every:
+            yield from blocks(linear)
+    return at
+
+
+def setbacks(first: Linear) -> Blocks:
+    """Return by how much the faces end short of each edge, for each way in which they end."""
+    std = first.problem.config.target.setback_std
+
+    def at(linear: Linear) -> Iterator[ParameterBlock]:
+        problem = linear.problem
+        obs, ends = problem.observations, problem.ends
+        outwards = ends.outwards((linear.by_point * obs.outward).sum(axis=1))
+        for (kind, end), rows in ends.parts.items():
+            name = f'setback_{problem.method.kinds[kind]}_{ENDS[end - 1]}'
+            yield ParameterBlock(name, np.where(rows, outwards, 0.0)[:, None] * std, std,
+                                 report=name)
+        # what of a bevel or of a blurred step is seen depends on the tilt
+        by_slope = np.column_stack([ends.slope, 2 * ends.slope ** 2])
+        for end in sorted({end for _, end in ends.parts}):
+            tilted = np.where(obs.end == end, outwards, 0.0)[:, None] * by_slope
+            yield ParameterBlock(f'incidence_{ENDS[end - 1]}', tilted * std, std)
+    return at if first.problem.ends.parts else _none
+
+
+def edge_shapes(first: Linear) -> Blocks:
+    """Return by how much the rounding or bevel of each edge is not as the profiles show it."""
+    kinds = sorted({kind for kind, _ in first.problem.ends.parts})
+
+    def at(linear: Linear) -> Iterator[ParameterBlock]:
+        problem = linear.problem
+        obs, ends = problem.observations, problem.ends
+        outwards = ends.outwards((linear.by_point * obs.outward).sum(axis=1)) * obs.shape
+        for kind in kinds:
+            here = np.any([rows for (other, _), rows in ends.parts.items() if other == kind],
+                          axis=0)
+            # it comes from few points of a curve, whatever that really goes on as
+            yield ParameterBlock(f'shape_{problem.method.kinds[kind]}',
+                                 np.where(here, outwards, 0.0)[:, None], 1.0, least=1.0)
+    return at if first.problem.observations.shape.any() else _none
+
+
+def flatness(first: Linear) -> Blocks:
+    """Return how faces are bowed: polynomials over each, by their degree."""
+    problem, std = first.problem, first.problem.config.noise.flatness
+    if not std:
+        return _none
+    p = points_in_base(problem, first.estimate.X)
+    heights = zip(*(bent_faces(p, problem.observations.kind == i, list(FLATNESS))
+                    for i, name in enumerate(problem.method.kinds) if name.startswith('face')),
+                  strict=True)
+    blocks = [ParameterBlock(f'flatness_{degree}', np.hstack(columns) * (std * share), std * share,
+                             report='flatness_error')
+              for (degree, share), columns in zip(FLATNESS.items(), heights, strict=False)]
+    return lambda linear: blocks
+
+
+def _none(linear: Linear) -> Iterable[ParameterBlock]:
+    return ()
