@@ -6,6 +6,7 @@ p = R_i (X s) + a_i.
 """
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -122,6 +123,22 @@ class Problem:
         model = self.pose_model and self.pose_model.subset(stations)
         return replace(self, poses=self.poses[stations], pose_model=model,
                        observations=replace(fewer, station=renumbered))
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """An estimate, and what the parameters of blocks that retract are, in their own units."""
+
+    problem: Problem
+    estimate: Estimate
+    values: Mapping[str, Array]
+
+    @classmethod
+    def of(cls, problem: Problem, estimate: Estimate) -> State:
+        """Return the state of a problem, its target as stated."""
+        model = problem.pose_model
+        split = np.split(problem.pose_values, np.cumsum(model.counts)[:-1]) if model else []
+        return cls(problem, estimate, dict(zip(model.names if model else (), split, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ nothing of should not move the answer, but it may well be there.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,7 +20,7 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import ParameterBlock, prepared
 from handeye_ros.estimation.factored import Columns
 from handeye_ros.estimation.linalg import from_conditions, from_information
-from handeye_ros.estimation.linearise import Linear, linearise, Problem
+from handeye_ros.estimation.linearise import Linear, linearise, Problem, State
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import (
     covariances,
@@ -55,10 +55,10 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) 
     very many stations some lead near it first.
     """
     noise, every = noise or Noise(lumped=False), len(problem.poses) // ASKED
-    state = _State.of(problem, start)
+    state = State.of(problem, start)
     if every > 1:
         some = problem.subset(np.arange(0, len(problem.poses), every))
-        found, astray = _approached(_System.begun(_State.of(some, start), noise))
+        found, astray = _approached(_System.begun(State.of(some, start), noise))
         if not astray:
             state, noise = found.state, found.noise
             if problem.pose_model is not None:
@@ -91,24 +91,8 @@ def _approached(system: _System) -> tuple[_System, bool]:
 
 def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
     """Return the solution that an estimate is with doubts and noise of a given size."""
-    state = _State.of(problem, estimate)
+    state = State.of(problem, estimate)
     return _System.begun(state, replace(noise, lumped=False)).solution()
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """An estimate, and what the parameters of blocks that retract are, in their own units."""
-
-    problem: Problem
-    estimate: Estimate
-    values: Mapping[str, Array]
-
-    @classmethod
-    def of(cls, problem: Problem, estimate: Estimate) -> _State:
-        """Return the state of a problem, its target as stated."""
-        model = problem.pose_model
-        split = np.split(problem.pose_values, np.cumsum(model.counts)[:-1]) if model else []
-        return cls(problem, estimate, dict(zip(model.names if model else (), split, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +105,7 @@ class _System:
     doubt of each.
     """
 
-    state: _State
+    state: State
     linear: Linear
     noise: Noise
     blocks: tuple[ParameterBlock, ...]
@@ -133,14 +117,14 @@ class _System:
     blocks_at: Callable[[Linear], tuple[ParameterBlock, ...]]
 
     @classmethod
-    def begun(cls, state: _State, noise: Noise) -> _System:
+    def begun(cls, state: State, noise: Noise) -> _System:
         """Return the system at the first state."""
         linear = linearise(state.problem, state.estimate)
         blocks_at = prepared(linear)
         return cls.weighing(state, linear, noise, blocks_at(linear), blocks_at)
 
     @classmethod
-    def weighing(cls, state: _State, linear: Linear, noise: Noise,
+    def weighing(cls, state: State, linear: Linear, noise: Noise,
                  blocks: tuple[ParameterBlock, ...],
                  blocks_at: Callable[[Linear], tuple[ParameterBlock, ...]]) -> _System:
         """Return the system of what is linearised, whitened by a noise."""
@@ -157,7 +141,7 @@ class _System:
         return cls(state, linear, noise, blocks, white, r, columns,
                    columns.gradient_of(r, columns.rows), group, blocks_at)
 
-    def at(self, state: _State, noise: Noise) -> _System:
+    def at(self, state: State, noise: Noise) -> _System:
         """Return the system at another state, its blocks prepared as here."""
         linear = linearise(state.problem, state.estimate)
         return _System.weighing(state, linear, noise, self.blocks_at(linear), self.blocks_at)
@@ -237,7 +221,7 @@ class _System:
         sensor, edge, local, robot = np.clip(after, SMALLEST, LARGEST).tolist()
         return replace(self.noise, sensor=sensor, edge=edge, local=local, robot=robot)
 
-    def moved(self, x: Array) -> _State:
+    def moved(self, x: Array) -> State:
         """Return the state moved by a solution."""
         problem, values = self.problem, dict(self.state.values)
         estimate = retracted(problem, self.state.estimate, x[:self.u])
@@ -248,7 +232,7 @@ class _System:
                 change = after - values.get(block.name, 0.0)
                 problem, estimate = block.retract(problem, estimate, change)
                 values[block.name] = after
-        return _State(problem, estimate, values)
+        return State(problem, estimate, values)
 
     def with_sizes(self, variances: Array) -> _System:
         """Return the system with other sizes of the doubts."""
