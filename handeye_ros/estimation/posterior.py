@@ -49,10 +49,9 @@ SMALLEST, LARGEST = 1e-4, 1e8
 
 def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) -> Solution:
     """
-    Return the solution near a start with its doubts and noise as large as the residuals show.
+    Return the solution near a start, prior scales and noise as large as the residuals show.
 
-    start: with the target as stated; noise: from which to settle it, None: as configured. Of
-    very many stations some lead near it first.
+    noise: to start from, None: as configured. Of very many stations some lead near it first.
     """
     noise, every = noise or Noise(lumped=False), len(problem.poses) // ASKED
     state = State.of(problem, start)
@@ -185,7 +184,7 @@ class _System:
         """
         Return the system with the doubts as large as they show themselves, and these sizes.
 
-        A last step that changes next to nothing is not made. Without a doubt there are no sizes.
+        A last step that changes next to nothing is not made; without blocks there are no scales.
         """
         system, found = self, None
         for _ in range(steps if self.blocks else 0):
@@ -198,9 +197,9 @@ class _System:
     @cached_property
     def shown(self) -> Scales:
         """Return how large the doubts show themselves."""
-        (x, covariance), u, before = self.solved, self.u, self.variances
+        (x, covariance), u = self.solved, self.u
         largest = np.array([d.largest for d in self.blocks])
-        return prior_scales(covariance[u:, u:], x[u:], self.first, before, largest)
+        return prior_scales(covariance[u:, u:], x[u:], self.first, self.variances, largest)
 
     def with_noise(self, x: Array, covariance: Array, believed: Array = CONFIGURED) -> Noise:
         """Return the noise with the factors that the residuals show, held to those believed."""
@@ -253,8 +252,7 @@ class _System:
 
     def solution(self) -> Solution:
         """Return the solution that the estimate is, near enough to its minimum."""
-        x, covariance = self.solved
-        s = self.scales
+        (x, covariance), s = self.solved, self.scales
         columns = self.columns.scaled(s)
         sized = tuple(replace(d, std=d.std * float(size))
                       for d, size in zip(self.blocks, s[self.u:][self.first], strict=True))
