@@ -1,14 +1,14 @@
 """
-The answer with all doubts in it: estimate, weights and covariance hold them always.
+The maximum a posteriori estimate with all blocks of nuisance parameters (estimator.md, section 3).
 
-With whitened residuals r = J u + K n + e, doubts n and noise e of unit variance, the least
-squares of [J K; 0 I] give the best linear unbiased u (Henderson 1975, Biometrics 31:423). How
-large the noise really is is estimated by restricted maximum likelihood in multiplicative
-fixed-point steps (Patterson and Thompson 1971, Biometrika 58:545), held to the configured size by
-a weak belief; how large the doubts are, by what is likely beforehand and afterwards (see sizes).
+With whitened residuals r = J u + K n + e, parameters n and noise e of unit variance, the least
+squares of [J K; 0 I] give the best linear unbiased u (Henderson 1975, Biometrics 31:423). The
+variances of the noise are estimated by restricted maximum likelihood in multiplicative fixed-point
+steps (Patterson and Thompson 1971, Biometrika 58:545), held to the configured ones by a weak
+prior; how large the parameters are, from prior and likelihood (see scales).
 
-An estimate and what is stated of it are made with different sizes: a doubt that the data show
-nothing of should not move the answer, but it may well be there.
+The estimate and its reported covariance are made with different prior scales: a parameter that the
+data show nothing of should not move the answer, but it may well be there.
 """
 from __future__ import annotations
 
@@ -22,12 +22,7 @@ from handeye_ros.estimation.factored import Columns
 from handeye_ros.estimation.linalg import from_conditions, from_information
 from handeye_ros.estimation.linearise import Linear, linearise, Problem, State
 from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.noise import (
-    covariances,
-    Noise,
-    Whitening,
-    whitening,
-)
+from handeye_ros.estimation.noise import covariances, Noise, Whitening, whitening
 from handeye_ros.estimation.scales import prior_scales, Scales
 from handeye_ros.estimation.solution import columns_of, retracted, Solution
 import numpy as np
