@@ -3,16 +3,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Feature, Sample
 from handeye_ros.errors import DataError
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from handeye_ros.estimation.blocks import Source
 
 ENDS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
 UNUSED = -1  # the kind of an observation that belongs to nothing
@@ -176,7 +173,7 @@ class Method:
     extract_each: Callable[[Sequence[Array], Config],
                            Sequence[tuple[Feature, ...] | DataError]] | None = None
     elsewhere: Callable[[Observations, Array, Array, Config], str] = _nothing_to_say
-    blocks: Source | None = None
+    blocks: Callable[[Any], Any] | None = None  # a Source of blocks, which imports this module
 
 
 def kind_unchanged(observations: Observations, points: Array, target: Array, config: Config
