@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 from handeye_ros import targets
+from handeye_ros.checks.change_point import moved_slightly
 from handeye_ros.checks.conventions import require_conventions, require_range_sign
 from handeye_ros.checks.errors import LeftOutError
 from handeye_ros.checks.explained import require_edges
@@ -56,10 +57,7 @@ def calibrate(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config
 def calibrate_session(session: Session, config: Config) -> Calibration:
     """Return the calibration from the samples of a session; raises DataError without one."""
     calibration = solve_session(session, config)
-    if not session.warnings:
-        return calibration
-    provenance = {**calibration.provenance, 'warnings': list(session.warnings)}
-    return replace(calibration, provenance=provenance)
+    return with_warnings(calibration, session.warnings) if session.warnings else calibration
 
 
 def solve_session(session: Session, config: Config, solver: Solver | None = None) -> Calibration:
@@ -118,10 +116,19 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     require_judged(agreed)
     require_certain(agreed, config)
     require_edges(agreed)
+    warning = moved_slightly(agreed)
     calibration = describe_calibration(ordered, rejects, agreed, solution, config, frame_id)
+    if warning:
+        calibration = with_warnings(calibration, [warning])
     if not calibration.quality.holdout_rms <= config.limits.residual:
         raise LeftOutError(calibration.quality.holdout_rms, config.limits.residual)
     return calibration, [ordered[i] for i in agreed.used], solution
+
+
+def with_warnings(calibration: Calibration, warnings: Sequence[str]) -> Calibration:
+    """Return a calibration with further warnings in its provenance."""
+    every = [*calibration.provenance.get('warnings', ()), *warnings]
+    return replace(calibration, provenance={**calibration.provenance, 'warnings': every})
 
 
 def evidence(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: Config

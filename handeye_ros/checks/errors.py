@@ -147,6 +147,17 @@ class MovedError(DataError):
                    'target, and take all samples with the same')
 
 
+    @classmethod
+    def slightly(cls, station: int, total: int, sensor: bool, frame: str, distance: float,
+                 turn: float) -> MovedError:
+        """Return the error for a small move that the samples show (metres, radians)."""
+        what = 'sensor' if sensor else 'target'
+        return cls(f'after the first {station} of {total} samples the {what} seems to have moved '
+                   f'in {frame} by about {mm(distance)} and {degrees(turn)}, or the tool or base '
+                   'of the robot was switched: check that it is fixed firmly, and take all '
+                   'samples again')
+
+
 def _parted(station: int, total: int) -> str:
     return (f'the first {station} samples agree among themselves, and so do the other '
             f'{total - station}, but not with each other')

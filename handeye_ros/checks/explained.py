@@ -1,8 +1,8 @@
 """What of the evidence an answer explains: stations, and the edges that they show."""
 from __future__ import annotations
 
+from handeye_ros.checks.alternatives import LARGEST_DROPPED_SHARE
 from handeye_ros.checks.errors import LostEdgesError, TooFewEdgesError
-from handeye_ros.checks.misfit import LARGEST_DROPPED_SHARE
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import points_in_base
 from handeye_ros.estimation.search import shows_edge

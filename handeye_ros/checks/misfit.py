@@ -3,9 +3,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from handeye_ros.checks.alternatives import LARGEST_DROPPED_SHARE
+from handeye_ros.checks.change_point import require_unmoved
 from handeye_ros.checks.errors import ContradictingStationsError, InconsistentError, ScatterError
 from handeye_ros.checks.motion import require_certain
-from handeye_ros.checks.moved import require_unmoved
 from handeye_ros.checks.shape import require_not_only_scale
 from handeye_ros.config import LimitsConfig
 from handeye_ros.estimation.consensus import Consensus
@@ -16,7 +17,6 @@ import numpy as np
 
 SUSPICIOUS = 9.0  # variance factor from which something other than noise is looked for
 WILD, WILD_RATIO = 40.0, 4.0  # variance factor and residual over noise that no robot explains
-LARGEST_DROPPED_SHARE = 0.34
 
 
 @dataclass(frozen=True)

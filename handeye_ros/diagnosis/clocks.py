@@ -11,10 +11,10 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3, targets
-from handeye_ros.checks.conventions import explains
+from handeye_ros.checks.alternatives import Fit, Hypothesis, require_stated
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, Sample
-from handeye_ros.errors import UnusableMessageError
+from handeye_ros.errors import DataError, UnusableMessageError
 from handeye_ros.estimation.consensus import Consensus, fast_consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.solution import redundancy
@@ -33,7 +33,6 @@ CHANGED = 0.8  # quantile of the changes there, which shows an edge that passes 
 STILL_SHARE = 0.1  # of the comparisons, at the least, are of a robot that stands still
 MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # times the change at rest; m
 FEWEST_PROFILES, FEWEST_CONDITIONS = 3, 6
-BELIEVABLE, LARGEST_UNEXPLAINED = 4.0, 0.25  # variance factor and share of what explains them
 SMALLEST = 0.05  # s: less is told by no stop
 
 
@@ -66,11 +65,10 @@ def require_same_clock(session: Session, config: Config) -> None:
     rest = float(np.quantile(changes, STILL_SHARE)) if len(changes) else 0.0
     limit = max(MOVING * rest, SMALLEST_CHANGE)
     stills = [_still(*part, limit, config) for part in seen]
-    as_told = _agreed(session.samples, config)
-    for behind in (0, 1, -1):
-        offset = _offset(stills, behind)
-        if abs(offset) > SMALLEST and _fits(stills, behind, config, as_told):
-            raise ClocksDifferError(offset, config.time_offset)
+    stated = _agreed(session.samples, config)
+    hypotheses = [_late(stills, behind, config) for behind in (0, 1, -1)
+                  if abs(_offset(stills, behind)) > SMALLEST]
+    require_stated((stated,) if stated else (), hypotheses)
 
 
 def _profiles(stop: Stop, config: Config
@@ -144,19 +142,17 @@ def _pairs(stills: Sequence[_Still], behind: int) -> list[tuple[_Still, _Still]]
             if 0 <= k - behind < len(stills)]
 
 
-def _fits(stills: Sequence[_Still], behind: int, config: Config, as_told: Consensus | None
-          ) -> bool:
-    """
-    Return whether the samples fit the poses of the stops that many before.
+def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
+    """Return that what was seen during each stop is of the stop so many before."""
+    def refit() -> Fit | None:
+        agreed = _agreed([replace(still.sample, T_base_flange=stop.pose)
+                          for still, stop in _pairs(stills, behind) if still.sample], config)
+        enough = agreed and redundancy(agreed.solution) >= FEWEST_CONDITIONS
+        return (agreed,) if agreed and enough else None
 
-    as_told: what they agree on with the poses of their time, None if on nothing; it must be worse.
-    """
-    agreed = _agreed([replace(still.sample, T_base_flange=stop.pose)
-                      for still, stop in _pairs(stills, behind) if still.sample], config)
-    return bool(agreed and agreed.unused_share < LARGEST_UNEXPLAINED
-                and agreed.solution.variance_factor < BELIEVABLE
-                and redundancy(agreed.solution) >= FEWEST_CONDITIONS
-                and (as_told is None or explains(agreed, as_told)))
+    def refusal(fit: Fit) -> DataError:
+        return ClocksDifferError(_offset(stills, behind), config.time_offset)
+    return Hypothesis(refit, refusal)
 
 
 def _agreed(samples: Sequence[Sample], config: Config) -> Consensus | None:

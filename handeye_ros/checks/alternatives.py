@@ -1,0 +1,109 @@
+"""
+The same samples under one changed assumption, and which of two explanations they favour.
+
+Two explanations are compared by twice the logarithm of the Bayes factor, as the Schwarz criterion
+approximates it (Schwarz 1978, Ann. Statist. 6:461; Kass and Raftery 1995, J. Am. Stat. Assoc.
+90:773). With f degrees of freedom, u unknowns and the variance factor s, of which the noise scale
+is free upwards from what the configured noise allows, an explanation scores
+
+    f (log v + s / v) + u log m + sum of the limits of what it leaves out,    v = max(s, SMALLEST)
+
+where m counts the conditions. A station that is left out costs what makes a station count as an
+outlier, and so does an edge that a station shows and the explanation has no use for.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from handeye_ros.errors import DataError
+from handeye_ros.estimation.consensus import Consensus, fast_consensus
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.quantiles import chi2_isf
+import numpy as np
+
+# Twice the log of a Bayes factor. Very strong evidence is so called by Kass and Raftery; decisive
+# is what is asked for before a cause is named: one in 10^5.
+VERY_STRONG, DECISIVE = 10.0, 2 * float(np.log(1e5))
+WEAK = -2 * float(np.log(9))  # a chance of one in ten, at even odds beforehand
+OUTLIER = 1e-4  # chance of one of the good stations being taken for an outlier
+SMALLEST = 1e-2  # variance factor, doubts included, of samples without any error of their own
+BELIEVABLE = 4.0  # variance factor of an explanation: more explains nothing
+LARGEST_DROPPED_SHARE = 0.34  # of the stations, that an explanation may leave out
+
+Fit = tuple[Consensus, ...]  # of all stations, or of the parts of a recording
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """
+    One changed assumption.
+
+    refit: fits the same samples under it, None where they do not fit at all; refusal: what names
+    it, given that fit.
+    """
+
+    refit: Callable[[], Fit | None]
+    refusal: Callable[[Fit], DataError]
+
+
+def of_problem(problem: Problem) -> Fit | None:
+    """Return the fit of a problem, None where the first few starts promise nothing."""
+    found = fast_consensus(problem)
+    return (found,) if found else None
+
+
+def score(fit: Fit) -> float:
+    """
+    Return how poorly an explanation does: -2 log of its likelihood, and of its unknowns.
+
+    One without any fit explains nothing.
+    """
+    if not fit:
+        return np.inf
+    n = sum(len(part.whole.poses) for part in fit)
+    f = max(sum(part.solution.degrees_of_freedom for part in fit), 1)
+    u = sum(part.solution.unknowns for part in fit)
+    m = max(sum(len(part.solution.white) for part in fit), 2)
+    v = max(variance_factor(fit), SMALLEST)
+    return f * (float(np.log(v)) + variance_factor(fit) / v) + u * float(np.log(m)) + sum(
+        _left_out(part, n) for part in fit)
+
+
+def variance_factor(fit: Fit) -> float:
+    """Return the squared whitened residual of all parts per degree of freedom."""
+    freedom = sum(part.solution.degrees_of_freedom for part in fit)
+    return sum(part.solution.squares for part in fit) / max(freedom, 1)
+
+
+def _left_out(part: Consensus, stations: int) -> float:
+    """Return what the stations and edges cost that a part leaves out."""
+    rank = max(int(np.median(part.solution.ranks)), 1)
+    limit, of_edge = chi2_isf(OUTLIER / stations, np.array([rank, 1])).tolist()
+    return float(limit * len(part.dropped) + of_edge * len(part.lost))
+
+
+def believable(fit: Fit) -> bool:
+    """Return whether nearly all stations fit, about as well as the configured noise allows."""
+    return variance_factor(fit) < BELIEVABLE and all(
+        part.unused_share < LARGEST_DROPPED_SHARE and part.solution.degrees_of_freedom > 0
+        for part in fit)
+
+
+def evidence(other: Fit, stated: Fit) -> float:
+    """Return twice the log of the Bayes factor for another explanation against the stated."""
+    return score(stated) - score(other)
+
+
+def require_stated(stated: Fit, hypotheses: Iterable[Hypothesis], level: float = DECISIVE
+                   ) -> None:
+    """
+    Refuse the stated assumptions where one changed assumption explains the samples better.
+
+    Raises the refusal of the hypothesis that explains them best.
+    """
+    fits = [(one, fit) for one in hypotheses if (fit := one.refit()) and believable(fit)
+            and evidence(fit, stated) > level]
+    if fits:
+        best, fit = min(fits, key=lambda pair: score(pair[1]))
+        raise best.refusal(fit)
