@@ -16,11 +16,11 @@ from handeye_ros.checks.errors import (
     TooUncertainError,
     TwoAnswersError,
 )
+from handeye_ros.checks.minima import alternative_minimum
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.minima import alternative_minimum
 from handeye_ros.estimation.model import Method
 from handeye_ros.estimation.solution import redundancy, Solution
 import numpy as np

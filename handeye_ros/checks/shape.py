@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import math
 from typing import Any
 
+from handeye_ros.checks.alternatives import believable, evidence, VERY_STRONG
 from handeye_ros.checks.errors import ScaleError
 from handeye_ros.config import Config
 from handeye_ros.data import Array
@@ -20,8 +21,8 @@ import numpy as np
 
 CONTRADICTION = 4.0  # sigmas that make an answer wrong
 TOLD_CONTRADICTION = 3.0  # sigmas of a measure of the target that is told: it costs a look
-DOUBTFUL = 4.0  # variance factor from which another shape is tried from the start
-CONVINCING = 4.0  # by which it must lower it
+POOR = 4.0  # variance factor from which another shape is tried from the start
+MORE_EXPLAINED = 0.1  # of the stations, with which a shape is tried to the end
 LARGEST_CHANGE = 0.5  # of a stated measure, relative: more is no tolerance but another target
 LARGEST_SCALE_ERROR = 5e-2  # of the robot's lengths: more is another unit, or a wrong answer
 MOST = 0.5  # of the squared residuals
@@ -52,9 +53,9 @@ class Shape:
 def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> Consensus:
     """Return the consensus with the target's shape free if only that makes the stations agree."""
     config = problem.method.relax(problem.config)
-    doubtful = (agreed.dropped or len(agreed.lost)
-                or agreed.solution.variance_factor > DOUBTFUL)
-    if config is None or not doubtful:
+    poor = (agreed.dropped or len(agreed.lost)
+            or agreed.solution.variance_factor > POOR)
+    if config is None or not poor:
         return agreed
     try:
         other = consensus(replace(problem, config=config), rng)
@@ -63,10 +64,10 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
     stated = float(problem.method.configured(problem.config)[-1])
     if abs(other.solution.estimate.target[-1] - stated) > LARGEST_CHANGE * stated:
         return agreed
-    gain = max(agreed.solution.variance_factor, 1.0) / max(other.solution.variance_factor, 1.0)
-    more = other.explained - agreed.explained
-    better = (gain > CONVINCING and more >= 0) or (more > 0.1 * len(problem.poses) and gain > 0.5)
-    return other if better else agreed
+    # what is left out as the target is not as stated may yet show how it is, once all is refined
+    complete = believable((other,)) and (
+        other.explained - agreed.explained > MORE_EXPLAINED * len(problem.poses))
+    return other if complete or evidence((other,), (agreed,)) > VERY_STRONG else agreed
 
 
 def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:

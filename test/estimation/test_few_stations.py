@@ -12,11 +12,11 @@ from handeye_ros.checks.errors import (
     TooFewSamplesError,
     TooUncertainError,
 )
+from handeye_ros.checks.minima import alternative_minimum
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import consensus, refine
-from handeye_ros.estimation.minima import alternative_minimum
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.search import guesses
 from handeye_ros.estimation.solution import evaluate, redundancy
