@@ -8,8 +8,10 @@ import re
 from cells import cell
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import MovedError
+from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
+from handeye_ros.simulate import FAULTS, settings, simulate_samples
 import numpy as np
 import pytest
 
@@ -40,6 +42,32 @@ def test_what_moved_is_named(name: str, change: Callable[[Array], Array], words:
     first, rest = map(int, parted.groups())
     n = len(made.samples)
     assert first + rest == n and abs(first - n // 2) <= 2
+
+
+SLIGHT = se3.perturb(np.eye(4), np.array([4e-4, 0.0, 3e-4, 0.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(('change', 'what'), [
+    (lambda T: T @ SLIGHT, 'sensor'), (lambda T: SLIGHT @ T, 'target')])
+def test_a_small_move_is_told_with_its_moment(
+        change: Callable[[Array], Array], what: str) -> None:
+    made = cell('plate', 5)
+    samples = later(made.samples, change)
+    half = len(samples) // 2
+    try:
+        answer = pipeline.solve(samples, [], made.config, 'laser')
+        said = ' '.join(answer.provenance.get('warnings', ()))
+    except MovedError as refusal:
+        said = str(refusal)
+    assert f'after the first {half} of {len(samples)} samples the {what} seems' in said
+    assert float(re.search('by about ([0-9.]+) mm', said)[1]) == pytest.approx(0.5, abs=0.3)
+
+
+@pytest.mark.parametrize('name', ['baseline', 'joints and links 0.1 mm', 'sphere, smooth 0.2 mm'])
+def test_a_robot_less_accurate_than_stated_is_no_move(name: str) -> None:
+    samples, _ = simulate_samples(FAULTS[name], np.random.default_rng(0))
+    config = with_values(Config(), settings(FAULTS[name]), 'test')
+    assert 'warnings' not in pipeline.solve(samples, [], config, 'laser').provenance
 
 
 def test_with_the_sensor_beside_the_robot_the_frames_change_sides() -> None:
