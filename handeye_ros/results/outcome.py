@@ -83,7 +83,7 @@ def describe_target(agreed: Consensus, config: Config) -> dict[str, Any]:
     """Return what was estimated of the target, and of all else that was in doubt."""
     solution = agreed.solution
     told = solution.problem.method.describe(solution.estimate.target, solution.target_std)
-    told |= reported_blocks(solution)
+    told |= reported_blocks(solution) | {'joint': _joint(solution)}
     notes = [shape.note for shape in contradictions(solution, config)]
     notes += [lost] if (lost := lost_edges(agreed)) else []
     notes += [beside] if (beside := other_surfaces(agreed)) else []
@@ -109,6 +109,21 @@ def other_surfaces(agreed: Consensus) -> str:
     stations = len(np.unique(obs.station[unused]))
     return (f'{stations} of {len(agreed.used)} samples show other surfaces too, {where} than the '
             f'{problem.method.name} that was used in all of them')
+
+
+def _joint(solution: Solution) -> dict[str, Any]:
+    """
+    Return what a later check compares with: target state, joint covariance, variance factor.
+
+    The covariance (6 + k, 6 + k) is of the errors of the transform and of the target's parameters
+    as the data show them, so that errors in common cancel.
+    """
+    problem = solution.problem
+    size = 6 + len(problem.method.labels)
+    C, rows = np.zeros((size, size)), problem.columns
+    C[np.ix_(rows, rows)] = solution.covariance[:solution.unknowns, :solution.unknowns]
+    return {'state': solution.estimate.target.tolist(), 'covariance': C.ravel().tolist(),
+            'variance_factor': solution.variance_factor}
 
 
 def _used_reports(used: Sequence[Sample], problem: Problem, station: NDArray[np.intp],

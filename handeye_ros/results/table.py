@@ -141,7 +141,7 @@ def _target_values(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
                 std, 1, 5)
         elif key in DIRECTIONS:
             yield name, ' '.join(f'{v:.6f}' for v in value)
-        elif not key.endswith('_std'):
+        elif not key.endswith('_std') and key != 'joint':
             yield name, str(value)
 
 

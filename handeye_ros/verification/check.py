@@ -1,15 +1,15 @@
 """
 Whether a calibration still holds: a short recording of the target it was made with.
 
-The target is fitted with the calibration held, relative to where it was. What is left tells of
-the sensor, how far the target moved tells of the target (or of the robot's base). Where the rest
-is too large and a moved sensor explains it, the sensor moved; where it does not, the robot
-measures otherwise than it did.
+What the recording shows is compared with what the calibration expects there (see causes). The
+sentence names the cause, or those that the stops cannot tell apart with their odds and the two
+stops that would; where nothing changed, it says what change would have shown.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
 import math
 from typing import Any
 
@@ -17,20 +17,28 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import mm
-from handeye_ros.estimation.quantiles import chi2_sf
+from handeye_ros.estimation.model import Method
 from handeye_ros.results.outcome import mounted, sensor_axes
-from handeye_ros.verification import wedge_place
+from handeye_ros.targets import METHODS
+from handeye_ros.verification.causes import (
+    Cause,
+    CAUSES,
+    causes,
+    Comparison,
+    EVIDENCE,
+    smallest_moves,
+)
 from handeye_ros.verification.errors import NoCheckError, TooFewSeenError
-from handeye_ros.verification.fixed_fit import fit, FixedFit, points_in_base
-from handeye_ros.verification.routine import Seen, Shape
-from handeye_ros.verification.routines import arcs, edge, faces
-from handeye_ros.verification.shapes import Kinds
+from handeye_ros.verification.fixed_fit import by_calibration, points_in_base
+from handeye_ros.verification.routine import Seen
 import numpy as np
 
-FORMAT = 'handeye_ros/check/1'
-SUSPICIOUS = 0.01  # p of what is no chance
+FORMAT = 'handeye_ros/check/2'
 LEAST_STATIONS = 4
-ITERATIONS = 5
+SURE = 0.95  # probability with which one cause, or some together, are named
+UNSEEN = 0.01  # m: a shift that would show only from here on is called unseen
+TURNS = np.deg2rad([[0, 0, 90], [0, 0, 180], [0, 0, -90], [25, 0, 0], [-25, 0, 0], [0, 25, 0],
+                    [0, -25, 0]])  # of a stop that may decide, about the sensor's axes
 
 
 @dataclass(frozen=True)
@@ -38,10 +46,14 @@ class Check:
     """
     What a recording says of a calibration.
 
-    verdict: unchanged, target (it, or the robot's base, moved), sensor, or robot (something that
-    neither explains). p: of the distances, p_target: of the target's place, p_sensor: of the
-    distances with a moved sensor. target_moved: (m), and target_turned (rad) where the target has
-    directions. sensor_moved (m), sensor_turned (rad): by the distances; rms: of these (m).
+    verdict: unchanged, or the causes: target (it, or the robot's base, moved), sensor, robot
+    (its poses err otherwise), with "or" between those that the stops cannot tell apart. evidence:
+    how many times as likely the recording is with a change as without. odds: probability of each
+    cause if something changed. target_moved (m), target_turned (rad): likeliest, were it the
+    target; sensor_moved, sensor_turned: the same of the sensor in the flange; points_off: by how
+    much points would then be off at most, and its std (m). target_shows, sensor_shows: from which
+    shifts on it would have shown, along their axes (in the base, in the flange), m; nan: none
+    would. rms: of the residuals (m).
     """
 
     stamp: int
@@ -49,79 +61,18 @@ class Check:
     sentence: str
     stations: int
     rms: float
-    p: float
-    p_target: float
-    p_sensor: float
+    evidence: float
+    odds: dict[str, float]
     target_moved: float
     target_turned: float
     sensor_moved: float
     sensor_turned: float
-
-
-@dataclass(frozen=True)
-class Target:
-    """How a target is seen, and its shape (place in the base, as the calibration tells it)."""
-
-    observe: Callable[[Sequence[Sample], Array, Array, Mapping[str, Any]], Any]
-    shape: Callable[[Array, Mapping[str, Any]], tuple[Shape, int]]
-
-
-def plane(p: Array, normal: Array, height: float) -> tuple[Shape, int]:
-    """Return a plane: height and two tilts against where it was."""
-    side = np.linalg.svd(normal[None])[2][1:]
-    middle = p.mean(axis=0)
-
-    def distance(p: Array, kind: Kinds, q: Array) -> Array:
-        return np.asarray(p @ normal - height - q[0] - (p - middle) @ side.T @ q[1:])
-
-    return Shape(np.zeros(3), distance, lambda q: q, (0.0,) * 3), 1
-
-
-def _plate(p: Array, target: Mapping[str, Any]) -> tuple[Shape, int]:
-    pose = target['pose']
-    T = se3.from_quaternion(np.array([pose['translation'][a] for a in 'xyz']),
-                            np.array([pose['rotation'][a] for a in 'xyzw']))
-    return plane(p, T[:3, 2], float(T[:3, 2] @ T[:3, 3]))
-
-
-def _plane(p: Array, target: Mapping[str, Any]) -> tuple[Shape, int]:
-    return plane(p, np.array(target['normal'], dtype=float), float(target['distance']))
-
-
-def _line(p: Array, target: Mapping[str, Any]) -> tuple[Shape, int]:
-    way = np.array(target['direction'], dtype=float)
-    side = np.linalg.svd(way[None])[2][1:]
-    origin = np.array([target['point'][a] for a in 'xyz'])
-    middle = float((p.mean(axis=0) - origin) @ way)
-
-    def distance(p: Array, kind: Kinds, q: Array) -> Array:
-        offset = p - origin
-        along = (offset @ way - middle)[:, None]
-        away = offset @ side.T - q[:2] - along * q[2:]
-        return np.asarray(np.where(kind == 0, away[:, 0], away[:, 1]))
-
-    return Shape(np.zeros(4), distance, lambda q: q, (0.0,) * 4), 2
-
-
-def _sphere(p: Array, target: Mapping[str, Any]) -> tuple[Shape, int]:
-    centre, radius = np.array([target['centre'][a] for a in 'xyz']), float(target['radius'])
-
-    def distance(p: Array, kind: Kinds, q: Array) -> Array:
-        return np.asarray(np.linalg.norm(p - centre - q, axis=1) - radius)
-
-    return Shape(np.zeros(3), distance, lambda q: q, (0.0,) * 3), 3
-
-
-def _alone(observe: Callable[[Sequence[Sample], Array, Array], Any]
-           ) -> Callable[[Sequence[Sample], Array, Array, Mapping[str, Any]], Any]:
-    """Return how a target is observed that needs not be told where it was."""
-    return lambda samples, poses, X, told: observe(samples, poses, X)
-
-
-TARGETS = {'plate': Target(_alone(faces), _plate), 'plane': Target(_alone(faces), _plane),
-           'line': Target(_alone(edge), _line), 'sphere': Target(_alone(arcs), _sphere),
-           'wedge': Target(wedge_place.both_faces, wedge_place.faces)}
-"""The targets that a calibration can be checked with, by its method."""
+    points_off: float
+    points_off_std: float
+    target_shows: list[float]
+    target_axes: list[list[float]]
+    sensor_shows: list[float]
+    sensor_axes: list[list[float]]
 
 
 def check(samples: Sequence[Sample], calibration: Calibration, config: Config, reason: str = ''
@@ -131,57 +82,126 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
 
     reason: why other stations gave no sample. Raises NoCheckError, TooFewSeenError.
     """
-    target = TARGETS.get(calibration.method)
-    if target is None:
-        raise NoCheckError(calibration.method, list(TARGETS))
+    method = METHODS.get(calibration.method)
+    joint = calibration.target.get('joint')
+    if method is None or not isinstance(joint, Mapping):
+        raise NoCheckError(calibration.method, list(METHODS))
     if len(samples) < LEAST_STATIONS:
         raise TooFewSeenError(len(samples), LEAST_STATIONS, reason)
-    poses = mounted(samples, config)
-    X = calibration.T_flange_sensor @ sensor_axes(config)
+    it = _comparison(samples, calibration, method, joint, config)
+    if len(np.unique(it.seen.observations.station)) < LEAST_STATIONS:
+        raise TooFewSeenError(len(np.unique(it.seen.observations.station)), LEAST_STATIONS, reason)
+    nothing, found = causes(it)
+    return _judged(it, nothing, found, samples[0].stamp)
+
+
+def _comparison(samples: Sequence[Sample], calibration: Calibration, method: Method,
+                joint: Mapping[str, Any], config: Config) -> Comparison:
+    size = 6 + len(method.labels)
     try:
-        seen = Seen(poses, target.observe(samples, poses, X, calibration.target))
-        shape, places = target.shape(points_in_base(seen, X), calibration.target)
+        state = np.array(joint['state'], dtype=float)
+        covariance = np.array(joint['covariance'], dtype=float).reshape(size, size)
+        scale = math.sqrt(max(float(joint['variance_factor']), 1.0))
     except (KeyError, TypeError, ValueError) as error:
-        raise NoCheckError(calibration.method, list(TARGETS)) from error
-    found = fit(seen, X, calibration.covariance, config.noise, shape)
-    off, p_sensor = _moved_sensor(seen, X, calibration.covariance, config, shape)
-    return _judged(replace(found, error=off, p_error=p_sensor), places, samples[0].stamp,
-                   len(samples))
+        raise NoCheckError(calibration.method, list(METHODS)) from error
+    seen = Seen(mounted(samples, config), method.observe(samples))
+    return Comparison(method, seen, calibration.T_flange_sensor @ sensor_axes(config), state,
+                      covariance, config, scale).labelled()
 
 
-def _moved_sensor(seen: Seen, X: Array, C: Array, config: Config, shape: Shape
-                  ) -> tuple[Array, float]:
-    """Return the error (6,) of X that explains the distances best, and their p with it."""
-    moved = X
-    for _ in range(ITERATIONS):
-        found = fit(seen, moved, C, config.noise, shape)
-        moved = se3.perturb(moved, -found.error)
-    return se3.difference(X, moved), found.p_error
-
-
-def _judged(found: FixedFit, places: int, stamp: int, stations: int) -> Check:
-    p_target = float(chi2_sf(found.region, found.freedom))
-    moved = float(np.linalg.norm(found.values[:places]))
-    turned = float(np.linalg.norm(found.values[places:]))
-    shift, turn = (float(np.linalg.norm(part)) for part in np.split(found.error, 2))
-    rms = float(np.sqrt((found.distances ** 2).mean()))
-    if found.p >= SUSPICIOUS and p_target >= SUSPICIOUS:
-        verdict, sentence = 'unchanged', 'the calibration holds, and the target is where it was'
-    elif found.p >= SUSPICIOUS:
-        verdict = 'target'
-        sentence = (f'the calibration holds; the target, or the base of the robot, moved by '
-                    f'{mm(moved)} and turned by {math.degrees(turned):.3f} degrees')
-    elif found.p_error >= SUSPICIOUS:
-        verdict = 'sensor'
-        sentence = (f'the sensor moved on the flange: points are off by up to '
-                    f'{mm(found.implied)}; calibrate again')
+def _judged(it: Comparison, nothing: float, found: Sequence[Cause], stamp: int) -> Check:
+    likelihood = np.array([cause.likelihood for cause in found])
+    evidence = float(np.logaddexp.reduce(likelihood) - np.log(len(found)) - nothing)
+    odds = np.exp(likelihood - np.logaddexp.reduce(likelihood))
+    order = np.argsort(-odds)
+    few = order[:int(np.searchsorted(np.cumsum(odds[order]), SURE)) + 1]
+    named = [found[k] for k in few]
+    axes, shows = zip(*(smallest_moves(it, name) for name in ('target', 'sensor')), strict=True)
+    target, sensor = found[:2]
+    if evidence < math.log(EVIDENCE):
+        verdict, sentence = 'unchanged', _unchanged(axes, shows)
     else:
-        verdict = 'robot'
-        sentence = (f'distances of {mm(rms)} RMS that no moved sensor and no moved target '
-                    "explain: the robot's own calibration changed, the target is no longer what "
-                    'it was, or the noise is set too small')
-    return Check(stamp, verdict, sentence, stations, rms, found.p, p_target, found.p_error, moved,
-                 turned, shift, turn)
+        verdict = ' or '.join(cause.name for cause in named)
+        sentence = '; or '.join(_said(it, cause) for cause in named)
+        if len(named) > 1:
+            chances = ', '.join(f'{CAUSES[k]} {odds[k]:.0%}' for k in few)
+            sentence = f'these stops cannot tell ({chances}): {sentence}. {_deciding(it, named)}'
+    g = it.method.conditions(points_in_base(it.seen, it.X), it.seen.observations.kind, it.state,
+                             it.config).g
+    return Check(stamp, verdict, sentence, len(np.unique(it.seen.observations.station)),
+                 float(np.sqrt((g ** 2).mean())), math.exp(min(evidence, 700.0)),
+                 dict(zip(CAUSES, map(float, odds), strict=True)), *_size(target), *_size(sensor),
+                 sensor.displacement, sensor.displacement_std,
+                 _finite(shows[0]), axes[0].tolist(), _finite(shows[1]), axes[1].tolist())
+
+
+def _finite(shows: Array) -> list[float]:
+    return [float(v) if v < UNSEEN else math.nan for v in shows]
+
+
+def _size(cause: Cause) -> tuple[float, float]:
+    return float(np.linalg.norm(cause.move[:3])), float(np.linalg.norm(cause.move[3:]))
+
+
+def _said(it: Comparison, cause: Cause) -> str:
+    moved, turned = _size(cause)
+    off = f'{mm(cause.displacement)} ± {mm(2 * cause.displacement_std)}'
+    if cause.name == 'target':
+        return (f'the target, or the base of the robot, moved by up to {off} where it was seen, '
+                f'and turned by {math.degrees(turned):.3f} degrees; the calibration holds')
+    if cause.name == 'sensor':
+        return (f'the sensor moved on the flange by {mm(moved)} and {math.degrees(turned):.3f} '
+                f'degrees: points are off by up to {off}; calibrate again')
+    return ('the poses of the robot err otherwise than before (mastering, a joint, wear), or '
+            'repeat worse than noise.robot_* says: check the robot before the sensor')
+
+
+def _unchanged(axes: Sequence[Array], shows: Sequence[Array]) -> str:
+    """Return what would have shown, and what could not have."""
+    moves = list(zip(shows[0], axes[0], strict=True))
+    seen = [f'{mm(size)} along {_axis(axis)}' for size, axis in moves if size < UNSEEN]
+    lost = [_axis(axis) for size, axis in moves if size >= UNSEEN]
+    sensor = shows[1][-1]
+    text = ('the calibration holds, and the target is where it was. Shifts of the target would '
+            f'have shown from {", ".join(seen)} of the base on')
+    text += f'; a slide along {" or ".join(lost)} cannot be seen' if lost else ''
+    return text + ('; those of the sensor ' + (
+        f'from {mm(sensor)} on in every direction' if sensor < UNSEEN else
+        f'from {mm(shows[1][0])} on, but none along {_axis(axes[1][-1])} of the flange'))
+
+
+def _axis(axis: Array) -> str:
+    axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
+    if np.abs(axis).max() > 0.995:
+        return 'xyz'[int(np.argmax(np.abs(axis)))]
+    return '(' + ' '.join(f'{v:.2f}' for v in axis) + ')'
+
+
+def _deciding(it: Comparison, named: Sequence[Cause]) -> str:
+    """Return which two further stops tell two causes apart best, in words."""
+    moves = {cause.name: cause.move for cause in named}
+    if not {'target', 'sensor'} <= moves.keys():
+        return ('Repeat the recording with the sensor turned by 90 degrees about its z at two of '
+                'the stops: an error of the robot differs there, a move does not')
+    seen, obs = it.seen, it.seen.observations
+    rows = [int(np.flatnonzero(obs.station == s)[0]) for s in np.unique(obs.station)]
+    p, centre = points_in_base(seen, it.X), points_in_base(seen, it.X).mean(axis=0)
+    by_p = it.method.conditions(p, obs.kind, it.state, it.config).dg_dp
+    lever = by_calibration(seen, it.X)
+    best: dict[int, tuple[float, Array]] = {}
+    for row, turn in product(rows, TURNS):
+        R = seen.poses[obs.station[row], :3, :3] @ it.X[:3, :3]
+        turned = R @ se3.exp_rotation(turn) @ R.T  # about the point that is seen
+        by_sensor = -(turned @ lever[row]) @ moves['sensor']
+        by_target = moves['target'][:3] + np.cross(moves['target'][3:], p[row] - centre)
+        apart = abs(float(by_p[row] @ (by_sensor + by_target)))
+        if apart > best.get(row, (0.0, turn))[0]:
+            best[row] = (apart, turn)
+    stops = sorted(best, key=lambda row: -best[row][0])[:2]
+    return 'Two more stops would decide it: ' + ' and '.join(
+        f'stop {int(obs.station[row]) + 1} again with the sensor turned by '
+        f'{np.degrees(np.abs(best[row][1]).max()):.0f} degrees about its '
+        f'{"xyz"[int(np.argmax(np.abs(best[row][1])))]}' for row in stops)
 
 
 def values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str, Any]:

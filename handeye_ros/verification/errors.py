@@ -105,12 +105,13 @@ class NoTeethError(DataError):
 
 
 class NoCheckError(InputError):
-    """A calibration of which the target cannot be recognised."""
+    """A calibration that does not say what a check compares with."""
 
     def __init__(self, method: str, known: Sequence[str]) -> None:
-        super().__init__(f'the calibration (method {method}) does not tell where a target is that '
-                         f'could be checked; those of {", ".join(known)} do: make such a '
-                         'calibration, or measure something known with "handeye verify"')
+        super().__init__(
+            f'the calibration (method {method}) does not hold what a check compares with: the '
+            'target with its covariance. Solve its recording again with this version, as one of '
+            f'{", ".join(known)}, or measure something known with "handeye verify"')
 
 
 class NothingToCheckError(InputError):
