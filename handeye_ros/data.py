@@ -174,8 +174,11 @@ class Sample:
     """
     A station: what was seen while the robot stood still, and where it stood.
 
-    stamp: of the first profile used; T_base_flange: (4, 4). flipped: what its first profile
-    would show if the range were counted the other way, to tell a wrong setting.
+    Or one profile of a robot that moves. stamp: of the first profile used; T_base_flange: (4, 4).
+    flipped: what its first profile would show if the range were counted the other way, to tell a
+    wrong setting. motion: of a robot that moves (sampling.trajectory); offset: by how much later
+    than the stamp its pose is (s). single: of a pass, the samples of its profiles; its own is the
+    middle one.
     """
 
     stamp: int
@@ -183,6 +186,17 @@ class Sample:
     features: tuple[Feature, ...]
     profiles: int = 1
     flipped: tuple[Feature, ...] = ()
+    motion: Any = None
+    offset: float = 0.0
+    single: tuple[Sample, ...] = ()
+
+
+@dataclass(frozen=True)
+class TimeOffset:
+    """Seconds to be added to the stamps of the profiles, and 1 sigma."""
+
+    value: float
+    std: float
 
 
 @dataclass(frozen=True)
@@ -229,7 +243,7 @@ class Calibration:
     The answer: T_flange_sensor (4, 4) and its 6x6 covariance (x y z rx ry rz, flange frame).
 
     With eye_on_base the parent is the robot's base. target: what else was estimated, as plain
-    values (numbers, strings, lists, dicts). provenance: version, created, inputs, config.
+    values; time_offset: where it was estimated; provenance: version, created, inputs, config.
     """
 
     name: str
@@ -242,3 +256,4 @@ class Calibration:
     quality: Quality
     samples: tuple[SampleReport, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    time_offset: TimeOffset | None = None

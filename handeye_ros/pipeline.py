@@ -30,12 +30,14 @@ from handeye_ros.diagnosis.snapshots import stop_snapshots
 from handeye_ros.errors import DataError, NamedCauseError
 from handeye_ros.estimation.consensus import Consensus, consensus, refine, SUBSETS
 from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance import advice
 from handeye_ros.results.outcome import describe_calibration, mounted
 from handeye_ros.results.report.evidence import Evidence, judged
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.time_offset import problem_of, synchronised
 from handeye_ros.threads import single_threaded
 import numpy as np
 
@@ -111,8 +113,9 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     """Return the calibration as solve does, the samples it comes from, and the solution."""
     require_own_frame(frame_id, config)
     ordered, at_border = consistent_edges(sorted(samples, key=lambda sample: sample.stamp))
-    rejects = [*rejects, *at_border]
-    agreed, solution = estimate(ordered, rejects, config)
+    moved = synchronised(ordered, config)
+    ordered, rejects = moved.samples, [*rejects, *at_border, *moved.rejects]
+    agreed, solution = estimate(ordered, rejects, config, moved.estimate)
     require_judged(agreed)
     require_certain(agreed, config)
     require_edges(agreed)
@@ -158,17 +161,19 @@ def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None)
     ordered, _ = consistent_edges(samples)
     if len(ordered) >= targets.method_for(config).minimum:
         try:
-            solution = estimate(ordered, (), config)[1]
+            moved = synchronised(ordered, config)
+            solution = estimate(moved.samples, (), config, moved.estimate)[1]
         except DataError as error:
             trouble = str(error)
     return advice.advise(samples, config, solution, trouble, seen)
 
 
-def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Config
-             ) -> tuple[Consensus, Solution]:
+def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Config,
+             start: Estimate | None = None) -> tuple[Consensus, Solution]:
     """
     Return which samples agree, and the solution from these, however uncertain.
 
+    start: from which alone to start, where it is known.
     Raises DataError when the samples cannot be solved or contradict each other.
     """
     method = targets.method_for(config)
@@ -176,9 +181,9 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     require_samples(ordered, rejects, method)
     poses = mounted(ordered, config)
     require_rotations(poses, config, method.one_axis)
-    problem = Problem(method, poses, method.observe(ordered), config)
+    problem = problem_of(ordered, config)
     rng = np.random.default_rng(SEED)
-    agreed = believable_shape(problem, consensus(problem, rng, SUBSETS), rng)
+    agreed = believable_shape(problem, consensus(problem, rng, SUBSETS, start), rng)
     require_conventions(problem, agreed, flipped(ordered, problem))
     require_consistent(problem, agreed)
     require_only_answer(problem, agreed, rng)

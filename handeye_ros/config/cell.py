@@ -67,8 +67,9 @@ class SamplingConfig:
     """When the robot stands still, and what of a station is used."""
 
     mode: str = key('still', 'When a sample is taken: by itself at every stop of the robot '
-                    '(still), or when asked by ~/take_sample or ~/take (manual).',
-                    choices=('still', 'manual'))
+                    '(still), when asked by ~/take_sample or ~/take (manual), or of single '
+                    'profiles while the robot moves (moving).',
+                    choices=('still', 'manual', 'moving'))
     still_time: float = key(0.5, 'The robot stands still when its pose has not changed for '
                             'this long (s).', minimum=0.05, maximum=60.0)
     still_translation: float = key(5e-4, 'Largest change of position of a robot that stands '
@@ -94,8 +95,13 @@ class SamplingConfig:
 
     @property
     def by_itself(self) -> bool:
-        """Return whether a sample is taken at every stop without being asked for."""
-        return self.mode == 'still'
+        """Return whether samples are taken without being asked for."""
+        return self.mode != 'manual'
+
+    @property
+    def moving(self) -> bool:
+        """Return whether samples are taken while the robot moves."""
+        return self.mode == 'moving'
 
 
 @dataclass(frozen=True)

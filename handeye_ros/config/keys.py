@@ -51,6 +51,9 @@ class Config:
     profile_topic: str = key('profile', 'Topic of the laser profiles.')
     time_offset: float = key(0.0, "Added to the profiles' stamps (s), for a sensor whose clock "
                              'or whose driver is late or early.', minimum=-10.0, maximum=10.0)
+    time_offset_std: float = key(
+        0.05, 'How well time_offset is known (s, 1 sigma), where it is estimated '
+        '(sampling.mode moving).', minimum=1e-6, maximum=1.0)
     profile: ProfileConfig = field(default_factory=ProfileConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     method: str = key('auto', 'The estimator; auto: the one of the target.')

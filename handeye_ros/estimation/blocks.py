@@ -209,7 +209,7 @@ def pose_model(first: Linear) -> Blocks:
             block = slice(int(end) - count, int(end))
             own = twists[:, :, block]
             yield ParameterBlock(name, by_twists(linear, own) * std, std, twists=own,
-                                 retract=retract_in(block), report=name)
+                                 retract=retract_in(block), least=model.least, report=name)
     return at
 
 

@@ -76,14 +76,18 @@ class Consensus:
         return 1 - self.explained / len(self.whole.poses)
 
 
-def consensus(problem: Problem, rng: np.random.Generator, subsets: int = 0) -> Consensus:
+def consensus(problem: Problem, rng: np.random.Generator, subsets: int = 0,
+              start: Estimate | None = None) -> Consensus:
     """
     Return the solution of the stations that agree.
 
     subsets: how many random subsets of stations to start from when all together are in doubt.
+    start: from which alone to start.
 
     Raises DataError when no estimate can be started at all.
     """
+    if start is not None:
+        return without_outliers(refined(problem, start))
     starts = guesses(problem, rng)
     best = refined(problem, next(starts))
     tried = 1

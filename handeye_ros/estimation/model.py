@@ -70,7 +70,7 @@ class PoseModel:
     (N, 6, k), the derivatives by the values: a translation, and a rotation vector about the
     flange's origin, both in the base frame. names, counts, stds: of blocks of the parameters, one
     after the other, each with the 1 sigma of its prior about 0. stations: those of the N that a
-    problem has, None: all.
+    problem has, None: all. least: of the blocks, see ParameterBlock.
     """
 
     evaluate: Callable[[Array], tuple[Array, Array]]
@@ -78,6 +78,7 @@ class PoseModel:
     counts: tuple[int, ...]
     stds: tuple[float, ...]
     stations: NDArray[np.intp] | None = None
+    least: float = 0.0
 
     def at(self, values: Array) -> tuple[Array, Array]:
         """Return the poses (n, 4, 4) and twists (n, 6, k) of the stations of a problem."""

@@ -17,7 +17,7 @@ from typing import Any
 
 from handeye_ros import __version__, se3
 from handeye_ros.config import Config, yaml_content
-from handeye_ros.data import Array, Calibration, Quality, SampleReport
+from handeye_ros.data import Array, Calibration, Quality, SampleReport, TimeOffset
 from handeye_ros.errors import BadValueError, UnwritableError
 from handeye_ros.results.errors import CalibrationFileError
 from handeye_ros.results.section import Section
@@ -86,17 +86,15 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def _content(calibration: Calibration) -> dict[str, Any]:
-    T = calibration.T_flange_sensor
+    T, offset = calibration.T_flange_sensor, calibration.time_offset
     return {
         'format': f'{FORMAT}{NEWEST}',
-        'name': calibration.name,
-        'method': calibration.method,
-        'parent_frame': calibration.parent_frame,
-        'child_frame': calibration.child_frame,
-        'transform': transform_values(T),
-        'rpy': _plain(se3.rpy(T)),
+        'name': calibration.name, 'method': calibration.method,
+        'parent_frame': calibration.parent_frame, 'child_frame': calibration.child_frame,
+        'transform': transform_values(T), 'rpy': _plain(se3.rpy(T)),
         'covariance': _plain(calibration.covariance.ravel()),
         'target': _plain(calibration.target),
+        **({'time_offset': _plain(asdict(offset))} if offset else {}),
         'quality': _plain(asdict(calibration.quality)),
         'samples': [_sample_values(report) for report in calibration.samples],
         'provenance': _provenance(calibration.provenance),
@@ -165,7 +163,12 @@ def read_calibration(path: Path) -> Calibration:
         quality=_quality(file.section('quality')),
         samples=tuple(_sample(Section(path, f'samples[{i}].', item))
                       for i, item in enumerate(file.get('samples', list))),
-        provenance=file.get('provenance', dict))
+        provenance=file.get('provenance', dict), time_offset=_time_offset(file))
+
+
+def _time_offset(file: Section) -> TimeOffset | None:
+    found = file.section('time_offset') if file.has('time_offset') else None
+    return TimeOffset(found.number('value'), found.number('std')) if found else None
 
 
 def transform_from(path: Path, key: str, values: Any) -> Array:
@@ -233,6 +236,6 @@ def equal(a: Calibration, b: Calibration) -> bool:
         np.array_equal(a.covariance, b.covariance),
         (a.name, a.method, a.parent_frame, a.child_frame)
         == (b.name, b.method, b.parent_frame, b.child_frame),
-        (a.quality, a.samples) == (b.quality, b.samples),
+        (a.quality, a.samples, a.time_offset) == (b.quality, b.samples, b.time_offset),
         (_plain(a.target), _plain(a.provenance)) == (_plain(b.target), _plain(b.provenance)),
     ))

@@ -25,6 +25,7 @@ from handeye_ros.sampling.errors import (
     SparsePosesError,
     TwoFramesError,
 )
+from handeye_ros.sampling.passes import PassFinder
 from handeye_ros.sampling.profile_buffer import ProfileBuffer
 from handeye_ros.sampling.stops import beside, Stop, stop_of
 from handeye_ros.sampling.stream import LARGEST_STEP, Stream
@@ -44,7 +45,8 @@ class DwellDetector:
 
     def clear(self) -> None:
         """Forget all that was received."""
-        self._finder = DwellFinder(self._config.sampling)
+        finder = PassFinder if self._config.sampling.moving else DwellFinder
+        self._finder = finder(self._config.sampling)
         self._waiting: list[Dwell] = []
         self._profiles = ProfileBuffer()
         self._taken: set[int] = set()  # when the stops began that were given

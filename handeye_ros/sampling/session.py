@@ -13,6 +13,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Reject, Sample
 from handeye_ros.sampling.dwell_detector import DwellDetector
 from handeye_ros.sampling.errors import NothingNewError, NothingToRemoveError
+from handeye_ros.sampling.passes import single_samples
 from handeye_ros.sampling.stops import duplicate_pose, Outcome, result_of, sample_of, Stop
 
 
@@ -61,7 +62,8 @@ class Session(DwellDetector):
     @property
     def samples(self) -> tuple[Sample, ...]:
         """Return the samples taken so far, but for those that samples.exclude leaves out."""
-        return tuple(o.sample for o in self._outcomes if o.sample and not self.excludes(o))
+        return single_samples([o.sample for o in self._outcomes
+                               if o.sample and not self.excludes(o)])
 
     @property
     def rejects(self) -> tuple[Reject, ...]:
@@ -97,7 +99,8 @@ class Session(DwellDetector):
         before = [o for o in self._outcomes if o.stop.began == stop.began]
         number = before[0].number if before else self._numbers + 1
         others = [o for o in self._outcomes if o not in before and not self.excludes(o)]
-        why = duplicate_pose(result, others, self._config) if isinstance(result, Sample) else ''
+        why = '' if isinstance(result, Reject) or result.single else duplicate_pose(
+            result, others, self._config)
         return Outcome(number, stop, Reject(result.stamp, why) if why else result, why)
 
     def put(self, outcome: Outcome) -> Outcome:

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature, Profile
+from handeye_ros import targets
+from handeye_ros.config import Config, flipped_range
+from handeye_ros.data import AnyProfile, Arc, Array, EdgePoint, FaceLine, Feature, Profile
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.model import Method
 from handeye_ros.profiles.arcs import normal_points
@@ -36,9 +37,8 @@ def of_station(profiles: Sequence[Profile], method: Method, config: Config
     Raises FeatureError when most do not show it, or do not agree.
     """
     used, found, reasons = [], [], Counter[str]()
-    several = method.extract_each or partial(_one_by_one, method)
-    seen = several([profile.points for profile in profiles], config)
-    for profile, features in zip(profiles, seen, strict=True):
+    for profile, features in zip(profiles, features_of_each(profiles, method, config),
+                                 strict=True):
         if isinstance(features, DataError):
             reasons[str(features)] += 1
         else:
@@ -47,6 +47,13 @@ def of_station(profiles: Sequence[Profile], method: Method, config: Config
     if not found or 2 * len(found) < len(profiles):
         raise FeatureError(reasons.most_common(1)[0][0])
     return used, combine(found)
+
+
+def features_of_each(profiles: Sequence[Profile], method: Method, config: Config
+                     ) -> Sequence[tuple[Feature, ...] | DataError]:
+    """Return the features of each profile, or why there are none."""
+    several = method.extract_each or partial(_one_by_one, method)
+    return several([profile.points for profile in profiles], config)
 
 
 def _one_by_one(method: Method, profiles: Sequence[Array], config: Config
@@ -59,6 +66,24 @@ def _one_by_one(method: Method, profiles: Sequence[Array], config: Config
         except FeatureError as error:
             found.append(error)
     return found
+
+
+def evenly(profiles: Sequence[AnyProfile], most: int) -> list[AnyProfile]:
+    """Return so many of the profiles at most, evenly spread."""
+    if len(profiles) <= most:
+        return list(profiles)
+    return [profiles[i] for i in np.linspace(0, len(profiles) - 1, most).astype(int)]
+
+
+def flipped_features(profile: Profile, config: Config) -> tuple[Feature, ...]:
+    """Return what a profile shows with profile.range_sign the other way."""
+    method = targets.method_for(config)
+    if not method.edges:
+        return ()
+    try:
+        return method.extract(profile.points, flipped_range(config))
+    except FeatureError:
+        return ()
 
 
 def combine(found: Sequence[tuple[Feature, ...]]) -> tuple[Feature, ...]:

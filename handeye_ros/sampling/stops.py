@@ -12,14 +12,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from handeye_ros import se3, targets
-from handeye_ros.config import Config, flipped_range
-from handeye_ros.data import AnyProfile, Feature, Profile, RawProfile, Reject, Sample, TimedPose
+from handeye_ros.config import Config
+from handeye_ros.data import AnyProfile, Profile, RawProfile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.profiles.errors import FeatureError
-from handeye_ros.sampling import station_features
 from handeye_ros.sampling.dwells import around, Dwell, interpolate, NS
 from handeye_ros.sampling.errors import NoProfilesError
 from handeye_ros.sampling.field_of_view import require_inside
+from handeye_ros.sampling.passes import pass_sample
+from handeye_ros.sampling.station_features import evenly, flipped_features, of_station
 import numpy as np
 
 # Of one stop, evenly spread. A robot that stands still sees the same speckle, and 32 profiles
@@ -90,6 +91,8 @@ def _held(seen: Seen, config: Config) -> Seen:
 def needed(stop: Stop, config: Config) -> Stop:
     """Return a stop with no more than what its sample is made of, to be judged elsewhere."""
     seen = stop.load(config)
+    if config.sampling.moving:
+        return Stop(stop.began, partial(_held, seen))
     profiles = _unread(seen, config)
     poses = around(seen.poses, [profile.stamp for profile in profiles])
     return Stop(stop.began, partial(_held, Seen(tuple(poses), tuple(profiles))))
@@ -126,16 +129,11 @@ def _kept(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
     return evenly(profiles, min(MOST_KEPT, max(least, 1 + round(length / KEPT_APART))))
 
 
-def evenly(profiles: Sequence[AnyProfile], most: int) -> list[AnyProfile]:
-    """Return so many of the profiles at most, evenly spread."""
-    if len(profiles) <= most:
-        return list(profiles)
-    return [profiles[i] for i in np.linspace(0, len(profiles) - 1, most).astype(int)]
-
-
 def sample_of(stop: Stop, config: Config) -> Sample:
     """Return the sample of a stop; raises NoProfilesError or FeatureError with the reason."""
     seen = stop.load(config)
+    if config.sampling.moving:
+        return pass_sample(seen.poses, seen.profiles, config)
     return _sample(seen, _still(seen, config), config)
 
 
@@ -143,11 +141,11 @@ def _sample(seen: Seen, profiles: Sequence[Profile], config: Config) -> Sample:
     """Return the sample of what was seen at a stop; profiles: of when nothing swings any more."""
     if not profiles:
         raise NoProfilesError((seen.poses[-1].stamp - seen.poses[0].stamp) / NS)
-    used, combined = station_features.of_station(profiles, targets.method_for(config), config)
+    used, combined = of_station(profiles, targets.method_for(config), config)
     require_inside(combined, used)
     poses = interpolate(seen.poses, [p.stamp for p in used])
     return Sample(used[0].stamp, se3.mean_pose(poses), combined, len(used),
-                  _flipped(used[0], config))
+                  flipped_features(used[0], config))
 
 
 def _still(seen: Seen, config: Config) -> list[Profile]:
@@ -177,25 +175,16 @@ def _stamp(profile: AnyProfile) -> int:
     return profile.stamp
 
 
-def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
-    """Return what a profile shows with profile.range_sign the other way."""
-    method = targets.method_for(config)
-    if not method.edges:
-        return ()
-    try:
-        return method.extract(profile.points, flipped_range(config))
-    except FeatureError:
-        return ()
-
-
 def result_of(stop: Stop, config: Config) -> Sample | Reject:
     """Return the sample of a stop, or why it gives none."""
     seen = stop.load(config)
     profiles = _still(seen, config)
     try:
+        if config.sampling.moving:
+            return pass_sample(seen.poses, seen.profiles, config)
         return _sample(seen, profiles, config)
     except (FeatureError, NoProfilesError) as error:
-        flipped = _flipped(profiles[0], config) if profiles else ()
+        flipped = flipped_features(profiles[0], config) if profiles else ()
         return Reject(seen.poses[0].stamp, str(error), flipped)
 
 

@@ -1,18 +1,19 @@
 """Profiles and poses of a whole recording."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.simulate import cell as cells
-from handeye_ros.simulate import distortion, motion, optics
+from handeye_ros.simulate import distortion, motion, optics, sweep
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.convention_errors import CONVENTION_ERRORS
 from handeye_ros.simulate.layout import FRAMES, published
 from handeye_ros.simulate.scenario import Scenario, Truth
 from handeye_ros.simulate.scenes import anywhere, SCENES
 from handeye_ros.simulate.slab import relief
+from handeye_ros.simulate.stations import Stops
 import numpy as np
 
 CHILD_FRAME = 'laser'
@@ -35,10 +36,29 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulated:
     stops = stops.ordered(cells.visit_order(scenario, len(stops.labels), rng))
     cell = cells.draw(scenario, stops, anywhere(scenario), rng)
     bent = distortion.draw(scenario.sensor, rng)
+    if scenario.sweep:
+        return _swept(scenario, cell, stops, bent, rng)
     line = motion.timeline(scenario.robot, len(stops.labels))
     truth = cells.truth(scenario, cell, stops, line.spans(), bent)
     profiles = _profiles(scenario, cell, line, bent, rng)
     return Simulated(scenario, profiles, _poses(scenario, cell, line, rng), truth)
+
+
+def _swept(scenario: Scenario, cell: cells.Cell, stops: Stops,
+           bent: distortion.Distortion | None, rng: np.random.Generator) -> Simulated:
+    """Return the recording of a robot that does not stop."""
+    assert scenario.sweep is not None
+    sensor, unstamped = scenario.sensor, np.zeros((len(stops.labels), 2), dtype=np.int64)
+    along = sweep.way(scenario, stops.T_target_sensor)
+    times = np.arange(0.5 / sensor.rate, sweep.duration(scenario), 1 / sensor.rate)
+    instants = sweep.exposed(scenario, times)
+    z, angle = _cast(scenario, along(instants.ravel()), rng)
+    z, angle = (values.reshape(*instants.shape, -1).mean(axis=1) for values in (z, angle))
+    stamped = times + sensor.delay + rng.normal(size=len(times)) * scenario.sweep.stamp_jitter
+    profiles = _measured(scenario, z, angle, np.maximum.accumulate(stamped), bent, rng)
+    poses = sweep.reported(scenario, cell, along, rng)
+    truth = cells.truth(scenario, cell, stops, unstamped, bent)
+    return Simulated(scenario, profiles, poses, replace(truth, time_offset=-sensor.delay))
 
 
 def _poses(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
@@ -57,13 +77,21 @@ def _poses(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
 def _profiles(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
               bent: distortion.Distortion | None, rng: np.random.Generator
               ) -> tuple[Profile, ...]:
-    sensor, frame = scenario.sensor, FRAMES[scenario.layout.frame]
+    sensor = scenario.sensor
     times = np.arange(0.5 / sensor.rate, line.duration, 1 / sensor.rate)
     times = times[_kept(scenario, line, times)]
     z, angle = _exact(scenario, cell, line, times, rng)
+    return _measured(scenario, z, angle, times + sensor.delay, bent, rng)
+
+
+def _measured(scenario: Scenario, z: Array, angle: Array, times: Array,
+              bent: distortion.Distortion | None, rng: np.random.Generator
+              ) -> tuple[Profile, ...]:
+    """Return profiles of exact ranges and incidences (m, n), stamped with times (m,)."""
+    sensor, frame = scenario.sensor, FRAMES[scenario.layout.frame]
     ranges = sensors.measure(sensor, z, angle, rng, bent)
     points = published(frame, sensors.plane_points(sensor, ranges, bent))
-    stamps, mark = motion.stamps(times + sensor.delay), scenario.layout.no_return
+    stamps, mark = motion.stamps(times), scenario.layout.no_return
     return tuple(Profile(int(stamp), CHILD_FRAME, _marked(p, mark), frame.axes)
                  for stamp, p in zip(stamps, points, strict=True))
 
@@ -85,14 +113,20 @@ def _exact(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
     pose = np.stack([station, share], axis=1)
     different, which = np.unique(pose, axis=0, return_inverse=True)
     T = motion.between(cell.T_base_flange, different[:, 0].astype(np.int64), different[:, 1])
-    T_target_sensor = cell.T_target_sensor(T, scenario.calibration_type)
+    z, angle = _cast(scenario, cell.T_target_sensor(T, scenario.calibration_type), rng)
+    which = which.reshape(-1)  # numpy 2.0 alone returns it as a column
+    return z[which], angle[which]
+
+
+def _cast(scenario: Scenario, T_target_sensor: Array, rng: np.random.Generator
+          ) -> tuple[Array, Array]:
+    """Return ranges and incidences (m, n) at poses of the sensor in the target (m, 4, 4)."""
     sensor, solids = scenario.sensor, SCENES[scenario.scene].solids(scenario)
     z, angle = sensors.render(sensor, solids, T_target_sensor, relief(scenario.target, rng))
     z = optics.blurred(sensor, z, T_target_sensor)
     if sensor.speckle:
         z = z + optics.speckle(sensor, z.shape, rng)
-    which = which.reshape(-1)  # numpy 2.0 alone returns it as a column
-    return z[which], angle[which]
+    return z, angle
 
 
 def _marked(points: Array, no_return: str) -> Array:

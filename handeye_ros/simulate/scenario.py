@@ -84,6 +84,29 @@ class RobotModel:
 
 
 @dataclass(frozen=True)
+class Sweep:
+    """
+    A way through all stops without stopping, a knot of a smooth curve at each; seconds.
+
+    exposure: that one profile averages over; rotation_lag: by which the reported rotation is
+    late. stamp_jitter, pose_jitter: 1 sigma of the stamps. gaps: how many times no pose comes for
+    a time gap. resolution: to which positions are rounded (m), 0: not. drift: RMS of the vectors
+    of an error (translation, rotation) of the poses that varies smoothly over drift_time.
+    """
+
+    knot: float = 1.6
+    exposure: float = 0.0
+    rotation_lag: float = 0.0
+    stamp_jitter: float = 0.0
+    pose_jitter: float = 0.0
+    gaps: int = 0
+    gap: float = 0.3
+    resolution: float = 0.0
+    drift: tuple[float, float] = (0.0, 0.0)
+    drift_time: float = 1.0
+
+
+@dataclass(frozen=True)
 class PlateTarget:
     """
     A plate with its corner in the origin, its face z = 0, 0 <= x <= size[0], 0 <= y <= size[1].
@@ -183,6 +206,8 @@ class Scenario:
     applied in order.
     repeats: how often the programme of stops is run. lever: smallest and largest distance of
     the sensor from what it is mounted on. told: settings, by dotted key, that are wrong.
+    sweep: how the robot moves where it does not stop; each streamed pose then has an error of
+    the robot's repeatability of its own.
     """
 
     name: str = 'plate'
@@ -203,6 +228,7 @@ class Scenario:
     repeats: int = 1
     lever: tuple[float, float] = (0.1, 0.2)
     told: tuple[tuple[str, Any], ...] = ()
+    sweep: Sweep | None = None
 
     @property
     def description(self) -> str:
@@ -246,8 +272,10 @@ class Truth:
     over the volume of the stops and the field of view.
     With eye_on_base, T_flange_sensor is the sensor's pose in the base and T_base_target the
     target's pose in the flange. The sensor frame is the published one (Scenario.layout).
+    time_offset: to be added to the profiles' stamps (s), of a sweep.
     """
 
     T_flange_sensor: Array
     T_base_target: Array
     stations: tuple[Station, ...]
+    time_offset: float | None = None

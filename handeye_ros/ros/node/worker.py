@@ -22,7 +22,8 @@ from handeye_ros.config import Config
 from handeye_ros.data import Reject, Sample
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.errors import WorkerEndedError
-from handeye_ros.sampling.stops import evenly, judged, needed, Outcome, result_of, sample_of, Stop
+from handeye_ros.sampling.station_features import evenly
+from handeye_ros.sampling.stops import judged, needed, Outcome, result_of, sample_of, Stop
 
 Result = TypeVar('Result')
 TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # of glibc alone

@@ -1,0 +1,218 @@
+"""
+The time offset of profiles of a robot that moves: found from nothing, together with the rest.
+
+A profile of stamp t has the pose T(t + dt). The derivative of a condition by dt is that by the
+flange's pose times its twist, one more column. Far from the truth a fit with this column is made
+from several offsets, on some of the samples, until one explains them.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import islice
+
+from handeye_ros import targets
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Reject, Sample
+from handeye_ros.estimation.blocks import by_twists
+from handeye_ros.estimation.linearise import Linear, linearise, Problem
+from handeye_ros.estimation.model import Estimate, PoseModel
+from handeye_ros.estimation.noise import Noise, Whitening, whitening
+from handeye_ros.estimation.search import guesses, relabelled
+from handeye_ros.estimation.solution import retracted
+from handeye_ros.estimation.solver import (
+    ANNEALING_STEPS,
+    believed,
+    graduated,
+    least_squares,
+    NEAR,
+    Rows,
+    System,
+)
+from handeye_ros.results.outcome import mounted, TIME_OFFSET
+from handeye_ros.sampling.trajectory import Instants, Trajectory
+import numpy as np
+from numpy.typing import NDArray
+
+SEED = 0  # of the search: the same samples give the same answer
+REACH, STEP = 10, 2  # prior sigmas of the offset that are searched, and between two starts
+SOME = 60  # samples of the search
+STARTS = 3  # from each offset
+MOST = 400  # samples of a solve
+NO_POSES = 'no poses tell where the robot was at that time'
+CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good start
+
+
+@dataclass(frozen=True, eq=False)
+class Synchronised:
+    """
+    Samples with the poses of one time offset, and an estimate near their solution.
+
+    rejects: samples at whose time no poses tell where the flange was.
+    """
+
+    samples: list[Sample]
+    rejects: list[Reject]
+    estimate: Estimate | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """
+    The poses of n samples as a function of the time offset, those of a robot at rest as they are.
+
+    T_base_flange: (n, 4, 4) with the stamps as they are; moving: (n,) whether the robot moved.
+    """
+
+    T_base_flange: Array
+    stamps: NDArray[np.int64]
+    moving: NDArray[np.bool_]
+    motion: Trajectory
+
+    @classmethod
+    def of(cls, samples: Sequence[Sample]) -> Pairing:
+        """Return that of samples, of which some must be of a robot that moves."""
+        return cls(np.array([sample.T_base_flange for sample in samples]),
+                   np.array([sample.stamp for sample in samples]),
+                   np.array([sample.motion is not None for sample in samples]),
+                   next(s.motion for s in samples if isinstance(s.motion, Trajectory)))
+
+    def at(self, offset: float) -> Instants:
+        """Return where the flange was at each sample with an offset (s)."""
+        n, found = len(self.stamps), self.motion.at(
+            self.stamps[self.moving] + round(offset * 1e9))
+        every = Instants(self.T_base_flange.copy(), np.zeros((n, 6)), np.ones(n, dtype=bool))
+        for name in ('T_base_flange', 'twists', 'inside'):
+            getattr(every, name)[self.moving] = getattr(found, name)
+        return every
+
+    def poses_and_twists(self, values: Array) -> tuple[Array, Array]:
+        """Return poses (n, 4, 4) and twists (n, 6, 1) of an offset (1,), for a PoseModel."""
+        there = self.at(float(values[0]))
+        return there.T_base_flange, there.twists[:, :, None]
+
+
+def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
+    """Return the problem of samples; that of a robot that moves with the time offset in it."""
+    method = targets.method_for(config)
+    problem = Problem(method, mounted(samples, config), method.observe(samples), config)
+    if not any(sample.motion for sample in samples):
+        return problem
+    model = PoseModel(Pairing.of(samples).poses_and_twists, (TIME_OFFSET,), (1,),
+                      (config.time_offset_std,), least=1.0)
+    offset = next(sample.offset for sample in samples if sample.motion)
+    return replace(problem, pose_model=model, pose_values=np.array([offset]))
+
+
+def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
+    """
+    Return samples with the poses of the offset that explains those of a robot that moves.
+
+    Of very many some are taken. Raises DataError where no estimate can be started.
+    """
+    if not any(sample.motion for sample in samples):
+        return Synchronised(list(samples), [])
+    samples = [samples[i] for i in evenly_chosen(len(samples), MOST)]
+    problem = problem_of(samples, config)
+    found = _searched(problem.subset(evenly_chosen(len(samples), SOME)),
+                      np.random.default_rng(SEED))
+    found = _refined(problem.with_pose_values(np.array([found.offset])), found.estimate)
+    there, paired, rejects = Pairing.of(samples).at(found.offset), [], []
+    for sample, T, inside in zip(samples, there.T_base_flange, there.inside, strict=True):
+        if inside:
+            paired.append(replace(sample, T_base_flange=T, offset=found.offset))
+        else:
+            rejects.append(Reject(sample.stamp, NO_POSES))
+    return Synchronised(paired, rejects, found.estimate)
+
+
+def _searched(problem: Problem, rng: np.random.Generator) -> _At:
+    """Return the best fit from several offsets, the most likely first, or one that convinces."""
+    best: _At | None = None
+    for offset in sorted(np.arange(-REACH, REACH + 1, STEP), key=abs):
+        there = problem.with_pose_values(np.array([offset * problem.config.time_offset_std]))
+        for start in islice(guesses(there, rng), STARTS):
+            found = _refined(there, start)
+            best = found if best is None or found.loss < best.loss else best
+        if best and believed(best.squares) < CONVINCING:
+            break
+    assert best is not None
+    return best
+
+
+def _refined(problem: Problem, start: Estimate) -> _At:
+    """Return where graduated non-convexity leads to from an estimate, the offset unknown too."""
+    def refit(at: _At, weights: Array) -> _At:
+        system = System(_At.rows, _At.moved, at.blocks)
+        at = least_squares(system, at, np.append(weights, 1.0), ANNEALING_STEPS, NEAR)
+        return labelled(at.problem, at.estimate)
+
+    def labelled(now: Problem, estimate: Estimate) -> _At:
+        whole = replace(now, observations=problem.observations)
+        return _At(relabelled(whole, estimate, now), estimate)
+
+    return graduated(labelled(problem, start), lambda at: at.squares, refit)
+
+
+@dataclass(frozen=True, eq=False)
+class _At:
+    """A problem with the labels that fit an estimate, and the time offset in its pose values."""
+
+    problem: Problem
+    estimate: Estimate
+
+    @property
+    def offset(self) -> float:
+        return float(self.problem.pose_values[0])
+
+    @cached_property
+    def linear(self) -> Linear:
+        return linearise(self.problem, self.estimate)
+
+    @cached_property
+    def white(self) -> Whitening:
+        return whitening(self.problem, self.linear, Noise())
+
+    @cached_property
+    def squares(self) -> Array:
+        """Return the mean squared whitened residual (n,) of each sample."""
+        station, n = self.problem.observations.station, len(self.problem.poses)
+        squares = np.bincount(station, self.white(self.linear.residuals) ** 2, minlength=n)
+        return np.asarray(squares / np.maximum(np.bincount(station, minlength=n), 1))
+
+    @property
+    def loss(self) -> float:
+        return float(np.log1p(self.squares).mean())
+
+    @property
+    def blocks(self) -> NDArray[np.intp]:
+        """Return the block of each row: its sample, and one of the prior of the offset."""
+        return np.append(self.problem.observations.station, len(self.problem.poses))
+
+    def rows(self) -> Rows:
+        """Return the residuals, the last that of the prior of the offset."""
+        prior = self.offset / self.problem.config.time_offset_std
+        return Rows(np.append(self.linear.residuals, prior), self._jacobian,
+                    lambda: self._whitened)
+
+    def _jacobian(self) -> Array:
+        linear, problem, model = self.linear, self.problem, self.problem.pose_model
+        assert model is not None
+        twists = model.at(problem.pose_values)[1]
+        J = np.hstack([linear.jacobian[:, problem.columns], by_twists(linear, twists)])
+        prior = np.append(np.zeros(J.shape[1] - 1), 1 / problem.config.time_offset_std)
+        return np.vstack([J, prior])
+
+    def _whitened(self, values: Array) -> Array:
+        return np.concatenate([self.white(values[:-1]), values[-1:]])
+
+    def moved(self, step: Array) -> _At:
+        """Return the same moved by a step of all unknowns, the offset the last of them."""
+        estimate = retracted(self.problem, self.estimate, step[:-1])
+        return _At(self.problem.with_pose_values(self.problem.pose_values + step[-1:]), estimate)
+
+
+def evenly_chosen(n: int, most: int) -> NDArray[np.intp]:
+    """Return the indices of at most so many of n samples, evenly spread."""
+    return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.intp)

@@ -1,0 +1,207 @@
+"""
+Where the flange was at any time, how fast it moved, and how well that is known.
+
+Reported poses have errors of their own, are rounded, and their stamps jitter. They are fitted by
+cubic splines, twice differentiable: of the translation, and of the four numbers of the quaternion,
+normalised afterwards (between two poses that differ by an angle a the error is of order a^4).
+Least squares with knots as far apart as the poses allow averages their white errors; how far is
+told by generalised cross-validation (Craven and Wahba 1979, Numer. Math. 31:377).
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.data import Array, TimedPose
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_lsq_spline
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import splu
+
+DEGREE = 3
+SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025)  # of knots, that are tried (s)
+BETTER = 0.98  # factor of the cross-validated error that nearer knots must bring
+FEWEST = 8  # poses of a piece
+GAP_PERIODS, SMALLEST_GAP = 4.0, 0.06  # periods of the poses, and time (s), across which none is
+AVERAGED = 0.004  # s, over which many poses are averaged
+GROSS = 8.0  # residual of a pose, in robust scatters, that is no pose of the robot
+
+
+@dataclass(frozen=True, eq=False)
+class Instants:
+    """
+    The flange at n times: poses (n, 4, 4), twists (n, 6).
+
+    twist: velocity of its origin and angular velocity, base frame. inside: (n,) whether poses
+    around the time tell; elsewhere the values are those of the nearest time at which they do.
+    """
+
+    T_base_flange: Array
+    twists: Array
+    inside: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """
+    Poses of the flange in the order of their stamps, as a function of time.
+
+    stamps: (n,) integer nanoseconds; values: (n, 7) translation and quaternion x y z w.
+    max_gap: poses further apart (s) are not interpolated.
+    """
+
+    stamps: NDArray[np.int64]
+    values: Array
+    max_gap: float
+
+    @cached_property
+    def gap(self) -> float:
+        """Return the time (s) between two poses that is too long to interpolate."""
+        period = float(np.median(np.diff(self.stamps))) * 1e-9 if len(self.stamps) > 1 else 0.0
+        return min(self.max_gap, max(GAP_PERIODS * period, SMALLEST_GAP))
+
+    @cached_property
+    def pieces(self) -> tuple[_Piece, ...]:
+        """Return the pieces between the gaps."""
+        ends = np.flatnonzero(np.diff(self.stamps) > self.gap * 1e9) + 1
+        parts = zip(np.split(self.stamps, ends), np.split(self.values, ends), strict=True)
+        return tuple(_fitted(stamps, values) for stamps, values in parts if len(stamps) >= FEWEST)
+
+    def at(self, stamps: NDArray[np.int64]) -> Instants:
+        """Return where the flange was at stamps (n,); there must be a piece."""
+        T, twists = np.empty((len(stamps), 4, 4)), np.empty((len(stamps), 6))
+        inside = np.zeros(len(stamps), dtype=bool)
+        for piece, chosen in self._by_piece(stamps):
+            some = stamps[chosen]
+            inside[chosen] = (some >= piece.first) & (some <= piece.last)
+            T[chosen], twists[chosen] = piece.at(some)
+        return Instants(T, twists, inside)
+
+    def std(self, stamps: NDArray[np.int64]) -> Array:
+        """Return 1 sigma of the poses at stamps (n,): (n, 2) in m and rad."""
+        std = np.empty((len(stamps), 2))
+        for piece, chosen in self._by_piece(stamps):
+            std[chosen] = piece.std_at(stamps[chosen])
+        return std
+
+    def _by_piece(self, stamps: NDArray[np.int64]
+                  ) -> Iterator[tuple[_Piece, NDArray[np.bool_]]]:
+        begins = np.array([piece.first for piece in self.pieces])
+        which = np.maximum(np.searchsorted(begins, stamps, side='right') - 1, 0)
+        for k in np.unique(which):
+            yield self.pieces[k], which == k
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """
+    A spline of translation and quaternion over seconds since first.
+
+    std: (2,) of single poses; information: (k, k) of the spline's coefficients, for a pose of
+    unit variance.
+    """
+
+    first: int
+    last: int
+    spline: Any
+    std: Array
+    information: Any
+
+    def _time(self, stamps: NDArray[np.int64]) -> Array:
+        return np.asarray((np.clip(stamps, self.first, self.last) - self.first) * 1e-9)
+
+    def at(self, stamps: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Return poses (n, 4, 4) and twists (n, 6), outside those at the nearest end."""
+        t = self._time(stamps)
+        value, rate = self.spline(t), self.spline(t, 1)
+        length = np.linalg.norm(value[:, 3:], axis=1, keepdims=True)
+        q, dq = value[:, 3:] / length, rate[:, 3:] / length
+        # the vector of 2 dq/dt q*, in which the change of length is of the scalar part alone
+        turning = 2 * (q[:, 3:] * dq[:, :3] - dq[:, 3:] * q[:, :3]
+                       - np.cross(dq[:, :3], q[:, :3]))
+        return (se3.from_quaternion(value[:, :3], q),
+                np.concatenate([rate[:, :3], turning], axis=1))
+
+    def std_at(self, stamps: NDArray[np.int64]) -> Array:
+        """Return 1 sigma of positions and rotations, (n, 2)."""
+        rows = BSpline.design_matrix(self._time(stamps), self.spline.t, DEGREE).toarray()
+        leverage = (rows * splu(self.information).solve(rows.T).T).sum(axis=1)
+        return np.asarray(np.sqrt(leverage)[:, None] * self.std)
+
+
+def joined(parts: Sequence[Trajectory]) -> Trajectory:
+    """Return one trajectory of several that are parts of one stream, in any order."""
+    stamps, first = np.unique(np.concatenate([part.stamps for part in parts]), return_index=True)
+    values = np.concatenate([part.values for part in parts])[first]
+    return Trajectory(stamps, values, max(part.max_gap for part in parts))
+
+
+def trajectory_of(poses: Sequence[TimedPose], max_gap: float) -> Trajectory:
+    """Return the trajectory of poses in the order of their stamps."""
+    values = np.array([[*pose.translation, *pose.quaternion] for pose in poses]).reshape(-1, 7)
+    return Trajectory(np.array([pose.stamp for pose in poses], dtype=np.int64), values, max_gap)
+
+
+def _averaged(t: Array, values: Array) -> tuple[Array, Array]:
+    """Return the means of so many poses each, as come in a time over which speed is constant."""
+    count = int(AVERAGED * (len(t) - 1) / max(t[-1], AVERAGED))
+    if count < 2:
+        return t, values
+    ends = np.arange(0, len(t), count)
+    number = np.diff([*ends, len(t)])
+    t, values = (np.add.reduceat(v, ends) / number.reshape(-1, *[1] * (v.ndim - 1))
+                 for v in (t, values))
+    return t, values
+
+
+def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
+    """Return the piece through poses (n, 7) with the knots that predict them best."""
+    t = (stamps - stamps[0]) * 1e-9
+    values = values.copy()
+    turned = (values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0  # q and -q are one rotation
+    values[1:, 3:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
+    t, values = _averaged(t, values)
+    origin, t = int(stamps[0]) + round(t[0] * 1e9), t - t[0]
+    spline, best = _smoothed(t, values)
+    off = np.abs(values - spline(t))
+    usual = np.maximum(np.median(off, axis=0), 1e-9)
+    good = (off <= GROSS * 1.4826 * usual).all(axis=1) | (off < 1e-6).all(axis=1)
+    good[[0, -1]] = True
+    if not good.all() and good.sum() >= FEWEST:
+        t, values = t[good], values[good]
+        spline, best = _smoothed(t, values)
+    rows = csc_array(BSpline.design_matrix(t, spline.t, DEGREE))
+    return _Piece(origin, origin + round(t[-1] * 1e9), spline, best,
+                  (rows.T @ rows).tocsc())
+
+
+def _smoothed(t: Array, values: Array) -> tuple[Any, Array]:
+    """Return the spline with the best knots, and the std (2,) of positions and rotations."""
+    chosen, std, least = None, np.zeros(2), np.inf
+    for spacing in SPACINGS:
+        knots = _knots(t, spacing)
+        free = len(t) - (len(knots) - DEGREE - 1)
+        if chosen is not None and free < len(t) / 3:
+            break
+        spline = make_lsq_spline(t, values, knots, DEGREE)
+        squares = (values - spline(t)) ** 2
+        sums = np.array([squares[:, :3].sum() / 3, squares[:, 3:].sum() * 4 / 3]) + 1e-30
+        error = float(np.log(sums / max(free, 1) ** 2).sum())
+        if error < least + 2 * np.log(BETTER):
+            chosen, std, least = spline, np.sqrt(sums / max(free, 1)), error
+    return chosen, std
+
+
+def _knots(t: Array, spacing: float) -> Array:
+    """Return knots at times of poses, at least so far apart, with two poses in between."""
+    inner, last = [], 0
+    candidates = np.searchsorted(t, np.arange(t[0] + spacing, t[-1] - 0.5 * spacing, spacing))
+    for k in candidates.tolist():
+        if k - last >= 2 and len(t) - 1 - k >= 2:
+            inner.append(float(t[k]))
+            last = k
+    return np.concatenate([np.full(DEGREE + 1, t[0]), inner, np.full(DEGREE + 1, t[-1])])

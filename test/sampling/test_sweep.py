@@ -1,0 +1,85 @@
+"""A robot that moves: where the flange was, and what single profiles give with the time offset."""
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+
+from handeye_ros import pipeline, se3
+from handeye_ros.config import Config, with_values
+from handeye_ros.data import Array, TimedPose
+from handeye_ros.results.truth_errors import errors_against
+from handeye_ros.sampling.trajectory import trajectory_of
+from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate
+from handeye_ros.simulate.scenario import Sweep
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+NS = 1_000_000_000
+
+
+def true_motion(t: Array) -> tuple[Array, Array]:
+    """Return poses (n, 4, 4) and twists (n, 6) of a smooth motion at times (n,)."""
+    place = np.column_stack([0.1 * np.sin(2 * t), 0.05 * np.cos(3 * t), 0.3 + 0 * t])
+    rate = np.column_stack([0.2 * np.cos(2 * t), -0.15 * np.sin(3 * t), 0 * t])
+    axis = np.array([0.6, 0.0, 0.8])
+    R = Rotation.from_rotvec(0.4 * np.sin(2.5 * t)[:, None] * axis).as_matrix()
+    return se3.transform(R, place), np.column_stack([rate, np.cos(2.5 * t)[:, None] * axis])
+
+
+def poses(times: Array, noise: float = 0.0, step: float = 0.0) -> list[TimedPose]:
+    T, _ = true_motion(times)
+    error = np.random.default_rng(0).normal(size=(len(T), 6)) * noise
+    T = se3.perturb(T, error)
+    place = np.round(T[:, :3, 3] / step) * step if step else T[:, :3, 3]
+    sign = np.where(np.arange(len(T)) % 7 < 3, 1.0, -1.0)  # q and -q are one rotation
+    return [TimedPose(round(t * NS), p, q) for t, p, q in zip(
+        times, place, se3.quaternion(T) * sign[:, None], strict=True)]
+
+
+@pytest.mark.parametrize('rate', [30.0, 100.0, 250.0, 1000.0])
+def test_noisy_rounded_poses_are_averaged_to_the_true_motion(rate: float) -> None:
+    found = trajectory_of(poses(np.arange(0.0, 10.0, 1 / rate), 2e-5, 1e-4), 0.5)
+    times = np.random.default_rng(1).uniform(0.1, 9.8, 200)
+    stamps = np.rint(times * NS).astype(np.int64)
+    at = found.at(stamps)
+    T, twists = true_motion(times)
+    assert at.inside.all()
+    off = np.linalg.norm(at.T_base_flange[:, :3, 3] - T[:, :3, 3], axis=1)
+    assert off.max() < 1.6e-4 and off.max() < 5 * found.std(stamps)[:, 0].max()
+    assert np.abs(at.twists - twists).max() < 5e-3
+    assert se3.angle(at.T_base_flange[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)).max() < 6e-5
+
+
+def test_no_pose_is_told_outside_of_the_poses_or_in_a_gap() -> None:
+    times = np.arange(0.0, 10.0, 0.01)
+    found = trajectory_of(poses(times[(times < 4.0) | (times > 4.5)]), 0.5)
+    at = found.at(np.array([-0.1, 0.0, 3.9, 4.2, 4.6, 9.98, 10.1]) * NS)
+    assert at.inside.tolist() == [False, True, True, False, True, True, False]
+    assert np.isfinite(at.T_base_flange).all()
+
+
+def sweep(target: str, offset: float, **more: object) -> Scenario:
+    base = SCENARIOS[target]
+    two = base.scene == 'plate'
+    return replace(base, stations=(8, 8) if two else (16, 0), tilt=math.radians(20),
+                   sensor=replace(base.sensor, columns=320, delay=-offset, rim_bias=0.0),
+                   sweep=Sweep(1.2, **more))  # type: ignore[arg-type]
+
+
+def config_of(scenario: Scenario) -> Config:
+    return with_values(Config(), settings(scenario) | {'sampling.mode': 'moving'}, 'a test')
+
+
+@pytest.mark.parametrize(('target', 'offset', 'kind'), [
+    ('plate', 0.15, 'eye_in_hand'), ('sphere', -0.035, 'eye_on_base'),
+    ('line', 0.02, 'eye_in_hand'), ('plane', 0.0, 'eye_in_hand'), ('wedge', 0.3, 'eye_in_hand')])
+def test_a_sweep_gives_transform_and_time_offset(target: str, offset: float, kind: str) -> None:
+    scenario = replace(sweep(target, offset), calibration_type=kind)
+    made = simulate(scenario, np.random.default_rng(3))
+    found = pipeline.calibrate(made.profiles, made.poses, config_of(scenario))
+    errors = errors_against(found.T_flange_sensor, made.truth.T_flange_sensor)
+    assert errors.mapped_points < 6e-5
+    assert found.time_offset is not None
+    off = found.time_offset.value - offset
+    assert abs(off) < 2e-4 and abs(off) < 4 * found.time_offset.std < 1e-3
