@@ -29,6 +29,8 @@ FEWEST = 8  # poses of a piece
 GAP_PERIODS, SMALLEST_GAP = 4.0, 0.06  # periods of the poses, and time (s), across which none is
 AVERAGED = 0.004  # s, over which many poses are averaged
 GROSS = 8.0  # residual of a pose, in robust scatters, that is no pose of the robot
+SMALLEST_GROSS, SMALLEST_GROSS_TURN = 1e-3, 5e-3  # m and rad: less is not worth the risk
+MOST_GOOD = 0.95  # share of the poses: where fewer are good, the spline is wrong and not they
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,11 +169,11 @@ def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
     t, values = _averaged(t, values)
     origin, t = int(stamps[0]) + round(t[0] * 1e9), t - t[0]
     spline, best = _smoothed(t, values)
-    off = np.abs(values - spline(t))
-    usual = np.maximum(np.median(off, axis=0), 1e-9)
-    good = (off <= GROSS * 1.4826 * usual).all(axis=1) | (off < 1e-6).all(axis=1)
+    off = np.abs(values - spline(t)) / np.repeat([SMALLEST_GROSS, SMALLEST_GROSS_TURN / 2], [3, 4])
+    usual = 1.4826 * np.median(off, axis=0)
+    good = (off <= np.maximum(GROSS * usual, 1.0)).all(axis=1)
     good[[0, -1]] = True
-    if not good.all() and good.sum() >= FEWEST:
+    if not good.all() and good.mean() > MOST_GOOD:
         t, values = t[good], values[good]
         spline, best = _smoothed(t, values)
     rows = csc_array(BSpline.design_matrix(t, spline.t, DEGREE))
