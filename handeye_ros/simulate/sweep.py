@@ -7,7 +7,8 @@ from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.simulate import cell as cells
 from handeye_ros.simulate import motion
-from handeye_ros.simulate.scenario import Scenario, Sweep
+from handeye_ros.simulate.scenario import Scenario
+from handeye_ros.simulate.sweep_model import Sweep
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
