@@ -24,15 +24,18 @@ are looked for, which takes most of the time of `handeye solve`.
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 import math
+import re
 import sys
 
 from handeye_ros import config as configs
 from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import EdgePoint, Feature, Profile, Sample
+from handeye_ros.diagnosis.crossing import flat_crossing
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import consensus, refine, SUBSETS, without_outliers
 from handeye_ros.estimation.linearise import Problem
@@ -49,6 +52,7 @@ from handeye_ros.results.truth_errors import mapped_point_error
 from handeye_ros.sampling import station_features
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.field_of_view import require_inside
+from handeye_ros.sampling.stops import duplicate_pose, Outcome
 from handeye_ros.simulate import (
     plate,
     Scenario,
@@ -56,8 +60,9 @@ from handeye_ros.simulate import (
     sensor,
     settings,
     simulate_samples,
+    wedge,
 )
-from handeye_ros.simulate.scenario import PlateTarget
+from handeye_ros.simulate.scenario import PlateTarget, WedgeTarget
 from handeye_ros.simulate.scenes import SCENES
 import numpy as np
 
@@ -85,6 +90,8 @@ class World:
     T_base_target: np.ndarray
     samples: list[Sample] = field(default_factory=list)
     last: Solution | None = None
+    solution: Solution | None = None  # by which a node judges crossings
+    refused: list[np.ndarray] = field(default_factory=list)  # poses at which no sample was taken
     seen: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))  # by all profiles
 
     @property
@@ -98,11 +105,15 @@ class World:
         """Return T_target_sensor (3, 3) of a sensor that looks squarely."""
         if self.scenario.scene == 'sphere':
             return np.diag([1.0, -1.0, -1.0])
+        if isinstance(self.scenario.target, WedgeTarget):
+            return wedge.facing(self.scenario.target)
         return plate.edge_frames(self.scenario.target)['pq'[edge]][:3, :3] @ FACING
 
     def spot(self, edge: int) -> np.ndarray:
         """Return some point (3,) of the target, on an edge if it has any."""
         target = self.scenario.target
+        if isinstance(target, WedgeTarget):
+            return np.array([self.rng.uniform(0.02, target.length - 0.02), 0.0, 0.0])
         if not isinstance(target, PlateTarget):
             way = np.append(self.rng.uniform(-0.6, 0.6, 2), 1.0)
             return target.radius * way / np.linalg.norm(way)
@@ -122,7 +133,7 @@ class World:
         return self.T_base_target @ T_target_sensor @ se3.inverse(self.T_flange_sensor)
 
     def stop(self, T_base_flange: np.ndarray) -> None:
-        """Take a sample; raises FeatureError where the sensor does not see the target."""
+        """Take a sample; raises FeatureError where a node would take none."""
         T = se3.inverse(self.T_base_target) @ T_base_flange @ self.T_flange_sensor
         z, angle = sensor.render(self.scenario.sensor, SCENES[self.scenario.scene].solids(
             self.scenario), T[None])
@@ -137,9 +148,14 @@ class World:
         require_inside(features, used)
         self._look(features, T)
         error = np.repeat(self.scenario.robot.repeatability, 3) * self.rng.normal(size=6)
-        self.samples.append(Sample(
-            len(self.samples), reported(T_base_flange, error),
-            features, len(used)))
+        sample = Sample(len(self.samples), reported(T_base_flange, error), features, len(used))
+        others = [Outcome(k, None, other) for k, other in enumerate(self.samples, 1)]
+        why = duplicate_pose(sample, others, self.config)
+        if not why and self.solution:
+            why = flat_crossing(sample, self.solution, self.config)
+        if why:
+            raise FeatureError(why)
+        self.samples.append(sample)
 
     def _look(self, features: tuple[Feature, ...], T_target_sensor: np.ndarray) -> None:
         """Refuse what a person sees: that the laser is nowhere near an edge of the target."""
@@ -266,6 +282,52 @@ def session(cell: World, operator: str, stations: int) -> np.ndarray:
         insist(cell, advised(cell, solution) if operator == 'advice' else lambda: anywhere(cell))
 
 
+def followed(cell: World, away: float, stations: int) -> tuple[list[str], float]:
+    """
+    Go to each pose that is proposed, off by so much; return why stops gave no sample.
+
+    stations: stops after which the session ends, also without enough. Also returns the stated
+    1 sigma of mapped points at the end. Nothing is tried again: what is refused counts.
+    """
+    why: list[str] = []
+    for _ in range(stations):
+        cell.solution = solved(cell)
+        advice = advise(cell.samples, cell.config, cell.solution, seen=cell.seen,
+                        refused=cell.refused)
+        if advice.enough:
+            break
+        if advice.next is None:
+            insist(cell, lambda move=advice.move: moved(cell, move, 1.0))
+            continue
+        T = missed(cell, advice.next.T_base_flange, advice.next.place, away)
+        try:
+            cell.stop(T)
+        except FeatureError as error:
+            why.append(str(error))
+            cell.refused.append(T)
+    known = solved(cell)
+    std = math.inf if known is None else mapping(known.estimate.X, cell.view).std(
+        known.reported[:6, :6])
+    return why, std
+
+
+def tell_refused(targets_: list[str], seeds: range, stations: int) -> None:
+    """Print a row per target and operator: how many stops at proposed poses gave no sample."""
+    print(f'{"target":8} {"operator":10} {"stops":>6} {"refused":>8} {"sigma":>8}  reasons')
+    for target in targets_:
+        for operator, away in (('exact', 0.0), ('2 deg 3 mm', 1.0)):
+            stops, reasons, stds = 0, Counter(), []
+            for seed in seeds:
+                cell = world(target, ROBOTS['common'], seed, {})
+                why, std = followed(cell, away, stations)
+                stops += len(cell.samples) + len(why) - 1
+                reasons.update(re.sub(r'-?[0-9.]+', '#', text) for text in why)
+                stds.append(std)
+            told = '; '.join(f'{n} x {text}' for text, n in reasons.most_common(3))
+            print(f'{target:8} {operator:10} {stops:6} {sum(reasons.values()):8} '
+                  f'{1e3 * np.median(stds):8.3f}  {told}', flush=True)
+
+
 def readings(found: np.ndarray, wanted: float) -> list[int]:
     """Return the numbers of stations (4,), as in READINGS, of a session's (stations, 2)."""
     good = found < wanted
@@ -305,7 +367,11 @@ def main() -> None:
     parser.add_argument('--doubts', choices=['none', 'shipped'], default='none')
     parser.add_argument('--wanted', type=float, default=1e-4)
     parser.add_argument('--stations', type=int, default=50)
+    parser.add_argument('--refused', action='store_true')
     arguments = parser.parse_args()
+    if arguments.refused:
+        return tell_refused(arguments.targets.split(','), range(
+            arguments.first, arguments.first + arguments.seeds), arguments.stations)
     known = KNOWN if arguments.doubts == 'none' else {}
     known = known | {'guidance.accuracy': arguments.wanted}
     print(f'{"target":8} {"":8}', *(f'{reading:>22}' for reading in READINGS))

@@ -151,11 +151,13 @@ def evidence(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config:
 
 
 @single_threaded
-def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None) -> advice.Advice:
+def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None,
+           refused: Sequence[Array] = ()) -> advice.Advice:
     """
     Return what to do next after samples, in the order of their stamps.
 
-    seen: points (n, 2) of profiles, from which the field of view is learnt.
+    seen: points (n, 2) of profiles, from which the field of view is learnt; refused: poses of the
+    flange (4, 4) at which stops gave no sample.
     """
     solution, trouble = None, ''
     ordered, _ = consistent_edges(samples)
@@ -165,7 +167,7 @@ def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None)
             solution = estimate(moved.samples, (), config, moved.estimate)[1]
         except DataError as error:
             trouble = str(error)
-    return advice.advise(samples, config, solution, trouble, seen)
+    return advice.advise(samples, config, solution, trouble, seen, refused)
 
 
 def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Config,

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from handeye_ros import se3, targets
 from handeye_ros.checks.motion import (
@@ -17,6 +17,7 @@ from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.candidates import Search
 from handeye_ros.guidance.limits import limits_of
 from handeye_ros.guidance.moves import Move, next_move, noun
+from handeye_ros.guidance.rules import visited
 from handeye_ros.guidance.score import Mapping, mapping
 from handeye_ros.guidance.spread import missing
 from handeye_ros.guidance.view import learn_view
@@ -78,12 +79,14 @@ class Advice:
 
 
 def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
-           trouble: str = '', seen: Array | None = None) -> Advice:
+           trouble: str = '', seen: Array | None = None,
+           refused: Sequence[Array] = ()) -> Advice:
     """
     Return the advice after some samples, the first of them being what guidance.* counts from.
 
     solution: from these samples (or those that agree), None before there is one; trouble: why
-    there is none, or why it was refused; seen: points (n, 2) of profiles, to learn the view from.
+    there is none, or why it was refused; seen: points (n, 2) of profiles, to learn the view
+    from; refused: poses of the flange (4, 4) at which stops gave no sample.
     """
     method = targets.method_for(config)
     if not samples:
@@ -96,7 +99,9 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
         return _unguided(move.text, move, trouble)
     limits = limits_of(mounted(samples, config)[0], config)
     sigmas = sigma_table(solution, known, config)
-    proposal = propose(Search(solution, view, limits, known), config)
+    search = Search(solution, view, limits, known, visited(samples, refused, config))
+    proposal = propose(search, config) or propose(replace(  # where there is no room for a margin
+        search, visited=visited(samples, refused, config, margin=(0.0, 0.0))), config)
     enough, why = _judged(sigmas, known.std(_stated(solution)), proposal)
     told = [why, *missing(solution, view, limits)[:TOLD * (not enough)]]
     if proposal and not enough:

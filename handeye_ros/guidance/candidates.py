@@ -16,6 +16,7 @@ from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.following import batch_of, following
 from handeye_ros.guidance.limits import Limits, twist_of
+from handeye_ros.guidance.rules import Visited
 from handeye_ros.guidance.score import Mapping, with_rows
 from handeye_ros.guidance.view import View
 import numpy as np
@@ -23,7 +24,7 @@ import numpy as np
 PROTOTYPES = 6
 DRAWN = 240  # for each prototype
 REFINED = 80  # in each round, around the best
-ROUNDS = 2
+ROUNDS = 4
 LARGEST_TWIST = 1.6  # rad: about the viewing direction, from the prototype's
 LARGEST_SHIFT = 0.2  # of the spot across the laser line, in widths of the view
 NEAR = np.array([0.15, 0.1, 0.1, 0.1, 0.1, 0.3])  # 1 sigma of the choices of a round
@@ -58,6 +59,7 @@ class Search:
     view: View
     limits: Limits
     mapping: Mapping
+    visited: Visited
 
     def draw(self, rng: np.random.Generator) -> list[Candidates]:
         """Return candidates of some stations; none where none keeps the feature in view."""
@@ -84,11 +86,12 @@ class Search:
         X, anchor = estimate.X, anchor_of(problem, station)
         T_sensor, places = self._sensors(problem.poses[station] @ X, anchor, choices)
         poses = T_sensor @ se3.inverse(X)
-        kept = np.flatnonzero(self.limits.allow(poses, X))
+        flange = poses if self.limits.in_hand else se3.inverse(poses)
+        kept = np.flatnonzero(self.limits.allow(poses, X) & self.visited.allow(flange))
         obs = problem.observations
         prototype = replace(problem, observations=obs.select(obs.station == station))
         batch = batch_of(prototype, estimate, anchor, poses[kept], places[kept])
-        good, stations = following(batch, self.view.inner())
+        good, stations = following(batch, self.view.inner(), self.visited.careful)
         kept = kept[stations]
         return Candidates(station, choices[kept], poses[kept], places[kept],
                           self.mapping.variance(with_rows(self.solution, self._rows(good))))

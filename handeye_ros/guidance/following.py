@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import linearise, points_in_base, Problem
 from handeye_ros.estimation.model import Estimate, Observations
+from handeye_ros.guidance import rules
 from handeye_ros.guidance.view import View
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,6 @@ LARGEST_STEP = 0.05  # m
 ON_TARGET = 1e-4  # m: a point that is nearer follows the target
 BORDER = 1e-4  # m: by as much a point may be outside the view
 SMALLEST_SHARE = 0.5  # of a feature's length that must stay in the view
-STEEPER = 0.09  # rad: by how much lines must cross edges more steeply than is needed
-SMALLEST_COSINE = 0.5  # of the incidence on what the prototype looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +30,8 @@ class Batch:
 
     problem: c observations for each station; places: (n, 2) the prototype's anchor in the sensor
     plane; groups: which of the c observations are of one point, (points, r) of those with r; seen:
-    (c,) the prototype's derivatives of the conditions by the range.
+    (c,) the prototype's derivatives of the conditions by the range; corner: where its two faces
+    meet, None of other targets.
     """
 
     problem: Problem
@@ -39,6 +39,7 @@ class Batch:
     places: Array
     groups: tuple[NDArray[np.intp], ...]
     seen: Array
+    corner: rules.Corners | None
 
     def __len__(self) -> int:
         """Return the number of stations."""
@@ -66,7 +67,7 @@ def batch_of(prototype: Problem, estimate: Estimate, anchor: Array, poses: Array
 
     prototype: of one station; anchor: (2,) the point of its plane that goes to places (n, 2).
     """
-    obs, n = prototype.observations, len(poses)
+    obs, n, linear = prototype.observations, len(poses), linearise(prototype, estimate)
     _, which = np.unique(obs.points, axis=0, return_inverse=True)
     count = np.bincount(which.reshape(-1))
     order = np.argsort(which.reshape(-1), kind='stable')
@@ -77,10 +78,10 @@ def batch_of(prototype: Problem, estimate: Estimate, anchor: Array, poses: Array
                         np.tile(obs.source, n), np.tile(obs.end, n),
                         np.tile(obs.outward, (n, 1)), np.tile(obs.shape, n))
     return Batch(replace(prototype, poses=poses, observations=many), estimate, places, groups,
-                 linearise(prototype, estimate).by_point[:, 1])
+                 linear.by_point[:, 1], rules.corners(linear, len(obs)))
 
 
-def following(batch: Batch, view: View) -> tuple[Problem, NDArray[np.intp]]:
+def following(batch: Batch, view: View, strict: bool = True) -> tuple[Problem, NDArray[np.intp]]:
     """Return the stations that see the target as the prototype did, and which they are."""
     kept = np.arange(len(batch))
     if len(batch):
@@ -96,6 +97,11 @@ def following(batch: Batch, view: View) -> tuple[Problem, NDArray[np.intp]]:
     inside = view.room(batch.points).min(axis=1) > -BORDER
     good = near & inside & _steep(batch, by_point)
     good &= _facing(batch, by_point) & _recognised(batch)
+    good &= rules.crossing_steeply(linear, len(batch.seen))
+    found = rules.corners(linear, len(batch.seen))
+    meeting = rules.meeting(found, batch.corner, strict)
+    if found is not None and meeting is not None:
+        good &= meeting & (view.room(found.places) > 0)
     stations = np.flatnonzero(good)
     return batch.problem.subset(stations), kept[stations]
 
@@ -143,7 +149,7 @@ def _fitted(batch: Batch, view: View) -> tuple[Batch, Array]:
 
 def _steep(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
     """Return which stations have all conditions changed enough by moves within the plane."""
-    angle = batch.problem.config.sampling.min_crossing_angle + STEEPER
+    angle = rules.stricter(batch.problem.config).sampling.min_crossing_angle
     good = np.ones(len(batch), dtype=bool)
     for rows in batch.groups:
         A = by_point[:, rows]
@@ -154,18 +160,16 @@ def _steep(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
 
 def _facing(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
     """Return which stations look at the target from the side that the prototype saw."""
-    faces = np.abs(batch.seen) > SMALLEST_COSINE
+    faces = np.abs(batch.seen) > rules.SMALLEST_COSINE
     along_range = by_point[:, faces, 1] * np.sign(batch.seen[faces])
-    return np.asarray((along_range > SMALLEST_COSINE).all(axis=1))
+    return np.asarray((along_range > rules.SMALLEST_COSINE).all(axis=1))
 
 
 def _recognised(batch: Batch) -> NDArray[np.bool_]:
     """Return which stations the method would take for what they are meant to be."""
     problem, estimate = batch.problem, batch.estimate
-    sampling = problem.config.sampling
-    stricter = replace(problem.config, sampling=replace(
-        sampling, min_crossing_angle=sampling.min_crossing_angle + STEEPER))
     p = points_in_base(problem, estimate.X)
-    labelled = problem.method.relabel(problem.observations, p, estimate.target, stricter)
+    labelled = problem.method.relabel(problem.observations, p, estimate.target,
+                                     rules.stricter(problem.config))
     same = labelled.kind == problem.observations.kind
     return np.asarray(same.reshape(len(batch), -1).all(axis=1))

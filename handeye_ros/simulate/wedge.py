@@ -14,7 +14,7 @@ MARGIN = 0.02  # from the ends of the edge (m)
 WALL = 0.02  # thickness of the legs of an angle (m)
 
 
-def _facing(target: WedgeTarget) -> Array:
+def facing(target: WedgeTarget) -> Array:
     """Return R_target_sensor (3, 3) of a sensor that sees both faces alike, its line across."""
     half, side = math.sqrt(0.5), -1.0 if target.concave else 1.0
     line, light = np.array([0, half, side * half]), np.array([0, side * half, -half])
@@ -30,7 +30,7 @@ def stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
     low = np.array([MARGIN, -width, near + 0.3 * depth])
     high = np.array([target.length - MARGIN, width, far - 0.3 * depth])
     place = strata(rng, n, low, high)
-    R = _facing(target) @ tilts(scenario, rng, (n,))
+    R = facing(target) @ tilts(scenario, rng, (n,))
     spots = np.column_stack([place[:, 0], np.zeros((n, 2))])
     points = place[:, 1:]
     T = se3.transform(R, spots - (R @ lift(points)[:, :, None])[:, :, 0])

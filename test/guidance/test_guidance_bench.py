@@ -6,6 +6,7 @@ from pathlib import Path
 import sys
 
 from handeye_ros import se3, targets
+from handeye_ros.guidance import rules
 from handeye_ros.guidance.score import mapping
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ def sigma(target, seed, operator):
         bench.insist(cell, bench.advised(cell, None) if operator == 'advice'
                      else lambda: bench.anywhere(cell))
     solution = bench.solved(cell)
-    return mapping(solution.estimate.X, cell.view).std(solution.stated[:6, :6])
+    return mapping(solution.estimate.X, cell.view).std(solution.reported[:6, :6])
 
 
 @pytest.mark.thorough
@@ -52,3 +53,22 @@ def test_a_ball_is_cut_where_it_is_said():
     middle = se3.inverse(se3.inverse(cell.T_base_target) @ T @ cell.T_flange_sensor)[:3, 3]
     radius = cell.scenario.target.radius
     np.testing.assert_allclose(middle, [0.01, -0.6 * radius, 0.2 + 0.8 * radius], atol=1e-12)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('target', ['plate', 'line', 'sphere', 'wedge'])
+def test_a_node_takes_a_sample_at_every_pose_that_is_proposed(target):
+    why, _ = bench.followed(bench.world(target, ROBOT, 0, {}), 0.0, 16)
+    assert why == []
+
+
+def test_a_pose_at_which_nothing_was_taken_is_not_proposed_again():
+    cell = bench.world('line', ROBOT, 0, {})
+    bench.followed(cell, 0.0, 10)
+    solution = bench.solved(cell)
+    first = bench.advise(cell.samples, cell.config, solution, seen=cell.seen).next
+    other = bench.advise(cell.samples, cell.config, solution, seen=cell.seen,
+                         refused=[first.T_base_flange]).next
+    T = se3.inverse(first.T_base_flange) @ other.T_base_flange
+    distance, angle = np.linalg.norm(T[:3, 3]), np.linalg.norm(se3.log_rotation(T[:3, :3]))
+    assert distance > rules.REFUSED[0] or angle > rules.REFUSED[1]

@@ -1,0 +1,164 @@
+"""
+The rules by which a stop gives a sample, as they will hold at a proposed pose.
+
+Each leaves a margin for who moves the robot: a stop that is off by ERROR gives a sample too.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Sample
+from handeye_ros.estimation.linearise import Linear, points_in_base
+from handeye_ros.estimation.model import Method
+import numpy as np
+from numpy.typing import NDArray
+
+ERROR = (5e-3, 0.053)  # m and rad (3 degrees) by which a stop may be off
+REFUSED = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gave no sample
+SMALLEST_CORNER = 0.6  # rad between two faces in a profile; the finder needs 0.26
+SMALLEST_COSINE = 0.5  # of the incidence on a face, where the prototype saw it so
+SHORTEST = 0.25  # of the length of a face that the prototype saw, beside the corner
+
+
+@dataclass(frozen=True, eq=False)
+class Visited:
+    """Where samples were taken (n, 4, 4), and where stops gave none (k, 4, 4): flange in base."""
+
+    taken: Array
+    refused: Array
+    margin: tuple[float, float]
+    config: Config
+
+    @property
+    def careful(self) -> bool:
+        """Return whether there is a margin."""
+        return any(self.margin)
+
+    def allow(self, poses: Array) -> NDArray[np.bool_]:
+        """Return which poses (m, 4, 4) of the flange are new, with a margin."""
+        sampling = self.config.sampling
+        new = (sampling.new_translation, sampling.new_rotation)
+        apart = (new[0] + self.margin[0], new[1] + self.margin[1])
+        allowed = np.ones(len(poses), dtype=bool)
+        if new[0] and new[1]:  # with either of them 0, every stop is used
+            allowed &= _away(poses, self.taken, apart)
+        return allowed & _away(poses, self.refused, REFUSED)
+
+
+def visited(samples: Sequence[Sample], refused: Sequence[Array], config: Config,
+            margin: tuple[float, float] = ERROR) -> Visited:
+    """Return where the robot stood; refused: poses of the flange at which no sample was taken."""
+    return Visited(np.array([s.T_base_flange for s in samples]).reshape(-1, 4, 4),
+                   np.array(refused).reshape(-1, 4, 4), margin, config)
+
+
+def _away(poses: Array, others: Array, least: tuple[float, float]) -> NDArray[np.bool_]:
+    """Return which poses (m, 4, 4) are as far or as much turned from all others (n, 4, 4)."""
+    distance = np.linalg.norm(poses[:, None, :3, 3] - others[None, :, :3, 3], axis=2)
+    trace = np.einsum('mij,nij->mn', poses[:, :3, :3], others[:, :3, :3])
+    angle = np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
+    return np.asarray(((distance >= least[0]) | (angle >= least[1])).all(axis=1))
+
+
+def stricter(config: Config) -> Config:
+    """Return the configuration by which a proposal is judged: edges crossed more steeply."""
+    sampling = config.sampling
+    return replace(config, sampling=replace(
+        sampling, min_crossing_angle=sampling.min_crossing_angle + ERROR[1]))
+
+
+def edge_kinds(method: Method) -> list[int]:
+    """Return the kinds that name an edge."""
+    return [k for k, name in enumerate(method.kinds) if name in method.edges]
+
+
+def crossing_steeply(linear: Linear, count: int) -> NDArray[np.bool_]:
+    """
+    Return at which of n stations the laser line crosses the edges steeply enough.
+
+    linear: of count conditions a station, each of an edge within its face, or of something else.
+    """
+    problem = linear.problem
+    rows = np.isin(problem.observations.kind, edge_kinds(problem.method)).reshape(-1, count)
+    across = np.linalg.norm(linear.by_base, axis=-1)
+    steepness = np.abs(linear.by_point[:, 0]) / np.maximum(across, 1e-12)
+    least = np.sin(stricter(problem.config).sampling.min_crossing_angle)
+    return np.asarray((~rows | (steepness.reshape(-1, count) > least)).all(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """
+    Where two faces meet, in n profiles.
+
+    places: (n, 2) in the sensor plane; angle: (n,) between the faces there (rad); reach: (n, 2)
+    how far the middle of what is seen of each face is from it, in the direction in which the face
+    goes on (m): its sign says on which side of the edge; facing: (n, 2) cosine between each face's
+    normal and the viewing direction.
+    """
+
+    places: Array
+    angle: Array
+    reach: Array
+    facing: Array
+
+
+def corners(linear: Linear, count: int) -> Corners | None:
+    """Return where the two faces of a target without edges of its own meet; None without such."""
+    problem, obs = linear.problem, linear.problem.observations
+    if problem.method.edges or len(problem.method.kinds) != 2:
+        return None
+    kind = obs.kind.reshape(-1, count)
+    first, second = (_face(linear, kind == k, count) for k in (0, 1))
+    A = np.stack([first[0], second[0]], axis=1)
+    height = np.stack([(first[0] * first[1]).sum(axis=1), (second[0] * second[1]).sum(axis=1)],
+                      axis=1)
+    sine = A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
+    singular = np.abs(sine) < 1e-6
+    A[singular] = np.eye(2)
+    places = np.linalg.solve(A, height[..., None])[..., 0]
+    at = replace(problem, observations=replace(
+        obs, points=np.repeat(places, count, axis=0)))
+    here = points_in_base(at, linear.estimate.X).reshape(-1, count, 3)[:, 0]
+    edge = np.cross(first[3], second[3])
+    reach = [((middle - here) * np.cross(normal, edge)).sum(axis=1)
+             for _, _, middle, normal, _ in (first, second)]
+    angle = np.where(singular, 0.0, np.arcsin(np.minimum(np.abs(sine), 1.0)))
+    facing = np.stack([first[4], second[4]], axis=1)
+    return Corners(places, angle, np.stack(reach, axis=1), facing)
+
+
+def _face(linear: Linear, rows: NDArray[np.bool_], count: int) -> tuple[Array, ...]:
+    """
+    Return of each of n stations what it sees of a face, where rows (n, count) are of it.
+
+    The normal (n, 2) and the middle (n, 2) in the sensor plane, middle and normal (n, 3) in base,
+    and the cosine (n,) between normal and viewing direction.
+    """
+    p = points_in_base(linear.problem, linear.estimate.X)
+    share = rows / np.maximum(rows.sum(axis=1, keepdims=True), 1)
+
+    def mean(values: Array) -> Array:
+        return np.asarray(np.einsum('nc,nci->ni', share, values.reshape(*rows.shape, -1)))
+
+    normal = mean(linear.by_point)
+    facing = normal[:, 1].copy()
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    return normal, mean(linear.problem.observations.points), mean(p), mean(linear.by_base), facing
+
+
+def meeting(found: Corners | None, prototype: Corners | None, strict: bool
+            ) -> NDArray[np.bool_] | None:
+    """
+    Return which corners look as that of the prototype does, steeply enough; None: no corner.
+
+    strict: none of the faces is seen at a flatter angle than usual, whatever the prototype saw.
+    """
+    if found is None or prototype is None:
+        return None
+    sides = found.reach * np.sign(prototype.reach) > SHORTEST * np.abs(prototype.reach)
+    least = SMALLEST_COSINE if strict else np.minimum(SMALLEST_COSINE, abs(prototype.facing))
+    facing = found.facing * np.sign(prototype.facing) >= least
+    return np.asarray((sides & facing).all(axis=1) & (found.angle > SMALLEST_CORNER))
