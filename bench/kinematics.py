@@ -22,8 +22,8 @@ from handeye_ros.data import Array
 from handeye_ros.kinematics.chain import chain_of
 from handeye_ros.kinematics.estimate import fitted, Weights
 from handeye_ros.kinematics.model import Arm, GEOMETRY, ON_DEMAND, parameters
-from handeye_ros.kinematics.outcome import Outcome, solve
-from handeye_ros.kinematics.points import linearised, Points, State
+from handeye_ros.kinematics.outcome import Outcome, solve_points
+from handeye_ros.kinematics.points import Points, State
 import numpy as np
 from scipy.stats import chi2
 
@@ -163,7 +163,7 @@ def bound(cell: Cell, fit: Points, held: Points, case: Case) -> float:
     state = State(cell.X, cell.ball[None], Arm(cell.arm.chain, own, values), np.zeros((0, 3)))
     best = fitted(fit, state, Weights(np.full(3, NOISE), np.full(3, scale ** 2)),
                   np.ones(len(fit), dtype=bool), np.zeros((len(fit), 0)))
-    J = linearised(held, best.state, np.zeros((len(held), 0)))[1]
+    J = held.linearised(best.state, np.zeros((len(held), 0)))[1]
     variances = np.einsum('mi,ij,mj->m', J, best.covariance, J).reshape(-1, 3)
     return float(np.sqrt(variances.sum(axis=1).mean())) * 1e3
 
@@ -197,7 +197,7 @@ def main() -> None:
             cell = draw(case, given.stops + HELD_OUT, seed)
             first = np.arange(len(cell.data)) < given.stops
             began = time.perf_counter()
-            outcome = solve(cell.data.select(first), cell.arm.chain, given.more, LIMIT)
+            outcome = solve_points(cell.data.select(first), cell.arm.chain, given.more, LIMIT)
             times.append(time.perf_counter() - began)
             held = cell.exact.select(~first)
             rows.append((*judged(cell, case, outcome, held),

@@ -16,6 +16,7 @@ BAGS = {
     'line': ('small_line', 5),
     'plane': ('small_plane', 6),
     'tracker': ('small_tracker', 7),
+    'arm': ('small_arm', 8),
 }
 
 

@@ -11,11 +11,13 @@ from handeye_ros.cli.common import (
     configuration,
     doing,
     Input,
+    KinematicsFile,
     NoPath,
     read_bag,
     show,
     stored_session,
     warn,
+    with_kinematics,
 )
 from handeye_ros.errors import TableForProfilesError
 import typer
@@ -38,12 +40,14 @@ def solve(
     config: ConfigFile = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
     angles: Angles = '',
+    kinematics: KinematicsFile = None,
     out: Annotated[NoPath, typer.Option(
         metavar='DIR', help='Where calibration.yaml is written; if not given, the folder NAME in '
                             'output_dir, or in out.')] = None,
 ) -> None:
     """Find the transform from a recording or a file, and write calibration.yaml."""
     stored = stored_session(path)
+    assignments = with_kinematics(assignments, kinematics)
     settings = configuration(config, assignments, stored.config if stored else None, angles)
     folder = _target(out, settings)
 

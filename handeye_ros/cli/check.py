@@ -3,7 +3,16 @@ from pathlib import Path
 from typing import Annotated, Optional, TYPE_CHECKING
 
 from handeye_ros.cli.app import app
-from handeye_ros.cli.common import Assignments, doing, NoPath, read_bag, show, warn
+from handeye_ros.cli.common import (
+    Assignments,
+    doing,
+    KinematicsFile,
+    NoPath,
+    read_bag,
+    show,
+    warn,
+    with_kinematics,
+)
 from handeye_ros.cli.scan import calibrated, MeasureConfig
 import typer
 
@@ -28,6 +37,7 @@ def check(
     against: Against = None,
     config: MeasureConfig = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
+    kinematics: KinematicsFile = None,
     folder: Folder = None,
     picture: Picture = None,
     out: Out = None,
@@ -36,6 +46,7 @@ def check(
     from handeye_ros.verification.errors import NothingToCheckError
     if not (bags and against or folder):
         raise NothingToCheckError
+    assignments = with_kinematics(assignments, kinematics)
     changed = (_check_bags(bags, against, config, assignments, out) if bags and against
                else False)
     if folder:

@@ -27,8 +27,9 @@ ConfigFile = Annotated[NoPath, typer.Option(
     help='A ROS parameter file, such as config/plate.yaml; without it, the defaults.')]
 Assignments = Annotated[list[str], typer.Option(
     '--set', metavar='KEY=VALUE', help='Set a key of the configuration; may be repeated.')]
-
-
+KinematicsFile = Annotated[NoPath, typer.Option(
+    '--kinematics', metavar='FILE', help='A kinematics.yaml, for a bag that holds joint values: '
+    'the flange poses are those of its corrected arm.')]
 Angles = Annotated[str, typer.Option(
     metavar='NOTATION', help='How a table of poses writes orientations: kuka-abc, fanuc-wpr, '
     'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
@@ -45,6 +46,16 @@ def configuration(file: Path | None, assignments: list[str], base: 'Config | Non
     base = base or Config()
     assignments = [*assignments, f'target.angles={angles}'] if angles else assignments
     return with_assignments(load(file, base) if file else base, assignments)
+
+
+def with_kinematics(assignments: list[str], file: Path | None) -> list[str]:
+    """Return assignments with those that a kinematics.yaml stands for before them."""
+    if file is None:
+        return assignments
+    from handeye_ros.kinematics.answer import read_arm
+    chain = read_arm(file).chain
+    return [f'kinematics={file.absolute()}', f'robot_base_frame={chain.base}',
+            f'robot_effector_frame={chain.flange}', *assignments]
 
 
 def stored_session(path: Path) -> 'Stored | None':

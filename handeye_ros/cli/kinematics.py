@@ -1,4 +1,5 @@
 """The verb that finds the robot's own error."""
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
@@ -9,12 +10,16 @@ import typer
 if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.kinematics.answer import Answer
+    from handeye_ros.kinematics.chain import Chain
+
+TABLES = ('.csv', '.yaml', '.yml')
 
 
 @app.command()
 def kinematics(
     source: Annotated[Path, typer.Argument(metavar='SOURCE', help=(
-        'A table of joint values and measured points (CSV or YAML).'))],
+        'A bag with profiles and joint values, or a table of joint values and measured points '
+        '(CSV or YAML).'))],
     urdf: Annotated[Path, typer.Option(metavar='FILE', help='The URDF of the robot.')],
     base: Annotated[str, typer.Option(help='The link that the arm stands on; default: the root '
                                            'of the URDF.')] = '',
@@ -34,24 +39,46 @@ def kinematics(
     from handeye_ros.errors import UnknownNameError
     from handeye_ros.kinematics.chain import chain_of, read_urdf
     from handeye_ros.kinematics.model import ON_DEMAND
-    from handeye_ros.kinematics.outcome import answer_of, solve
     from handeye_ros.kinematics.screen import table
-    from handeye_ros.kinematics.table import read_table
-    from handeye_ros.results.calibration_file import input_values
     for kind in parameters:
         if kind not in ON_DEMAND:
             raise UnknownNameError('kind of parameter', kind, ON_DEMAND)
     text = read_urdf(urdf)
     chain = chain_of(text, base, flange, urdf)
-    data, odd = read_table(source, chain, settings.calibration_type == 'eye_in_hand')
-    inputs = [input_values(source), input_values(urdf)]
-    with doing('solving'):
-        found = answer_of(solve(data, chain, parameters, settings.limits.residual), settings,
-                          inputs)
-    for warning in (*odd, *found.warnings):
+    solve = _solve_table if source.suffix in TABLES and source.is_file() else _solve_bag
+    found = solve(source, urdf, chain, parameters, settings)
+    for warning in found.warnings:
         warn(warning)
     show(table(found))
     typer.echo(_saved(found, text, out, settings))
+
+
+def _solve_table(source: Path, urdf: Path, chain: 'Chain', more: list[str], settings: 'Config'
+                 ) -> 'Answer':
+    from handeye_ros.kinematics.outcome import answer_of, calibration_of, solve_points
+    from handeye_ros.kinematics.samples import compared
+    from handeye_ros.kinematics.table import read_table
+    from handeye_ros.results.calibration_file import input_values
+    data, odd = read_table(source, chain, settings.calibration_type == 'eye_in_hand')
+    with doing('solving'):
+        outcome = solve_points(data, chain, more, settings.limits.residual)
+    calibration = calibration_of(outcome, data, settings)
+    told = (*odd, *([] if data.reported is None else [
+        compared(data.reported, chain.forward(data.q))]))
+    return answer_of(outcome, calibration, [input_values(source), input_values(urdf)], told)
+
+
+def _solve_bag(source: Path, urdf: Path, chain: 'Chain', more: list[str], settings: 'Config'
+               ) -> 'Answer':
+    from handeye_ros.cli.common import advancing
+    from handeye_ros.kinematics.samples import solve_recording
+    from handeye_ros.results.calibration_file import input_values
+    from handeye_ros.ros.bags.bag import read_with_joints
+    with advancing('reading the recording') as progress:
+        recording = read_with_joints(source, settings, chain, progress)
+    inputs = [*recording.inputs, input_values(urdf)]
+    with doing('solving'):
+        return solve_recording(replace(recording, inputs=inputs), chain, more, settings)
 
 
 def _saved(found: 'Answer', urdf: str, out: Path, settings: 'Config') -> str:
@@ -63,7 +90,11 @@ def _saved(found: 'Answer', urdf: str, out: Path, settings: 'Config') -> str:
     if lost:
         warn(f'no URDF can hold {" and ".join(lost)}: corrected.urdf is without them, '
              'kinematics.yaml has them')
-    saved = exports.save_all(found.calibration, out, settings.save.formats)
+    out = out.absolute()
+    provenance = found.calibration.provenance
+    read_with = {**provenance['config'], 'kinematics': str(out / answers.NAME)}
+    calibration = replace(found.calibration, provenance={**provenance, 'config': read_with})
+    saved = exports.save_all(calibration, out, settings.save.formats)
     write_whole(out / answers.NAME, answers.text(found))
     write_whole(out / answers.URDF, answers.corrected_urdf(urdf, found.arm))
     return f'{saved}, {answers.NAME}, {answers.URDF}'

@@ -3,7 +3,15 @@ from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
 from handeye_ros.cli.app import app
-from handeye_ros.cli.common import Assignments, Bag, doing, NoPath, warn
+from handeye_ros.cli.common import (
+    Assignments,
+    Bag,
+    doing,
+    KinematicsFile,
+    NoPath,
+    warn,
+    with_kinematics,
+)
 import typer
 
 if TYPE_CHECKING:
@@ -35,6 +43,7 @@ def scan(
     out: Annotated[Path, typer.Option(metavar='CLOUD', help='The file to write: .ply or .pcd.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
+    kinematics: KinematicsFile = None,
     voxel: Annotated[float, typer.Option(
         min=0.0, help='Keep one point of each cube with this edge (m).')] = 0.0,
     limits: Annotated[tuple[float, float], typer.Option(
@@ -54,7 +63,7 @@ def scan(
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     from handeye_ros.scanning.track import Track
     header_of(out)
-    found, settings = calibrated(calibration, config, assignments)
+    found, settings = calibrated(calibration, config, with_kinematics(assignments, kinematics))
     scanner = Scanner(found, settings, ScanOptions(*limits, math.radians(incidence), voxel, std))
     with doing('reading the poses') as now:
         source = flow(bag, settings)

@@ -7,7 +7,16 @@ from typing import Annotated, Optional, TYPE_CHECKING
 
 from handeye_ros.cli import units
 from handeye_ros.cli.app import app
-from handeye_ros.cli.common import Assignments, doing, NoPath, read_bag, show, warn
+from handeye_ros.cli.common import (
+    Assignments,
+    doing,
+    KinematicsFile,
+    NoPath,
+    read_bag,
+    show,
+    warn,
+    with_kinematics,
+)
 from handeye_ros.cli.scan import calibrated, CalibrationFile, MeasureConfig
 import typer
 
@@ -68,6 +77,7 @@ def verify(
     calibration: CalibrationFile,
     config: MeasureConfig = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
+    kinematics: KinematicsFile = None,
     length: Lengths = [],  # noqa: B006 - never changed
     radius: Radius = None,
     reference: Reference = NOWHERE,
@@ -85,7 +95,7 @@ def verify(
     from handeye_ros.verification import verification
     from handeye_ros.verification.routines import routine_of
     routine = routine_of(name)
-    found, settings = calibrated(calibration, config, assignments)
+    found, settings = calibrated(calibration, config, with_kinematics(assignments, kinematics))
     given = {'lengths': length, 'radius': radius, 'reference': reference if reference[0] else (),
              'aim': aim, 'flank': flank, 'certificate': certificate, 'tolerance': tolerance}
     settings = with_values(settings, _keys(given, angle_tolerance), 'the options')

@@ -49,6 +49,10 @@ class Config:
                            '(topic) or the transform tree (tf).', choices=('topic', 'tf'))
     pose_topic: str = key('flange_pose', 'Topic of the flange poses.')
     profile_topic: str = key('profile', 'Topic of the laser profiles.')
+    joint_topic: str = key('joint_states', 'Topic of the joint values (sensor_msgs/JointState).')
+    kinematics: str = key('', 'A kinematics.yaml, made by handeye kinematics: the flange poses '
+                          'are those of its corrected arm at the joint values of joint_topic; '
+                          'empty: the poses of the controller.')
     time_offset: float = key(0.0, "Added to the profiles' stamps (s), for a sensor whose clock "
                              'or whose driver is late or early.', minimum=-10.0, maximum=10.0)
     time_offset_std: float = key(

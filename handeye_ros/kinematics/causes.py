@@ -7,7 +7,7 @@ import math
 
 from handeye_ros.errors import DataError
 from handeye_ros.kinematics.chain import Chain, REVOLUTE
-from handeye_ros.kinematics.estimate import first_fit, Fit
+from handeye_ros.kinematics.estimate import first_fit
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.points import Points
 import numpy as np
@@ -16,10 +16,10 @@ FEW = 2  # starts: a cause is seen by any of them
 BETTER = 0.2  # of the residual: what explains so much is the cause
 
 
-def cause_of(fit: Fit, chain: Chain) -> str:
+def cause_of(data: Points, residual: float, chain: Chain) -> str:
     """Return what makes the points fit after all, in words, empty where nothing usual does."""
-    best, found = BETTER * fit.noise_rms, ''
-    for words, changed in _changes(fit.data, chain):
+    best, found = BETTER * residual, ''
+    for words, changed in _changes(data, chain):
         try:
             rms = first_fit(changed, Arm(chain), FEW).noise_rms
         except DataError:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeAlias
 
-from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import places, process_root
 from handeye_ros.estimation.influence import leave_one_out, outliers
@@ -26,7 +26,8 @@ from handeye_ros.estimation.solver import (
 )
 from handeye_ros.kinematics.errors import TooFewConfigurationsError
 from handeye_ros.kinematics.model import Arm
-from handeye_ros.kinematics.points import linearised, Points, starts, State
+from handeye_ros.kinematics.points import Points, starts, State
+from handeye_ros.kinematics.profiles import Profiles
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,9 +43,12 @@ LARGEST = 1e3  # variance of a kind over the configured one
 SEED = 0  # of the search: the same points give the same answer
 
 
+Data: TypeAlias = Points | Profiles
+
+
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Sigma (3,) of the residuals along each axis of the sensor; variances (g,) of each kind."""
+    """Sigma (c,) of each component of the residuals; variances (g,) of each kind."""
 
     noise: Array
     variances: Array
@@ -53,24 +57,18 @@ class Weights:
 @dataclass(frozen=True, eq=False)
 class Fit:
     """
-    An estimate with its weights, of the rows used (n,) of data; root: the smooth functions.
+    An estimate with its weights, of the configurations used (n,); root: the smooth functions.
 
-    residuals: (3 n,) whitened, of all rows, the smooth part taken out; jacobian: (3 n, u) the
-    same.
+    residuals: (m,) whitened, of all configurations, the smooth part taken out; jacobian: (m, u).
     """
 
-    data: Points
+    data: Data
     state: State
     weights: Weights
     used: NDArray[np.bool_]
     root: Array
     residuals: Array
     jacobian: Array
-
-    @property
-    def unknowns(self) -> int:
-        """Return the number of unknowns without a prior: X and the targets."""
-        return 6 + self.state.targets.size
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -103,16 +101,19 @@ class Fit:
     @cached_property
     def covariance(self) -> Array:
         """Return that (u, u) of all unknowns."""
-        rows = np.repeat(self.used, 3)
         prior = np.zeros((len(self.stds), self.jacobian.shape[1]))
-        prior[:, self.unknowns:] = np.diag(1 / self.stds)
-        return covariance_of(np.vstack([self.jacobian[rows], prior]))
+        prior[:, self.data.unknowns:] = np.diag(1 / self.stds)
+        return covariance_of(np.vstack([self.jacobian[self.rows], prior]))
+
+    @property
+    def rows(self) -> NDArray[np.bool_]:
+        """Return which residuals (m,) are of configurations that are used."""
+        return self.used[self.data.block]
 
     @property
     def noise_rms(self) -> float:
-        """Return the RMS of the residuals of the used rows, each a distance (m)."""
-        own = self.residuals.reshape(-1, 3)[self.used] * self.weights.noise
-        return float(np.sqrt((own ** 2).sum(axis=1).mean()))
+        """Return the RMS by which the used configurations miss (m)."""
+        return float(np.sqrt((self.data.distances(self.state)[self.used] ** 2).mean()))
 
     @property
     def smooth_std(self) -> float:
@@ -122,30 +123,30 @@ class Fit:
     @cached_property
     def shown(self) -> Scales:
         """Return how large each kind shows itself."""
-        q, s = self.unknowns, self.stds
+        q, s = self.data.unknowns, self.stds
         first = np.searchsorted(self.group, np.arange(len(self.kinds)))
         return prior_scales(self.covariance[q:, q:] / np.outer(s, s), self.values / s, first,
                      self.weights.variances, np.full(len(first), LARGEST))
 
 
-def fitted(data: Points, state: State, weights: Weights, used: NDArray[np.bool_], root: Array,
+def fitted(data: Data, state: State, weights: Weights, used: NDArray[np.bool_], root: Array,
            iterations: int = 20) -> Fit:
     """Return the estimate with the least squares of residuals and priors near a state."""
     frame = Fit(data, state, weights, used, root, np.zeros(0), np.zeros((0, 0)))
-    prior, n, u = 1 / frame.stds, len(data), frame.unknowns
-    whiten = np.tile(1 / weights.noise, n)
+    prior, n, u = 1 / frame.stds, len(data), data.unknowns
+    whiten = 1 / weights.noise[data.component]
 
     def rows(at: State) -> Rows:
-        r, J = linearised(data, at, root)
+        r, J = data.linearised(at, root)
         values = np.append(at.arm.values, at.smooth.ravel())
         by_prior = np.zeros((len(prior), J.shape[1]))
         by_prior[:, u:] = np.diag(prior)
         return Rows(np.append(r * whiten, values * prior),
                     lambda: np.vstack([J * whiten[:, None], by_prior]))
-    block = np.append(np.repeat(np.arange(n), 3), np.full(len(prior), n))
-    system = System(rows, State.moved, block)
+    block = np.append(data.block, np.full(len(prior), n))
+    system = System(rows, data.moved, block)
     state = least_squares(system, state, np.append(used.astype(float), 1.0), iterations, 1e-4)
-    r, J = linearised(data, state, root)
+    r, J = data.linearised(state, root)
     return replace(frame, state=state, residuals=r * whiten, jacobian=J * whiten[:, None])
 
 
@@ -154,10 +155,10 @@ def weighed(fit: Fit, stated: bool = False) -> Weights:
     shown = fit.shown if fit.kinds else None
     variances = fit.weights.variances if shown is None else (
         shown.conservative if stated else shown.map_scales)
-    rows = np.repeat(fit.used, 3)
-    J, own = fit.jacobian[rows], (fit.residuals * np.tile(fit.weights.noise, len(fit.data)))[rows]
-    free = (1 - np.einsum('mi,ij,mj->m', J, fit.covariance, J)).reshape(-1, 3).sum(axis=0)
-    squares = (own.reshape(-1, 3) ** 2).sum(axis=0)
+    rows, component = fit.rows, fit.data.component
+    J, own = fit.jacobian[rows], (fit.residuals * fit.weights.noise[component])[rows]
+    free, squares = (np.bincount(component[rows], each, len(fit.weights.noise)) for each in (
+        1 - np.einsum('mi,mi->m', J @ fit.covariance, J), own ** 2))
     pooled = squares.sum() / max(free.sum(), 1.0)
     noise = np.sqrt((squares + POOLED * pooled) / (np.maximum(free, 0.0) + POOLED))
     return Weights(np.maximum(noise, LEAST_NOISE), variances)
@@ -179,11 +180,12 @@ def without_outliers(fit: Fit) -> Fit:
     """Return a fit, adjusted, after leaving out the rows that the others do not explain."""
     while True:
         fit = adjusted(fit)
-        rows, used = np.repeat(fit.used, 3), np.flatnonzero(fit.used)
-        r, block = fit.residuals[rows], np.repeat(np.arange(len(used)), 3)
+        rows, used = fit.rows, np.flatnonzero(fit.used)
+        r, block = fit.residuals[rows], np.searchsorted(used, fit.data.block[rows])
         left_out = leave_one_out(r, fit.jacobian[rows], fit.covariance, block)
-        squares = (r * left_out).reshape(-1, 3).mean(axis=1)
-        worst = outliers(squares, 3, len(fit.data), len(used) - MINIMUM)
+        freedom = np.bincount(block)
+        squares = np.bincount(block, r * left_out) / freedom
+        worst = outliers(squares, freedom, len(fit.data), len(used) - MINIMUM)
         if not len(worst):
             return fit
         keep = fit.used.copy()
@@ -202,12 +204,11 @@ def first_fit(data: Points, arm: Arm, most: int = STARTS) -> Fit:
     rough, nothing = Weights(np.full(3, ROUGH), np.zeros(0)), np.zeros((len(data), 0))
 
     def refit(state: State, weights: Array) -> State:
-        block = np.repeat(np.arange(len(data)), 3)
-        system = System(rows, State.moved, block)
+        system = System(rows, data.moved, data.block)
         return least_squares(system, state, weights, ANNEALING_STEPS, NEAR)
 
     def rows(at: State) -> Rows:
-        r, J = linearised(data, at, nothing)
+        r, J = data.linearised(at, nothing)
         return Rows(r / ROUGH, lambda: J / ROUGH)
 
     def squares(at: State) -> Array:
@@ -220,6 +221,13 @@ def first_fit(data: Points, arm: Arm, most: int = STARTS) -> Fit:
     if used.sum() < MINIMUM:
         raise TooFewConfigurationsError(int(used.sum()), MINIMUM)
     return adjusted(fitted(data, state, rough, used, nothing))
+
+
+def fit_of(data: Data, state: State) -> Fit:
+    """Return a state with the hand-eye transform alone free, weighed."""
+    noise = np.ones(int(data.component.max()) + 1)
+    used, nothing = np.ones(len(data), dtype=bool), np.zeros((len(data), 0))
+    return adjusted(fitted(data, state, Weights(noise, np.zeros(0)), used, nothing))
 
 
 def with_arm(fit: Fit, arm: Arm) -> Fit:
@@ -239,9 +247,8 @@ def stated_covariance(fit: Fit, chosen: State) -> tuple[Fit, Array]:
     """
     wide = _with_smooth(adjusted(fit, stated=True))
     own = len(chosen.arm.values)
-    away = np.concatenate([se3.difference(wide.state.X, chosen.X),
-                           (wide.state.targets - chosen.targets).ravel(),
-                           wide.state.arm.values[:own] - chosen.arm.values])
+    away = np.append(fit.data.difference(wide.state, chosen),
+                     wide.state.arm.values[:own] - chosen.arm.values)
     return wide, wide.covariance[:len(away), :len(away)] + np.outer(away, away)
 
 

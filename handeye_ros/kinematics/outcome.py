@@ -6,7 +6,7 @@ predicts them worse than a simpler one does is not the answer.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from handeye_ros import __version__
@@ -29,7 +29,8 @@ from handeye_ros.kinematics.estimate import (
     without_outliers,
 )
 from handeye_ros.kinematics.model import Arm, GEOMETRY, OFFSET, parameters
-from handeye_ros.kinematics.points import Points, residuals
+from handeye_ros.kinematics.points import Points
+from handeye_ros.threads import single_threaded
 import numpy as np
 from numpy.typing import NDArray
 
@@ -84,26 +85,37 @@ class Outcome:
     @property
     def stds(self) -> Array:
         """Return 1 sigma (k,) of its parameters."""
-        first = self.chosen.fit.unknowns
+        first = self.chosen.fit.data.unknowns
         return np.sqrt(np.diag(self.covariance)[first:first + len(self.arm.values)])
 
 
-def solve(data: Points, chain: Chain, more: Sequence[str], limit: float) -> Outcome:
+def solve_points(data: Points, chain: Chain, more: Sequence[str], limit: float) -> Outcome:
+    """Return the outcome of points that a sensor measured; see solve."""
+    start = first_fit(data, Arm(chain))
+
+    def cause() -> str:
+        return cause_of(data, start.noise_rms, chain)
+    return solve(start, more, limit, cause)
+
+
+@single_threaded
+def solve(start: Fit, more: Sequence[str], limit: float, cause: Callable[[], str]) -> Outcome:
     """
     Return the corrected arm and the hand-eye transform that belongs to it.
 
-    more: kinds of parameters beside the geometry; limit: the largest residual of a trusted
-    answer (m). Raises DataError.
+    start: the hand-eye transform alone; more: kinds of parameters beside the geometry; limit: the
+    largest residual of a trusted answer (m); cause: what may be wrong beyond it, in words. Raises
+    DataError.
     """
-    start = first_fit(data, Arm(chain))
+    chain = start.state.arm.chain
     if start.noise_rms > HOPELESS * limit:
-        raise ContradictionError(start.noise_rms, HOPELESS * limit, cause_of(start, chain))
+        raise ContradictionError(start.noise_rms, HOPELESS * limit, cause())
     ladder = [(OFFSET,), GEOMETRY, *([(*GEOMETRY, *more)] if more else [])]
     richest = _fit(start, chain, ladder[-1])
     if richest.noise_rms > limit:
-        raise ContradictionError(richest.noise_rms, limit, cause_of(start, chain))
+        raise ContradictionError(richest.noise_rms, limit, cause())
     _require_mount(richest)
-    fold = regions(data.q)
+    fold = regions(start.data.q)
     start = adjusted(replace(start, used=richest.used))
     fits = [(kinds, _fit(start, chain, kinds) if kinds != ladder[-1] else richest)
             for kinds in ladder]
@@ -145,9 +157,7 @@ def _left_out(fit: Fit, fold: NDArray[np.intp]) -> Array:
     for number in range(int(fold.max()) + 1):
         there = fold == number
         others = adjusted(replace(fit, used=fit.used & ~there), rounds=FOLD_ROUNDS)
-        own = data.select(there)
-        off = residuals(own, others.state, others.state.arm.forward(own.q))
-        errors[there] = np.linalg.norm(off, axis=1)
+        errors[there] = data.distances(others.state)[there]
     return errors
 
 
@@ -160,7 +170,7 @@ def _better(model: Model, simpler: Model) -> bool:
 
 def _known(fit: Fit) -> Array:
     """Return the sigma over the prior (k,) of the parameters, both as configured."""
-    first, arm = fit.unknowns, fit.state.arm
+    first, arm = fit.data.unknowns, fit.state.arm
     as_configured = replace(fit, weights=replace(
         fit.weights, variances=np.ones_like(fit.weights.variances)))
     variances = np.diag(as_configured.covariance)[first:first + len(arm.values)]
@@ -202,29 +212,39 @@ def one_configuration(arm: Arm, q: Array) -> bool:
     return len(np.unique(np.sign(np.linalg.det(J)))) == 1
 
 
-def answer_of(outcome: Outcome, config: Config, inputs: Sequence[dict[str, str]]) -> Answer:
-    """Return what is told of an outcome."""
-    fit, models, chain = outcome.chosen.fit, outcome.models, outcome.arm.chain
-    config = replace(config, robot_base_frame=chain.base, robot_effector_frame=chain.flange)
-    chosen = models.index(outcome.chosen)
+def answer_of(outcome: Outcome, calibration: Calibration, inputs: Sequence[dict[str, str]],
+              warnings: Sequence[str]) -> Answer:
+    """
+    Return what is told of an outcome.
+
+    calibration: the hand-eye transform of it; inputs: path and sha256 of all files; warnings: of
+    what was read.
+    """
+    calibration = replace(calibration, provenance={**calibration.provenance,
+                                                   'inputs': list(inputs)})
     told = tuple(ModelErrors(m.kinds, m.fit.noise_rms, m.left_out_rms, m.left_out_median)
-                 for m in models)
-    provenance = {'version': __version__, 'inputs': list(inputs), 'config': flatten(config)}
+                 for m in outcome.models)
+    return Answer(outcome.arm, outcome.stds, outcome.known, told,
+                  outcome.models.index(outcome.chosen), outcome.smooth, calibration,
+                  (*warnings, *outcome.warnings))
+
+
+def calibration_of(outcome: Outcome, data: Points, config: Config) -> Calibration:
+    """Return the hand-eye transform found from points, as calibration.yaml tells it."""
+    fit, chain = outcome.chosen.fit, outcome.arm.chain
+    config = replace(config, robot_base_frame=chain.base, robot_effector_frame=chain.flange)
     std, direction = worst_translation(outcome.covariance[:6, :6])
     parent, used = mount_frame(config), fit.used
     quality = Quality(int(used.sum()), int((~used).sum()), fit.noise_rms,
                       outcome.chosen.left_out_rms,
                       f'position along {name_direction(direction, parent)} (m)', std)
-    off = np.linalg.norm(fit.residuals.reshape(-1, 3) * fit.weights.noise, axis=1)
-    samples = tuple(SampleReport(int(number), bool(good), fit.data.names[target], float(distance),
+    samples = tuple(SampleReport(int(number), bool(good), data.names[target], float(distance),
                                  '' if good else 'contradicts the others')
                     for number, good, target, distance in zip(
-                        fit.data.number, used, fit.data.target, off, strict=True))
+                        data.number, used, data.target, data.distances(fit.state), strict=True))
     target = {f'point_{name}': dict(zip('xyz', map(float, centre), strict=True))
-              for name, centre in zip(fit.data.names, fit.state.targets, strict=True)}
-    calibration = Calibration(
+              for name, centre in zip(data.names, fit.state.targets, strict=True)}
+    return Calibration(
         config.name or 'kinematics', 'kinematics', parent, config.sensor_frame, fit.state.X,
         outcome.covariance[:6, :6], {**target, 'robot_position_error': outcome.smooth}, quality,
-        samples, provenance)
-    return Answer(outcome.arm, outcome.stds, outcome.known, told, chosen, outcome.smooth,
-                  calibration, outcome.warnings)
+        samples, {'version': __version__, 'config': flatten(config)})

@@ -54,6 +54,24 @@ def forward(joints: Array, errors: ArmErrors | None = None) -> Array:
     return T
 
 
+def urdf() -> str:
+    """Return the URDF of the arm as its controller knows it."""
+    heights = (0.0, *LENGTHS[:-1])
+    links = ''.join(f'  <link name="{name}"/>\n' for name in (
+        'base', *(f'link_{k}' for k in range(1, 7)), 'flange'))
+    axes = {'y': '0 1 0', 'z': '0 0 1'}
+    joints = ''.join(
+        f'  <joint name="joint_{k}" type="revolute">\n    <origin xyz="0 0 {height}"/>\n'
+        f'    <parent link="{f"link_{k - 1}" if k > 1 else "base"}"/>\n'
+        f'    <child link="link_{k}"/>\n    <axis xyz="{axes[axis]}"/>\n'
+        '    <limit lower="-12.6" upper="12.6" effort="0" velocity="3"/>\n  </joint>\n'
+        for k, (axis, height) in enumerate(zip(AXES, heights, strict=True), 1))
+    return (f'<?xml version="1.0"?>\n<robot name="arm">\n{links}{joints}'
+            '  <joint name="end" type="fixed">\n'
+            f'    <origin xyz="0 0 {LENGTHS[-1]}"/>\n    <parent link="link_6"/>\n'
+            '    <child link="flange"/>\n  </joint>\n</robot>\n')
+
+
 def inverse(T: Array) -> Array:
     """Return the joint angles (n, 6), elbow up, of flange poses (n, 4, 4) within reach."""
     wrist = T[:, :3, 3] - D6 * T[:, :3, 2]

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, TimedPose
+from handeye_ros.simulate import arm, distortion, motion, optics, sweep
 from handeye_ros.simulate import cell as cells
-from handeye_ros.simulate import distortion, motion, optics, sweep
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.convention_errors import CONVENTION_ERRORS
 from handeye_ros.simulate.layout import FRAMES, published
@@ -27,6 +27,15 @@ class Simulated:
     profiles: tuple[Profile, ...]
     poses: tuple[TimedPose, ...]
     truth: Truth
+
+    def joints(self) -> list[tuple[int, Array]]:
+        """Return stamps and joint values of the arm at the poses, none of a robot without one."""
+        if not self.scenario.robot.geometry:
+            return []
+        T = se3.from_quaternion(np.array([pose.translation for pose in self.poses]),
+                                np.array([pose.quaternion for pose in self.poses]))
+        values = np.unwrap(arm.inverse(T), axis=0)
+        return [(pose.stamp, row) for pose, row in zip(self.poses, values, strict=True)]
 
 
 def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulated:

@@ -25,6 +25,7 @@ PLANE = replace(PLATE, name='plane', scene='plane', target=PlateTarget((0.4, 0.3
                 stations=(14, 0))
 WEDGE = replace(PLATE, name='wedge', scene='wedge', target=WedgeTarget(), stations=(14, 0),
                 tilt=math.radians(20))
+ARM = RobotModel(geometry=3e-4, rate=50.0)
 REAL_ROBOT = RobotModel(systematic=(1.5e-4, math.radians(0.02)))
 
 
@@ -70,6 +71,9 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     replace(SPHERE, name='sphere_real_robot', robot=REAL_ROBOT),
     replace(PLATE, name='eye_on_base', calibration_type='eye_on_base'),
     replace(SPHERE, name='sphere_on_flange', calibration_type='eye_on_base'),
+    # arms whose joint values are recorded
+    replace(PLATE, name='arm_plate', robot=ARM, stations=(20, 20), tilt=math.radians(40)),
+    replace(SPHERE, name='arm_sphere', robot=ARM, stations=(40, 0)),
     # what cannot carry an answer, or only in part
     replace(PLATE, name='one_orientation', motion='one_orientation'),
     replace(PLATE, name='one_orientation_per_edge', motion='one_orientation_per_edge'),
@@ -87,6 +91,8 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     SMALL_SPHERE,
     SMALL_LINE,
     SMALL_PLANE,
+    replace(SMALL_SPHERE, name='small_arm', robot=replace(ARM, rate=20.0), stations=(30, 0),
+            sensor=replace(WIDE, **SMALL | {'rate': 5.0, 'thinning': 20}, columns=320)),
     replace(COARSE_PLATE, name='small_one_orientation', motion='one_orientation'),
     replace(COARSE_PLATE, name='small_inverted_poses', convention_errors=('inverted',)),
 )}

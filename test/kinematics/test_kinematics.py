@@ -8,11 +8,19 @@ import sys
 
 from command import handeye
 from handeye_ros import se3
+from handeye_ros.config import Config, TargetConfig
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.kinematics import profiles
 from handeye_ros.kinematics.answer import corrected_urdf, read_arm
 from handeye_ros.kinematics.chain import chain_of
 from handeye_ros.kinematics.model import Arm, GEOMETRY, ON_DEMAND, parameters
-from handeye_ros.kinematics.outcome import solve
+from handeye_ros.kinematics.outcome import solve_points
+from handeye_ros.kinematics.points import State
 from handeye_ros.results.calibration_file import read_calibration
+from handeye_ros.results.outcome import in_mount
+from handeye_ros.simulate import arm as simulated_arm
+from handeye_ros.simulate import SCENARIOS, simulate_samples
+from handeye_ros.targets import method_for
 import numpy as np
 import pytest
 
@@ -146,7 +154,7 @@ def test_a_wrong_row_is_left_out_and_several_points_are_told_apart():
     points[30:] = (se3.inverse(T[30:]) @ np.append(second, 1))[:, :3]
     data = replace(cell.data, points=points, names=('a', 'b'),
                    target=np.repeat([0, 1], [30, 10]))
-    fit = solve(data, cell.arm.chain, (), 1e-3).chosen.fit
+    fit = solve_points(data, cell.arm.chain, (), 1e-3).chosen.fit
     assert np.flatnonzero(~fit.used).tolist() == [7, 20]
     np.testing.assert_allclose(fit.state.targets[1] - fit.state.targets[0], [0.02, 0.01, 0.0],
                                atol=2e-4)
@@ -155,7 +163,7 @@ def test_a_wrong_row_is_left_out_and_several_points_are_told_apart():
 def test_nothing_is_invented_of_a_robot_without_error():
     cell = bench.draw(bench.CASES['none'], 62, 1)
     first = np.arange(62) < 40
-    outcome = solve(cell.data.select(first), cell.arm.chain, (), 1e-3)
+    outcome = solve_points(cell.data.select(first), cell.arm.chain, (), 1e-3)
     held = cell.exact.select(~first)
     before, after, nees, _ = bench.judged(cell, bench.CASES['none'], outcome, held)
     assert after < 1.05 * before and nees < 2
@@ -197,7 +205,7 @@ def wrong(cell, name):
     'set calibration_type to eye_in_hand'])
 def test_joint_values_that_contradict_the_points_are_named(solved, words):
     with pytest.raises(Exception, match=words):
-        solve(wrong(solved[0], words), solved[0].arm.chain, (), 1e-3)
+        solve_points(wrong(solved[0], words), solved[0].arm.chain, (), 1e-3)
 
 
 URDFS = {
@@ -214,3 +222,55 @@ def test_bad_urdfs_are_refused_in_a_sentence(name):
     text, words = URDFS[name]
     with pytest.raises(Exception, match=words):
         chain_of(text, flange='tool9' if name == 'no such link' else 'tip')
+
+
+@pytest.fixture(scope='module')
+def from_bag(tmp_path_factory):
+    """Return the folder of the answer of the recording in bags/, and what was told."""
+    folder = tmp_path_factory.mktemp('from_bag')
+    done = handeye('kinematics', ROOT / 'bags/arm', '--urdf', ROOT / 'bags/arm/robot.urdf',
+                   '--set', 'target.type=sphere', '--out', 'out', cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder, done
+
+
+def test_profiles_and_joint_states_of_a_bag_correct_the_arm(from_bag):
+    folder, done = from_bag
+    arm, X = read_arm(folder / 'out'), read_calibration(folder / 'out/calibration.yaml')
+    assert 'the controller and the URDF have the same kinematics' in done.stderr
+    assert X.quality.holdout_rms < 6e-5 and X.parent_frame == 'flange'
+    assert [p.kind for p in arm.parameters].count('position') == 12
+
+
+def test_a_solve_with_the_corrected_arm_gives_the_same_transform(from_bag):
+    folder, _ = from_bag
+    done = handeye('solve', ROOT / 'bags/arm', '--set', 'target.type=sphere', '--kinematics',
+                   'out/kinematics.yaml', '--out', 'again', cwd=folder)
+    assert done.returncode == 0, done.stderr
+    before, after = (read_calibration(folder / name / 'calibration.yaml')
+                     for name in ('out', 'again'))
+    np.testing.assert_allclose(after.T_flange_sensor, before.T_flange_sensor, atol=2e-5)
+
+
+@pytest.mark.parametrize('name', ['sphere', 'sphere_on_flange'])
+def test_residuals_of_profiles_have_their_derivatives(monkeypatch, name):
+    monkeypatch.setattr(profiles, 'whitening', lambda *given: lambda values: values)
+    rng = np.random.default_rng(4)
+    scenario = replace(SCENARIOS[name], stations=(12, 0))
+    samples, _ = simulate_samples(scenario, rng)
+    config = Config(calibration_type=scenario.calibration_type,
+                    target=TargetConfig(type='sphere'))
+    chain = chain_of(simulated_arm.urdf())
+    own = parameters(chain, GEOMETRY)
+    q = rng.uniform(-1, 1, (len(samples), 6))
+    T = Arm(chain).forward(q)
+    method = method_for(config)
+    problem = Problem(method, in_mount(T, config), method.observe(samples), config)
+    data = profiles.Profiles(q, problem, np.arange(len(q)))
+    state = State(np.eye(4), np.append([0.1, 0.2, 0.3], 0.02),
+                  Arm(chain, own, np.zeros(len(own))), np.zeros((1, 3)))
+    root = rng.normal(size=(len(q), 1))
+    J = data.linearised(state, root)[1]
+    for k, step in enumerate(1e-6 * np.eye(J.shape[1])):
+        r = [data.linearised(data.moved(state, s * step), root)[0] for s in (1, -1)]
+        np.testing.assert_allclose(J[:, k], (r[0] - r[1]) / 2e-6, atol=1e-5)

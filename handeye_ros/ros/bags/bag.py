@@ -14,9 +14,15 @@ from typing import Any
 
 from handeye_ros.config import Config
 from handeye_ros.data import RawProfile, TimedPose
+from handeye_ros.errors import HandeyeError
+from handeye_ros.kinematics.answer import read_arm
+from handeye_ros.kinematics.chain import Chain
+from handeye_ros.kinematics.model import Arm
+from handeye_ros.kinematics.samples import JointRecording
 from handeye_ros.results.calibration_file import input_values
-from handeye_ros.ros.bags.contents import CLOUD, Contents, POSE
+from handeye_ros.ros.bags.contents import CLOUD, Contents, JOINTS, POSE
 from handeye_ros.ros.bags.held import Poses, Profiles
+from handeye_ros.ros.bags.joints import JointPoses, JointTable
 from handeye_ros.ros.bags.profile_reader import ProfileReader
 from handeye_ros.ros.bags.storage import pieces, Progress
 from handeye_ros.ros.bags.topic import Topic
@@ -44,17 +50,19 @@ class Recording:
         return tuple(input_values(file) for file in self.files)
 
 
-def read(path: Path, config: Config, progress: Progress = lambda share: None) -> Recording:
+def read(path: Path, config: Config, progress: Progress = lambda share: None,
+         arm: Arm | None = None) -> Recording:
     """
     Return the profiles and flange poses in a rosbag2 folder or an .mcap or .db3 file.
 
     A damaged file gives what can be read up to the damage, with a warning. progress: told the
-    share of the bytes that were read. Raises InputError when the bag or what is on its topics
+    share of the bytes that were read. arm: the one whose poses are taken, at the joint values, as
+    with the key kinematics. Raises InputError when the bag or what is on its topics
     cannot be read, and DataError when its stamps mix two runs, or profiles and poses share no
     time.
 
     """
-    contents, source = Contents(), PoseSource(config)
+    contents, source = Contents(), PoseSource(config, arm)
     clouds = Topic('profile_topic', config.profile_topic, CLOUD,
                    Profiles(ProfileReader(config.profile).take))
     _take_all(path, contents, (clouds, *source.topics), progress)
@@ -80,18 +88,21 @@ def read_poses(path: Path, config: Config) -> tuple[Sequence[TimedPose], Content
 class PoseSource:
     """The topics that the flange poses come from."""
 
-    def __init__(self, config: Config) -> None:
-        """Start with none; config: tells where they come from."""
+    def __init__(self, config: Config, arm: Arm | None = None) -> None:
+        """Start with none; config: tells where they come from; arm: see read."""
         self._config = config
         self._tree = Tree()
-        self._store = Poses()
-        self._topic = Topic('pose_topic', config.pose_topic, POSE, self._store)
+        arm = read_arm(Path(config.kinematics)) if config.kinematics and arm is None else arm
+        self._store: JointPoses | Poses = JointPoses(arm) if arm else Poses()
+        self._topic = (Topic('joint_topic', config.joint_topic, JOINTS, self._store) if arm else
+                       Topic('pose_topic', config.pose_topic, POSE, self._store))
+        self._by_tree = config.pose_source == 'tf' and not arm
         self.topics: tuple[Topic[Any], ...] = (
-            self._tree.topics if config.pose_source == 'tf' else (self._topic,))
+            self._tree.topics if self._by_tree else (self._topic,))
 
     def poses(self, path: Path, contents: Contents) -> Sequence[TimedPose]:
         """Return the poses, in one frame."""
-        if self._config.pose_source == 'tf':
+        if self._by_tree:
             return self._tree.poses(path, contents, self._config)
         poses = self._topic.items(path, contents)
         if len(self._store.frames) > 1:
@@ -113,3 +124,17 @@ def _check_clocks(profiles: Sequence[RawProfile], poses: Sequence[TimedPose]) ->
     gap = max(profiles[0].stamp - poses[-1].stamp, poses[0].stamp - profiles[-1].stamp)
     if gap > 0:
         raise ClocksApartError(gap * 1e-9)
+
+
+def read_with_joints(path: Path, config: Config, chain: Chain, progress: Progress
+                     ) -> JointRecording:
+    """Return a bag with the poses that an arm has at its joint values; raises as read does."""
+    recording = read(path, config, progress, Arm(chain))
+    poses = recording.poses
+    assert isinstance(poses, JointTable)
+    try:
+        reported, _ = read_poses(path, replace(config, kinematics=''))
+    except HandeyeError:
+        reported = ()
+    return JointRecording(recording.profiles, poses, poses.joints, reported, recording.warnings,
+                          recording.inputs)

@@ -1,7 +1,7 @@
 """Writes profiles and poses as a rosbag2 folder (mcap), as a driver and a robot would."""
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.results import folder
 from handeye_ros.results import truth_file as truth_file
-from handeye_ros.ros.bags.contents import CLOUD, full_name, POSE
+from handeye_ros.ros.bags.contents import CLOUD, full_name, JOINTS, POSE
 from handeye_ros.ros.bags.messages import DATATYPES, UNITS
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -33,25 +33,27 @@ LAYOUTS: dict[str, np.dtype[Any]] = {
 
 def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
           config: Config | None = None, *, truth: Mapping[str, Any] | None = None,
-          tables: Mapping[str, str] | None = None, layout: str = 'xyz', force: bool = False
-          ) -> None:
+          tables: Mapping[str, str] | None = None, layout: str = 'xyz', force: bool = False,
+          joints: Sequence[tuple[int, Array]] = ()) -> None:
     """
     Write a rosbag2 folder, with truth.yaml in it when the truth is given.
 
     config: gives the topics and the unit of the coordinates; tables: texts of other files in the
-    folder, by name; layout: a key of LAYOUTS. force: an existing bag is replaced. Raises BagError
-    when there is something at path already, UnwritableError when it cannot be made.
+    folder, by name; layout: a key of LAYOUTS. force: an existing bag is replaced. joints: stamps
+    and values of joint_1, joint_2, ... Raises BagError when there is something at path already,
+    UnwritableError when it cannot be made.
 
     """
     texts = dict(tables or {})
     if truth is not None:
         texts[truth_file.NAME] = truth_file.text(truth)
     folder.write(path, texts, lambda made: _write_messages(
-        made, profiles, poses, config or Config(), LAYOUTS[layout]), force)
+        made, profiles, poses, config or Config(), LAYOUTS[layout], joints), force)
 
 
 def _write_messages(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
-                    config: Config, dtype: np.dtype[Any]) -> None:
+                    config: Config, dtype: np.dtype[Any], joints: Sequence[tuple[int, Array]]
+                    ) -> None:
     writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     with writer:
@@ -62,6 +64,17 @@ def _write_messages(path: Path, profiles: Iterable[Profile], poses: Iterable[Tim
         for item in sorted(items, key=lambda item: item.stamp):
             writer.write(clouds if isinstance(item, Profile) else stamped, item.stamp,
                          serialised(item, dtype, config.profile.unit))
+        if joints:
+            _write_joints(writer, full_name(config.joint_topic), joints)
+
+
+def _write_joints(writer: Writer, topic: str, joints: Sequence[tuple[int, Array]]) -> None:
+    connection = writer.add_connection(topic, JOINTS, typestore=TYPES)
+    state, nothing = TYPES.types[JOINTS], np.zeros(0)
+    for stamp, values in joints:
+        names = [f'joint_{k}' for k in range(1, len(values) + 1)]
+        message = state(_header(TYPES, stamp, ''), names, values, nothing, nothing)
+        writer.write(connection, stamp, bytes(TYPES.serialize_cdr(message, JOINTS)))
 
 
 def serialised(item: Profile | TimedPose, dtype: np.dtype[Any], unit: str) -> bytes:

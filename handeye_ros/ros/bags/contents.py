@@ -10,6 +10,7 @@ import zstandard
 
 CLOUD = 'sensor_msgs/msg/PointCloud2'
 POSE = 'geometry_msgs/msg/PoseStamped'
+JOINTS = 'sensor_msgs/msg/JointState'
 TF = 'tf2_msgs/msg/TFMessage'
 
 ZSTD = b'\x28\xb5\x2f\xfd'

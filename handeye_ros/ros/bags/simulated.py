@@ -6,7 +6,7 @@ from pathlib import Path
 from handeye_ros.results import folder, truth_file
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.scanning.cloud_files import cloud_writer
-from handeye_ros.simulate import FAULTS, FILE_SCENES, SCENARIOS, simulate
+from handeye_ros.simulate import arm, FAULTS, FILE_SCENES, SCENARIOS, simulate
 from handeye_ros.simulate.measuring import MEASURING_CELL, measuring_cell, MeasuringCell
 from handeye_ros.simulate.preform import Preform, preform_cloud
 import numpy as np
@@ -24,8 +24,10 @@ def write(name: str, seed: int, path: Path, force: bool = False) -> str:
     scenario = SCENARIOS.get(name) or FAULTS.get(name)
     if scenario:
         made = simulate(scenario, rng)
+        joints = made.joints()
         bag_write.write(path, made.profiles, made.poses, truth=truth_file.truth_values(made, seed),
-                        force=force)
+                        tables={'robot.urdf': arm.urdf()} if joints else {}, force=force,
+                        joints=joints)
         return f'{len(made.profiles)} profiles, {len(made.poses)} poses'
     measured = FILE_SCENES[name](rng)
     values = truth_file.measured_truth_values(measured, name, seed)
