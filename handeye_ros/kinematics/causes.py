@@ -7,9 +7,9 @@ import math
 
 from handeye_ros.errors import DataError
 from handeye_ros.kinematics.chain import Chain, REVOLUTE
-from handeye_ros.kinematics.estimate import first_fit
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.points import Points
+from handeye_ros.kinematics.starts import first_fit
 import numpy as np
 
 FEW = 2  # starts: a cause is seen by any of them

@@ -16,31 +16,20 @@ from handeye_ros.estimation.basis import places, process_root
 from handeye_ros.estimation.influence import leave_one_out, outliers
 from handeye_ros.estimation.linalg import covariance_of
 from handeye_ros.estimation.scales import prior_scales, Scales
-from handeye_ros.estimation.solver import (
-    ANNEALING_STEPS,
-    graduated,
-    least_squares,
-    NEAR,
-    Rows,
-    System,
-)
-from handeye_ros.kinematics.errors import TooFewConfigurationsError
+from handeye_ros.estimation.solver import least_squares, Rows, System
 from handeye_ros.kinematics.model import Arm
-from handeye_ros.kinematics.points import Points, starts, State
+from handeye_ros.kinematics.points import Points, State
 from handeye_ros.kinematics.profiles import Profiles
 import numpy as np
 from numpy.typing import NDArray
 
 MINIMUM = 12  # configurations
-STARTS = 8  # that are refined
-ROUGH = 1e-3  # residuals (m) of a start, whose robot is only inaccurate
 SMOOTH = 2e-4  # 1 sigma of what is left of the robot's error, each axis (m)
 ROUNDS, SETTLED = 6, 0.02  # of estimating sizes and noise; relative change that ends them
 POOLED = 4.0  # degrees of freedom with which the noise of all axes counts for each
 LEAST_NOISE = 1e-6  # rounding of the values (m)
 SMOOTH_ROUNDS = 2  # of estimating its size and the noise beside it
 LARGEST = 1e3  # variance of a kind over the configured one
-SEED = 0  # of the search: the same points give the same answer
 
 
 Data: TypeAlias = Points | Profiles
@@ -191,36 +180,6 @@ def without_outliers(fit: Fit) -> Fit:
         keep = fit.used.copy()
         keep[used[worst]] = False
         fit = replace(fit, used=keep)
-
-
-def first_fit(data: Points, arm: Arm, most: int = STARTS) -> Fit:
-    """
-    Return the hand-eye transform alone, with the arm as it is, however far it is off.
-
-    most: starts that are refined. Raises TooFewConfigurationsError.
-    """
-    if len(data) < MINIMUM:
-        raise TooFewConfigurationsError(len(data), MINIMUM)
-    rough, nothing = Weights(np.full(3, ROUGH), np.zeros(0)), np.zeros((len(data), 0))
-
-    def refit(state: State, weights: Array) -> State:
-        system = System(rows, data.moved, data.block)
-        return least_squares(system, state, weights, ANNEALING_STEPS, NEAR)
-
-    def rows(at: State) -> Rows:
-        r, J = data.linearised(at, nothing)
-        return Rows(r / ROUGH, lambda: J / ROUGH)
-
-    def squares(at: State) -> Array:
-        return np.asarray((rows(at).residuals.reshape(-1, 3) ** 2).mean(axis=1))
-    ends = [graduated(start, squares, refit)
-            for start in starts(data, arm, most, np.random.default_rng(SEED))]
-    state = min(ends, key=lambda end: float(np.median(squares(end))))
-    now = squares(state)
-    used = now <= max(25.0 * float(np.median(now)), 1e-12)
-    if used.sum() < MINIMUM:
-        raise TooFewConfigurationsError(int(used.sum()), MINIMUM)
-    return adjusted(fitted(data, state, rough, used, nothing))
 
 
 def fit_of(data: Data, state: State) -> Fit:

@@ -22,7 +22,6 @@ from handeye_ros.kinematics.errors import (
 )
 from handeye_ros.kinematics.estimate import (
     adjusted,
-    first_fit,
     Fit,
     stated_covariance,
     with_arm,
@@ -30,6 +29,7 @@ from handeye_ros.kinematics.estimate import (
 )
 from handeye_ros.kinematics.model import Arm, GEOMETRY, OFFSET, parameters
 from handeye_ros.kinematics.points import Points
+from handeye_ros.kinematics.starts import first_fit
 from handeye_ros.threads import single_threaded
 import numpy as np
 from numpy.typing import NDArray

@@ -13,10 +13,6 @@ from handeye_ros.data import Array
 from handeye_ros.kinematics.model import Arm
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
-
-SWEPT = 4000  # rotations that a start is looked for among
-APART = 0.2  # starts are turned by more than this against each other (rad)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,40 +133,3 @@ class Points:
             return np.einsum('nij,nj->ni', R, seen) + a - targets, R @ X[:3, :3]
         of_target = np.einsum('nij,nj->ni', R, targets) + a
         return seen - of_target, np.broadcast_to(X[:3, :3], R.shape)
-
-
-def starts(data: Points, arm: Arm, most: int, rng: np.random.Generator) -> list[State]:
-    """
-    Return so many estimates to start from, the best first, without any error of the arm.
-
-    For a given rotation of the sensor all else is linear, so the squared residual is a quadratic
-    function of the nine numbers of a rotation, which many are put into.
-    """
-    T, n, t = arm.forward(data.q), len(data), len(data.names)
-    R, a = T[:, :3, :3], T[:, :3, 3]
-    unit = np.broadcast_to(np.eye(3), R.shape)
-    to_mount, to_target = (R, unit) if data.on_flange else (unit, R)
-    A = np.zeros((n, 3, 3 + 3 * t))
-    A[:, :, :3] = to_mount
-    for k in range(3):
-        A[np.arange(n), :, 3 + 3 * data.target + k] = -to_target[:, :, k]
-    b = a if data.on_flange else -a
-    M = np.einsum('nij,nk->nijk', to_mount, data.points).reshape(3 * n, 9)
-    both = np.column_stack([M, b.ravel()])
-    flat = A.reshape(3 * n, -1)
-    inverse = np.linalg.pinv(flat, rcond=1e-9)
-    left = both - flat @ (inverse @ both)
-    gram = left.T @ left
-    rotations = Rotation.random(SWEPT, random_state=rng).as_matrix()
-    v = np.column_stack([rotations.reshape(-1, 9), np.ones(SWEPT)])
-    cost = np.einsum('ki,ij,kj->k', v, gram, v)
-    found: list[State] = []
-    for i in np.argsort(cost, kind='stable'):
-        turned = rotations[i]
-        if all(se3.angle(turned @ s.X[:3, :3].T) > APART for s in found):
-            linear = -inverse @ (both @ v[i])
-            found.append(State(se3.transform(turned, linear[:3]), linear[3:].reshape(t, 3), arm,
-                               np.zeros((0, 3))))
-        if len(found) == most:
-            break
-    return found

@@ -1,0 +1,92 @@
+"""The hand-eye transform from points with nothing given: where an estimate starts."""
+from __future__ import annotations
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.estimation.solver import (
+    ANNEALING_STEPS,
+    graduated,
+    least_squares,
+    NEAR,
+    Rows,
+    System,
+)
+from handeye_ros.kinematics.errors import TooFewConfigurationsError
+from handeye_ros.kinematics.estimate import adjusted, Fit, fitted, MINIMUM, Weights
+from handeye_ros.kinematics.model import Arm
+from handeye_ros.kinematics.points import Points, State
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+SWEPT = 4000  # rotations that a start is looked for among
+APART = 0.2  # starts are turned by more than this against each other (rad)
+STARTS = 8  # that are refined
+ROUGH = 1e-3  # residuals (m) of a start, whose robot is only inaccurate
+SEED = 0  # of the search: the same points give the same answer
+
+
+def first_fit(data: Points, arm: Arm, most: int = STARTS) -> Fit:
+    """
+    Return the hand-eye transform alone, with the arm as it is, however far it is off.
+
+    most: starts that are refined. Raises TooFewConfigurationsError.
+    """
+    if len(data) < MINIMUM:
+        raise TooFewConfigurationsError(len(data), MINIMUM)
+    rough, nothing = Weights(np.full(3, ROUGH), np.zeros(0)), np.zeros((len(data), 0))
+
+    def refit(state: State, weights: Array) -> State:
+        system = System(rows, data.moved, data.block)
+        return least_squares(system, state, weights, ANNEALING_STEPS, NEAR)
+
+    def rows(at: State) -> Rows:
+        r, J = data.linearised(at, nothing)
+        return Rows(r / ROUGH, lambda: J / ROUGH)
+
+    def squares(at: State) -> Array:
+        return np.asarray((rows(at).residuals.reshape(-1, 3) ** 2).mean(axis=1))
+    ends = [graduated(start, squares, refit)
+            for start in starts(data, arm, most, np.random.default_rng(SEED))]
+    state = min(ends, key=lambda end: float(np.median(squares(end))))
+    now = squares(state)
+    used = now <= max(25.0 * float(np.median(now)), 1e-12)
+    if used.sum() < MINIMUM:
+        raise TooFewConfigurationsError(int(used.sum()), MINIMUM)
+    return adjusted(fitted(data, state, rough, used, nothing))
+
+
+def starts(data: Points, arm: Arm, most: int, rng: np.random.Generator) -> list[State]:
+    """
+    Return so many estimates to start from, the best first, without any error of the arm.
+
+    For a given rotation of the sensor all else is linear, so the squared residual is a quadratic
+    function of the nine numbers of a rotation, which many are put into.
+    """
+    T, n, t = arm.forward(data.q), len(data), len(data.names)
+    R, a = T[:, :3, :3], T[:, :3, 3]
+    unit = np.broadcast_to(np.eye(3), R.shape)
+    to_mount, to_target = (R, unit) if data.on_flange else (unit, R)
+    A = np.zeros((n, 3, 3 + 3 * t))
+    A[:, :, :3] = to_mount
+    for k in range(3):
+        A[np.arange(n), :, 3 + 3 * data.target + k] = -to_target[:, :, k]
+    b = a if data.on_flange else -a
+    M = np.einsum('nij,nk->nijk', to_mount, data.points).reshape(3 * n, 9)
+    both = np.column_stack([M, b.ravel()])
+    flat = A.reshape(3 * n, -1)
+    inverse = np.linalg.pinv(flat, rcond=1e-9)
+    left = both - flat @ (inverse @ both)
+    gram = left.T @ left
+    rotations = Rotation.random(SWEPT, random_state=rng).as_matrix()
+    v = np.column_stack([rotations.reshape(-1, 9), np.ones(SWEPT)])
+    cost = np.einsum('ki,ij,kj->k', v, gram, v)
+    found: list[State] = []
+    for i in np.argsort(cost, kind='stable'):
+        turned = rotations[i]
+        if all(se3.angle(turned @ s.X[:3, :3].T) > APART for s in found):
+            linear = -inverse @ (both @ v[i])
+            found.append(State(se3.transform(turned, linear[:3]), linear[3:].reshape(t, 3), arm,
+                               np.zeros((0, 3))))
+        if len(found) == most:
+            break
+    return found
