@@ -307,3 +307,10 @@ def test_a_later_assignment_wins() -> None:
 def test_a_bad_assignment_is_refused(text: str) -> None:
     with pytest.raises(InputError):
         with_assignments(Config(), [text])
+
+
+def test_the_class_of_a_robot_sets_its_accuracy_unless_that_is_given() -> None:
+    key = 'noise.robot_class'
+    assert with_values(Config(), {key: 'calibrated'}, 't').noise.robot_smooth == 5e-5
+    assert with_values(Config(), {key: 'unknown', 'noise.robot_smooth': 1e-5}, 't'
+                       ).noise.robot_smooth == 1e-5

@@ -36,7 +36,7 @@ class SaveConfig:
 class GuidanceConfig:
     """What is enough, and where a proposed pose may be."""
 
-    accuracy: float = key(1e-4, 'Wanted 1 sigma of points that the transform maps, over the '
+    accuracy: float = key(3e-4, 'Wanted 1 sigma of points that the transform maps, over the '
                           'field of view (m): with it, the samples are enough.',
                           minimum=1e-6, maximum=0.1)
     reach: float = key(0.3, 'Largest distance of a proposed position of the flange from that '

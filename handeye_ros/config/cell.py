@@ -5,6 +5,9 @@ from dataclasses import dataclass
 
 from handeye_ros.config.parameter import key
 
+# Accuracy classes of robots: 1 sigma of the smooth error of each axis (m), half of what data
+# sheets state as the largest.
+ROBOT_CLASSES = {'calibrated': 5e-5, 'standard': 1.5e-4, 'unknown': 3e-4}
 SIGNED_AXES = ('x', 'y', 'z', '-x', '-y', '-z')
 
 
@@ -148,5 +151,9 @@ class NoiseConfig:
     robot_smooth: float = key(1.5e-4, 'Error of the robot that varies smoothly over its '
                               'workspace, each axis (m); the data corrects it.',
                               minimum=0.0, maximum=0.01)
+    robot_class: str = key('', 'Accuracy of the robot by its data sheet: calibrated (0.1 mm), '
+                           'standard (0.3 mm) or unknown; sets robot_smooth where that is not '
+                           'given with it; empty: as robot_smooth says.',
+                           choices=('', *ROBOT_CLASSES))
     robot_scale: float = key(7e-4, 'Relative error of the lengths of the robot.',
                              minimum=0.0, maximum=0.1)

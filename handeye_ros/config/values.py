@@ -7,6 +7,7 @@ import math
 import re
 from typing import Any
 
+from handeye_ros.config.cell import ROBOT_CLASSES
 from handeye_ros.config.keys import Config, parameters, RECORD
 from handeye_ros.config.parameter import Parameter
 from handeye_ros.config.plain_yaml import yaml_content
@@ -24,6 +25,9 @@ def with_values(config: Config, values: Mapping[str, Any], source: str) -> Confi
     Raises UnknownKeyError and BadValueError.
     """
     known = {p.key: p for p in parameters()}
+    robot = values.get('noise.robot_class')
+    if robot in ROBOT_CLASSES:
+        values = {'noise.robot_smooth': ROBOT_CLASSES[robot], **values}
     for key, value in values.items():
         if key.startswith(RECORD):
             config = _with_record(config, key, value)

@@ -14,6 +14,7 @@ from handeye_ros.checks.motion import (
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution
+from handeye_ros.guidance.budget import Cause, largest_cause, with_sample
 from handeye_ros.guidance.candidates import Search
 from handeye_ros.guidance.limits import limits_of
 from handeye_ros.guidance.moves import Move, next_move, noun
@@ -27,7 +28,13 @@ from scipy.spatial.transform import Rotation
 
 ROUGHLY_KNOWN = 3e-3  # m: points mapped worse than this cannot be aimed at
 TOLD = 2  # of what is missing
-LITTLE = 0.03  # of the mapped points' sigma: less is no reason for another sample
+GOOD_COUNT = 15  # samples, before which nothing but the wanted accuracy is enough
+LITTLE = 0.02  # of the mapped points' sigma: less is no reason for another sample
+# What helps where more samples do not, by the setting that limits.
+REMEDIES = {'noise.robot_smooth': 'robot, or a better statement of its accuracy,',
+            'noise.robot_scale': 'robot, or a better statement of its scale,',
+            'noise.distortion': 'sensor', 'noise.flatness': 'target',
+            'target.setback_std': 'target'}
 SEED = 0  # the same samples give the same advice
 
 
@@ -102,7 +109,7 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
     search = Search(solution, view, limits, known, visited(samples, refused, config))
     proposal = propose(search, config) or propose(replace(  # where there is no room for a margin
         search, visited=visited(samples, refused, config, margin=(0.0, 0.0))), config)
-    enough, why = _judged(sigmas, known.std(_stated(solution)), proposal)
+    enough, why = _judged(sigmas, proposal, largest_cause(solution, known), len(samples))
     told = [why, *missing(solution, view, limits)[:TOLD * (not enough)]]
     if proposal and not enough:
         told.append(_directions(samples[-1].T_base_flange, proposal, config, noun(method)))
@@ -154,21 +161,27 @@ def propose(search: Search, config: Config) -> Proposal | None:
     T = part.poses[best]
     in_hand = config.calibration_type == 'eye_in_hand'
     return Proposal(T if in_hand else se3.inverse(T), part.places[best],
-                    float(np.sqrt(part.variance[best])))
+                    with_sample(search.solution, search.mapping,
+                                part.problem.subset(np.array([best]))))
 
 
-def _judged(sigmas: Sequence[Sigma], std: float, proposal: Proposal | None) -> tuple[bool, str]:
+def _judged(sigmas: Sequence[Sigma], proposal: Proposal | None, cause: Cause | None,
+            count: int) -> tuple[bool, str]:
     """Return whether the samples are enough, and why."""
-    accuracy = sigmas[-1].limit
+    std, accuracy = sigmas[-1].std, sigmas[-1].limit
     over = [s for s in sigmas[:-2] if s.std > s.limit]
-    told = f'points in view are known to {1e3 * std:.3f} mm (1 sigma, {1e3 * accuracy:.3f} wanted)'
-    after = f'one more sample would bring {1e3 * proposal.std:.3f} mm' if proposal else ''
     if over:
         return False, f'{over[-1].name} is known only to {_figure(over[-1])}'
+    told = f'points in view are known to {1e3 * std:.3f} mm (1 sigma, {1e3 * accuracy:.3f} wanted)'
+    if cause:
+        told += f', of which {1e3 * cause.std:.3f} mm is {cause.text} ({cause.key})'
+    after = f'one more sample would bring {1e3 * proposal.std:.3f} mm' if proposal else ''
     if std <= accuracy:
-        return True, 'enough: ' + '; '.join(filter(None, [told, after]))
-    if proposal and proposal.std > (1 - LITTLE) * std:
-        after += ', little: the noise of robot and sensor rules, not the choice of poses'
+        return True, '; '.join(filter(None, [f'enough: {told}', after]))
+    if proposal and count >= GOOD_COUNT and proposal.std > (1 - LITTLE) * std:
+        remedy = (f'a better {REMEDIES[cause.key]} would' if cause and cause.key in REMEDIES else
+                  'noise dominates')
+        return True, f'enough: {told}; more samples bring little, {remedy}'
     return False, '; '.join(filter(None, [told, after]))
 
 

@@ -37,7 +37,8 @@ class Candidates:
     n poses (n, 4, 4) of what carries the sensor, and what each would give.
 
     station: of the prototype; choices: (n, 6) what was drawn; places: (n, 2) where in the
-    sensor plane the spot is seen; variance: (n,) of mapped points with the station.
+    sensor plane the spot is seen; variance: (n,) of mapped points with the station, were all that
+    is not noise known; problem: of these stations alone.
     """
 
     station: int
@@ -45,6 +46,7 @@ class Candidates:
     poses: Array
     places: Array
     variance: Array
+    problem: Problem
 
     def best(self) -> int:
         """Return which is the best."""
@@ -94,7 +96,8 @@ class Search:
         good, stations = following(batch, self.view.inner(), self.visited.careful)
         kept = kept[stations]
         return Candidates(station, choices[kept], poses[kept], places[kept],
-                          self.mapping.variance(with_rows(self.solution, self._rows(good))))
+                          self.mapping.variance(with_rows(self.solution, self._rows(good))),
+                          good)
 
     def _sensors(self, T_sensor: Array, anchor: Array, choices: Array) -> tuple[Array, Array]:
         """Return poses (n, 4, 4) of the sensor and where each sees its spot (n, 2)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cells import ANY_POSE, Cell, cell, problem, solved
-from handeye_ros import se3, targets
+from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution
@@ -273,3 +273,14 @@ def test_the_face_is_looked_at_from_above(made: tuple[Cell, Solution]) -> None:
     assert len(T_target_sensor) > 20
     assert (T_target_sensor[:, 2, 3] > 0).all()
     assert (T_target_sensor[:, 2, 2] < -0.5).all()
+
+
+def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() -> None:
+    found = cell('plate', 2)  # 18 samples
+    config = with_values(found.config, {'guidance.accuracy': 1e-5, 'noise.robot_scale': 3e-3},
+                         'test')
+    _, solution = pipeline.estimate(found.samples, (), config)
+    told = advise(found.samples, config, solution)
+    assert told.enough
+    assert 'as configured (noise.robot_scale)' in told.why
+    assert 'more samples bring little, a better robot' in told.why
