@@ -41,6 +41,7 @@ setup(
         'console_scripts': [
             'handeye = handeye_ros.cli:main',
             'calibrate = handeye_ros.ros.node.__main__:main',
+            'corrected_pose = handeye_ros.ros.corrected_pose:main',
             'publish = handeye_ros.ros.publish:main',
             'replay = handeye_ros.ros.replay:main',
             'scan = handeye_ros.ros.scan:main',

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+import re
 from typing import Any
 from xml.etree import ElementTree
 
@@ -139,7 +140,7 @@ def chain_of(text: str, base: str = '', flange: str = '', source: object = 'robo
 
 
 def _parsed(text: str, source: object) -> ElementTree.Element:
-    if '<xacro:' in text:
+    if '<xacro:' in re.sub('<!--.*?-->', '', text, flags=re.DOTALL):
         raise UrdfError(source, 'holds xacro macros: write it as URDF first, with "xacro FILE '
                         '-o robot.urdf"')
     try:

@@ -23,9 +23,12 @@ from geometry_msgs.msg import PoseStamped
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.errors import DataError, NoRosError
+from handeye_ros.kinematics.answer import read_arm
+from handeye_ros.kinematics.model import Arm
 from handeye_ros.results.calibration_file import file_of, read_calibration
 from handeye_ros.results.report.evidence import config_of
 from handeye_ros.ros.bags.flow import returns_of
+from handeye_ros.ros.bags.joints import pose_from_joints
 from handeye_ros.ros.bags.messages import pose_from_stamped
 from handeye_ros.ros.bags.transforms import FlangeTracker
 from handeye_ros.ros.errors import MessageError, TopicsError
@@ -38,7 +41,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.utilities import remove_ros_args
-from sensor_msgs.msg import PointCloud2, PointField
+from sensor_msgs.msg import JointState, PointCloud2, PointField
 
 PERIOD = 0.05  # s between two clouds
 KEPT_POSES = 2000  # that profiles may still need: 20 s of 100 Hz
@@ -68,7 +71,11 @@ class ScanNode(Node):
         self.create_timer(PERIOD, self._tell)
 
     def _listen_to_poses(self) -> None:
-        if self._config.pose_source == 'topic':
+        if self._config.kinematics:
+            arm = read_arm(Path(self._config.kinematics))
+            self.create_subscription(JointState, self._config.joint_topic,
+                                     lambda data: self._on_joints(arm, data), STREAM, raw=True)
+        elif self._config.pose_source == 'topic':
             self.create_subscription(PoseStamped, self._config.pose_topic, self._on_pose, STREAM)
         elif not TFMessage:
             raise NoRosError('scan with pose_source tf', 'tf2_msgs')
@@ -87,6 +94,12 @@ class ScanNode(Node):
     def _on_pose(self, msg: PoseStamped) -> None:
         try:
             self._poses.append(pose_from_stamped(msg))
+        except MessageError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+
+    def _on_joints(self, arm: Arm, data: bytes) -> None:
+        try:
+            self._poses.append(pose_from_joints(arm, data))
         except MessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 

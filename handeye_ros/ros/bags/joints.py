@@ -7,7 +7,7 @@ import math
 import struct
 
 from handeye_ros import se3
-from handeye_ros.data import Array
+from handeye_ros.data import Array, TimedPose
 from handeye_ros.kinematics.errors import JointNamesError
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.ros.bags import cdr
@@ -57,6 +57,15 @@ def values_of(arm: Arm, given: dict[str, float]) -> list[float]:
     if not all(map(math.isfinite, found)):
         raise MessageError(KIND, 'it holds positions that are not finite')
     return found
+
+
+def pose_from_joints(arm: Arm, data: bytes) -> TimedPose:
+    """Return the flange pose of an arm at a serialised JointState; raises MessageError."""
+    stamp, given = joint_state(data)
+    values = dict(zip(arm.chain.measured, values_of(arm, given), strict=True))
+    q = arm.chain.values({name: np.array([value]) for name, value in values.items()}, KIND)
+    T = arm.forward(q)[0]
+    return TimedPose(stamp, T[:3, 3], se3.quaternion(T), arm.chain.base)
 
 
 class JointTable(PoseTable):

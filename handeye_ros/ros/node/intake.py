@@ -5,6 +5,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 import threading
 import time
 import traceback
@@ -13,8 +14,11 @@ from typing import Any, TypeVar
 from geometry_msgs.msg import PoseStamped
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError
+from handeye_ros.kinematics.answer import read_arm
+from handeye_ros.kinematics.model import Arm
 from handeye_ros.ros.bags.batches import split
-from handeye_ros.ros.bags.contents import CLOUD, POSE
+from handeye_ros.ros.bags.contents import CLOUD, JOINTS, POSE
+from handeye_ros.ros.bags.joints import pose_from_joints
 from handeye_ros.ros.bags.messages import pose_from_cdr
 from handeye_ros.ros.bags.profile_reader import ProfileReader
 from handeye_ros.ros.bags.transforms import FlangeTracker
@@ -27,7 +31,7 @@ from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import JointState, PointCloud2
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -82,7 +86,10 @@ class Intake:
         self._reader = ProfileReader(config.profile)
         self._before: int | None = None  # the stamp of the last message of profiles
         self._listen(PointCloud2, config.profile_topic, self._on_profile, STREAM)
-        if config.pose_source == 'topic':
+        if config.kinematics:
+            take = partial(self._on_joints, read_arm(Path(config.kinematics)))
+            self._listen(JointState, config.joint_topic, take, STREAM)
+        elif config.pose_source == 'topic':
             self._listen(PoseStamped, config.pose_topic, self._on_pose, STREAM)
         elif TFMessage:
             self._listen(TFMessage, '/tf_static', partial(self._on_transforms, True), LATCHED_TREE)
@@ -100,6 +107,8 @@ class Intake:
         config = self._live.config
         if kind == 'profile':
             return why_silent(self._node, 'profile_topic', config.profile_topic, CLOUD)
+        if config.kinematics:
+            return why_silent(self._node, 'joint_topic', config.joint_topic, JOINTS)
         if config.pose_source == 'topic':
             return why_silent(self._node, 'pose_topic', config.pose_topic, POSE)
         return self._tracker.missing()
@@ -111,7 +120,7 @@ class Intake:
     def _listen(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile
                 ) -> None:
         """Let the thread call take with every message of a topic."""
-        raw = kind in (PointCloud2, PoseStamped)
+        raw = kind in (PointCloud2, PoseStamped, JointState)
         try:
             subscription = self._node.create_subscription(
                 kind, topic, take, qos, callback_group=self._group, raw=raw,
@@ -162,6 +171,9 @@ class Intake:
 
     def _on_pose(self, data: bytes) -> None:
         self._live.add_poses([self._stamped(pose_from_cdr(data))])
+
+    def _on_joints(self, arm: Arm, data: bytes) -> None:
+        self._live.add_poses([self._stamped(pose_from_joints(arm, data))])
 
     def _on_transforms(self, static: bool, msg: Any) -> None:
         self._live.add_poses(self._tracker.add(msg.transforms, static))

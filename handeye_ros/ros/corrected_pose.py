@@ -1,0 +1,105 @@
+"""
+Publishes the flange pose of a corrected arm: what `ros2 run handeye_ros corrected_pose` runs.
+
+usage: ros2 run handeye_ros corrected_pose (--urdf FILE | --kinematics FILE) [--base LINK]
+           [--flange LINK] [--joint-topic TOPIC] [--pose-topic TOPIC] [--frame NAME]
+
+FILE is the corrected.urdf or the kinematics.yaml that `handeye kinematics` wrote. For every
+JointState there is one PoseStamped with its stamp, and a transform on /tf
+from the base to a frame of its own name, so that it stands beside the controller's.
+"""
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import sys
+
+from geometry_msgs.msg import PoseStamped, TransformStamped
+from handeye_ros.data import TimedPose
+from handeye_ros.kinematics.answer import read_arm
+from handeye_ros.kinematics.chain import chain_of, read_urdf
+from handeye_ros.kinematics.model import Arm
+from handeye_ros.ros.bags.joints import pose_from_joints
+from handeye_ros.ros.errors import MessageError, TopicsError
+from handeye_ros.ros.executable import exit_code, RCLError, ros, spin
+from handeye_ros.ros.node.intake import STREAM, TFMessage, THROTTLE
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.utilities import remove_ros_args
+from sensor_msgs.msg import JointState
+
+
+class CorrectedPose(Node):
+    """Takes joint values, and publishes flange poses at their rate."""
+
+    def __init__(self, arm: Arm, options: argparse.Namespace) -> None:
+        """Subscribe."""
+        super().__init__('handeye_corrected_pose')
+        self._arm, self._frame = arm, options.frame
+        self._poses = self.create_publisher(PoseStamped, options.pose_topic, QoSProfile(depth=100))
+        self._tree = (self.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
+                      if TFMessage else None)
+        self.create_subscription(JointState, options.joint_topic, self._on_joints, STREAM,
+                                 raw=True)
+
+    def _on_joints(self, data: bytes) -> None:
+        try:
+            pose = pose_from_joints(self._arm, data)
+        except MessageError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+            return
+        message = pose_stamped(pose)
+        self._poses.publish(message)
+        if self._tree:
+            tree = TransformStamped(header=message.header, child_frame_id=self._frame)
+            p = message.pose.position
+            tree.transform.translation.x, tree.transform.translation.y = p.x, p.y
+            tree.transform.translation.z = p.z
+            tree.transform.rotation = message.pose.orientation
+            self._tree.publish(TFMessage(transforms=[tree]))
+
+
+def pose_stamped(pose: TimedPose) -> PoseStamped:
+    """Return a pose as a message."""
+    message = PoseStamped()
+    message.header.frame_id = pose.parent_frame
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(pose.stamp, 1_000_000_000)
+    for part, names, values in ((message.pose.position, 'xyz', pose.translation),
+                                (message.pose.orientation, 'xyzw', pose.quaternion)):
+        for name, value in zip(names, values, strict=True):
+            setattr(part, name, float(value))
+    return message
+
+
+def run(options: argparse.Namespace) -> None:
+    """Publish until Ctrl-C; raises InputError."""
+    arm = read_arm(options.kinematics) if options.kinematics else Arm(
+        chain_of(read_urdf(options.urdf), options.base, options.flange, options.urdf))
+    with ros():
+        try:
+            node = CorrectedPose(arm, options)
+        except RCLError as error:
+            raise TopicsError(str(error)) from error
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        node.get_logger().info(f'{options.joint_topic} becomes {options.pose_topic}: '
+                               f'{arm.chain.flange} in {arm.chain.base}')
+        spin(executor)
+
+
+def main() -> int:
+    """Run the executable `corrected_pose`."""
+    parser = argparse.ArgumentParser(prog='corrected_pose', description=__doc__)
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument('--urdf', type=Path, metavar='FILE', help='a corrected.urdf')
+    source.add_argument('--kinematics', type=Path, metavar='FILE', help='a kinematics.yaml')
+    for name, default in (('base', ''), ('flange', ''), ('joint-topic', 'joint_states'),
+                          ('pose-topic', 'corrected_pose'), ('frame', 'corrected_flange')):
+        parser.add_argument(f'--{name}', default=default)
+    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    return exit_code(lambda: run(options))
+
+
+if __name__ == '__main__':
+    sys.exit(main())
