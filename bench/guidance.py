@@ -164,7 +164,7 @@ class World:
         if not edges or not isinstance(target, PlateTarget):
             return
         p = np.array(edges) @ T_target_sensor[:3, [0, 2]].T + T_target_sensor[:3, 3]
-        edges = len(targets.method_for(self.config).edges)
+        edges = len(targets.method_for(self.config).essential)
         frames = list(plate.edge_frames(target).values())[:edges]
         away = [np.linalg.norm((p - frame[:3, 3]) @ frame[:3, 1:3], axis=1) for frame in frames]
         if np.min(away) > NEAR_THE_EDGE:
@@ -345,7 +345,8 @@ def solved(cell: World) -> Solution | None:
     method, (samples, _) = targets.method_for(cell.config), consistent_edges(cell.samples)
     if len(samples) < method.minimum:
         return None
-    problem = Problem(method, mounted(samples, cell.config), method.observe(samples), cell.config)
+    problem = Problem(method, mounted(samples, cell.config), method.features.observe(samples),
+                      cell.config)
     try:
         agreed = (without_outliers(refined(problem, cell.last.estimate)) if cell.last else
                   consensus(problem, np.random.default_rng(0), SUBSETS))

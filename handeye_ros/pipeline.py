@@ -182,7 +182,7 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     require_range_sign([*ordered, *rejects], config)
     require_samples(ordered, rejects, method)
     poses = mounted(ordered, config)
-    require_rotations(poses, config, method.one_axis)
+    require_rotations(poses, config, method.measures.one_axis)
     problem = problem_of(ordered, config)
     rng = np.random.default_rng(SEED)
     agreed = believable_shape(problem, consensus(problem, rng, SUBSETS, start), rng)
@@ -200,5 +200,5 @@ def flipped(ordered: Sequence[Sample], problem: Problem) -> Problem | None:
     others, _ = consistent_edges([replace(s, features=s.flipped) for s in ordered if s.flipped])
     if len(others) < problem.method.minimum:
         return None
-    return Problem(problem.method, mounted(others, config), problem.method.observe(others),
-                   config)
+    observations = problem.method.features.observe(others)
+    return Problem(problem.method, mounted(others, config), observations, config)

@@ -80,7 +80,7 @@ def _left_out(part: Consensus, stations: int) -> float:
     """Return what the stations and edges cost that a part leaves out."""
     rank = max(int(np.median(part.solution.ranks)), 1)
     limit, of_edge = chi2_isf(OUTLIER / stations, np.array([rank, 1])).tolist()
-    return float(limit * len(part.dropped) + of_edge * len(part.lost))
+    return float(limit * len(part.dropped) + of_edge * len(part.unused))
 
 
 def believable(fit: Fit) -> bool:

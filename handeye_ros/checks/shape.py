@@ -52,8 +52,8 @@ class Shape:
 
 def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> Consensus:
     """Return the consensus with the target's shape free if only that makes the stations agree."""
-    config = problem.method.relax(problem.config)
-    poor = (agreed.dropped or len(agreed.lost)
+    config = problem.method.measures.relax(problem.config)
+    poor = (agreed.dropped or len(agreed.unused)
             or agreed.solution.variance_factor > POOR)
     if config is None or not poor:
         return agreed
@@ -61,7 +61,7 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
         other = consensus(replace(problem, config=config), rng)
     except DataError:
         return agreed
-    stated = float(problem.method.configured(problem.config)[-1])
+    stated = float(problem.method.measures.configured(problem.config)[-1])
     if abs(other.solution.estimate.target[-1] - stated) > LARGEST_CHANGE * stated:
         return agreed
     # what is left out as the target is not as stated may yet show how it is, once all is refined
@@ -80,9 +80,9 @@ def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
         if doubt.parameter is not None and abs(z) > TOLD_CONTRADICTION:
             estimated = float(target[doubt.parameter - len(labels)])
             yield Shape(doubt.name, estimated - used[doubt.name], estimated, std)
-    given_up = method.free(solution.problem.config) & ~method.free(config)
+    given_up = method.geometry.free(solution.problem.config) & ~method.geometry.free(config)
     for i in np.flatnonzero(given_up).tolist():  # to make the stations agree
-        first, std = float(method.configured(config)[i]), float(solution.target_std[i])
+        first, std = float(method.measures.configured(config)[i]), float(solution.target_std[i])
         if abs(target[i - len(labels)] - first) > TOLD_CONTRADICTION * math.hypot(std, stated[i]):
             yield Shape(labels[i], first, float(target[i - len(labels)]), std)
 

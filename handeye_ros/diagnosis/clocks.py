@@ -160,5 +160,5 @@ def _agreed(samples: Sequence[Sample], config: Config) -> Consensus | None:
     method = targets.method_for(config)
     if len(samples) < method.minimum:
         return None
-    return fast_consensus(Problem(method, mounted(samples, config), method.observe(samples),
-                                   config))
+    observations = method.features.observe(samples)
+    return fast_consensus(Problem(method, mounted(samples, config), observations, config))

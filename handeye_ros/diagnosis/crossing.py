@@ -16,7 +16,7 @@ TOO_FAR = 5e-3  # m from every known edge: it is another one, or the fit is stil
 def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
     """Return that the laser crosses an edge at too small an angle to be used, if it does."""
     edges = [f.point for f in sample.features if isinstance(f, EdgePoint)]
-    kinds = solution.problem.method.edges
+    kinds = solution.problem.method.essential
     if not edges or not kinds or not _one_condition_each(solution.problem):
         return ''
     angles = [_crossing([sample], np.array(edges), solution, kind, config) for kind in kinds]
@@ -30,7 +30,7 @@ def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
 
 def _one_condition_each(problem: Problem) -> bool:
     """Tell whether an edge point fulfils one condition: its distance from an edge in a face."""
-    of_edges = [problem.method.kinds.index(name) for name in problem.method.edges]
+    of_edges = [problem.method.kinds.index(name) for name in problem.method.essential]
     observations = problem.observations
     rows = np.isin(observations.kind, of_edges)
     points = np.column_stack([observations.station, observations.source])[rows]
@@ -45,7 +45,7 @@ def _crossing(samples: Sequence[Sample], points: Array, solution: Solution, name
     in_base = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]]
                               ) @ pose[:3, :3].T + pose[:3, 3]
     kind = np.full(len(points), method.kinds.index(name))
-    found = method.conditions(in_base, kind, estimate.target, config)
+    found = method.geometry.conditions(in_base, kind, estimate.target, config)
     nearest = int(np.argmin(np.abs(found.g)))
     across = found.dg_dp[nearest]
     steepness = abs(across @ pose[:3, 0]) / np.linalg.norm(across)

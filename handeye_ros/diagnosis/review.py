@@ -67,7 +67,7 @@ def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) 
         raise NoReviewError(len(chosen))
     method = targets.method_for(config)
     fitted = [samples[i] for i in chosen]
-    problem = Problem(method, mounted(fitted, config), method.observe(fitted), config)
+    problem = Problem(method, mounted(fitted, config), method.features.observe(fitted), config)
     agreed = consensus(problem, np.random.default_rng(0))
     solution = agreed.solution
     rms = _residuals(samples, solution, config)
@@ -84,8 +84,8 @@ def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) 
 def _residuals(samples: Sequence[Sample], solution: Solution, config: Config) -> Array:
     """Return the RMS residual (n,) of each sample at a solution, NaN where it shows nothing."""
     method, estimate = solution.problem.method, solution.estimate
-    whole = Problem(method, mounted(samples, config), method.observe(samples), config)
-    labelled = method.relabel(whole.observations, points_in_base(whole, estimate.X),
+    whole = Problem(method, mounted(samples, config), method.features.observe(samples), config)
+    labelled = method.geometry.relabel(whole.observations, points_in_base(whole, estimate.X),
                               estimate.target, config)
     problem = Problem(method, whole.poses, labelled.select(labelled.kind != UNUSED), config)
     measured = measured_points(samples, problem)

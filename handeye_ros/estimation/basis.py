@@ -1,7 +1,7 @@
 """
-Smooth functions of few coefficients: of the sensor's plane, of a face, of the robot's poses.
+Smooth functions of few coefficients: of the sensor's plane, of a surface, of the robot's poses.
 
-What the unknowns of the problem absorb anyway (a motion of the sensor, a tilt of the face) is
+What the unknowns of the problem absorb anyway (a motion of the sensor, a tilt of the surface) is
 taken out of them.
 """
 from __future__ import annotations
@@ -97,8 +97,8 @@ def _each_way(terms: Sequence[Array]) -> Array:
     return both.reshape(2 * m, -1)
 
 
-def bent_faces(p: Array, here: NDArray[np.bool_], degrees: Sequence[int]) -> list[Array]:
-    """Return heights (m, k), together of RMS 1, over a face with the points p (m, 3) here (m,)."""
+def bent_surface(p: Array, here: NDArray[np.bool_], degrees: Sequence[int]) -> list[Array]:
+    """Return heights (m, k), together of RMS 1, over a surface with the points p (m, 3) here (m,)."""
     points = p[here]
     if len(points) <= 3:
         return [np.zeros((len(p), 0))] * len(degrees)

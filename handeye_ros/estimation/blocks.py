@@ -89,8 +89,8 @@ def prepared(first: Linear) -> Callable[[Linear], tuple[ParameterBlock, ...]]:
 
     Those of functions of the poses are the last.
     """
-    own = first.problem.method.blocks
-    every = [source(first) for source in ((own,) if own else ()) + SOURCES]
+    own = first.problem.method.nuisances
+    every = [source(first) for source in ((own.blocks,) if own else ()) + SOURCES]
 
     def at(linear: Linear) -> tuple[ParameterBlock, ...]:
         return tuple(block for blocks in every for block in blocks(linear)
@@ -100,7 +100,7 @@ def prepared(first: Linear) -> Callable[[Linear], tuple[ParameterBlock, ...]]:
 
 def tolerances(problem: Problem) -> Array:
     """Return 1 sigma (k,) of the target's parameters that are stated with one, 0 of others."""
-    stated = problem.method.tolerances(problem.config)
+    stated = problem.method.measures.tolerances(problem.config)
     return stated if len(stated) else np.zeros(len(problem.method.labels))
 
 
@@ -113,7 +113,7 @@ def stated_measures(first: Linear) -> Blocks:
                     ) -> tuple[Problem, Estimate]:
             delta = np.zeros(len(method.labels))
             delta[i] = change[0]
-            return problem, Estimate(estimate.X, method.retract(estimate.target, delta))
+            return problem, Estimate(estimate.X, method.geometry.retract(estimate.target, delta))
         return retract
 
     def at(linear: Linear) -> Iterator[ParameterBlock]:

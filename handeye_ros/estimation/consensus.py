@@ -28,7 +28,7 @@ from handeye_ros.estimation.search import (
     Refined,
     refined,
     relabelled,
-    unused_edges,
+    unused_essential,
 )
 from handeye_ros.estimation.solution import evaluate, fitted, Solution, station_statistic
 import numpy as np
@@ -60,15 +60,15 @@ class Consensus:
     contaminated: float = 0.0
 
     @property
-    def lost(self) -> NDArray[np.intp]:
-        """Return those of the stations used that show an edge of which no use is made."""
+    def unused(self) -> NDArray[np.intp]:
+        """Return those of the stations used whose essential observations are all unused."""
         labelled = self.solution.problem
-        return self.used[unused_edges(self.whole.subset(self.used), labelled)]
+        return self.used[unused_essential(self.whole.subset(self.used), labelled)]
 
     @property
     def explained(self) -> int:
         """Return how many stations are used with all kinds of evidence that they show."""
-        return len(self.used) - len(self.lost)
+        return len(self.used) - len(self.unused)
 
     @property
     def unused_share(self) -> float:
@@ -182,7 +182,7 @@ def refine(agreed: Consensus, minimum: int) -> Consensus:
     back = [i for i in found.dropped if near[i] and i in labelled.observations.station]
     used = np.union1d(found.used, np.array(back, dtype=np.intp))
     part, noise = labelled.subset(used), found.solution.noise
-    if not (back or len(found.lost)) or _misfits(part, found):
+    if not (back or len(found.unused)) or _misfits(part, found):
         return found
     dropped = {i: square for i, square in found.dropped.items() if i not in back}
     start = replace(found.solution, problem=part, estimate=agreed.solution.estimate)

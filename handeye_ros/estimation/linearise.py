@@ -16,7 +16,7 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.basis import places, process_root, spread
 from handeye_ros.estimation.factored import products
 from handeye_ros.estimation.model import Estimate, Method, Observations, PoseModel
-from handeye_ros.estimation.stations import Ends, ends_of, Stations, stations_of
+from handeye_ros.estimation.stations import Stations, stations_of
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,7 +45,7 @@ class Problem:
     @cached_property
     def columns(self) -> NDArray[np.intp]:
         """Return the columns of the Jacobian that are unknown."""
-        free = self.method.free(self.config)
+        free = self.method.geometry.free(self.config)
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
 
     @cached_property
@@ -65,11 +65,6 @@ class Problem:
     def stations(self) -> tuple[Stations, ...]:
         """Return what the observations of each station have in common."""
         return stations_of(self.observations)
-
-    @cached_property
-    def ends(self) -> Ends:
-        """Return the ends of faces among the observations."""
-        return ends_of(self.observations)
 
     @cached_property
     def places(self) -> Array:
@@ -109,7 +104,7 @@ class Problem:
                         pose_values=values)
         # how alike errors are at the poses, and what stations have in common, hardly changes
         vars(other).update(smooth=self.smooth, smooth_products=self.smooth_products,
-                           stations=self.stations, ends=self.ends)
+                           stations=self.stations)
         return other
 
     def subset(self, stations: NDArray[np.intp]) -> Problem:
@@ -222,7 +217,7 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     lever = obs.points @ columns[..., :2, :]
     turned = columns.reshape(*X.shape[:-2], 9) @ problem.by_columns
     p = turned.reshape(*X.shape[:-2], len(obs), 3) + a
-    conditions = problem.method.conditions(p, obs.kind, estimate.target, problem.config)
+    conditions = problem.method.geometry.conditions(p, obs.kind, estimate.target, problem.config)
     by_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
     jacobian = np.concatenate([by_mount, se3.cross(lever, by_mount), conditions.dg_dtarget],
                               axis=-1)

@@ -1,9 +1,9 @@
-"""What a method is: the few functions that set one target apart from another."""
+"""What is observed of a target, and the functions that set one target apart from another."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Self
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Feature, Sample
@@ -11,7 +11,6 @@ from handeye_ros.errors import DataError
 import numpy as np
 from numpy.typing import NDArray
 
-ENDS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
 UNUSED = -1  # the kind of an observation that belongs to nothing
 
 
@@ -22,10 +21,9 @@ class Observations:
 
     station: (m,) index of the pose, ascending; points: (m, 2); kind: (m,) which condition, an
     index into the method's kinds; noise: (m, 2, 2) factor L, the point's error is L @ e with
-    e of unit covariance; source: (m,) observations of equal source share their e. end: (m,) how
-    the face ends where an edge point is, 0 of any other point; outward: (m, 2) unit vector out
-    of the face there; shape: (m,) 1 sigma of how far outwards its edge is off since the edge's
-    shape is not known exactly, alike at all.
+    e of unit covariance; source: (m,) observations of equal source share their e. component:
+    (m,) 0 or 1, which of two variance factors its noise has. A target adds what it knows of its
+    points in a class of its own, arrays (m, ...).
     """
 
     station: NDArray[np.intp]
@@ -33,16 +31,12 @@ class Observations:
     kind: NDArray[np.intp]
     noise: Array
     source: NDArray[np.intp]
-    end: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
-    outward: Array = field(default_factory=lambda: np.empty((0, 2)))
-    shape: Array = field(default_factory=lambda: np.empty(0))
+    component: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
     def __post_init__(self) -> None:
-        """Take points of which nothing is said for no edge points."""
-        if len(self.end) < len(self.station):
-            object.__setattr__(self, 'end', np.zeros(len(self.station), dtype=np.intp))
-            object.__setattr__(self, 'outward', np.zeros((len(self.station), 2)))
-            object.__setattr__(self, 'shape', np.zeros(len(self.station)))
+        """Take points of which nothing is said for those of the first component."""
+        if len(self.component) < len(self.station):
+            object.__setattr__(self, 'component', np.zeros(len(self.station), dtype=np.intp))
 
     def __len__(self) -> int:
         """Return the number of conditions."""
@@ -54,11 +48,15 @@ class Observations:
                 and np.array_equal(self.station, other.station)
                 and np.array_equal(self.points, other.points))
 
-    def select(self, keep: NDArray[np.bool_]) -> Observations:
+    def select(self, keep: NDArray[np.bool_]) -> Self:
         """Return the observations where keep (m,) is true."""
-        return Observations(self.station[keep], self.points[keep], self.kind[keep],
-                            self.noise[keep], self.source[keep], self.end[keep],
-                            self.outward[keep], self.shape[keep])
+        return type(self)(*(getattr(self, f.name)[keep] for f in fields(self)))
+
+    def repeated(self, stations: int, points: Array) -> Self:
+        """Return those of one station at so many, with points (stations * m, 2)."""
+        every = (getattr(self, f.name) for f in fields(self))
+        many = type(self)(*(np.tile(v, (stations, *[1] * (v.ndim - 1))) for v in every))
+        return replace(many, points=points, station=np.repeat(np.arange(stations), len(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +107,18 @@ class Conditions:
     dg_dtarget: Array
 
 
+def kind_unchanged(observations: Observations, points: Array, target: Array, config: Config
+                   ) -> Observations:
+    """Return the observations as they are: a target whose features cannot be confused."""
+    return observations
+
+
+def observed_points(sample: Sample, points: Array, kind: NDArray[np.intp]
+                    ) -> tuple[Array, NDArray[np.intp]]:
+    """Return the observations themselves as what was measured."""
+    return points, kind
+
+
 # Plain functions, no lambdas: a solution goes from one process to another.
 def _nothing_stated(config: Config) -> Array:
     return np.zeros(0)
@@ -124,66 +134,93 @@ def _nothing_to_say(observations: Observations, points: Array, target: Array, co
 
 
 @dataclass(frozen=True, eq=False)
+class FeatureModel:
+    """
+    What a target shows in profiles.
+
+    extract(points, config): features of one profile. observe(samples): what is to be fulfilled.
+    measured(sample, points, kind): all measured points (k, 2) and their kinds, that the used
+    observations (points, kind) of a sample stand for. extract_each(profiles, config): what
+    extract gives of each, or the error that it raises; where many at once are quicker.
+    """
+
+    extract: Callable[[Array, Config], tuple[Feature, ...]]
+    observe: Callable[[Sequence[Sample]], Observations]
+    measured: Callable[[Sample, Array, NDArray[np.intp]],
+                       tuple[Array, NDArray[np.intp]]] = observed_points
+    extract_each: Callable[[Sequence[Array], Config],
+                           Sequence[tuple[Feature, ...] | DataError]] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """
+    What must hold of points on a target.
+
+    conditions(points in base (m, 3), kind (m,), target (s,), config): see Conditions.
+    retract(target (s,), delta (k,)): the target moved. free(config): (k,) which of its parameters
+    are unknown. relabel(observations, points in base, target, config): kinds that fit better, for
+    the next solve; UNUSED for an observation that belongs to nothing.
+    """
+
+    conditions: Callable[[Array, NDArray[np.intp], Array, Config], Conditions]
+    retract: Callable[[Array, Array], Array]
+    free: Callable[[Config], NDArray[np.bool_]]
+    relabel: Callable[[Observations, Array, Array, Config], Observations] = kind_unchanged
+
+
+@dataclass(frozen=True, eq=False)
+class Measures:
+    """
+    What is stated of a target, and told of it.
+
+    tolerances(config): (k,) 1 sigma of those of its parameters that are stated with one, 0 of all
+    others; configured(config): (k,) the values of those. relax(config): the configuration with
+    the target's shape (its last parameter) unknown, None where it is. describe(target, std (k,)):
+    what else was estimated, as plain values. one_axis: what turns about one axis alone leave
+    open, in words. elsewhere(observations that are none of the target's, points in base, target,
+    config): where these are, in words, '' where nothing is to be said.
+    """
+
+    describe: Callable[[Array, Array], dict[str, Any]]
+    tolerances: Callable[[Config], Array] = _nothing_stated
+    configured: Callable[[Config], Array] = _nothing_stated
+    relax: Callable[[Config], Config | None] = _known_shape
+    one_axis: str = 'the position along it is free'
+    elsewhere: Callable[[Observations, Array, Array, Config], str] = _nothing_to_say
+
+
+@dataclass(frozen=True, eq=False)
+class Nuisances:
+    """
+    What may be wrong beside the noise, of a target's own.
+
+    blocks: what prepares blocks of nuisance parameters, a Source of blocks.py (which imports
+    this module). feature_errors(linear): (m, 1) derivatives of the residuals by errors of unit
+    variance that each feature has by itself, as long as the blocks are not unknowns.
+    """
+
+    blocks: Callable[[Any], Any]
+    feature_errors: Callable[[Any], Array]
+
+
+@dataclass(frozen=True, eq=False)
 class Method:
     """
     One target's estimator, as plain functions; the solver is the same for all.
 
-    kinds: names of the conditions; labels: names of the target's k parameters.
-    extract(points, config): features of one profile.
-    observe(samples): what is to be fulfilled.
+    kinds: names of the conditions; labels: names of the target's k parameters; essential: kinds
+    of which a station must use one, if it shows any. minimum: fewest samples.
     guess(observations, T_base_flange (n, 4, 4), config, rng): estimates to start from.
-    conditions(points in base (m, 3), kind (m,), target (s,), config): see Conditions.
-    retract(target (s,), delta (k,)): the moved target.
-    free(config): (k,) which of the target's parameters are unknown.
-    relabel(observations, points in base, target): kinds that fit better, for the next solve;
-    UNUSED for an observation that belongs to nothing.
-    describe(target, std (k,)): what else was estimated, as plain values.
-    measured(sample, points, kind): all measured points (k, 2) and their kinds, that the used
-    observations (points, kind) of a sample stand for.
-    edges: the kinds that name an edge. minimum: fewest samples.
-    one_axis: what turns about one axis alone leave open, in words.
-    tolerances(config): (k,) 1 sigma of those of the target's parameters that are stated with one,
-    0 of all others.
-    relax(config): the configuration with the target's shape (its last parameter) unknown, None
-    where it is; configured(config): (k,) the stated values of those parameters that are stated.
-    elsewhere(observations of stations whose edges are none of the target's, points in base,
-    target, config): where these edges are, in words, '' where nothing is to be said.
-    blocks: what prepares the target's own blocks of nuisance parameters, see blocks.
-    extract_each(profiles, config): what extract gives of each, or the error that it raises; where
-    many at once are quicker.
     """
 
     name: str
     kinds: tuple[str, ...]
     labels: tuple[str, ...]
-    extract: Callable[[Array, Config], tuple[Feature, ...]]
-    observe: Callable[[Sequence[Sample]], Observations]
-    guess: Callable[[Observations, Array, Config, np.random.Generator], Iterable[Estimate]]
-    conditions: Callable[[Array, NDArray[np.intp], Array, Config], Conditions]
-    retract: Callable[[Array, Array], Array]
-    free: Callable[[Config], NDArray[np.bool_]]
-    relabel: Callable[[Observations, Array, Array, Config], Observations]
-    describe: Callable[[Array, Array], dict[str, Any]]
-    measured: Callable[[Sample, Array, NDArray[np.intp]], tuple[Array, NDArray[np.intp]]]
-    edges: tuple[str, ...]
+    essential: tuple[str, ...]
     minimum: int
-    one_axis: str = 'the position along it is free'
-    tolerances: Callable[[Config], Array] = _nothing_stated
-    relax: Callable[[Config], Config | None] = _known_shape
-    configured: Callable[[Config], Array] = _nothing_stated
-    extract_each: Callable[[Sequence[Array], Config],
-                           Sequence[tuple[Feature, ...] | DataError]] | None = None
-    elsewhere: Callable[[Observations, Array, Array, Config], str] = _nothing_to_say
-    blocks: Callable[[Any], Any] | None = None  # a Source of blocks, which imports this module
-
-
-def kind_unchanged(observations: Observations, points: Array, target: Array, config: Config
-                   ) -> Observations:
-    """Return the observations as they are: a target whose features cannot be confused."""
-    return observations
-
-
-def observed_points(sample: Sample, points: Array, kind: NDArray[np.intp]
-                    ) -> tuple[Array, NDArray[np.intp]]:
-    """Return the observations themselves as what was measured."""
-    return points, kind
+    guess: Callable[[Observations, Array, Config, np.random.Generator], Iterable[Estimate]]
+    features: FeatureModel
+    geometry: Geometry
+    measures: Measures
+    nuisances: Nuisances | None = None

@@ -30,14 +30,13 @@ class Noise:
     """
     Scale factors on the configured variances.
 
-    sensor: on the features' own, edge: on those of edge points; local: on the share of the
-    distortion that is each station's own; robot: on the pose noise;
-    doubts: on the unknowns of each, by name; lumped: whether doubts count as errors of each
-    station here.
+    feature, feature_2: on the features' own, by their component; local: on the share of the
+    distortion that is each station's own; robot: on the pose noise; scales: on the parameters of
+    each block, by its name; lumped: whether blocks count as errors of each station here.
     """
 
-    sensor: float = 1.0
-    edge: float = 1.0
+    feature: float = 1.0
+    feature_2: float = 1.0
     local: float = 1.0
     robot: float = 1.0
     scales: Mapping[str, float] = field(default_factory=dict)
@@ -46,7 +45,7 @@ class Noise:
     @property
     def factors(self) -> Array:
         """Return the factors on the parts of covariances."""
-        return np.array([self.sensor, self.edge, self.local, self.robot])
+        return np.array([self.feature, self.feature_2, self.local, self.robot])
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +75,12 @@ def covariances(problem: Problem, linear: Linear, at: Stations) -> Array:
     """
     Return covariances, (4, stations, c, c), of the residuals.
 
-    Of features, edges, the distortion that is each station's own, and poses.
+    Of the features' two components, the distortion that is each station's own, and poses.
     """
     noise = problem.config.noise
     feature = _feature(linear, at)
-    # no covariance between edges and the rest, so that any factors keep the sum positive
-    return np.array([feature * at.rest, feature * at.edge,
+    # no covariance between the components, so that any factors keep the sum positive
+    return np.array([*feature * at.components,
                      at.near * _squared(at.of(linear.by_point), _local(problem)),
                      _squared(at.of(linear.by_pose), _pose(noise))])
 
@@ -94,7 +93,7 @@ def lumped(problem: Problem, linear: Linear, at: Stations) -> Array:
     """
     noise = problem.config.noise
     return np.asarray(at.near * _squared(at.of(linear.by_point), noise.distortion ** 2)
-                      + _setback(problem, linear, at)
+                      + _own(problem, linear, at)
                       + _squared(at.of(linear.by_pose), _smooth(noise)))
 
 
@@ -102,12 +101,13 @@ def _total(problem: Problem, linear: Linear, at: Stations, noise: Noise) -> Arra
     """Return the sum (stations, c, c) of covariances, and of what is lumped with them."""
     told, shared = problem.config.noise, float(noise.lumped)
     total = _feature(linear, at)
-    total *= noise.sensor * at.rest + noise.edge * at.edge if problem.ends.parts else noise.sensor
+    first, second = at.components
+    total *= noise.feature * first + noise.feature_2 * second if at.mixed else noise.feature
     distortion = noise.local * _local(problem) + shared * told.distortion ** 2
     if distortion:
         total += at.near * _squared(at.of(linear.by_point), distortion)
     total += _squared(at.of(linear.by_pose), noise.robot * _pose(told) + shared * _smooth(told))
-    return total + _setback(problem, linear, at) if shared else total
+    return total + _own(problem, linear, at) if shared else total
 
 
 def _feature(linear: Linear, at: Stations) -> Array:
@@ -122,13 +122,11 @@ def _feature(linear: Linear, at: Stations) -> Array:
     return feature
 
 
-def _setback(problem: Problem, linear: Linear, at: Stations) -> Array:
-    """Return the covariances (stations, c, c) from where edges are taken to be."""
-    if not problem.ends.parts:
+def _own(problem: Problem, linear: Linear, at: Stations) -> Array:
+    """Return the covariances (stations, c, c) from the features' errors of the target's own."""
+    if problem.method.nuisances is None:
         return np.zeros(1)
-    outward = at.of(problem.observations.outward)
-    along = (at.of(linear.by_point) * outward).sum(axis=2) * problem.config.target.setback_std
-    return np.asarray(along[:, :, None] * along[:, None, :] * at.shared)
+    return np.asarray(_squared(at.of(problem.method.nuisances.feature_errors(linear))) * at.shared)
 
 
 def _local(problem: Problem) -> float:

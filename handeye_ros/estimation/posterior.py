@@ -212,8 +212,8 @@ class _System:
         sums *= before[:, None]
         after = before * (sums[:, 0] + BELIEF_NOISE * believed / before) / (
             np.maximum(sums[:, 1], 0.0) + BELIEF_NOISE)
-        sensor, edge, local, robot = np.clip(after, SMALLEST, LARGEST).tolist()
-        return replace(self.noise, sensor=sensor, edge=edge, local=local, robot=robot)
+        first, second, local, robot = np.clip(after, SMALLEST, LARGEST).tolist()
+        return replace(self.noise, feature=first, feature_2=second, local=local, robot=robot)
 
     def moved(self, x: Array) -> State:
         """Return the state moved by a solution."""

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 LOST_SHARE = 0.1  # of the stations far from an estimate, from which another is looked for
 FAR, FAR_RATIO = 5e-3, 5.0  # residual (m; over the largest of an answer) of a hopeless start
-LOST_EDGE = 8.0  # squared residual of a station that shows an edge which lies on none of ours
+UNUSED_SQUARE = 8.0  # squared residual of a station whose essential observations are all unused
 SURE = 0.5  # squared residual of the believed share, in variances with all doubts, of no other
 CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good answer
 LARGEST_SQUARE = 16.0  # squared residual, in variances, that a clean recording stays below
@@ -76,9 +76,9 @@ class Refined:
 
     @property
     def far_share(self) -> float:
-        """Return the share of stations far from the estimate, or with an edge that is."""
+        """Return the share of stations far from the estimate, or with nothing essential used."""
         far_off = self.squares > LARGEST_SQUARE * max(1.0, self.spread)
-        return float((far_off | unused_edges(self.whole, self.problem)).mean())
+        return float((far_off | unused_essential(self.whole, self.problem)).mean())
 
 
 def guesses(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
@@ -97,7 +97,8 @@ def refined(problem: Problem, estimate: Estimate) -> Refined:
     start = weighed(relabelled(problem, estimate), estimate, Noise())
     at = graduated(start, _mean_squares, refit)
     labelled, estimate, squares = at.linear.problem, at.linear.estimate, _mean_squares(at)
-    squares = np.where(unused_edges(problem, labelled), np.maximum(squares, LOST_EDGE), squares)
+    unused = unused_essential(problem, labelled)
+    squares = np.where(unused, np.maximum(squares, UNUSED_SQUARE), squares)
     return Refined(problem, labelled, estimate, squares, _hollow(problem, labelled, estimate))
 
 
@@ -117,7 +118,8 @@ def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = No
     it has found out about its stations still holds.
     """
     p = points_in_base(problem, estimate.X)
-    labelled = problem.method.relabel(problem.observations, p, estimate.target, problem.config)
+    labelled = problem.method.geometry.relabel(problem.observations, p, estimate.target,
+                                               problem.config)
     found = labelled.select(labelled.kind != UNUSED)
     for known in (problem, before):
         if known and found.same(known.observations):
@@ -137,17 +139,17 @@ def _mean_squares(at: Weighed) -> Array:
     return np.bincount(station, r ** 2, minlength=n) / np.maximum(count, 1)
 
 
-def unused_edges(whole: Problem, labelled: Problem) -> NDArray[np.bool_]:
-    """Return which stations (n,) show an edge, none of which the labelled problem uses."""
-    return shows_edge(whole) & ~shows_edge(labelled)
+def unused_essential(whole: Problem, labelled: Problem) -> NDArray[np.bool_]:
+    """Return which stations (n,) show what is essential, none of which is used as labelled."""
+    return shows_essential(whole) & ~shows_essential(labelled)
 
 
-def shows_edge(problem: Problem) -> NDArray[np.bool_]:
-    """Return which stations (n,) of a problem have an edge among their observations."""
+def shows_essential(problem: Problem) -> NDArray[np.bool_]:
+    """Return which stations (n,) of a problem have an observation of an essential kind."""
     method, obs = problem.method, problem.observations
-    edge = np.array([*(name in method.edges for name in method.kinds), False])  # last: UNUSED
+    of_kind = np.array([*(name in method.essential for name in method.kinds), False])  # UNUSED
     shows = np.zeros(len(problem.poses), dtype=bool)
-    shows[obs.station[edge[obs.kind]]] = True
+    shows[obs.station[of_kind[obs.kind]]] = True
     return shows
 
 

@@ -26,7 +26,7 @@ def retracted(problem: Problem, estimate: Estimate, step: Array) -> Estimate:
     delta = np.zeros((*step.shape[:-1], 6 + len(problem.method.labels)))
     delta[..., problem.columns] = step
     return Estimate(se3.perturb(estimate.X, delta[..., :6]),
-                    problem.method.retract(estimate.target, delta[..., 6:]))
+                    problem.method.geometry.retract(estimate.target, delta[..., 6:]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -147,6 +147,6 @@ def anchor_of(problem: Problem, station: int) -> Array:
     """Return the point (2,) of the sensor plane that stands for what a station saw."""
     obs = problem.observations
     rows = np.flatnonzero(obs.station == station)
-    edges = [k for k, name in enumerate(problem.method.kinds) if name in problem.method.edges]
+    edges = [k for k, name in enumerate(problem.method.kinds) if name in problem.method.essential]
     at_edge = rows[np.isin(obs.kind[rows], edges)]
     return np.asarray(obs.points[at_edge if len(at_edge) else rows].mean(axis=0))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import linearise, points_in_base, Problem
-from handeye_ros.estimation.model import Estimate, Observations
+from handeye_ros.estimation.model import Estimate
 from handeye_ros.guidance import rules
 from handeye_ros.guidance.view import View
 import numpy as np
@@ -73,10 +73,7 @@ def batch_of(prototype: Problem, estimate: Estimate, anchor: Array, poses: Array
     order = np.argsort(which.reshape(-1), kind='stable')
     groups = tuple(order[np.repeat(count, count) == r].reshape(-1, r) for r in np.unique(count))
     points = obs.points[None] + (places - anchor)[:, None]
-    many = Observations(np.repeat(np.arange(n), len(obs)), points.reshape(-1, 2),
-                        np.tile(obs.kind, n), np.tile(obs.noise, (n, 1, 1)),
-                        np.tile(obs.source, n), np.tile(obs.end, n),
-                        np.tile(obs.outward, (n, 1)), np.tile(obs.shape, n))
+    many = obs.repeated(n, points.reshape(-1, 2))
     return Batch(replace(prototype, poses=poses, observations=many), estimate, places, groups,
                  linear.by_point[:, 1], rules.corners(linear, len(obs)))
 
@@ -169,7 +166,7 @@ def _recognised(batch: Batch) -> NDArray[np.bool_]:
     """Return which stations the method would take for what they are meant to be."""
     problem, estimate = batch.problem, batch.estimate
     p = points_in_base(problem, estimate.X)
-    labelled = problem.method.relabel(problem.observations, p, estimate.target,
+    labelled = problem.method.geometry.relabel(problem.observations, p, estimate.target,
                                      rules.stricter(problem.config))
     same = labelled.kind == problem.observations.kind
     return np.asarray(same.reshape(len(batch), -1).all(axis=1))

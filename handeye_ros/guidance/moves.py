@@ -78,7 +78,7 @@ def design(method: Method) -> Array:
     """Return the moves (n, 6) that a method's target asks for."""
     if _round(method):
         return SPHERE
-    return TWO_EDGES if len(method.edges) > 1 else ONE_EDGE
+    return TWO_EDGES if len(method.essential) > 1 else ONE_EDGE
 
 
 def next_move(taken: int, method: Method, config: Config, view: View) -> Move:
@@ -86,7 +86,7 @@ def next_move(taken: int, method: Method, config: Config, view: View) -> Move:
     steps = design(method)
     mirrored = -1.0 if taken // len(steps) % 2 else 1.0
     step = steps[taken % len(steps)] * [mirrored, 1, 1, 1, 1, 1]
-    edge = taken // PER_EDGE % 2 if len(method.edges) > 1 else 0
+    edge = taken // PER_EDGE % 2 if len(method.essential) > 1 else 0
     turn = _turn(step[0], edge, method, config)
     tilt = np.round(step[1:3] * config.guidance.tilt, 3)
     inner = view.inner()
@@ -113,11 +113,11 @@ def _turn(share: float, edge: int, method: Method, config: Config) -> float:
 
 def noun(method: Method) -> str:
     """Return what the laser line has to see."""
-    return 'edge' if method.edges else method.name
+    return 'edge' if method.essential else method.name
 
 
 def _start(edge: int, method: Method) -> str:
-    if len(method.edges) < 2:
+    if len(method.essential) < 2:
         return 'from the pose of the first sample'
     return ('from the pose of the first sample, at the same edge' if edge == 0 else
             'from the pose of the first sample, at the other edge, that meets the first one in '

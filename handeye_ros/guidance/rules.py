@@ -71,7 +71,7 @@ def stricter(config: Config) -> Config:
 
 def edge_kinds(method: Method) -> list[int]:
     """Return the kinds that name an edge."""
-    return [k for k, name in enumerate(method.kinds) if name in method.edges]
+    return [k for k, name in enumerate(method.kinds) if name in method.essential]
 
 
 def crossing_steeply(linear: Linear, count: int) -> NDArray[np.bool_]:
@@ -108,7 +108,7 @@ class Corners:
 def corners(linear: Linear, count: int) -> Corners | None:
     """Return where the two faces of a target without edges of its own meet; None without such."""
     problem, obs = linear.problem, linear.problem.observations
-    if problem.method.edges or len(problem.method.kinds) != 2:
+    if problem.method.essential or len(problem.method.kinds) != 2:
         return None
     kind = obs.kind.reshape(-1, count)
     first, second = (_face(linear, kind == k, count) for k in (0, 1))

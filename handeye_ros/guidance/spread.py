@@ -74,9 +74,9 @@ def _places(problem: Problem, view: View) -> list[Spread]:
 def _edges(problem: Problem) -> list[Spread]:
     """Return for each edge that was seen how many samples saw it, if there are several."""
     obs, method = problem.observations, problem.method
-    if len(method.edges) < 2:
+    if len(method.essential) < 2:
         return []
     counts = {method.kinds[k]: len(np.unique(obs.station[obs.kind == k]))
-              for k in np.unique(obs.kind) if method.kinds[k] in method.edges}
+              for k in np.unique(obs.kind) if method.kinds[k] in method.essential}
     return [Spread(count / WANTED_PER_EDGE, f'edge {name}: {count} samples so far, '
                    f'{WANTED_PER_EDGE} wanted') for name, count in counts.items()]

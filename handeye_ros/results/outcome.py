@@ -104,7 +104,7 @@ def _parameter(solution: Solution, name: str) -> tuple[float, float] | None:
 def describe_target(agreed: Consensus, config: Config) -> dict[str, Any]:
     """Return what was estimated of the target, and of all else that was in doubt."""
     solution = agreed.solution
-    told = solution.problem.method.describe(solution.estimate.target, solution.target_std)
+    told = solution.problem.method.measures.describe(solution.estimate.target, solution.target_std)
     told |= reported_blocks(solution) | {'joint': _joint(solution)}
     notes = [shape.note for shape in contradictions(solution, config)]
     notes += [lost] if (lost := lost_edges(agreed)) else []
@@ -116,13 +116,13 @@ def other_surfaces(agreed: Consensus) -> str:
     """Return which of several surfaces in view is the target, in words, '' where it is the one."""
     whole, problem = agreed.whole.subset(agreed.used), agreed.solution.problem
     several = len(whole.observations) > len(problem.observations)
-    if problem.method.edges or not several:
+    if problem.method.essential or not several:
         return ''
     estimate, obs = agreed.solution.estimate, whole.observations
     unused = ~np.isin(np.column_stack([obs.station, obs.source]) @ [1, 1j], np.column_stack(
         [problem.observations.station, problem.observations.source]) @ [1, 1j])
     sensors = problem.poses[obs.station[unused]] @ estimate.X[:, 3]
-    height, of_sensor = (problem.method.conditions(
+    height, of_sensor = (problem.method.geometry.conditions(
         p, obs.kind[unused], estimate.target, problem.config).g
         for p in (points_in_base(whole, estimate.X)[unused], sensors[:, :3]))
     nearer = height * np.sign(of_sensor) > 0
@@ -155,7 +155,7 @@ def _used_reports(used: Sequence[Sample], problem: Problem, station: NDArray[np.
     rms = np.sqrt(np.bincount(station, residuals ** 2, minlength=len(used)) / np.maximum(count, 1))
     reports = []
     for i, edges in enumerate(_edges_used(problem)):
-        note = ONLY_FACE if problem.method.edges and not edges else ''
+        note = ONLY_FACE if problem.method.essential and not edges else ''
         reports.append(SampleReport(used[i].stamp, True, edges, float(rms[i]), note))
     return reports
 
@@ -164,10 +164,10 @@ def _edges_used(problem: Problem) -> list[str]:
     """Return of each station which edges of the target it shows, in words."""
     obs, method = problem.observations, problem.method
     bounds = np.searchsorted(obs.station, np.arange(len(problem.poses) + 1))
-    if not method.edges:
+    if not method.essential:
         return [''] * len(problem.poses)
     return [', '.join(method.kinds[k] for k in dict.fromkeys(obs.kind[first:last].tolist())
-                      if method.kinds[k] in method.edges)
+                      if method.kinds[k] in method.essential)
             for first, last in zip(bounds[:-1], bounds[1:], strict=True)]
 
 
@@ -191,7 +191,7 @@ def left_out(solution: Solution, measured: Measured, most: int = MOST_FOLDS) -> 
     by_fold, kind, found = p.T.take(order, axis=1).T, measured.kind[order], np.empty(len(p))
     ends = np.cumsum(np.bincount(fold[measured.station], minlength=len(estimates))).tolist()
     for first, last, estimate in zip([0, *ends], ends, estimates, strict=False):
-        found[order[first:last]] = problem.method.conditions(
+        found[order[first:last]] = problem.method.geometry.conditions(
             by_fold[first:last], kind[first:last], estimate.target, problem.config).g
     return found
 
@@ -224,7 +224,7 @@ class Measured:
         poses: (n, 4, 4) instead of the reported ones, such as without the robot's smooth error.
         """
         p = self.mapped((problem.poses if poses is None else poses) @ estimate.X)
-        return problem.method.conditions(p, self.kind, estimate.target, problem.config).g
+        return problem.method.geometry.conditions(p, self.kind, estimate.target, problem.config).g
 
     def mapped(self, T: Array) -> Array:
         """Return the points (k, 3) in the frame that T (n, 4, 4) of the stations lead to."""
@@ -246,7 +246,7 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:
     """
     obs = problem.observations
     bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
-    parts = [problem.method.measured(sample, obs.points[first:last], obs.kind[first:last])
+    parts = [problem.method.features.measured(sample, obs.points[first:last], obs.kind[first:last])
              for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
     count = np.array([len(kind) for _, kind in parts])
     every = max(-(-int(count.sum()) // MOST_POINTS), 1)

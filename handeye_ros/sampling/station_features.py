@@ -52,7 +52,7 @@ def of_station(profiles: Sequence[Profile], method: Method, config: Config
 def features_of_each(profiles: Sequence[Profile], method: Method, config: Config
                      ) -> Sequence[tuple[Feature, ...] | DataError]:
     """Return the features of each profile, or why there are none."""
-    several = method.extract_each or partial(_one_by_one, method)
+    several = method.features.extract_each or partial(_one_by_one, method)
     return several([profile.points for profile in profiles], config)
 
 
@@ -62,7 +62,7 @@ def _one_by_one(method: Method, profiles: Sequence[Array], config: Config
     found: list[tuple[Feature, ...] | DataError] = []
     for points in profiles:
         try:
-            found.append(method.extract(points, config))
+            found.append(method.features.extract(points, config))
         except FeatureError as error:
             found.append(error)
     return found
@@ -78,10 +78,10 @@ def evenly(profiles: Sequence[AnyProfile], most: int) -> list[AnyProfile]:
 def flipped_features(profile: Profile, config: Config) -> tuple[Feature, ...]:
     """Return what a profile shows with profile.range_sign the other way."""
     method = targets.method_for(config)
-    if not method.edges:
+    if not method.essential:
         return ()
     try:
-        return method.extract(profile.points, flipped_range(config))
+        return method.features.extract(profile.points, flipped_range(config))
     except FeatureError:
         return ()
 

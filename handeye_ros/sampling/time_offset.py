@@ -96,7 +96,7 @@ class Pairing:
 def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
     """Return the problem of samples; that of a robot that moves with the time offset in it."""
     method = targets.method_for(config)
-    problem = Problem(method, mounted(samples, config), method.observe(samples), config)
+    problem = Problem(method, mounted(samples, config), method.features.observe(samples), config)
     if not any(sample.motion for sample in samples):
         return problem
     model = PoseModel(Pairing.of(samples).poses_and_twists, (TIME_OFFSET,), (1,),

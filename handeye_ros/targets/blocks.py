@@ -3,10 +3,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from handeye_ros.estimation.basis import bent_faces
+from handeye_ros.data import Array
+from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.linearise import Linear, points_in_base
-from handeye_ros.estimation.model import ENDS
+from handeye_ros.estimation.model import Nuisances
+from handeye_ros.targets.ends import edges_of, ENDS, ends_of, out_of_face
 import numpy as np
 
 FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}  # share of the RMS of each degree: the first are the largest
@@ -25,38 +27,37 @@ def of_faces_and_edges(first: Linear) -> Blocks:
 def setbacks(first: Linear) -> Blocks:
     """Return by how much the faces end short of each edge, for each way in which they end."""
     std = first.problem.config.target.setback_std
+    obs = edges_of(first.problem.observations)
+    ends, kinds = ends_of(obs), first.problem.method.kinds
+    # what of a bevel or of a blurred step is seen depends on the tilt
+    by_slope = np.column_stack([ends.slope, 2 * ends.slope ** 2])
 
     def at(linear: Linear) -> Iterator[ParameterBlock]:
-        problem = linear.problem
-        obs, ends = problem.observations, problem.ends
-        outwards = ends.outwards((linear.by_point * obs.outward).sum(axis=1))
+        outwards = ends.outwards(linear)
         for (kind, end), rows in ends.parts.items():
-            name = f'setback_{problem.method.kinds[kind]}_{ENDS[end - 1]}'
+            name = f'setback_{kinds[kind]}_{ENDS[end - 1]}'
             yield ParameterBlock(name, np.where(rows, outwards, 0.0)[:, None] * std, std,
                                  report=name)
-        # what of a bevel or of a blurred step is seen depends on the tilt
-        by_slope = np.column_stack([ends.slope, 2 * ends.slope ** 2])
         for end in sorted({end for _, end in ends.parts}):
             tilted = np.where(obs.end == end, outwards, 0.0)[:, None] * by_slope
             yield ParameterBlock(f'incidence_{ENDS[end - 1]}', tilted * std, std)
-    return at if first.problem.ends.parts else _none
+    return at if ends.parts else _none
 
 
 def edge_shapes(first: Linear) -> Blocks:
     """Return by how much the rounding or bevel of each edge is not as the profiles show it."""
-    kinds = sorted({kind for kind, _ in first.problem.ends.parts})
+    obs = edges_of(first.problem.observations)
+    ends = ends_of(obs)
+    of_kind = {kind: np.any([rows for (k, _), rows in ends.parts.items() if k == kind], axis=0)
+               for kind in sorted({kind for kind, _ in ends.parts})}
 
     def at(linear: Linear) -> Iterator[ParameterBlock]:
-        problem = linear.problem
-        obs, ends = problem.observations, problem.ends
-        outwards = ends.outwards((linear.by_point * obs.outward).sum(axis=1)) * obs.shape
-        for kind in kinds:
-            here = np.any([rows for (other, _), rows in ends.parts.items() if other == kind],
-                          axis=0)
+        outwards = ends.outwards(linear) * obs.shape
+        for kind, rows in of_kind.items():
             # it comes from few points of a curve, whatever that really goes on as
-            yield ParameterBlock(f'shape_{problem.method.kinds[kind]}',
-                                 np.where(here, outwards, 0.0)[:, None], 1.0, least=1.0)
-    return at if first.problem.observations.shape.any() else _none
+            yield ParameterBlock(f'shape_{first.problem.method.kinds[kind]}',
+                                 np.where(rows, outwards, 0.0)[:, None], 1.0, least=1.0)
+    return at if obs.shape.any() else _none
 
 
 def flatness(first: Linear) -> Blocks:
@@ -65,7 +66,7 @@ def flatness(first: Linear) -> Blocks:
     if not std:
         return _none
     p = points_in_base(problem, first.estimate.X)
-    heights = zip(*(bent_faces(p, problem.observations.kind == i, list(FLATNESS))
+    heights = zip(*(bent_surface(p, problem.observations.kind == i, list(FLATNESS))
                     for i, name in enumerate(problem.method.kinds) if name.startswith('face')),
                   strict=True)
     blocks = [ParameterBlock(f'flatness_{degree}', np.hstack(columns) * (std * share), std * share,
@@ -76,3 +77,11 @@ def flatness(first: Linear) -> Blocks:
 
 def _none(linear: Linear) -> Iterable[ParameterBlock]:
     return ()
+
+
+def setback_of_each(linear: Linear) -> Array:
+    """Return the derivatives (m, 1) by a set-back of each edge point of its own, in sigmas."""
+    return out_of_face(linear)[:, None] * linear.problem.config.target.setback_std
+
+
+FACES_AND_EDGES = Nuisances(of_faces_and_edges, setback_of_each)

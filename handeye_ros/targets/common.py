@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from handeye_ros import se3
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
-from handeye_ros.estimation.model import ENDS, Observations
+from handeye_ros.targets.ends import EdgeObservations, ENDS
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,16 +41,16 @@ class ObservationRows:
         self.outward.append(edge.direction if edge else NOWHERE)
         self.shape.append(edge.shape_std if edge else 0.0)
 
-    def observations(self) -> Observations:
+    def observations(self) -> EdgeObservations:
         """Return what was collected; each point of a feature has an error of its own."""
         count = [len(points) for points in self.points]
         first = np.repeat(np.cumsum(count, dtype=np.intp) - count, count)
         numbers = np.array(self.numbers, dtype=np.intp).reshape(-1, 4).T
         station, kind, source, end = np.repeat(numbers, count, axis=1)
-        return Observations(
+        return EdgeObservations(
             station, np.concatenate([np.empty((0, 2)), *self.points]), kind,
             np.concatenate([np.empty((0, 2, 2)), *self.noise]),
-            source + np.arange(len(first)) - first, end,
+            source + np.arange(len(first)) - first, (end > 0).astype(np.intp), end,
             np.repeat(np.array(self.outward).reshape(-1, 2), count, axis=0),
             np.repeat(np.array(self.shape), count))
 
@@ -69,7 +69,7 @@ def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int,
 
 
 def collect(samples: Sequence[Sample],
-            add: Callable[[ObservationRows, int, Feature, int], None]) -> Observations:
+            add: Callable[[ObservationRows, int, Feature, int], None]) -> EdgeObservations:
     """Return the conditions that add(rows, station, feature, source) appends for each feature."""
     rows = ObservationRows()
     for station, sample in enumerate(samples):

@@ -20,14 +20,16 @@ from handeye_ros.estimation.linearise import points_at, Problem
 from handeye_ros.estimation.model import (
     Conditions,
     Estimate,
+    FeatureModel,
+    Geometry,
+    Measures,
     Method,
     Observations,
-    observed_points,
     UNUSED,
 )
 from handeye_ros.estimation.starts import best_of
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.targets.blocks import of_faces_and_edges
+from handeye_ros.targets.blocks import FACES_AND_EDGES
 from handeye_ros.targets.common import (
     add_face,
     best_linear,
@@ -211,6 +213,8 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
             'direction': T[:3, 0].tolist()}
 
 
-LINE = Method('line', KINDS, LABELS, face_features, observe, guess, conditions, retract, free,
-              relabel, describe, observed_points, edges=('edge',), minimum=MINIMUM,
-              blocks=of_faces_and_edges)
+LINE = Method(
+    'line', KINDS, LABELS, essential=('edge',), minimum=MINIMUM, guess=guess,
+    features=FeatureModel(face_features, observe),
+    geometry=Geometry(conditions, retract, free, relabel), measures=Measures(describe),
+    nuisances=FACES_AND_EDGES)

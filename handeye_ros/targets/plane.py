@@ -19,14 +19,16 @@ from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.estimation.model import (
     Conditions,
     Estimate,
+    FeatureModel,
+    Geometry,
+    Measures,
     Method,
     Observations,
-    observed_points,
     UNUSED,
 )
 from handeye_ros.estimation.starts import best_of, different, FEW_STATIONS
 from handeye_ros.profiles.faces import plane_features
-from handeye_ros.targets.blocks import of_faces_and_edges
+from handeye_ros.targets.blocks import FACES_AND_EDGES
 from handeye_ros.targets.common import (
     add_face,
     best_linear,
@@ -193,8 +195,10 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
     return {'normal': T[:3, 2].tolist(), 'distance': float(T[:3, 2] @ T[:3, 3])}
 
 
-PLANE = Method('plane', ('face',), ('z', 'rx', 'ry'), plane_features, observe, guess, conditions,
-               retract, free, relabel, describe, observed_points, edges=(), minimum=6,
-               one_axis='the position along it is free, and if it is the normal of the plane '
-               '(yaw only) all of the position and part of the rotation',
-               blocks=of_faces_and_edges)
+PLANE = Method(
+    'plane', ('face',), ('z', 'rx', 'ry'), essential=(), minimum=6, guess=guess,
+    features=FeatureModel(plane_features, observe),
+    geometry=Geometry(conditions, retract, free, relabel),
+    measures=Measures(describe, one_axis='the position along it is free, and if it is the normal '
+                      'of the plane (yaw only) all of the position and part of the rotation'),
+    nuisances=FACES_AND_EDGES)

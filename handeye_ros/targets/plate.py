@@ -19,13 +19,15 @@ from handeye_ros.estimation.linearise import points_at
 from handeye_ros.estimation.model import (
     Conditions,
     Estimate,
+    FeatureModel,
+    Geometry,
+    Measures,
     Method,
     Observations,
-    observed_points,
     UNUSED,
 )
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.targets.blocks import of_faces_and_edges
+from handeye_ros.targets.blocks import FACES_AND_EDGES
 from handeye_ros.targets.common import add_face, collect, edge_noise, FACE, ObservationRows
 from handeye_ros.targets.plane import guess as plane_guess
 from handeye_ros.targets.two_lines import turned, two_lines
@@ -244,7 +246,9 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
             'edge_angle': float(target[ANGLE]), 'edge_angle_std': float(std[8])}
 
 
-PLATE = Method('plate', KINDS, LABELS, face_features, observe, guess, conditions, retract, free,
-               relabel, describe, observed_points, edges=KINDS[1:], minimum=6,
-               relax=relax, configured=configured, tolerances=tolerances,
-               elsewhere=elsewhere, blocks=of_faces_and_edges)
+PLATE = Method(
+    'plate', KINDS, LABELS, essential=KINDS[1:], minimum=6, guess=guess,
+    features=FeatureModel(face_features, observe),
+    geometry=Geometry(conditions, retract, free, relabel),
+    measures=Measures(describe, tolerances, configured, relax, elsewhere=elsewhere),
+    nuisances=FACES_AND_EDGES)

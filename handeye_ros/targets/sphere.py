@@ -18,7 +18,9 @@ from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import (
     Conditions,
     Estimate,
-    kind_unchanged,
+    FeatureModel,
+    Geometry,
+    Measures,
     Method,
     Observations,
 )
@@ -214,7 +216,8 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
             'radius': float(target[3]), 'radius_std': float(std[3])}
 
 
-SPHERE = Method('sphere', ('arc',), ('x', 'y', 'z', 'radius'), arc_features, observe, guess,
-                conditions, retract, free, kind_unchanged, describe, arc_points, edges=(),
-                minimum=6, relax=relax, configured=configured, tolerances=tolerances,
-                extract_each=arcs_of_each)
+SPHERE = Method(
+    'sphere', ('arc',), ('x', 'y', 'z', 'radius'), essential=(), minimum=6, guess=guess,
+    features=FeatureModel(arc_features, observe, arc_points, arcs_of_each),
+    geometry=Geometry(conditions, retract, free),
+    measures=Measures(describe, tolerances, configured, relax))

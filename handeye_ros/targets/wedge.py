@@ -19,15 +19,17 @@ from handeye_ros.estimation.linearise import linearise, points_at, Problem
 from handeye_ros.estimation.model import (
     Conditions,
     Estimate,
+    FeatureModel,
+    Geometry,
+    Measures,
     Method,
     Observations,
-    observed_points,
 )
 from handeye_ros.estimation.starts import best_of
 from handeye_ros.profiles.corners import corner_features
 from handeye_ros.targets import line as edge_line
 from handeye_ros.targets import plane
-from handeye_ros.targets.blocks import of_faces_and_edges
+from handeye_ros.targets.blocks import FACES_AND_EDGES
 from handeye_ros.targets.common import (
     add_face,
     collect,
@@ -190,5 +192,8 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
             'face_angle_std': float(std[5])}
 
 
-WEDGE = Method('wedge', KINDS, LABELS, corner_features, observe, guess, conditions, retract, free,
-               relabel, describe, observed_points, edges=(), minimum=6, blocks=of_faces_and_edges)
+WEDGE = Method(
+    'wedge', KINDS, LABELS, essential=(), minimum=6, guess=guess,
+    features=FeatureModel(corner_features, observe),
+    geometry=Geometry(conditions, retract, free, relabel), measures=Measures(describe),
+    nuisances=FACES_AND_EDGES)

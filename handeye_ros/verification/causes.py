@@ -20,6 +20,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.model import Method, UNUSED
+from handeye_ros.targets.ends import edges_of
 from handeye_ros.verification.fixed_fit import (
     by_calibration,
     noise_factors,
@@ -59,8 +60,8 @@ class Comparison:
 
     def labelled(self) -> Comparison:
         """Return it with the observations given to the parts of the target, the others left."""
-        obs = self.method.relabel(self.seen.observations, points_in_base(self.seen, self.X),
-                                  self.state, self.config)
+        p = points_in_base(self.seen, self.X)
+        obs = self.method.geometry.relabel(self.seen.observations, p, self.state, self.config)
         return replace(self, seen=replace(self.seen, observations=obs.select(obs.kind != UNUSED)))
 
 
@@ -119,7 +120,7 @@ def rows_at(it: Comparison, cause: str, move: Array) -> Rows:
     back = se3.transform(se3.exp_rotation(-move[3:]), np.zeros(3))[:3, :3]
     if cause == 'target':
         p = (p - centre - move[:3]) @ back.T + centre
-    found = it.method.conditions(p, obs.kind, it.state, it.config)
+    found = it.method.geometry.conditions(p, obs.kind, it.state, it.config)
     by_p = found.dg_dp @ back if cause == 'target' else found.dg_dp
     G = np.einsum('mi,mij->mj', by_p, by_calibration(seen, X))
     T = np.hstack([by_p, se3.cross(p - centre, by_p)])
@@ -148,7 +149,7 @@ def _centre(it: Comparison) -> Array:
 
 def _setbacks(it: Comparison, X: Array, by_p: Array) -> Array:
     """Return by how much (m, e) all ends of one kind at one edge may be set back, 1 sigma."""
-    obs = it.seen.observations
+    obs = edges_of(it.seen.observations)
     R = it.seen.poses[obs.station, :3, :3]
     out = np.einsum('mi,mij,jk,mk->m', by_p, R, X[:3, [0, 2]], obs.outward)
     groups = {(int(k), int(e)) for k, e in zip(obs.kind, obs.end, strict=True) if e}

@@ -104,7 +104,7 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, method: Met
         scale = math.sqrt(max(float(joint['variance_factor']), 1.0))
     except (KeyError, TypeError, ValueError) as error:
         raise NoCheckError(calibration.method, list(METHODS)) from error
-    seen = Seen(mounted(samples, config), method.observe(samples))
+    seen = Seen(mounted(samples, config), method.features.observe(samples))
     return Comparison(method, seen, calibration.T_flange_sensor @ sensor_axes(config), state,
                       covariance, config, scale).labelled()
 
@@ -126,8 +126,8 @@ def _judged(it: Comparison, nothing: float, found: Sequence[Cause], stamp: int) 
         if len(named) > 1:
             chances = ', '.join(f'{CAUSES[k]} {odds[k]:.0%}' for k in few)
             sentence = f'these stops cannot tell ({chances}): {sentence}. {_deciding(it, named)}'
-    g = it.method.conditions(points_in_base(it.seen, it.X), it.seen.observations.kind, it.state,
-                             it.config).g
+    p, kind = points_in_base(it.seen, it.X), it.seen.observations.kind
+    g = it.method.geometry.conditions(p, kind, it.state, it.config).g
     return Check(stamp, verdict, sentence, len(np.unique(it.seen.observations.station)),
                  float(np.sqrt((g ** 2).mean())), math.exp(min(evidence, 700.0)),
                  dict(zip(CAUSES, map(float, odds), strict=True)), *_size(target), *_size(sensor),
@@ -186,7 +186,7 @@ def _deciding(it: Comparison, named: Sequence[Cause]) -> str:
     seen, obs = it.seen, it.seen.observations
     rows = [int(np.flatnonzero(obs.station == s)[0]) for s in np.unique(obs.station)]
     p, centre = points_in_base(seen, it.X), points_in_base(seen, it.X).mean(axis=0)
-    by_p = it.method.conditions(p, obs.kind, it.state, it.config).dg_dp
+    by_p = it.method.geometry.conditions(p, obs.kind, it.state, it.config).dg_dp
     lever = by_calibration(seen, it.X)
     best: dict[int, tuple[float, Array]] = {}
     for row, turn in product(rows, TURNS):

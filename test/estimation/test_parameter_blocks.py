@@ -78,7 +78,7 @@ def test_sensor_noise_that_was_told_wrongly_is_found(factor: float) -> None:
     for seed in range(4):
         made = cell(quiet, seed)
         made = replace(made, samples=tuple(misjudged(s, factor) for s in made.samples))
-        found.append(final(made).noise.sensor)
+        found.append(final(made).noise.feature)
     assert np.sqrt(np.median(found)) == pytest.approx(1 / factor, rel=0.3)
 
 
@@ -92,7 +92,7 @@ def test_the_covariance_is_true_though_the_noise_was_told_wrongly(factor: float)
 @pytest.mark.thorough
 def test_noise_that_was_told_rightly_is_kept() -> None:
     noises = [final(cell('plate', seed)).noise for seed in range(10)]
-    factors = [[noise.sensor, noise.edge, noise.robot] for noise in noises]
+    factors = [[noise.feature, noise.feature_2, noise.robot] for noise in noises]
     sensor, edge, robot = np.abs(np.log(factors)).max(axis=0)
     assert max(sensor, robot) < math.log(2.5)
     # the own noise of 18 edge points is a fifth of their residuals' variance: they say little

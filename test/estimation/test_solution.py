@@ -135,8 +135,8 @@ def test_a_subset_keeps_what_belongs_to_its_stations() -> None:
 def test_every_method_says_what_it_is() -> None:
     for name, method in METHODS.items():
         assert isinstance(method, Method) and method.name == name
-        assert method.minimum >= 3 and set(method.edges) <= set(method.kinds)
+        assert method.minimum >= 3 and set(method.essential) <= set(method.kinds)
         estimate = solution_of(name).estimate
-        moved = method.retract(estimate.target, np.zeros(len(method.labels)))
+        moved = method.geometry.retract(estimate.target, np.zeros(len(method.labels)))
         assert np.allclose(moved, estimate.target)
-        assert method.free(noisy(name).config).shape == (len(method.labels),)
+        assert method.geometry.free(noisy(name).config).shape == (len(method.labels),)

@@ -47,7 +47,7 @@ class Cell:
 
 def problem(samples: Sequence[Sample], config: Config) -> Problem:
     method = targets.method_for(config)
-    return Problem(method, mounted(samples, config), method.observe(samples), config)
+    return Problem(method, mounted(samples, config), method.features.observe(samples), config)
 
 
 def cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: object) -> Cell:
@@ -90,7 +90,7 @@ def scenario_of(method: Method) -> Scenario:
         return SCENARIOS[method.name]
     for scenario in SCENARIOS.values():
         samples, _ = simulate_samples(scenario, np.random.default_rng(0))
-        if len(method.observe(samples)):
+        if len(method.features.observe(samples)):
             return scenario
     raise LookupError(f'the simulator has no scene for {method.name}')
 

@@ -133,7 +133,7 @@ class Latest:
             return None
         (T,) = interpolate(poses, [profile.stamp])
         try:
-            features = targets.method_for(config).extract(profile.points, config)
+            features = targets.method_for(config).features.extract(profile.points, config)
             return Current(T, profile.points, features)
         except FeatureError as error:
             return Current(T, profile.points, (), str(error))

@@ -71,7 +71,7 @@ def _station(T_base_flange: Array, X: Array | None, config: Config) -> dict[str,
 def _target(solution: Solution, config: Config) -> Mapping[str, Any]:
     problem, estimate = solution.problem, solution.estimate
     near = np.array([_spot(solution, i) for i in range(len(problem.poses))])
-    found = shape(problem.method.describe(estimate.target, solution.target_std),
+    found = shape(problem.method.measures.describe(estimate.target, solution.target_std),
                   config.target.size, near)
     return {'edges': [rounded(line) for line in found.edges],
             'outline': [rounded(line) for line in found.outline], 'spots': rounded(near)}
