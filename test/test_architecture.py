@@ -3,10 +3,13 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+import dataclasses
 from pathlib import Path
+import re
 import subprocess
 import sys
 
+from handeye_ros.estimation.model import Method
 import pytest
 
 pytestmark = pytest.mark.once
@@ -184,3 +187,12 @@ def test_solve_needs_no_ros(tmp_path: Path) -> None:
         f'sys.argv = {arguments}; from handeye_ros.cli import main; main()')
     assert run.returncode == 0, run.stderr
     assert (tmp_path / 'calibration.yaml').exists()
+
+
+def test_the_estimation_names_no_target() -> None:
+    words = re.compile(r'\b\w*(edge|face|plate|sphere|ball|corner|bevel)s?(?=\b|_)', re.IGNORECASE)
+    for file in sorted((PACKAGE / 'estimation').glob('*.py')):
+        text = file.read_text(encoding='utf-8').replace('surface', '')
+        found = {match[0] for match in words.finditer(text)}
+        assert not found, f'{file.name} names what is of one target: {found}'
+    assert len(dataclasses.fields(Method)) <= 10

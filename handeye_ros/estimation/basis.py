@@ -98,7 +98,7 @@ def _each_way(terms: Sequence[Array]) -> Array:
 
 
 def bent_surface(p: Array, here: NDArray[np.bool_], degrees: Sequence[int]) -> list[Array]:
-    """Return heights (m, k), together of RMS 1, over a surface with the points p (m, 3) here (m,)."""
+    """Return heights (m, k), together of RMS 1, over a surface through the points p[here]."""
     points = p[here]
     if len(points) <= 3:
         return [np.zeros((len(p), 0))] * len(degrees)

@@ -49,7 +49,7 @@ class Ends:
 
 
 def out_of_face(linear: Linear) -> Array:
-    """Return the derivatives (m,) of the residuals by a move of edge points out of their faces."""
+    """Return derivatives (m,) of residuals by moves of edge points out of their faces."""
     return np.asarray((linear.by_point * edges_of(linear.problem.observations).outward).sum(axis=1))
 
 
