@@ -89,8 +89,8 @@ def solve_session(session: Session, q: Array, chain: Chain, more: Sequence[str],
     ordered, _ = consistent_edges(samples)
     here = np.searchsorted([s.stamp for s in samples], [s.stamp for s in ordered])
     method, arm = targets.method_for(config), Arm(chain)
-    problem = Problem(method, in_mount(arm.forward(q[here]), config), method.features.observe(ordered),
-                      config)
+    problem = Problem(method, in_mount(arm.forward(q[here]), config),
+                      method.features.observe(ordered), config)
     data, state = profiles_of(problem, q[here], arm)
     outcome = solve(fit_of(data, state), more, config.limits.residual, lambda: DEFAULT_CAUSE)
     T = outcome.arm.forward(q)

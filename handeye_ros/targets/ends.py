@@ -50,7 +50,8 @@ class Ends:
 
 def out_of_face(linear: Linear) -> Array:
     """Return derivatives (m,) of residuals by moves of edge points out of their faces."""
-    return np.asarray((linear.by_point * edges_of(linear.problem.observations).outward).sum(axis=1))
+    outward = edges_of(linear.problem.observations).outward
+    return np.asarray((linear.by_point * outward).sum(axis=1))
 
 
 def edges_of(obs: Observations) -> EdgeObservations:
