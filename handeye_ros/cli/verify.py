@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from handeye_ros.verification.verification import Verification
 
 NOT_PASSED = 1  # exit code: the measurement was made, and it is no pass
+ANYWHERE = ('', '', '', '')
 NOWHERE = ('', '', '')  # the typer of Jazzy knows no tuple without a value
 Name = Annotated[str, typer.Argument(metavar='ROUTINE', help='See docs/measure.md.')]
 Bags = Annotated[list[Path], typer.Argument(
@@ -51,7 +52,9 @@ Tolerance = Annotated[NoText, typer.Option(
 AngleTolerance = Annotated[NoFloat, typer.Option(
     min=1e-9, help='Largest error of an angle (degrees).')]
 USUAL = {'lengths': 2.0, 'radius': 0.5, 'reference': 10.0, 'aim': 0.01, 'flank': 0.1,
-         'certificate': 0.01, 'tolerance': 0.01}  # m: a larger plain number meant mm
+         'certificate': 0.01, 'tolerance': 0.01, 'near': 10.0}  # m: a larger plain number meant mm
+Near = Annotated[tuple[str, str, str, str], typer.Option(
+    metavar='X Y Z R', help='Use only what comes into this ball of the base.')]
 Out = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the result as YAML too.')]
 Stations = Annotated[NoPath, typer.Option(
     metavar='FILE', help='Write a table of the stops (CSV).')]
@@ -84,6 +87,7 @@ def verify(
     aim: Aim = None,
     flank: Flank = None,
     certificate: Certificate = None,
+    near: Near = ANYWHERE,
     tolerance: Tolerance = None,
     angle_tolerance: AngleTolerance = None,
     out: Out = None,
@@ -97,7 +101,8 @@ def verify(
     routine = routine_of(name)
     found, settings = calibrated(calibration, config, with_kinematics(assignments, kinematics))
     given = {'lengths': length, 'radius': radius, 'reference': reference if reference[0] else (),
-             'aim': aim, 'flank': flank, 'certificate': certificate, 'tolerance': tolerance}
+             'aim': aim, 'flank': flank, 'certificate': certificate, 'tolerance': tolerance,
+             'near': near if near[0] else ()}
     settings = with_values(settings, _keys(given, angle_tolerance), 'the options')
     result = _verified(routine, bags, found, settings)
     show(verification.table(result))
@@ -105,7 +110,7 @@ def verify(
         write_whole(out, verification.yaml_text(result))
     if stations:
         write_whole(stations, verification.stations_csv(result))
-    for sentence in (result.verdict, *result.reasons):
+    for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
         typer.echo(sentence)
     if result.verdict != 'pass':
         raise typer.Exit(NOT_PASSED)

@@ -69,6 +69,9 @@ class VerifyConfig:
                        minimum=0.0, maximum=1.0)
     certificate: float = key(0.0, "Expanded uncertainty (k = 2) of lengths, radius and reference "
                              "by the artefact's certificate (m).", minimum=0.0, maximum=0.1)
+    near: tuple[float, ...] = key(
+        (), 'Only what comes into this ball of the base takes part: x, y, z and radius (m); '
+        'empty: everything.', minimum=-50.0, maximum=50.0, length=(0, 4))
     tolerance: float = key(3e-4, 'Largest error of a length that passes (m).',
                            minimum=1e-9, maximum=1.0)
     angle_tolerance: float = key(1.7453e-3, 'Largest error of an angle that passes '

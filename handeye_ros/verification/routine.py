@@ -3,6 +3,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.model import Observations
@@ -87,7 +88,8 @@ class Routine:
     where points are taken while the robot moves. bags: how many, least and most; lengths: of
     Nominal, how many for so many bags. observe(samples, poses (n, 4, 4), X): the conditions of
     one bag; shape(seen, points (m, 3), nominal): what is fitted, and what takes part.
-    names(count): name and unit of each value.
+    names(count): name and unit of each value; spread(seen, X, fit): what single stations show
+    beside the fit.
     """
 
     name: str
@@ -98,6 +100,7 @@ class Routine:
     shape: Callable[[Seen, Array, Nominal], tuple[Seen, Shape]]
     names: Callable[[int], tuple[tuple[str, str], ...]]
     lengths: Callable[[int], int] = lambda bags: 0
+    spread: Callable[[Seen, Array, Any], tuple[Any, ...]] = lambda seen, X, found: ()
 
 
 def groups_of(seen: Seen) -> NDArray[np.intp]:
@@ -118,4 +121,4 @@ def stacked(seen: Sequence[Seen]) -> Seen:
         np.concatenate([groups_of(s) + n for s, n in zip(seen, groups[:-1], strict=True)]),
         np.concatenate([s.stamps for s in seen]),
         np.repeat(np.arange(len(seen)), [len(s.poses) for s in seen]),
-        '; '.join(s.surface for s in seen if s.surface))
+        '; '.join(f'recording {k}: {s.surface}' for k, s in enumerate(seen, 1) if s.surface))

@@ -2,26 +2,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+import math
 
 from handeye_ros import se3
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Sample
 from handeye_ros.errors import UnknownNameError
 from handeye_ros.estimation.model import Observations
-from handeye_ros.targets.common import add_face, edge_noise, ObservationRows
+from handeye_ros.profiles.circles import fit_circle
+from handeye_ros.targets.common import add_face, edge_noise, ObservationRows, SOURCES
 from handeye_ros.verification import shapes, tooth_gauge
-from handeye_ros.verification.routine import Nominal, Routine, Seen, Shape, TEETH
+from handeye_ros.verification.fixed_fit import FixedFit, points_in_base
+from handeye_ros.verification.routine import BAGS, Nominal, Routine, Seen, Shape, TEETH
+from handeye_ros.verification.verification import Quantity
 import numpy as np
 
 TRIALS = 300  # pairs of edge points that an edge is looked for with
 
 
 def faces(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
-    """Return two points of each face line."""
+    """Return the normal points of each face line."""
     rows = ObservationRows()
     for station, sample in enumerate(samples):
-        lines = [f for f in sample.features if isinstance(f, FaceLine)]
-        for line in lines[:1]:
-            add_face(rows, station, line, 0)
+        for i, line in enumerate(f for f in sample.features if isinstance(f, FaceLine)):
+            add_face(rows, station, line, SOURCES * i)
     return rows.observations()
 
 
@@ -95,6 +98,54 @@ def whole(shape: Callable[[Array, shapes.Kinds, Nominal], Shape]
     return fitted
 
 
+def _points_spread(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
+    """Return 3 sigma of the points of the stations along x, y and z of the base."""
+    p, kind = points_in_base(seen, X), seen.observations.kind % BAGS
+    return tuple(_spread(f'3 sigma of the points along {axis}', 3 * float(
+        p[kind == k, k].std(ddof=1)), int((kind == k).sum()) - 1) for k, axis in enumerate('xyz'))
+
+
+def _centres_spread(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
+    """
+    Return 1 sigma, each axis, of the centres of the arcs about that of their ball.
+
+    An arc tells its centre in the light plane: two conditions of the centre of the ball.
+    """
+    obs, poses = seen.observations, seen.poses
+    bag = obs.kind // BAGS
+    told = []
+    for k in range(int(bag.max()) + 1):
+        rows, values = [], []
+        for station in np.unique(obs.station[bag == k]):
+            sensor = poses[station] @ X
+            axes = sensor[:3, [0, 2]].T
+            rows.append(axes)
+            centre = fit_circle(obs.points[obs.station == station])[:2]
+            values.append(centre + axes @ sensor[:3, 3])
+        A, b = np.concatenate(rows), np.concatenate(values)
+        off = b - A @ np.linalg.lstsq(A, b, rcond=None)[0]
+        freedom = max(len(b) - 3, 1)
+        told.append(_spread(f'scatter of the centre of ball {k + 1}, 1 sigma',
+                            float(np.sqrt(off @ off / freedom)), freedom))
+    return tuple(told)
+
+
+def _faces_spread(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
+    """Return the flatness of each face: its highest point less its lowest, noise included."""
+    bag = seen.observations.kind // BAGS
+    told = []
+    for k in range(int(bag.max()) + 1):
+        away = found.distances[bag == k]
+        told.append(_spread(f'flatness of face {k + 1}, noise included',
+                            float(away.max() - away.min()), len(away) - 1))
+    return tuple(told)
+
+
+def _spread(name: str, value: float, freedom: int) -> Quantity:
+    """Return a spread with its own 1 sigma, as that of a normal scatter of so many freedoms."""
+    return Quantity(name, value, value / math.sqrt(2 * max(freedom, 1)), 0.0)
+
+
 def no_samples(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
     """Return nothing: what is seen while the robot moves is no sample."""
     return ObservationRows().observations()
@@ -120,17 +171,19 @@ ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
     Routine('line', 'distances of edge points from a straight edge', 'line', (1, 1), edge,
             whole(shapes.line), _nothing),
     Routine('plane', 'distances of points from a flat face', 'plane', (1, 1), faces,
-            whole(shapes.free_planes), _nothing),
+            whole(shapes.free_planes), _nothing, spread=_faces_spread),
     Routine('point', 'one point seen from everywhere: scatter, and bias of a touched one', 'line',
             (1, 1), corner, whole(shapes.point),
-            lambda count: (('x', 'm'), ('y', 'm'), ('z', 'm'))),
-    Routine('sphere', 'radius of a ball', 'sphere', (1, 1), arcs, whole(shapes.spheres), _balls),
+            lambda count: (('x', 'm'), ('y', 'm'), ('z', 'm')), spread=_points_spread),
+    Routine('sphere', 'radius of a ball', 'sphere', (1, 1), arcs, whole(shapes.spheres), _balls,
+            spread=_centres_spread),
     Routine('ball_bar', 'distance of two balls', 'sphere', (2, 2), arcs, whole(shapes.spheres),
-            _balls, lambda bags: bags - 1),
+            _balls, lambda bags: bags - 1, _centres_spread),
     Routine('step', 'heights of parallel faces over the first', 'plane', (2, 9), faces,
             whole(shapes.parallel_planes), _heights, lambda bags: bags - 1),
     Routine('square', 'angle between two faces, and their flatness', 'plane', (2, 2), faces,
-            whole(shapes.free_planes), lambda count: (('angle between the faces', 'rad'),)),
+            whole(shapes.free_planes), lambda count: (('angle between the faces', 'rad'),),
+            spread=_faces_spread),
     Routine('tooth', 'pitch and height of a tooth gauge, scanned in passes', TEETH, (2, 20),
             no_samples, tooth_gauge.fitted, lambda count: (('pitch', 'm'), ('height', 'm')),
             lambda bags: 2),

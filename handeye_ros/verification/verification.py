@@ -152,7 +152,8 @@ def sentence(found: Verification) -> str:
                 f'{shown(s.std, "m")}, maximum {shown(s.maximum, "m")}, RMS {shown(s.rms, "m")}')
     if not math.isnan(s.expected):
         told[-1] += f' (95 % of such RMS lie below {shown(s.expected, "m")})'
-    return '; '.join((title_of(values(found)), *found.reasons, *told))
+    taken = [found.surface] if found.surface else []
+    return '; '.join((title_of(values(found)), *found.reasons, *taken, *told))
 
 
 def table(found: Verification) -> Table:

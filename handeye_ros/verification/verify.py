@@ -1,13 +1,13 @@
 """From the stations of some bags and a calibration to the verdict of a routine."""
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.estimation.quantiles import chi2_sf
 from handeye_ros.results.outcome import mounted, sensor_axes
-from handeye_ros.verification import spreads
+from handeye_ros.verification import surfaces
 from handeye_ros.verification.decision import claim_p, decide, sensitivity, Tolerances
 from handeye_ros.verification.errors import (
     NotTheArtefactError,
@@ -40,16 +40,6 @@ MOST_OUTLIERS = 0.2  # of the stations: more are no outliers, but a disagreement
 FOREIGN = 1e-6  # p of points that no error of the calibration explains
 
 
-SPREADS: dict[str, Callable[[Seen, Array, FixedFit], tuple[Quantity, ...]]] = {
-    'point': spreads.of_points, 'sphere': spreads.of_centres, 'ball_bar': spreads.of_centres,
-    'plane': spreads.of_faces, 'square': spreads.of_faces}
-"""What single stations show beside the fit, by routine."""
-
-
-def _no_spread(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
-    return ()
-
-
 def verify(routine: Routine, bags: Sequence[Seen], calibration: Calibration, config: Config,
            nominal: Nominal, tolerances: Tolerances | None = None, reason: str = ''
            ) -> Verification:
@@ -72,7 +62,7 @@ def verify(routine: Routine, bags: Sequence[Seen], calibration: Calibration, con
         if freed.p_error < FOREIGN and rms > tolerances.length:
             raise NotTheArtefactError(routine.name, rms)
     quantities = (*_quantities(routine, found, shape.nominals),
-                  *SPREADS.get(routine.name, _no_spread)(used, X, found))
+                  *routine.spread(used, X, found))
     stations = _station_results(seen, used, found, left_out, tolerances)
     shown = sensitivity(found)
     verdict, reasons = decide(found, shown, quantities, stations, tolerances)
@@ -155,11 +145,20 @@ def _station_results(seen: Seen, used: Seen, found: FixedFit, left_out: dict[int
 
 def seen_in(routine: Routine, samples: Sequence[Sample], calibration: Calibration,
             config: Config) -> Seen:
-    """Return what the samples of one bag are to a routine."""
+    """
+    Return what the samples of one bag are to a routine.
+
+    Of several surfaces in sight it takes the nearest; verify.near limits what takes part.
+    """
     poses = mounted(samples, config) if samples else np.empty((0, 4, 4))
-    X = calibration.T_flange_sensor @ sensor_axes(config)
+    X, note = calibration.T_flange_sensor @ sensor_axes(config), ''
+    if config.verify.near and samples:
+        samples = surfaces.near(samples, poses, X, config.verify.near)
+    if routine.target == 'plane':
+        samples, note = surfaces.nearest(samples, poses, X, config.profile.range_sign)
     return Seen(poses, routine.observe(samples, poses, X),
-                stamps=np.array([sample.stamp for sample in samples], dtype=np.int64))
+                stamps=np.array([sample.stamp for sample in samples], dtype=np.int64),
+                surface=note)
 
 
 def settings_for(routine: Routine, config: Config, nominal: Nominal, bags: int) -> Config:

@@ -7,13 +7,15 @@ from pathlib import Path
 
 from command import assert_refused, handeye
 from handeye_ros import se3
-from handeye_ros.config import Config
+from handeye_ros.config import Config, with_values
 from handeye_ros.data import FaceLine, Sample
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.simulate import gauges, simulate
 from handeye_ros.simulate.measuring import measuring_cell
+from handeye_ros.simulate.scenario import PlateTarget
 from handeye_ros.simulate.scenarios import SCENARIOS
+from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.verification import verification
 from handeye_ros.verification.decision import Tolerances
 from handeye_ros.verification.errors import (
@@ -65,6 +67,49 @@ def result(name, made, found, nominal=None, tolerances=None, config=None):
     nominal = nominal or Nominal(made.lengths, bench.RADIUS if 'ball' in name else 0.0,
                                  made.reference, gauges.AIM if name == 'point' else 0.0)
     return verify(routine, bags, found, config, nominal, tolerances)
+
+
+def rendered_step(rng, width, height=0.025):
+    """Return recordings of a surface plate, and of a narrow block on it beside which it shows."""
+    X, T = gauges.sensor_on_flange(rng), gauges.somewhere(rng)
+    passes = []
+    for size, table, z in (((0.2, 0.15), None, 0.0), ((0.03, width), height, height)):
+        scenario = replace(SCENARIOS['plane'], stations=(20, 0), tilt=gauges.TILT,
+                           target=PlateTarget(size, table=table, clutter=None))
+        stops = SCENES['plane'].stops(scenario, rng)
+        place = T @ se3.transform(np.eye(3), np.array([0, 0, z]))
+        passes.append(bench.take(scenario, X, place, stops, rng))
+    return gauges.Measured((), X, (height,), passes=tuple(passes))
+
+
+def test_of_a_block_on_a_surface_plate_the_nearest_surface_is_taken():
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        made = rendered_step(rng, 0.009)
+        found = bench.calibration(made.T_flange_sensor, bench.covariance(rng))
+        wrong = replace(found, T_flange_sensor=se3.perturb(
+            found.T_flange_sensor, np.array([1e-3, 0, 0, 0, 9e-3, 0])))
+        right, wrong = bench.runs(ROUTINES['step'], made, (found, wrong), 0.0)
+        assert right.verdict == 'pass' and abs(right.quantities[0].error) < 5e-5
+        assert right.surface.startswith('recording 2: of 2 surfaces in sight it is the nearest')
+        assert wrong.verdict == 'fail'
+
+
+def test_a_region_of_interest_limits_what_takes_part():
+    made, found = measured('sphere')
+    X, other = made.T_flange_sensor, []
+    for sample in made.bags[0]:  # another ball beside it
+        arc = next(f for f in sample.features if hasattr(f, 'radius'))
+        away = replace(arc, points=arc.points + [0.05, 0], centre=arc.centre + [0.05, 0])
+        other.append(replace(sample, features=(away, arc)))
+    centre = np.mean([(s.T_base_flange @ X)[:3, :3] @ [a.centre[0], 0, a.centre[1]]
+                      + (s.T_base_flange @ X)[:3, 3] for s in made.bags[0]
+                      for a in s.features], axis=0)
+    config = with_values(Config(noise=bench.NOISE), {
+        'verify.near': [*map(float, centre), 0.03]}, 'test')
+    both = replace(made, bags=(tuple(other),))
+    assert result('sphere', both, found, config=config).scatter == result(
+        'sphere', made, found).scatter
 
 
 def test_errors_of_the_artefact_are_measured():
