@@ -109,7 +109,7 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
     search = Search(solution, view, limits, known, visited(samples, refused, config))
     proposal = propose(search, config) or propose(replace(  # where there is no room for a margin
         search, visited=visited(samples, refused, config, margin=(0.0, 0.0))), config)
-    enough, why = _judged(sigmas, proposal, largest_cause(solution, known), len(samples))
+    enough, why = judged(sigmas, proposal, largest_cause(solution, known), len(samples))
     told = [why, *missing(solution, view, limits)[:TOLD * (not enough)]]
     if proposal and not enough:
         told.append(_directions(samples[-1].T_base_flange, proposal, config, noun(method)))
@@ -165,7 +165,7 @@ def propose(search: Search, config: Config) -> Proposal | None:
                                 part.problem.subset(np.array([best]))))
 
 
-def _judged(sigmas: Sequence[Sigma], proposal: Proposal | None, cause: Cause | None,
+def judged(sigmas: Sequence[Sigma], proposal: Proposal | None, cause: Cause | None,
             count: int) -> tuple[bool, str]:
     """Return whether the samples are enough, and why."""
     std, accuracy = sigmas[-1].std, sigmas[-1].limit

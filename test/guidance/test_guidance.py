@@ -8,7 +8,8 @@ from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.guidance.advice import Advice, advise, ROUGHLY_KNOWN
+from handeye_ros.guidance.advice import Advice, advise, judged, Proposal, ROUGHLY_KNOWN, Sigma
+from handeye_ros.guidance.budget import Cause
 from handeye_ros.guidance.candidates import anchor_of, prototypes, Search
 from handeye_ros.guidance.limits import limits_of, twist_of
 from handeye_ros.guidance.moves import design, next_move
@@ -281,6 +282,17 @@ def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() 
                          'test')
     _, solution = pipeline.estimate(found.samples, (), config)
     told = advise(found.samples, config, solution)
-    assert told.enough
-    assert 'as configured (noise.robot_scale)' in told.why
-    assert 'more samples bring little, a better robot' in told.why
+    assert 'as configured (noise.robot_scale)' in told.why and not told.enough
+
+
+@pytest.mark.parametrize(('count', 'gain', 'enough'), [
+    (15, 0.01, True), (15, 0.03, False), (14, 0.01, False)])
+def test_more_samples_that_bring_little_are_not_asked_for(count: int, gain: float, enough: bool
+                                                          ) -> None:
+    sigmas = (Sigma('any', 0.0, 1.0), Sigma('worst', 0.0, 1.0), Sigma('points', 4e-4, 3e-4))
+    next_one = Proposal(np.eye(4), np.zeros(2), 4e-4 * (1 - gain))
+    cause = Cause("the robot's accuracy as configured", 'noise.robot_smooth', 3.5e-4)
+    found, why = judged(sigmas, next_one, cause, count)
+    assert found == enough
+    assert '0.350 mm is the robot' in why
+    assert ('more samples bring little, a better robot' in why) == enough
