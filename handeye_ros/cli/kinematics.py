@@ -30,6 +30,9 @@ def kinematics(
         'or sag; may be repeated.')] = [],  # noqa: B006 - never changed
     config: ConfigFile = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
+    propose: Annotated[int, typer.Option(
+        min=0, metavar='N', help='Write also programme.csv and programme.yaml '
+        '(trajectory_msgs/JointTrajectory): N configurations that help most next.')] = 0,
     out: Annotated[Path, typer.Option(
         metavar='DIR', help='Where corrected.urdf, kinematics.yaml and calibration.yaml are '
                             'written.')] = Path('out/kinematics'),
@@ -51,6 +54,8 @@ def kinematics(
         warn(warning)
     show(table(found))
     typer.echo(_saved(found, text, out, settings))
+    if propose:
+        typer.echo(_proposed(found, propose, out))
 
 
 def _solve_table(source: Path, urdf: Path, chain: 'Chain', more: list[str], settings: 'Config'
@@ -98,3 +103,15 @@ def _saved(found: 'Answer', urdf: str, out: Path, settings: 'Config') -> str:
     write_whole(out / answers.NAME, answers.text(found))
     write_whole(out / answers.URDF, answers.corrected_urdf(urdf, found.arm))
     return f'{saved}, {answers.NAME}, {answers.URDF}'
+
+
+def _proposed(found: 'Answer', count: int, out: Path) -> str:
+    """Write the configurations that help most next; return what they promise."""
+    from handeye_ros.kinematics.programme import as_csv, as_trajectory, programme
+    from handeye_ros.results.calibration_file import write_whole
+    made, chain = programme(found.fit, count), found.arm.chain
+    write_whole(out / 'programme.csv', as_csv(chain, made.q))
+    write_whole(out / 'programme.yaml', as_trajectory(chain, made.q))
+    return (f'wrote programme.csv and programme.yaml: {len(made.q)} configurations; with them '
+            f'points in other postures are predicted to {made.after * 1e3:.3f} mm (1 sigma), '
+            f'now {made.before * 1e3:.3f} mm')

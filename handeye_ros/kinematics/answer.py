@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime, UTC
 import math
 from pathlib import Path
@@ -14,6 +14,7 @@ from handeye_ros.config import yaml_content
 from handeye_ros.data import Array, Calibration
 from handeye_ros.kinematics.chain import Chain, Joint, motion, REVOLUTE
 from handeye_ros.kinematics.errors import UrdfError
+from handeye_ros.kinematics.estimate import Fit
 from handeye_ros.kinematics.model import Arm, COUNTS, OFFSET, ON_DEMAND, Parameter, PRIORS
 from handeye_ros.results.calibration_file import transform_from, transform_values
 import numpy as np
@@ -51,7 +52,7 @@ class Answer:
 
     stds, known: (k,) 1 sigma of its parameters, and that over the prior one; models: from the
     simplest, of which chosen is the answer; smooth: 1 sigma of what is left of the robot's error,
-    each axis (m); calibration: the hand-eye transform that belongs to it.
+    each axis (m); calibration: the hand-eye transform that belongs to it; fit: what it comes from.
     """
 
     arm: Arm
@@ -62,6 +63,7 @@ class Answer:
     smooth: float
     calibration: Calibration
     warnings: tuple[str, ...]
+    fit: Fit
 
 
 def text(answer: Answer) -> str:
@@ -170,6 +172,3 @@ def only_in_yaml(arm: Arm) -> tuple[str, ...]:
     return tuple(kind for kind in ON_DEMAND if any(p.kind == kind for p in arm.parameters))
 
 
-def without(arm: Arm) -> Arm:
-    """Return the arm as it was stated, without errors."""
-    return replace(arm, parameters=(), values=np.zeros(0))

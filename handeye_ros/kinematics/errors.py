@@ -72,6 +72,14 @@ DEFAULT_CAUSE = ('check that the URDF is of this robot, the unit and the sign of
                  'calibration_type, and that the target did not move')
 
 
+class NoPostureError(DataError):
+    """An arm that reaches what it has seen in one posture only."""
+
+    def __init__(self, flange: str) -> None:
+        super().__init__(f'no other posture within the joint limits brings {flange} to where it '
+                         'has been: move the target to another place, and record more there')
+
+
 class DegenerateConfigurationsError(DataError):
     """Configurations that leave the hand-eye transform open."""
 

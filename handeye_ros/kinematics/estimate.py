@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MINIMUM = 12  # configurations
-SMOOTH = 2e-4  # 1 sigma of what is left of the robot's error, each axis (m)
+SMOOTH = 1e-4  # 1 sigma of what is left of the robot's error, each axis (m)
 ROUNDS, SETTLED = 6, 0.02  # of estimating sizes and noise; relative change that ends them
 POOLED = 4.0  # degrees of freedom with which the noise of all axes counts for each
 LEAST_NOISE = 1e-6  # rounding of the values (m)
@@ -107,7 +107,7 @@ class Fit:
     @property
     def smooth_std(self) -> float:
         """Return 1 sigma of what is left of the robot's error (m), 0 where it is not asked."""
-        return SMOOTH * float(self.weights.variances[-1]) ** 0.5 if self.root.shape[1] else 0.0
+        return SMOOTH * float(self.shown.map_scales[-1]) ** 0.5 if self.root.shape[1] else 0.0
 
     @cached_property
     def shown(self) -> Scales:

@@ -226,7 +226,7 @@ def answer_of(outcome: Outcome, calibration: Calibration, inputs: Sequence[dict[
                  for m in outcome.models)
     return Answer(outcome.arm, outcome.stds, outcome.known, told,
                   outcome.models.index(outcome.chosen), outcome.smooth, calibration,
-                  (*warnings, *outcome.warnings))
+                  (*warnings, *outcome.warnings), outcome.models[-1].fit)
 
 
 def calibration_of(outcome: Outcome, data: Points, config: Config) -> Calibration:

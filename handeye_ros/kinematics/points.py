@@ -64,6 +64,11 @@ class Points:
                        number=self.number[keep],
                        reported=None if self.reported is None else self.reported[keep])
 
+    def again(self, rows: NDArray[np.intp], q: Array) -> Points:
+        """Return what rows (k,) would show with other postures q (k, joints) at these poses."""
+        return replace(self, q=q, points=self.points[rows], target=self.target[rows],
+                       number=self.number[rows], reported=None)
+
     @property
     def unknowns(self) -> int:
         """Return the number of unknowns without a prior: X and the targets."""

@@ -6,7 +6,7 @@ of the sensor; the arm moves the poses, and its parameters act through the twist
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array
@@ -40,6 +40,19 @@ class Profiles:
     def __len__(self) -> int:
         """Return the number of configurations."""
         return len(self.q)
+
+    def again(self, rows: NDArray[np.intp], q: Array) -> Profiles:
+        """Return what stops (k,) would show with other postures q (k, joints) at these poses."""
+        obs = self.problem.observations
+        picked = [np.flatnonzero(obs.station == row) for row in rows]
+        count, index = [len(part) for part in picked], np.concatenate(picked)
+        sources = np.concatenate([obs.source[part] + k * (obs.source.max() + 1)
+                                  for k, part in enumerate(picked)])
+        others = replace(obs, **{field.name: getattr(obs, field.name)[index]
+                                 for field in fields(obs)})
+        others = replace(others, station=np.repeat(np.arange(len(rows)), count), source=sources)
+        problem = replace(self.problem, poses=self.problem.poses[rows], observations=others)
+        return Profiles(q, problem, self.number[rows])
 
     @property
     def unknowns(self) -> int:

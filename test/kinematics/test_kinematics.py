@@ -10,6 +10,7 @@ from command import handeye
 from handeye_ros import se3
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.estimation.linearise import Problem
+from handeye_ros.files.tables import Table
 from handeye_ros.kinematics import profiles
 from handeye_ros.kinematics.answer import corrected_urdf, read_arm
 from handeye_ros.kinematics.chain import chain_of
@@ -18,11 +19,13 @@ from handeye_ros.kinematics.outcome import solve_points
 from handeye_ros.kinematics.points import State
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.outcome import in_mount
+from handeye_ros.ros.bags import bag
 from handeye_ros.simulate import arm as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
 from handeye_ros.targets import method_for
 import numpy as np
 import pytest
+import yaml
 
 pinocchio = pytest.importorskip('pinocchio')
 
@@ -250,6 +253,27 @@ def test_a_solve_with_the_corrected_arm_gives_the_same_transform(from_bag):
     before, after = (read_calibration(folder / name / 'calibration.yaml')
                      for name in ('out', 'again'))
     np.testing.assert_allclose(after.T_flange_sensor, before.T_flange_sensor, atol=2e-5)
+
+
+def test_proposed_configurations_see_the_same_in_other_postures(from_bag):
+    folder, _ = from_bag
+    done = handeye('kinematics', ROOT / 'bags/arm', '--urdf', ROOT / 'bags/arm/robot.urdf',
+                   '--set', 'target.type=sphere', '--out', 'more', '--propose', '5', cwd=folder)
+    assert done.returncode == 0, done.stderr
+    after, before = (float(done.stdout.split(word)[1].split(' mm')[0])
+                     for word in ('are predicted to', '(1 sigma), now'))
+    assert after < 0.7 * before
+    chain = read_arm(folder / 'more').chain
+    table = Table(folder / 'more/programme.csv')
+    q = np.column_stack([table.values([name], 'angle') for name in chain.measured])
+    there = yaml.safe_load((folder / 'more/programme.yaml').read_text())
+    np.testing.assert_allclose([p['positions'] for p in there['points']], q, atol=1e-5)
+    recording = bag.read_with_joints(ROOT / 'bags/arm', Config(), chain, lambda share: None)
+    seen = np.unique(np.round(recording.joints[::5], 2), axis=0)
+    poses = chain.forward(recording.joints)
+    for row in q:
+        off = np.linalg.norm((poses - chain.forward(row[None]))[:, :3], axis=(1, 2))
+        assert off.min() < 1e-4 and np.abs(seen - row).max(axis=1).min() > 0.4
 
 
 @pytest.mark.parametrize('name', ['sphere', 'sphere_on_flange'])

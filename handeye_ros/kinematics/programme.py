@@ -1,0 +1,123 @@
+"""
+Which robot configurations help next: what was seen, seen again with other postures of the arm.
+
+A candidate brings the sensor to where it has seen the target already, by another solution of the
+inverse kinematics within the limits of the joints, so that the target is surely in view. Those
+that tell most of joints and hand-eye transform together are taken, one after the other.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.kinematics.chain import Chain, REVOLUTE
+from handeye_ros.kinematics.errors import NoPostureError
+from handeye_ros.kinematics.estimate import Fit
+from handeye_ros.kinematics.model import Arm, OFFSET, parameters
+import numpy as np
+from numpy.typing import NDArray
+import yaml
+
+TRIES = 12  # starts of the inverse kinematics for each view
+STEPS, LARGEST_STEP = 40, 0.3  # of it; rad or m
+REACHED = 1e-5  # m and rad
+OTHER = 0.5  # joints differ by more than this in another posture (rad or m)
+MARGIN = 0.05  # to the limits of the joints (rad or m)
+WIDE = math.pi  # limits that are not stated
+SECONDS = 5.0  # from one configuration to the next
+SEED = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Programme:
+    """Configurations q (n, joints), and the error (m) of predicted points before and after."""
+
+    q: Array
+    before: float
+    after: float
+
+
+def programme(fit: Fit, count: int) -> Programme:
+    """Return so many configurations, the best first; raises NoPostureError."""
+    rng, chain = np.random.default_rng(SEED), fit.state.arm.chain
+    views, q = postures(chain, fit.data.q[fit.used], rng)
+    if not len(q):
+        raise NoPostureError(chain.flange)
+    seen = fit.data.again(np.flatnonzero(fit.used)[views], q)
+    _, J = seen.linearised(fit.state, np.zeros((len(q), fit.root.shape[1])))
+    J = J / fit.weights.noise[seen.component][:, None]
+    rows = [np.flatnonzero(seen.block == k) for k in range(len(q))]
+    covariance, left, chosen = fit.covariance, list(range(len(q))), list[int]()
+    before = _spread(J, covariance, fit, rows)
+    while left and len(chosen) < count:
+        gains = [np.linalg.slogdet(np.eye(len(A)) + A @ covariance @ A.T)[1]
+                 for A in (J[rows[k]] for k in left)]
+        best = left.pop(int(np.argmax(gains)))
+        chosen.append(best)
+        A = J[rows[best]] @ covariance
+        covariance = covariance - A.T @ np.linalg.solve(
+            np.eye(len(A)) + A @ J[rows[best]].T, A)
+    return Programme(q[chosen], before, _spread(J, covariance, fit, rows))
+
+
+def _spread(J: Array, covariance: Array, fit: Fit, rows: Sequence[NDArray[np.intp]]) -> float:
+    """Return the RMS (m) by which points in all these postures are uncertain."""
+    variance = np.einsum('mi,mi->m', J @ covariance, J)
+    per_sigma = fit.noise_rms / max(float(np.sqrt(np.mean(fit.residuals ** 2))), 1e-9)
+    each = [variance[own].mean() for own in rows]
+    return float(np.sqrt(np.mean(each))) * per_sigma
+
+
+def postures(chain: Chain, q: Array, rng: np.random.Generator) -> tuple[NDArray[np.intp], Array]:
+    """Return which (m,) of configurations (n, joints) have other postures, and these."""
+    own = parameters(chain, (OFFSET,))
+    arm, views = Arm(chain, own, np.zeros(len(own))), np.repeat(np.arange(len(q)), TRIES)
+    low, high = _limits(chain)
+    wanted = chain.forward(q)[views]
+    found = rng.uniform(low, high, (len(views), len(low)))
+    for _ in range(STEPS):
+        T, twists = arm.with_twists(found)
+        off = np.concatenate([wanted[:, :3, 3] - T[:, :3, 3], se3.log_rotation(
+            wanted[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))], axis=1)
+        square = twists @ np.swapaxes(twists, 1, 2) + 1e-8 * np.eye(6)
+        step = np.einsum('nij,ni->nj', twists, np.linalg.solve(square, off[..., None])[..., 0])
+        found = found + np.clip(step, -LARGEST_STEP, LARGEST_STEP)
+    turning = np.array([joint.kind == REVOLUTE for joint in chain.joints])
+    found = np.where(turning & ((found < low) | (found > high)),
+                     (found + np.pi) % (2 * np.pi) - np.pi, found)
+    free = all(joint.follows == joint.name for joint in chain.joints)
+    good = ((np.abs(off).max(axis=1) < REACHED) & (found > low).all(axis=1) & free
+            & (found < high).all(axis=1))
+    kept: list[int] = []
+    for k in np.flatnonzero(good):
+        others = [q[views[k]], *(found[i] for i in kept if views[i] == views[k])]
+        if all(np.abs(found[k] - other).max() > OTHER for other in others):
+            kept.append(int(k))
+    return views[kept], found[kept]
+
+
+def _limits(chain: Chain) -> tuple[Array, Array]:
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in chain.joints]).T
+    return np.maximum(lower + MARGIN, -WIDE), np.minimum(upper - MARGIN, WIDE)
+
+
+def as_csv(chain: Chain, q: Array) -> str:
+    """Return configurations as a table, with the columns that the verb reads."""
+    units = [('degrees', math.degrees(1)) if j.kind == REVOLUTE else ('mm', 1e3)
+             for j in chain.joints]
+    header = ','.join(f'{j.name} [{unit}]' for j, (unit, _) in zip(
+        chain.joints, units, strict=True))
+    factors = [factor for _, factor in units]
+    return '\n'.join([header, *(','.join(f'{v:.4f}' for v in row) for row in q * factors), ''])
+
+
+def as_trajectory(chain: Chain, q: Array) -> str:
+    """Return configurations as a trajectory_msgs/JointTrajectory in YAML."""
+    points = [{'positions': [round(float(v), 6) for v in row],
+               'time_from_start': {'sec': int(SECONDS * k), 'nanosec': 0}}
+              for k, row in enumerate(q, 1)]
+    return str(yaml.safe_dump({'joint_names': [j.name for j in chain.joints], 'points': points},
+                              sort_keys=False, default_flow_style=None, width=100))
