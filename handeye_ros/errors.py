@@ -12,6 +12,9 @@ import difflib
 import math
 from typing import Any
 
+INSTALL_TF2 = ('install ros-jazzy-tf2-msgs and source the setup.bash of ROS or, where ROS comes '
+               'from PyPI, run make tf2_msgs in the folder of this package')
+
 
 class HandeyeError(Exception):
     """The parent of every error of this package that a user can act on."""
@@ -136,5 +139,7 @@ class NoRosError(InputError):
     """Something that needs ROS, without ROS."""
 
     def __init__(self, verb: str, module: str) -> None:
+        advice = INSTALL_TF2 if module == 'tf2_msgs' else (
+            'source the setup.bash of ROS, or install handeye_ros[ros] with pip')
         super().__init__(f'{verb} needs ROS 2, and the Python module {module} is not there: '
-                         'source the setup.bash of ROS, or install handeye_ros[ros] with pip')
+                         f'{advice}')

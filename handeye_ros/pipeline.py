@@ -70,6 +70,7 @@ def solve_session(session: Session, config: Config, solver: Solver | None = None
     Raises DataError without one: of the clocks where these explain why the samples do not fit.
     """
     session.require_stations()
+    config = session.with_base(config)
     try:
         return (solver or solve)(session.samples, session.rejects, config, session.frame_id)
     except NamedCauseError:
@@ -144,7 +145,8 @@ def evidence(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config:
     session = gather(profiles, poses, config)
     seen = stop_snapshots(session, config)
     try:
-        found, used, solution = solved(session.samples, session.rejects, config, session.frame_id)
+        found, used, solution = solved(session.samples, session.rejects,
+                                       session.with_base(config), session.frame_id)
     except DataError as error:
         return Evidence(seen, refusal=str(error))
     return judged(seen, used, solution, found)

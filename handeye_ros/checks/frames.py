@@ -15,8 +15,9 @@ def require_own_frame(frame_id: str, config: Config) -> None:
 
     frame_id: of the profiles. Raises SensorFrameError.
     """
-    for key in ('robot_effector_frame', 'robot_base_frame'):
-        if frame_id == getattr(config, key):
+    for key, robots in (('robot_effector_frame', config.robot_effector_frame),
+                        ('robot_base_frame', config.base_frame)):
+        if frame_id == robots:
             raise SensorFrameError(frame_id, key)
 
 

@@ -44,13 +44,13 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], method
 def mount_frame(config: Config) -> str:
     """Return the frame that the sensor is fixed in, in which its transform is told."""
     in_hand = config.calibration_type == 'eye_in_hand'
-    return config.robot_effector_frame if in_hand else config.robot_base_frame
+    return config.robot_effector_frame if in_hand else config.base_frame
 
 
 def target_frame(config: Config) -> str:
     """Return the frame that the target is fixed in."""
     in_hand = config.calibration_type == 'eye_in_hand'
-    return config.robot_base_frame if in_hand else config.robot_effector_frame
+    return config.base_frame if in_hand else config.robot_effector_frame
 
 
 def require_rotations(poses: Array, config: Config, lost: str) -> None:

@@ -23,6 +23,7 @@ from handeye_ros.config.cell import (
 )
 from handeye_ros.config.files import EVERY_NODES, load, NODE
 from handeye_ros.config.keys import (
+    BASE_FRAME,
     Config,
     flatten,
     parameters,
@@ -43,5 +44,5 @@ __all__ = [
     'Config', 'EVERY_NODES', 'GuidanceConfig', 'LimitsConfig', 'NODE', 'NoiseConfig',
     'PageConfig', 'Parameter', 'ProfileConfig', 'RECORD', 'RECORD_NAMES', 'SAVE_FORMATS',
     'SIGNED_AXES', 'SamplesConfig', 'SamplingConfig', 'SaveConfig', 'TargetConfig',
-    'TrackerConfig', 'UNNAMED_FRAME', 'VerifyConfig', 'flatten', 'flipped_range',
+    'TrackerConfig', 'BASE_FRAME', 'UNNAMED_FRAME', 'VerifyConfig', 'flatten', 'flipped_range',
     'from_provenance', 'load', 'parameters', 'with_assignments', 'with_values', 'yaml_content']

@@ -25,6 +25,7 @@ from handeye_ros.config.parameter import key, Parameter, parameters_of
 # Of record.*, whose names are free: those that a form for acceptance has.
 RECORD_NAMES = ('operator', 'sensor_serial', 'robot_serial', 'artefact', 'temperature', 'note')
 RECORD = 'record.'
+BASE_FRAME = 'base'
 UNNAMED_FRAME = 'sensor'  # what the frame of profiles without a frame_id is called
 
 
@@ -41,7 +42,8 @@ class Config:
     calibration_type: str = key('eye_in_hand', 'Where the sensor is: on the flange '
                                 '(eye_in_hand) or fixed beside the robot (eye_on_base).',
                                 choices=('eye_in_hand', 'eye_on_base'))
-    robot_base_frame: str = key('base', 'Frame id of the robot base.')
+    robot_base_frame: str = key('', 'Frame id of the robot base; empty: that of the poses (of '
+                                'the transform tree: base).')
     robot_effector_frame: str = key('flange', 'Frame id of the flange.')
     sensor_frame: str = key('camera', 'Frame id of a sensor whose files name none (points, '
                             'hand_eye).')
@@ -72,6 +74,11 @@ class Config:
     verify: VerifyConfig = field(default_factory=VerifyConfig)
     page: PageConfig = field(default_factory=PageConfig)
     record: tuple[tuple[str, str], ...] = ()  # record.*: names and texts, free
+
+    @property
+    def base_frame(self) -> str:
+        """Return the frame id of the robot base: BASE_FRAME where neither key nor poses tell."""
+        return self.robot_base_frame or BASE_FRAME
 
 
 @cache

@@ -30,7 +30,7 @@ def sample_summary(sample: Sample | Reject) -> str:
 def late_sentence(kinds: Sequence[str]) -> str:
     """Return what is wrong where messages (poses, profiles) are older than those before."""
     return (f'{" and ".join(kinds)} are dropped, as their stamps are older than those before: '
-            'call ~/clear_samples if a bag was started again')
+            'sampling goes on by itself if the clock was set back')
 
 
 def with_trouble(text: str, trouble: str) -> str:
@@ -42,12 +42,13 @@ def in_the_way(state: State, success: bool, service: str) -> str:
     """
     Return what else a person should know who reads the answer of a service.
 
-    Silence is told where it explains a refusal: nothing ever came, or a sample is wanted now.
+    Silence is told where it explains a refusal as nothing ever came, and to who takes a sample.
     """
+    takes = service == 'take_sample'
     streams = [stream.trouble for stream in (state.profiles, state.poses)
-               if stream.count == 0 or stream.malformed > stream.count
-               or service == 'take_sample']
-    return '; '.join(filter(None, (*([] if success else streams), state.session.trouble)))
+               if takes or not success and (
+                   stream.count == 0 or stream.malformed > stream.count)]
+    return '; '.join(filter(None, (*streams, state.session.trouble)))
 
 
 def changes_since(solved: Set[int], now: Set[int]) -> str:

@@ -196,7 +196,7 @@ def _directions(T_base_flange: Array, proposal: Proposal, config: Config, what: 
     T = se3.inverse(T_base_flange) @ proposal.T_base_flange
     shift = 1e3 * (proposal.T_base_flange[:3, 3] - T_base_flange[:3, 3])
     turns = Rotation.from_matrix(T[:3, :3]).as_euler('XYZ', degrees=True)
-    flange, base = config.robot_effector_frame, config.robot_base_frame
+    flange, base = config.robot_effector_frame, config.base_frame
     turned = ', then '.join(f'{angle:+.0f} degrees about {flange} {axis}'
                             for angle, axis in zip(turns, 'xyz', strict=True)
                             if abs(angle) >= 0.5)

@@ -25,6 +25,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 import yaml
 
+LONGEST_NAME = 100  # characters of a folder
 FORMAT = 'handeye_ros/calibration/'
 NEWEST = 1
 NAME = 'calibration.yaml'
@@ -67,6 +68,8 @@ def folder_name(config: Config) -> str:
     name = config.name or config.target.type
     if name in ('', '.', '..') or '/' in name:
         raise BadValueError('name', name, 'the name of a folder, without "/"')
+    if len(name) > LONGEST_NAME:
+        raise BadValueError('name', f'{name[:20]}...', f'at most {LONGEST_NAME} characters')
     return name
 
 

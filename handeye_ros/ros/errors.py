@@ -2,8 +2,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import signal
 
-from handeye_ros.errors import DataError, InputError, UnusableMessageError
+from handeye_ros.errors import DataError, HandeyeError, InputError, UnusableMessageError
 
 
 class MessageError(UnusableMessageError):
@@ -101,13 +102,17 @@ class SessionError(InputError):
         super().__init__(f'{path} {reason}')
 
 
-class WorkerEndedError(InputError):
+class WorkerEndedError(HandeyeError):
     """The process that computes ended before it had an answer."""
 
     def __init__(self, code: int) -> None:
-        why = f'by signal {-code}' if code < 0 else f'with code {code}'
-        super().__init__(f'the process that computes ended {why} before it had an answer (out of '
-                         'memory?): ask again, and it is started again')
+        if code == -signal.SIGSTOP:
+            why = 'was suspended (SIGSTOP), and has been ended,'
+        else:
+            why = f'ended by signal {-code}' if code < 0 else f'ended with code {code}'
+        super().__init__(f'the process that computes {why} before it had an answer'
+                         + (' (out of memory?)' if code == -signal.SIGKILL else '')
+                         + ': ask again, and it is started again')
 
 
 class PageError(InputError):

@@ -63,7 +63,7 @@ class ScanNode(Node):
         self._profiles: deque[Profile] = deque(maxlen=KEPT_PROFILES)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_POSES)
         self._dropped = 0
-        self._tracker = FlangeTracker(config.robot_base_frame, config.robot_effector_frame)
+        self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         self._points = self.create_publisher(PointCloud2, '~/points', 10)
         self.create_subscription(PointCloud2, config.profile_topic, self._on_profile, STREAM,
                                  raw=True)

@@ -14,8 +14,10 @@ from typing import Self
 from handeye_ros.checks.frames import frame_notes
 from handeye_ros.config import Config, UNNAMED_FRAME
 from handeye_ros.data import AnyProfile, TimedPose
+from handeye_ros.errors import InputError
 from handeye_ros.sampling.dwells import Dwell, DwellFinder, FOREVER, Motion, NS
 from handeye_ros.sampling.errors import (
+    LatePosesError,
     MovingError,
     NoPosesError,
     NoStationsError,
@@ -23,7 +25,6 @@ from handeye_ros.sampling.errors import (
     PositionUnitError,
     SilentPosesError,
     SparsePosesError,
-    TwoFramesError,
 )
 from handeye_ros.sampling.passes import PassFinder
 from handeye_ros.sampling.profile_buffer import ProfileBuffer
@@ -85,7 +86,7 @@ class DwellDetector:
         return '' if frame is None else frame or UNNAMED_FRAME
 
     @property
-    def conflict(self) -> TwoFramesError | None:
+    def conflict(self) -> InputError | None:
         """Return the error of a topic with messages of two frames, None if there is none."""
         return self._pose_stream.conflict or self._profile_stream.conflict
 
@@ -123,7 +124,7 @@ class DwellDetector:
             reach = math.hypot(*pose.translation)
             self._largest_position = max(self._largest_position, reach)
             station = self._finder.add(pose)
-            if station and self._config.sampling.by_itself:
+            if station and self._by_itself:
                 self._waiting.append(station)
             elif station:
                 self._passed_by += 1
@@ -145,6 +146,8 @@ class DwellDetector:
 
     def passed(self) -> list[Stop]:
         """Return the stops that both streams have passed since the last call."""
+        if self._pose_stream.set_back or self._profile_stream.set_back:
+            return self._restarted()
         # a sensor that is triggered once at each stop does not send the next profile soon
         now = self._pose_stream.latest
         self._profiles.add(self._profile_stream.believed(now - LARGEST_STEP, now + LARGEST_STEP))
@@ -152,6 +155,17 @@ class DwellDetector:
         self._waiting = [s for s in self._waiting if s not in over]
         stops = self._stops(over)
         self._forget_old_profiles()
+        return stops
+
+    def _restarted(self) -> list[Stop]:
+        """Go on after a clock was set back; return the stops of the time before."""
+        stops = self._rest()
+        self._finder = type(self._finder)(self._config.sampling)
+        if self._pose_stream.set_back:
+            self._pose_stream.restart()
+        if self._profile_stream.set_back:
+            self._profile_stream.restart()
+            self._profiles = ProfileBuffer()
         return stops
 
     def rest(self) -> list[Stop]:
@@ -163,17 +177,18 @@ class DwellDetector:
         self._require_one_frame()
         self._take_poses(self._pose_stream.believed(0, FOREVER))
         self._profiles.add(self._profile_stream.believed(0, FOREVER))
-        current = self._finder.current()
-        if current and self._config.sampling.by_itself:
-            self._waiting.append(current)
-        stations, self._waiting = self._waiting, []
+        return self._rest()
+
+    def _rest(self) -> list[Stop]:
+        current = self._finder.current() if self._by_itself else None
+        stations, self._waiting = [*self._waiting, *([current] if current else [])], []
         return self._stops(stations)
 
     def here(self) -> Stop:
         """
         Return the stop that the robot stands in now.
 
-        Raises TwoFramesError, NoPosesError, SilentPosesError or MovingError.
+        Raises TwoFramesError, NoPosesError, SilentPosesError, LatePosesError or MovingError.
         """
         self._require_one_frame()
         if self._pose_stream.frame is None:
@@ -184,18 +199,6 @@ class DwellDetector:
             raise MovingError(self._config.sampling.still_time, self.motion)
         self._profiles.add(self._profile_stream.believed(station.start, station.end))
         return self._stop(station)
-
-    def standing(self) -> Stop | None:
-        """Return the stop that the robot stands in, if it will be given by itself."""
-        station = self._finder.current()
-        if (station is None or not self._config.sampling.by_itself
-                or station.began in self._taken):
-            return None
-        return self._stop(station)
-
-    def leave(self, stop: Stop) -> None:
-        """Let a stop count as taken: it is given no more."""
-        self._taken.add(stop.began)
 
     def require_stations(self) -> None:
         """
@@ -227,9 +230,15 @@ class DwellDetector:
         self._beside = max(self._beside, beside(stop, self._config))
         return stop
 
+    @property
+    def _by_itself(self) -> bool:
+        return self._config.sampling.by_itself
+
     def _require_poses_now(self) -> None:
-        """Refuse where profiles go on without poses: nobody knows where the robot is."""
+        """Refuse where no poses come, or of another time: nobody knows where the robot is."""
         poses = self._pose_stream
+        if poses.late or poses.latest < 0:
+            raise LatePosesError
         silence = (self._profile_stream.latest - poses.latest) / NS
         if max(SILENCE, MISSED_POSES * poses.period) < silence < LARGEST_STEP / NS:
             raise SilentPosesError(silence)

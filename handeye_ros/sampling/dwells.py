@@ -54,7 +54,7 @@ class Motion:
     def sentence(self) -> str:
         """Return it in words."""
         if self.still > MOTION_TIME / NS:
-            return f'it stands still since {self.still:.1f} s'
+            return f'it has stood still for {self.still:.1f} s'
         return (f'it moves by {self.speed * 1e3:.1f} mm/s and '
                 f'{np.degrees(self.turning):.1f} degrees/s')
 
@@ -96,6 +96,11 @@ class DwellFinder:
     def current(self) -> Dwell | None:
         """Return the station that the robot stands in now, if it has stood still for long."""
         return self._dwell(self._run)
+
+    @property
+    def stood(self) -> int:
+        """Return for how long the robot has stood still in the dwell of now (ns)."""
+        return self._latest - self._run[0].stamp if self._run else 0
 
     def motion(self) -> Motion | None:
         """Return how the robot moves now, None where poses do not tell."""

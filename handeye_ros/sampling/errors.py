@@ -17,6 +17,14 @@ class TwoFramesError(InputError):
                          f'{kind}s cannot be {cannot}; {advice}')
 
 
+class BaseFrameError(InputError):
+    """Poses that are given in another frame than the robot's base as it is set."""
+
+    def __init__(self, frame: str, wanted: str) -> None:
+        super().__init__(f'the poses are given in "{frame}", but robot_base_frame is "{wanted}": '
+                         f'set it to {frame}, or leave it out; it is then that of the poses')
+
+
 class NoPosesError(DataError):
     """No pose of the flange was received; topic: None if they come from transforms."""
 
@@ -40,12 +48,20 @@ class MovingError(DataError):
 
 
 class SilentPosesError(DataError):
-    """A sample was asked for while profiles came, but no poses."""
+    """A sample was asked for while no poses came."""
 
     def __init__(self, seconds: float) -> None:
-        super().__init__(f'the pose stream has been silent for {seconds:.1f} s while profiles '
-                         'come, so nobody knows where the robot is: check the robot driver, and '
-                         'take the sample again')
+        super().__init__(f'no pose has come for {seconds:.1f} s, so nobody knows where the robot '
+                         'is: check the robot driver, and take the sample again')
+
+
+class LatePosesError(DataError):
+    """A sample was asked for while poses come with stamps of another time."""
+
+    def __init__(self) -> None:
+        super().__init__('the poses come with older stamps than those before, so nobody knows '
+                         'where the robot is: if the clock was set, wait a second and take the '
+                         'sample again; else let only one node publish poses')
 
 
 class NothingNewError(DataError):

@@ -6,15 +6,29 @@ The same Session takes the messages of a bag and those of live topics.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Self
 
 from handeye_ros import targets
 from handeye_ros.config import Config
 from handeye_ros.data import Reject, Sample
+from handeye_ros.errors import InputError
 from handeye_ros.sampling.dwell_detector import DwellDetector
-from handeye_ros.sampling.errors import NothingNewError, NothingToRemoveError
+from handeye_ros.sampling.dwells import NS
+from handeye_ros.sampling.errors import BaseFrameError, NothingNewError, NothingToRemoveError
 from handeye_ros.sampling.passes import single_samples
-from handeye_ros.sampling.stops import duplicate_pose, Outcome, result_of, sample_of, Stop
+from handeye_ros.sampling.stops import (
+    duplicate_pose,
+    MOST_PROFILES,
+    needed,
+    Outcome,
+    result_of,
+    sample_of,
+    Stop,
+)
+
+# s after a dwell is long enough, and profiles that its sample needs to be taken then
+EARLY_CHECKS = ((0.0, MOST_PROFILES), (0.3, 1), (1.3, 0), (3.3, 0), (7.3, 0))
 
 
 class Session(DwellDetector):
@@ -28,8 +42,27 @@ class Session(DwellDetector):
     def clear(self) -> None:
         """Forget all samples and all that was received."""
         super().clear()
+        self._checks = 0  # by early(), in the dwell of now
         self._outcomes: list[Outcome] = []
         self._numbers = 0  # given so far
+
+    @property
+    def base_frame(self) -> str:
+        """Return the frame that the poses are given in, empty before the first."""
+        return (self._pose_stream.frame or '').lstrip('/')
+
+    def with_base(self, config: Config) -> Config:
+        """Return settings with the frame of the poses as the base, where they name none."""
+        return config if config.robot_base_frame else replace(
+            config, robot_base_frame=self.base_frame)
+
+    @property
+    def conflict(self) -> InputError | None:
+        """Return the error of frames that do not go together, None where they do."""
+        wanted = self._config.robot_base_frame.lstrip('/')
+        if wanted and self.base_frame and wanted != self.base_frame:
+            return BaseFrameError(self.base_frame, wanted)
+        return super().conflict
 
     def copied(self) -> Self:
         """Return another that goes on from here by itself."""
@@ -103,13 +136,52 @@ class Session(DwellDetector):
             result, others, self._config)
         return Outcome(number, stop, Reject(result.stamp, why) if why else result, why)
 
-    def put(self, outcome: Outcome) -> Outcome:
+    def put(self, outcome: Outcome, over: bool = True) -> Outcome:
         """Keep what became of a stop, instead of what was known of it; return it."""
         began = outcome.stop.began
         self._outcomes = [o for o in self._outcomes if o.stop.began != began] + [outcome]
         self._numbers = max(self._numbers, outcome.number)
-        self._taken.add(began)
+        if over:
+            self._taken.add(began)
         return outcome
+
+    def is_taken(self, stop: Stop) -> bool:
+        """Return whether a stop is given no more."""
+        return stop.began in self._taken
+
+    def leave(self, stop: Stop) -> None:
+        """Let a stop count as taken: it is given no more."""
+        self._taken.add(stop.began)
+
+    def standing(self) -> Stop | None:
+        """Return the stop that the robot stands in, if it will be given by itself."""
+        dwell = self._finder.current()
+        if dwell is None or not self._by_itself or dwell.began in self._taken:
+            return None
+        return self._stop(dwell)
+
+    def early(self) -> Stop | None:
+        """
+        Return the stop that the robot stands in as soon as it has what a sample needs.
+
+        That is MOST_PROFILES soon, or one after a second. A stop that gave no sample is returned
+        a few times more: what hindered may be gone. passed() returns it again when it is over.
+        """
+        sampling = self._config.sampling
+        stood = self._finder.stood / NS - sampling.still_time - 2 * sampling.settle_time
+        if stood < 0:
+            self._checks = 0
+        if sampling.moving or stood < 0 or self._checks == len(EARLY_CHECKS):
+            return None
+        seconds, least = EARLY_CHECKS[self._checks]
+        if stood < seconds:
+            return None
+        self._checks += 1
+        stop = self.standing()
+        if stop is None or any(o.sample and o.stop.began == stop.began for o in self._outcomes):
+            return None
+        profiles = needed(stop, self._config).load(self._config).profiles
+        return stop if len(profiles) >= least else None
 
     def take_sample(self) -> Sample:
         """

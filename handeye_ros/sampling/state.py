@@ -101,7 +101,8 @@ class CalibrationState:
 
     state: none, current, outdated (samples or settings have changed since) or withdrawn (there
     is none any more: what was published before is not the answer). T_parent_child: translation,
-    rotation (x y z w), rpy; std: 1 sigma of x y z rx ry rz. All None where there is none.
+    rotation (x y z w), rpy; std: 1 sigma of x y z rx ry rz. All None where there is none. saved:
+    the file that this answer was written to, empty before.
     """
 
     state: str
@@ -116,6 +117,7 @@ class CalibrationState:
     holdout_rms: float | None = None
     used: int = 0
     rejected: int = 0
+    saved: str = ''
 
 
 @dataclass(frozen=True)
@@ -133,13 +135,15 @@ class GuidanceState:
     """
     What is advised next.
 
-    text: all of it; sentences: the same one by one; enough: whether to stop, why: the reason;
+    sample: the number of the last sample that it knows of, 0 for none; text: all of it, beginning
+    with that; sentences: the same one by one; enough: whether to stop, why: the reason;
     sigmas: of each direction, last that of mapped points, empty before there is an answer;
     translation, rotation: the flange in the base at the pose that helps most (quaternion
     x y z w), None before the sensor is roughly known; expected: 1 sigma of mapped points with
     it (m).
     """
 
+    sample: int
     text: str
     sentences: tuple[str, ...]
     enough: bool

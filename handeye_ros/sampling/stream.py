@@ -3,7 +3,8 @@ The messages of one topic as they come: what can belong to it, in the order of t
 
 A message with a stamp far ahead of the one before may come after a pause, or be one whose
 stamp is wrong; the next message tells, so it is held back until then. Believed at once, a
-wrong one would make all others late.
+wrong one would make all others late. Where all messages are late for a while, the clock was set
+back: restart() goes on in its new time.
 """
 from __future__ import annotations
 
@@ -21,8 +22,13 @@ import numpy as np
 LARGEST_STEP = 1_000_000_000  # ns; what steps back by less was only reordered on its way
 
 MOST_REASONS = 10  # that are told apart: a damaged topic may give each message another frame
+OTHER_FRAME = 'some other frame'
 FEW = 3  # messages with wrong stamps that a recording may hold, and
 FEW_SHARE = 0.05  # this share of many; more, and it is no longer known which ones are right
+STRAYS_IN_A_ROW = 20  # messages of another frame that are no strays: 1 s at 20 Hz
+FRAME_KNOWN = 10  # messages of one frame that make the FEW before them strays
+STEP_TIME = 500_000_000  # ns of late messages, and
+STEP_MESSAGES = 5  # so many in a row, that show a clock that was set back
 
 Stamped = TypeVar('Stamped', bound=Profile | RawProfile | TimedPose)
 
@@ -33,7 +39,8 @@ class Stream(Generic[Stamped]):
 
     latest: the stamp of the last one passed on, -1 before the first; count: how many were;
     late: whether the last one that came was dropped because it is older than that;
-    frame: that of the first one.
+    frame: that of the first one, or of the most where these were few; set_back: by how much the
+    clock was set back (ns), 0 while no messages show that it was.
     """
 
     def __init__(self, kind: str) -> None:
@@ -41,48 +48,97 @@ class Stream(Generic[Stamped]):
         self._kind = kind
         self._held: Stamped | None = None
         self._dropped: Counter[str] = Counter()
-        self._first = 0
+        self._first = self._before = 0  # stamp of the first message, messages before a restart
+        self._steps, self._last_step = 0, 0.0  # how often the clock was set back; last by (s)
         self.latest = -1
         self.count = 0
         self.late = False
         self.frame: str | None = None
-        self.conflict: TwoFramesError | None = None
+        self.set_back = 0
+        self._late_since = -1  # the stamp of the first of the late messages in a row
+        self._late_last = self._late_count = 0
+        self._strays: Counter[str] = Counter()  # messages by their frames, which are others
+        self._strays_in_a_row = 0
 
     def copied(self) -> Stream[Stamped]:
         """Return another that goes on from here by itself."""
         other = copy(self)
-        other._dropped = Counter(self._dropped)
+        other._dropped, other._strays = Counter(self._dropped), Counter(self._strays)
         return other
+
+    @property
+    def conflict(self) -> TwoFramesError | None:
+        """Return the error of a topic with two frames; a few strays are dropped and counted."""
+        strays = sum(self._strays.values())
+        if self.frame is None or (strays <= max(FEW, FEW_SHARE * self.count)
+                                  and self._strays_in_a_row < STRAYS_IN_A_ROW):
+            return None
+        return TwoFramesError(self._kind, self.frame, self._strays.most_common(1)[0][0])
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return what was dropped, one sentence for each reason."""
-        return tuple(f'dropped a {self._kind} {reason} ({count} times)'
-                     for reason, count in self._dropped.items())
+        frames = {f'of frame "{frame}"' if frame != OTHER_FRAME else f'of {OTHER_FRAME}': count
+                  for frame, count in self._strays.items()}
+        steps = (f'the clock of the {self._kind}s was set back by {self._last_step:.1f} s '
+                 f'({self._steps} times): sampling goes on in its new time',)
+        return (*(steps if self._steps else ()),
+                *(f'dropped a {self._kind} {reason} ({count} times)'
+                  for reason, count in {**frames, **self._dropped}.items()))
 
     @property
     def period(self) -> float:
         """Return the mean time between the messages (s), 0 for one or none."""
-        return (self.latest - self._first) * 1e-9 / (self.count - 1) if self.count > 1 else 0.0
+        count = self.count - self._before
+        return (self.latest - self._first) * 1e-9 / (count - 1) if count > 1 else 0.0
 
     def add(self, item: Stamped, frame: str) -> list[Stamped]:
         """Take the next message; return those that are now known to be right."""
         self.frame = frame if self.frame is None else self.frame
-        if frame != self.frame:
-            self.conflict = TwoFramesError(self._kind, self.frame, frame)
-            known = len(self._dropped) < MOST_REASONS or f'of frame "{frame}"' in self._dropped
-            self._dropped[f'of frame "{frame}"' if known else 'of some other frame'] += 1
+        if frame != self.frame and not self._adopted(frame):
             return []
+        self._strays_in_a_row = 0
         passed = self._judged_by(item)
         self.late = item.stamp <= max(self.latest, self._held.stamp if self._held else -1)
         if self.late:
-            self._dropped['whose stamp is not later than the one before: clear the samples if '
-                          'a bag was started again'] += 1
+            self._dropped['whose stamp is not later than the one before'] += 1
+            self._note_late(item.stamp)
         elif item.stamp - self.latest > LARGEST_STEP:
             self._held = item
         else:
             passed.append(self._passed(item))
         return passed
+
+    def _adopted(self, frame: str) -> bool:
+        """Count a message of another frame; return whether the few before were the strays."""
+        known = len(self._strays) < MOST_REASONS or frame in self._strays
+        self._strays[frame if known else OTHER_FRAME] += 1
+        self._strays_in_a_row += 1
+        if self.count > FEW or self._strays[frame] < FRAME_KNOWN:
+            return False
+        self._strays = Counter({str(self.frame): self.count})
+        self.frame = frame
+        self.restart()
+        return True
+
+    def _note_late(self, stamp: int) -> None:
+        """Note a late message; so many in a row, in their own order, show that time was set."""
+        far = self.latest - stamp > LARGEST_STEP
+        if not far or self._late_since < 0 or stamp < self._late_last:
+            self._late_since, self._late_count = (stamp if far else -1), 0
+        self._late_last = stamp
+        self._late_count += 1
+        if (far and self._late_count >= STEP_MESSAGES
+                and stamp - self._late_since >= STEP_TIME):
+            self.set_back = self.latest - self._late_since
+
+    def restart(self) -> None:
+        """Go on in another time: that of the next message."""
+        if self.set_back:
+            self._steps, self._last_step = self._steps + 1, self.set_back * 1e-9
+        self._before = self.count
+        self._held, self.latest, self.late = None, -1, False
+        self.set_back, self._late_since = 0, -1
 
     def believed(self, first: int, last: int) -> list[Stamped]:
         """Return what is held back if its stamp lies between two times that make it credible."""
@@ -106,7 +162,8 @@ class Stream(Generic[Stamped]):
         return []
 
     def _passed(self, item: Stamped) -> Stamped:
-        self._first = self._first if self.count else item.stamp
+        self._late_since = -1
+        self._first = self._first if self.count > self._before else item.stamp
         self.latest = item.stamp
         self.count += 1
         return item

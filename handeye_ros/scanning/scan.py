@@ -75,7 +75,7 @@ class Scanner:
     def frame(self) -> str:
         """Return the frame of the points."""
         moving = self.config.calibration_type == 'eye_on_base'
-        return self.config.robot_effector_frame if moving else self.config.robot_base_frame
+        return self.config.robot_effector_frame if moving else self.config.base_frame
 
     def scan(self, profiles: Iterable[Profile], track: Track) -> Iterator[Points]:
         """Yield the points of profiles, piece by piece."""

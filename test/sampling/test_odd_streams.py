@@ -3,8 +3,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from handeye_ros.config import with_values
+from handeye_ros.config import Config, with_values
+from handeye_ros.data import Profile, Reject, TimedPose
+from handeye_ros.sampling.dwells import NS
 from handeye_ros.sampling.errors import (
+    LatePosesError,
     NoPosesError,
     NoStationsError,
     PositionUnitError,
@@ -12,10 +15,12 @@ from handeye_ros.sampling.errors import (
     SparsePosesError,
     TwoFramesError,
 )
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import result_of
 import numpy as np
 from profiles import drawn, step_up_to, with_lost
 import pytest
-from streams import add, BAD, CONFIG, MANUAL, played, pose, profile, profiles, stops
+from streams import add, BAD, CONFIG, MANUAL, played, pose, profile, profiles, START, stops
 
 
 def test_time_that_goes_backwards_is_dropped_and_counted() -> None:
@@ -36,15 +41,53 @@ def test_a_clock_that_is_set_goes_on() -> None:
     assert len(session.samples) == 2 and not session.warnings
 
 
-def test_a_bag_that_starts_again_is_late_until_the_samples_are_cleared() -> None:
-    session = played(stops((0, 1)), profiles(0, 1), finish=False)
-    assert session.late == ()
-    add(session, pose(0.0))
+@pytest.mark.parametrize('config', [CONFIG, MANUAL])
+def test_a_clock_that_is_set_back_goes_on_by_itself(config: Config) -> None:
+    session = played(stops((100, 101), (102, 103)), profiles(100, 103), config, finish=False)
+    add(session, pose(40.0, x=0.5))
     assert session.late == ('poses',)
-    add(session, profile(0.0))
-    assert session.late == ('poses', 'profiles')
-    session.clear()
-    assert session.late == ()
+    with pytest.raises(LatePosesError):
+        session.take_sample()  # of where the robot stood before its clock was set
+    for item in sorted([*stops((40, 42)), *profiles(40, 42)], key=lambda item: item.stamp):
+        add(session, replace(item, translation=item.translation + [0.5, 0.0, 0.0])
+            if isinstance(item, TimedPose) else item)
+        session.collect()
+    assert session.late == () and session.motion.still > 1.0
+    if config is MANUAL:
+        session.take_sample()
+    else:
+        session.finish()
+    assert [round(s.T_base_flange[0, 3], 3) for s in session.samples] == (
+        [0.5] if config is MANUAL else [0.0, 0.1, 0.5])
+    told = [w for w in session.warnings if 'clock' in w]
+    assert told[0].startswith('the clock of the poses was set back by 63.0 s (1 times)')
+    assert told[1].startswith('the clock of the profiles was set back by 6')
+
+
+def test_the_stop_of_now_is_given_while_the_robot_stands_and_again_when_it_is_over() -> None:
+    session, early = Session(CONFIG), []
+    for item in sorted([*stops((0, 3), (4, 5)), *profiles(0, 5, 40.0)], key=lambda i: i.stamp):
+        add(session, item)
+        stop = session.early()
+        if stop:
+            early.append((item.stamp - START) / NS)
+            session.put(session.outcome(stop, result_of(stop, CONFIG)), over=False)
+        session.collect()
+    session.finish()
+    assert len(session.samples) == session.numbers == 2
+    assert len(early) == 2 and 0.7 <= early[0] < 1.1 and 4.7 <= early[1] <= 5.0
+    whole = played(stops((0, 3), (4, 5)), profiles(0, 5, 40.0))
+    assert [s.profiles for s in session.samples] == [s.profiles for s in whole.samples]
+
+
+def test_a_stop_without_profiles_is_told_while_the_robot_stands() -> None:
+    session = Session(CONFIG)
+    found = []
+    for item in stops((0, 3)):
+        add(session, item)
+        found += [((item.stamp - START) / NS, stop) for stop in [session.early()] if stop]
+    (seconds, stop), = found
+    assert seconds == 2.0 and isinstance(result_of(stop, CONFIG), Reject)
 
 
 @pytest.mark.parametrize(('frame', 'beside', 'name', 'words'), [
@@ -67,13 +110,26 @@ def test_two_frames_are_told_apart_by_topic(kind: str, words: str) -> None:
 
 
 @pytest.mark.parametrize('kind', ['pose', 'profile'])
-def test_two_frames_on_one_topic_are_refused(kind: str) -> None:
+def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> None:
     session = played(stops((0, 1)), profiles(0, 1), finish=False)
-    stranger = pose(1.5, frame='map') if kind == 'pose' else profile(1.5, frame='other')
-    add(session, stranger)
+
+    def stray(number: int) -> TimedPose | Profile:
+        time = 1.5 + 0.01 * number
+        return pose(time, frame='map') if kind == 'pose' else profile(time, frame='other')
+
+    add(session, stray(0))
+    session.copied().finish()
+    assert 'map" (1 times)' in session.warnings[0] or 'other" (1 times)' in session.warnings[0]
+    for number in range(1, 4):
+        add(session, stray(number))
     with pytest.raises(TwoFramesError, match=f'{kind}.*two frames'):
         session.finish()
-    assert 'map' in session.warnings[0] or 'other' in session.warnings[0]
+
+
+def test_a_stray_that_comes_first_is_the_stray() -> None:
+    session = played(stops((0, 1)), [profile(-0.1, BAD, 'other'), *profiles(0, 3)])
+    assert session.frame_id == 'laser' and not session.conflict
+    assert session.warnings == ('dropped a profile of frame "other" (1 times)',)
 
 
 def test_no_poses_no_stops_and_millimetres_are_told_apart() -> None:
@@ -103,7 +159,7 @@ def test_values_that_are_not_finite_end_in_no_sample() -> None:
 
 def test_silent_poses_are_told() -> None:
     session = played(stops((0, 1)), profiles(0, 1.32), MANUAL, finish=False)
-    with pytest.raises(SilentPosesError, match=r'silent for 0\.3 s'):
+    with pytest.raises(SilentPosesError, match=r'no pose has come for 0\.3 s'):
         session.take_sample()
 
 

@@ -8,7 +8,7 @@ handeye_calibration.py).
 """
 from __future__ import annotations
 
-from handeye_ros.config import Config
+from handeye_ros.config import BASE_FRAME, Config
 from handeye_ros.data import Calibration
 from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.results.exports.format import commented, one_line
@@ -31,7 +31,7 @@ def text(calibration: Calibration) -> str:
     """Return what is in the file."""
     config = calibration.provenance.get('config', {})
     on_base = config.get('calibration_type') == 'eye_on_base'
-    robot = {'robot_base_frame': config.get('robot_base_frame', Config.robot_base_frame),
+    robot = {'robot_base_frame': config.get('robot_base_frame') or BASE_FRAME,
              'robot_effector_frame': config.get('robot_effector_frame',
                                                 Config.robot_effector_frame)}
     robot['robot_base_frame' if on_base else 'robot_effector_frame'] = calibration.parent_frame

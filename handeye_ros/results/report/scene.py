@@ -48,7 +48,7 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
 
 def _frame_name(config: Config) -> str:
     in_hand = config.calibration_type == 'eye_in_hand'
-    return config.robot_base_frame if in_hand else config.robot_effector_frame
+    return config.base_frame if in_hand else config.robot_effector_frame
 
 
 def _target(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config

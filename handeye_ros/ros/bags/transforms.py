@@ -37,6 +37,11 @@ class Link:
         """Take the next transform; one that is not newer is dropped, but a static one replaces."""
         self._poses.extend([pose] if self.static else self._stream.add(pose, self.parent))
 
+    @property
+    def set_back(self) -> bool:
+        """Return whether its clock was set back."""
+        return bool(self._stream.set_back)
+
     def stamps(self, after: int) -> list[int]:
         """Return the stamps later than after."""
         return [p.stamp for p in self._poses if p.stamp > after]
@@ -96,6 +101,8 @@ class FlangeTracker:
             if link is None or (link.parent, link.static) != (parent, static):
                 link = self._links[child] = Link(parent, static)
             link.add(pose)
+            if link.set_back:
+                self.restart()
         return self._new_poses()
 
     def restart(self) -> None:

@@ -58,7 +58,7 @@ class Tree:
 
     def poses(self, path: Path, contents: Contents, config: Config) -> list[TimedPose]:
         """Return the flange poses; raises BagError, and what Topic.items does."""
-        tracker = FlangeTracker(config.robot_base_frame, config.robot_effector_frame)
+        tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         moving, static = self.topics
         if static.name in contents.topics:
             # all at once: those of a late node must not come after the motion they belong to

@@ -26,10 +26,15 @@ class Answer:
         self.calibration: Calibration | None = None
         self._solved: frozenset[int] = frozenset()  # stamps of its samples
         self._withdrawn = ''
+        self._saved: tuple[Calibration, str] | None = None  # the last one, and where it is
 
     def found(self, calibration: Calibration, solved: frozenset[int]) -> None:
         """Take the answer from the samples of these stamps."""
         self.calibration, self._solved, self._withdrawn = calibration, solved, ''
+
+    def saved(self, calibration: Calibration, path: str) -> None:
+        """Take note that an answer was written to a file."""
+        self._saved = calibration, path
 
     def withdraw(self, why: str) -> None:
         """Let there be no answer any more."""
@@ -54,7 +59,8 @@ class Answer:
             found.parent_frame, found.child_frame, _plain(T[:3, 3]), _plain(se3.quaternion(T)),
             _plain(se3.rpy(T)), _plain(np.sqrt(np.diag(found.covariance))),
             quality.residual_rms, quality.holdout_rms, quality.samples_used,
-            quality.samples_rejected)
+            quality.samples_rejected,
+            self._saved[1] if self._saved and self._saved[0] is found else '')
 
 
 def _plain(values: object) -> tuple[float, ...]:

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from geometry_msgs.msg import PoseStamped
 from handeye_ros.data import RawProfile, TimedPose
-from handeye_ros.errors import InputError
+from handeye_ros.errors import InputError, INSTALL_TF2
 from handeye_ros.kinematics.answer import read_arm
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.ros.bags.batches import split
@@ -82,7 +82,7 @@ class Intake:
         self._group = NoExecutor()
         self._drains: list[Callable[[], int]] = []
         config = live.config
-        self._tracker = FlangeTracker(config.robot_base_frame, config.robot_effector_frame)
+        self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         self._reader = ProfileReader(config.profile)
         self._before: int | None = None  # the stamp of the last message of profiles
         self._listen(PointCloud2, config.profile_topic, self._on_profile, STREAM)
@@ -95,8 +95,8 @@ class Intake:
             self._listen(TFMessage, '/tf_static', partial(self._on_transforms, True), LATCHED_TREE)
             self._listen(TFMessage, '/tf', partial(self._on_transforms, False), STREAM)
         else:
-            raise InputError('pose_source is tf, but tf2_msgs is not installed: install it '
-                             '(ros-jazzy-tf2-msgs), or publish the poses on pose_topic')
+            raise InputError('pose_source is tf, but tf2_msgs is not installed: '
+                             f'{INSTALL_TF2}; or publish the poses on pose_topic')
 
     def start(self) -> None:
         """Begin to take what comes."""

@@ -17,10 +17,11 @@ from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, TimedPose
 from handeye_ros.diagnosis.review import Review
 from handeye_ros.diagnosis.summaries import calibration_summary
-from handeye_ros.errors import HandeyeError
+from handeye_ros.errors import DataError, HandeyeError, InputError
 from handeye_ros.guidance.advice import Advice
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.results.errors import NothingToSaveError
+from handeye_ros.ros.errors import WorkerEndedError
 from handeye_ros.ros.node.answer import Answer, changes_answer
 from handeye_ros.ros.node.live_verify import LiveVerification
 from handeye_ros.ros.node.reviewer import Reviewer
@@ -77,6 +78,11 @@ class LiveSession:
         return self.streams.config
 
     @property
+    def framed(self) -> Config:
+        """Return the settings of now with the frame of the poses as the base."""
+        return self.streams.session.with_base(self.config)
+
+    @property
     def latest(self) -> Latest:
         """Return the last messages."""
         return self.streams.latest
@@ -99,7 +105,8 @@ class LiveSession:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return what else is to be known, one sentence each."""
-        return (*self.verification.warnings, *self.streams.warnings)
+        return (*self.verification.warnings, *self.streams.warnings,
+                *filter(None, (self._judge.trouble,)))
 
     def copied(self) -> Session:
         """Return the session of this moment."""
@@ -132,6 +139,12 @@ class LiveSession:
         self._solver.stop()
         self._judge.stop()
 
+    def restore(self, session: Session, before: Config) -> str:
+        """Go on with an earlier run, and solve what it has; see LiveSamples.restore."""
+        text = self.samples.restore(session, before)
+        self._asked = self._due = bool(session.samples)
+        return text
+
     def _judge_and_tell(self) -> None:
         self.samples.judge_all()
         self.on_change()
@@ -149,7 +162,7 @@ class LiveSession:
         self.samples.extract_anew()
         self.reviewer.update()
         if self._due:
-            with suppress(HandeyeError):  # it is told by the state of the answer
+            with suppress(DataError, InputError):  # it is told by the state of the answer
                 self._compute(self.samples.judge_all)
 
     # what is asked; each returns what to say
@@ -169,6 +182,9 @@ class LiveSession:
         self._due, cleared = False, self.samples.cleared
         try:
             found, stamps = self._solved(judge)
+        except WorkerEndedError:  # which says nothing of the samples
+            self._due = self._asked
+            raise
         except HandeyeError as error:
             self.answer.withdraw(f'the last attempt to compute it was refused ({error})')
             self.on_change()
@@ -216,6 +232,8 @@ class LiveSession:
         name = calibration_file.folder_name(self.config)
         saved = exports.save_all(replace(calibration, name=name), self.place.folder(self.config),
                                  self.config.save.formats)
+        self.answer.saved(calibration, str(saved.files[0]))
+        self.on_change()
         anew = COMPUTED in self.progress.text
         again = f'; {COMPUTED} anew: save it again after that' if anew else ''
         return f'{saved}{self.answer.changes(now)}{again}'

@@ -60,8 +60,7 @@ class HandeyeNode(Node):
         self.live.on_change = partial(self._quietly, self._outputs.show)
         self.live.on_failure = self.get_logger().error
         if stored:
-            samples = self.live.samples
-            self.get_logger().info(samples.restore(stored.session(config), stored.config))
+            self.get_logger().info(self.live.restore(stored.session(config), stored.config))
         elif config.session:
             self.get_logger().warning(f'there is no session in {place.parent(config)}: a new one '
                                       'begins')

@@ -18,6 +18,7 @@ from geometry_msgs.msg import PoseStamped, TransformStamped
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.errors import INSTALL_TF2
 from handeye_ros.results.outcome import sensor_axes
 from handeye_ros.ros.node.diagnostics import diagnostics
 from handeye_ros.ros.node.intake import TFMessage
@@ -57,7 +58,7 @@ class Publishers:
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         if not TFMessage:
             node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
-                                      '~/calibration only, not on /tf_static')
+                                      f'~/calibration only, not on /tf_static; {INSTALL_TF2}')
         self._advised: GuidanceState | None = None
         self._next_pose = made_anew(node, PoseStamped, '~/next_pose')
         self._advertise_answer()
@@ -116,7 +117,7 @@ class Publishers:
             self._next_pose = made_anew(self._node, PoseStamped, '~/next_pose')
         else:
             self._next_pose.publish(pose_stamped(
-                guidance.translation, guidance.rotation, self._live.config.robot_base_frame,
+                guidance.translation, guidance.rotation, self._live.framed.base_frame,
                 self._node.get_clock().now().to_msg()))
 
     def _withdraw(self) -> None:
@@ -125,10 +126,10 @@ class Publishers:
         self._advertise_answer()
 
     def _publish(self, calibration: Calibration) -> None:
-        config = self._live.config
+        config = self._live.framed
         transform = transform_stamped(calibration, self._node.get_clock().now().to_msg())
         self._calibration.publish(transform)
-        robot = (config.robot_base_frame, config.robot_effector_frame)
+        robot = (config.base_frame, config.robot_effector_frame)
         if self._tf_static and calibration.child_frame not in robot:
             self._tf_static.publish(TFMessage(transforms=[transform]))
 
@@ -137,12 +138,12 @@ class Publishers:
         residuals = {sample.number: sample.residual for sample in state.samples}
         self._markers.publish(session_markers(
             [Seen(o.number, o.sample, residuals.get(o.number)) for o in live.copied().outcomes
-             if o.sample], calibration, live.config))
+             if o.sample], calibration, live.framed))
 
     def show_current(self) -> None:
         """Publish what the sensor sees now, if anybody looks."""
         if self._current.get_subscription_count():
-            config = self._live.config
+            config = self._live.framed
             self._current.publish(current_markers(
                 self._live.latest.current(config), self._live.calibration, config))
 

@@ -27,7 +27,8 @@ class Reviewer:
     The review of the samples of a running node, and the advice.
 
     review: None before there is one, no_review: why; reviewed: the samples that its agreements
-    belong to, in this order; on_change: called after each.
+    belong to, in this order; advised: the number of the last sample that the advice knows of, 0
+    for none; on_change: called after each.
     """
 
     def __init__(self, samples: LiveSamples, runner: Runner) -> None:
@@ -44,6 +45,7 @@ class Reviewer:
         self.no_review = ''
         self._reviewed: tuple[Outcome, ...] | None = None
         self.advice = pipeline.advise((), self._samples.config)
+        self.advised = 0
 
     @property
     def reviewed(self) -> tuple[Outcome, ...]:
@@ -59,7 +61,7 @@ class Reviewer:
         cleared, settings, config = self._samples.cleared, self._settings, self._samples.config
         outcomes, included = self._included()
         samples = [o.sample for o in outcomes if o.sample]
-        if self._reviewed == outcomes and self._advised == settings:
+        if _same(self._reviewed, outcomes) and self._advised == settings:
             return
         found, why = None, ''
         try:
@@ -96,10 +98,18 @@ class Reviewer:
         current = self._samples.streams.latest.current(config)
         if current:
             self._view = extremes(np.concatenate([self._view, current.points]))
-        samples = sorted((o.sample for o, use in zip(*self._included(), strict=True)
+        outcomes, included = self._included()
+        samples = sorted((o.sample for o, use in zip(outcomes, included, strict=True)
                           if use and o.sample), key=lambda sample: sample.stamp)
         advice = self._runner_for(samples).run(pipeline.advise, samples, config, self._view)
         with self._samples.streams.lock:
             if self._samples.cleared == cleared:
                 self.advice, self._advised = advice, settings
+                self.advised = max((o.number for o in outcomes), default=0)
         self.on_change()
+
+
+def _same(before: tuple[Outcome, ...] | None, now: tuple[Outcome, ...]) -> bool:
+    """Return whether these are samples of the same stops, maybe from more profiles."""
+    return before is not None and [(o.number, o.stop.began) for o in before] == [
+        (o.number, o.stop.began) for o in now]

@@ -20,10 +20,14 @@ from handeye_ros.ros.node.store import Store
 from handeye_ros.ros.node.streams import Streams
 from handeye_ros.ros.node.threads import Progress
 from handeye_ros.ros.node.worker import Judge
-from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError
+from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError, SilentPosesError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.state import Attempt
 from handeye_ros.sampling.stops import Outcome, Stop
+
+# s without a pose after which the robot may be anywhere: while profiles come, and where both end
+POSES_SILENT, BOTH_SILENT = 2.0, 30.0
+PROFILES_COME = 1.0  # s since the last profile
 
 
 class StopConsumer(Protocol):
@@ -81,10 +85,13 @@ class LiveSamples:
     # what becomes of the stops
 
     def judge_all(self) -> None:
-        """Judge every stop that is over."""
+        """Judge every stop that is over, and the one that the robot stands in where it can be."""
         with self.work:
             while self.streams.waiting:
                 self._judge(self.streams.waiting.popleft())
+            early, self.streams.early = self.streams.early, None
+            if early and not self.consumer:
+                self._judge(early, over=False)
 
     def judge_rest(self) -> None:
         """Judge every stop, also the one that the robot stands in."""
@@ -93,24 +100,30 @@ class LiveSamples:
             for stop in self.streams.copied().rest():
                 self._judge(stop)
 
-    def _judge(self, stop: Stop) -> None:
-        consumer = self.consumer
-        if consumer:
+    def _judge(self, stop: Stop, over: bool = True) -> None:
+        """Let a stop give a sample, or another one where it was judged before it was over."""
+        if consumer := self.consumer:
             consumer.count(stop)
             return
         result = self.judge.result(stop, self.config)
         with self.streams.lock:
-            outcome = self.streams.session.outcome(stop, result)
+            session = self.streams.session
+            if not over and session.is_taken(stop):  # while it waited to be judged
+                return
+            outcome = session.outcome(stop, result)
+            before = [o for o in session.outcomes if o.number == outcome.number]
         remark = self.objection(outcome)  # by itself the node takes what a recording gives
         try:
             outcome = self._stored(outcome)
         except InputError as error:
             outcome = Outcome(outcome.number, stop, Reject(outcome.result.stamp, str(error)))
-        self._put(outcome)
-        self.told(outcome.sample is not None, outcome.number, (
-            f'sample {outcome.number} taken: ' if outcome.sample else
-            f'stop {outcome.number} gave no sample: ') + sample_summary(outcome.result)
-            + (f'; {remark}' if remark else ''))
+        self._put(outcome, over)
+        if before and bool(before[0].sample) == bool(outcome.sample):
+            return  # with more profiles than before: nothing new to tell
+        verdict = (f'sample {outcome.number} taken' if outcome.sample else
+                   f'stop {outcome.number} gave no sample')
+        text = '; '.join(filter(None, (sample_summary(outcome.result), remark)))
+        self.told(outcome.sample is not None, outcome.number, f'{verdict}: {text}')
         self.on_outcome(outcome)
 
     def _stored(self, outcome: Outcome) -> Outcome:
@@ -123,9 +136,9 @@ class LiveSamples:
         self.store_trouble = ''
         return stored
 
-    def _put(self, outcome: Outcome) -> None:
+    def _put(self, outcome: Outcome, over: bool = True) -> None:
         with self.streams.lock:
-            self.streams.session.put(outcome)
+            self.streams.session.put(outcome, over)
 
     def leave(self, stop: Stop) -> None:
         """Let a stop give no sample."""
@@ -160,8 +173,7 @@ class LiveSamples:
             self.streams.wake.set()
 
     def _take(self) -> str:
-        consumer = self.consumer
-        if consumer:
+        if consumer := self.consumer:
             stop = self._standing()
             with self.work:
                 self.judge_all()
@@ -194,7 +206,12 @@ class LiveSamples:
         return stop, self.judge.sample(stop, known[1]), known
 
     def _standing(self) -> Stop:
-        """Return the stop that the robot stands in; raises what Watch.here raises."""
+        """Return the stop that the robot stands in; raises what here() of the session raises."""
+        arrivals = self.streams.arrivals
+        silence = arrivals.silence('pose')
+        limit = POSES_SILENT if arrivals.silence('profile') < PROFILES_COME else BOTH_SILENT
+        if arrivals.counts['pose'] and silence > limit:
+            raise SilentPosesError(silence)
         with self.streams.lock:
             return self.streams.session.here()
 
@@ -218,6 +235,7 @@ class LiveSamples:
             self.streams.latest.clear()
             with self.streams.lock:
                 self.streams.waiting.clear()
+                self.streams.early = None
                 session = self.streams.session
                 count = sum(o.sample is not None for o in session.outcomes)
                 session.clear()

@@ -47,7 +47,7 @@ class Seen:
 def frame_of(config: Config) -> str:
     """Return the frame that all is drawn in: what the target rests in."""
     in_hand = config.calibration_type == 'eye_in_hand'
-    return config.robot_base_frame if in_hand else config.robot_effector_frame
+    return config.base_frame if in_hand else config.robot_effector_frame
 
 
 def session_markers(samples: Sequence[Seen], calibration: Calibration | None, config: Config

@@ -51,17 +51,19 @@ def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '', same_name:
                      _trouble(live, session, same_name), (*session.warnings, *live.warnings)),
         samples, tuple(sample.number for sample in worst), live.reviewer.no_review,
         live.samples.attempt,
-        live.answer.state(stamps_of(session)), _guidance(live.advice))
+        live.answer.state(stamps_of(session)),
+        _guidance(live.advice, live.reviewer.advised))
 
 
-def _guidance(advice: Advice | None) -> GuidanceState | None:
-    """Return an advice as plain values."""
+def _guidance(advice: Advice | None, sample: int) -> GuidanceState | None:
+    """Return an advice as plain values; sample: the number of the last one that it knows of."""
     if advice is None:
         return None
     pose = advice.next
     sigmas = tuple(SigmaState(s.name, s.std, s.limit, s.unit) for s in advice.sigmas)
+    after = f'after sample {sample}: ' if sample else ''
     return GuidanceState(
-        advice.text, advice.sentences, advice.enough, advice.why, sigmas,
+        sample, after + advice.text, advice.sentences, advice.enough, advice.why, sigmas,
         _plain(pose.T_base_flange[:3, 3]) if pose else None,
         _plain(se3.quaternion(pose.T_base_flange)) if pose else None, pose.std if pose else None)
 
@@ -78,7 +80,7 @@ def _agreements(reviewer: Reviewer) -> dict[int, Agreement]:
 def _stream(live: LiveSession, kind: str, place: str, frame: str, obstacle: Obstacle
             ) -> StreamState:
     arrivals = live.streams.arrivals
-    trouble = arrivals.mostly_malformed(kind) or _silence(live, kind, place, obstacle)
+    trouble = arrivals.unusable(kind) or _silence(live, kind, place, obstacle)
     return StreamState(kind, place, arrivals.counts[kind], arrivals.bad[kind],
                        arrivals.silence(kind), frame, trouble)
 

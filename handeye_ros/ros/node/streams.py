@@ -23,6 +23,7 @@ from handeye_ros.sampling.stops import Stop
 MOST_STOPS = 16  # that wait to be judged, of 7 MB at most with 1280 points a profile
 KINDS = ('profile', 'pose')
 LAST = 100  # messages of a kind that are kept: the one of the two streams may be late
+BAD_IN_A_ROW = 3  # messages that cannot be understood, of which a person is told
 FRESH = 1.0  # s: the clocks are compared where both kinds came so recently
 LARGEST_APART = 5.0  # s between the clocks that a slow network or a queue explains
 
@@ -38,10 +39,12 @@ class Arrivals:
         self._reasons: dict[str, str] = {}
         self._latest = dict.fromkeys(KINDS, time.monotonic())
         self._stamps: dict[str, int] = {}
+        self._bad_in_a_row: Counter[str] = Counter()
 
     def came(self, kind: str, stamp: int) -> None:
         """Count a good message; stamp: its own, in ns."""
         self.counts[kind] += 1
+        self._bad_in_a_row[kind] = 0
         self._latest[kind] = time.monotonic()
         self._stamps[kind] = stamp
 
@@ -49,13 +52,19 @@ class Arrivals:
         """Count a message that could not be understood."""
         self.counts['malformed'] += 1
         self.bad[kind] += 1
+        self._bad_in_a_row[kind] += 1
         self.last_malformed = self._reasons[kind] = reason
 
-    def mostly_malformed(self, kind: str) -> str:
-        """Return how many of a kind cannot be understood, if that is most, and why."""
-        bad, good = self.bad[kind], self.counts[kind]
-        return (f'{bad} of {bad + good} {kind}s cannot be used; the last reason: '
-                f'{self._reasons[kind]}' if bad > good else '')
+    def unusable(self, kind: str) -> str:
+        """Return how many of a kind cannot be understood, if that is most or now, and why."""
+        bad, good, now = self.bad[kind], self.counts[kind], self._bad_in_a_row[kind]
+        if bad > good:
+            count = f'{bad} of {bad + good} {kind}s'
+        elif now >= BAD_IN_A_ROW:
+            count = f'the last {now} {kind}s'
+        else:
+            return ''
+        return f'{count} cannot be used; the last reason: {self._reasons[kind]}'
 
     def silence(self, kind: str) -> float:
         """Return the seconds since the last good message, or since the start."""
@@ -144,7 +153,8 @@ class Streams:
     The streams of a running node, and the session that they feed.
 
     lock: held around the session, for as long as a message takes; waiting: stops that are over,
-    but not yet judged; wake: of the thread that judges them.
+    but not yet judged; early: the one that the robot stands in, once it can be judged; wake: of
+    the thread that judges them.
     """
 
     def __init__(self, config: Config) -> None:
@@ -153,6 +163,7 @@ class Streams:
         self.lock = threading.Lock()
         self.session = Session(config)
         self.waiting: deque[Stop] = deque()
+        self.early: Stop | None = None
         self.wake = threading.Event()
         self.arrivals = Arrivals()
         self.latest = Latest()
@@ -183,7 +194,8 @@ class Streams:
         while len(self.waiting) > MOST_STOPS:
             self.waiting.popleft()
             self._skipped += 1
-        if self.waiting:
+        self.early = self.session.early() or self.early
+        if self.waiting or self.early:
             self.wake.set()
 
     def copied(self) -> Session:

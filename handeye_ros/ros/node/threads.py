@@ -6,6 +6,8 @@ from contextlib import contextmanager
 import threading
 import traceback
 
+from handeye_ros.errors import HandeyeError
+
 
 class Threads:
     """The threads, and what of their last work failed."""
@@ -37,6 +39,10 @@ class Threads:
             try:
                 work()
                 self._failures.pop(work.__name__, None)
+            except HandeyeError as error:  # such as a process that ended: once it is tried again
+                if work.__name__ not in self._failures:
+                    wake.set()
+                self._failures[work.__name__] = str(error)
             except Exception as error:  # noqa: BLE001 - the next stop must be judged all the same
                 if self._ended:
                     return

@@ -10,11 +10,14 @@ from collections.abc import Callable
 import ctypes
 from dataclasses import replace
 import os
+from pathlib import Path
 import pickle
 import queue
+import signal
 import subprocess
 import sys
 import threading
+import time
 import traceback
 from typing import Any, Protocol, TypeVar
 
@@ -27,6 +30,7 @@ from handeye_ros.sampling.stops import judged, needed, Outcome, result_of, sampl
 
 Result = TypeVar('Result')
 TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # of glibc alone
+SUSPENDED = 2.0  # s
 COMMAND = (sys.executable, '-m', 'handeye_ros.ros.node.worker')
 
 
@@ -70,6 +74,7 @@ class WorkerProcess:
         self._process: subprocess.Popen[bytes] | None = None
         self._turns = threading.Condition()
         self._busy, self._urgent, self._stopped = False, 0, False
+        self._suspended = False  # by a signal; it was ended for that
 
     def run(self, function: Callable[..., Result], *args: Any, urgent: bool = False) -> Result:
         """Return what a function returns; raises what it raises, and WorkerEndedError."""
@@ -97,8 +102,10 @@ class WorkerProcess:
             process.stdin.writelines(asked)
             process.stdin.flush()
             result, error = pickle.load(process.stdout)
-        except (EOFError, OSError) as ended:
-            raise WorkerEndedError(process.wait()) from ended
+        except (EOFError, OSError, pickle.UnpicklingError) as ended:
+            process.kill()
+            code = process.wait()
+            raise WorkerEndedError(-signal.SIGSTOP if self._suspended else code) from ended
         if error is not None:
             raise error
         return result
@@ -113,7 +120,19 @@ class WorkerProcess:
                 # of its own, as Linux lets priorities count within a session only
                 self._process = subprocess.Popen(self._command, stdin=subprocess.PIPE,
                                                  stdout=subprocess.PIPE, process_group=0)
+                self._suspended = False
+                threading.Thread(target=self._watch, args=(self._process,), daemon=True).start()
             return self._process
+
+    def _watch(self, process: subprocess.Popen[bytes]) -> None:
+        """End a process that was suspended (SIGSTOP) while somebody waits for it."""
+        times = 0
+        while process.poll() is None:
+            times = times + 1 if self._busy and is_suspended(process.pid) else 0
+            if times == 2:
+                self._suspended = True
+                process.kill()
+            time.sleep(SUSPENDED / 2)
 
     def stop(self) -> None:
         """End the process, whatever it does; whoever waits for it gets a WorkerEndedError."""
@@ -124,12 +143,25 @@ class WorkerProcess:
                 self._process.wait()
 
 
+def is_suspended(pid: int) -> bool:
+    """Return whether a process was suspended by a signal, as far as the system tells."""
+    try:
+        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] == 'T'
+    except (OSError, IndexError):
+        return False
+
+
 class Judge:
-    """Tells what stops give, in a process of its own; where that ends, in this one."""
+    """
+    Tells what stops give, in a process of its own; where that ends, in this one.
+
+    trouble: why the last one was judged here, empty where it was not.
+    """
 
     def __init__(self, runner: Runner) -> None:
         """Take what runs it."""
         self._runner = runner
+        self.trouble = ''
 
     def begin(self) -> None:
         """Let the process start, and import what it needs, before somebody waits for it."""
@@ -154,9 +186,12 @@ class Judge:
 
     def _run(self, function: Callable[..., Result], *args: Any, urgent: bool = True) -> Result:
         try:
-            return self._runner.run(function, *args, urgent=urgent)
-        except WorkerEndedError:  # out of memory perhaps: the sample must not be lost with it
+            result = self._runner.run(function, *args, urgent=urgent)
+        except WorkerEndedError as error:  # the sample must not be lost with it
+            self.trouble = f'{error}; the node itself has judged the stop'
             return function(*args)
+        self.trouble = ''
+        return result
 
 
 def main() -> None:

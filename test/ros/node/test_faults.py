@@ -184,13 +184,14 @@ def test_it_ends_at_once_while_streams_run(tmp_path: Path, client: Client, numbe
 def test_after_a_clear_another_frame_is_taken(tmp_path: Path, client: Client) -> None:
     with running_node(tmp_path):
         client.connect()
-        client.profiles.publish(sphere_profile(START, 'left'))
-        client.profiles.publish(sphere_profile(START + 1, 'right'))
-        client.until_counted(profiles=2)
-        assert 'two frames, "left" and "right"' in client.state()['message']
+        for number in range(8):
+            frame = 'left' if number % 2 else 'right'
+            client.profiles.publish(sphere_profile(START + number, frame))
+        client.until_counted(profiles=8)
+        assert 'two frames, "right" and "left"' in client.state()['message']
         assert client.call('clear_samples').success
-        client.profiles.publish(sphere_profile(START + 2, 'right'))
-        client.until_counted(profiles=3)
+        client.profiles.publish(sphere_profile(START + 8, 'left'))
+        client.until_counted(profiles=9)
         assert 'two frames' not in client.state()['message']
 
 

@@ -12,13 +12,14 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError
+from handeye_ros.ros.errors import WorkerEndedError
 from handeye_ros.ros.node import streams
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.ros.node.store import Place
 from handeye_ros.ros.node.streams import Latest, MOST_STOPS
-from handeye_ros.sampling import stations
-from handeye_ros.sampling.errors import FlatCrossingError
+from handeye_ros.sampling import dwells
+from handeye_ros.sampling.errors import BaseFrameError, FlatCrossingError, SilentPosesError
 from handeye_ros.sampling.state import samples_message, status_message
 from handeye_ros.sampling.stream import MOST_REASONS
 from handeye_ros.simulate.measuring import rendered
@@ -194,7 +195,7 @@ def test_another_setting_takes_no_sample_of_where_the_robot_stands() -> None:
     count = len(live.copied().outcomes)
     shifted = [replace(item, stamp=item.stamp + 10**12)
                for item in (*SPHERE.poses, *SPHERE.profiles)]
-    begun = shifted[0].stamp + 10**9
+    begun = shifted[0].stamp + 8 * 10**8  # not long enough to be judged by itself
     feed(live, [item for item in shifted if item.stamp <= begun])  # it stands in another stop
     before = live.calibration
     changed(live, noise__sensor=2 * live.config.noise.sensor)
@@ -225,6 +226,53 @@ def test_clocks_an_hour_apart_are_told_with_their_size() -> None:
     live.add_poses(SPHERE.poses[:50])
     trouble = state_of(live).session.trouble
     assert 'the profiles are 1.00 hours ahead of those of the poses' in trouble
+
+
+@pytest.mark.parametrize('set_to', ['', 'base', 'base_link'])
+def test_poses_in_another_frame_than_the_one_set_are_refused(set_to: str) -> None:
+    config = with_values(SPHERE.config, {'robot_base_frame': set_to}, 'test')
+    poses = [replace(p, parent_frame='base_link') for p in SPHERE.poses]
+    live = fed(config, replace(SPHERE, poses=poses))
+    words = 'the poses are given in "base_link", but robot_base_frame is "base"'
+    if set_to == 'base':
+        assert words in state_of(live).session.trouble
+        for ask in (live.compute, live.samples.take,
+                    lambda: pipeline.calibrate(SPHERE.profiles, poses, config)):
+            with pytest.raises(BaseFrameError, match=words):
+                ask()
+    else:
+        settings = live.compute()[0].provenance['config']
+        assert settings['robot_base_frame'] == live.framed.base_frame == 'base_link'
+
+
+def test_what_was_saved_is_told_until_there_is_another_answer(tmp_path: Path) -> None:
+    live = fed(replace(SPHERE.config, output_dir=str(tmp_path)))
+    live.compute()
+    assert state_of(live).calibration.saved == ''
+    live.save()
+    assert state_of(live).calibration.saved == str(tmp_path / 'sphere' / 'calibration.yaml')
+    live.compute()
+    assert state_of(live).calibration.saved == ''
+
+
+def test_the_advice_says_of_which_sample_it_knows() -> None:
+    live = fed()
+    last = len(live.copied().outcomes)
+    told = state_of(live).guidance
+    assert told.sample == last and told.text.startswith(f'after sample {last}: ')
+    live.samples.remove_last()
+    assert state_of(live).guidance.sample == last, 'until it is advised anew'
+    live.update()
+    assert state_of(live).guidance.sample == last - 1
+
+
+def test_poses_that_are_silent_while_profiles_come_take_no_sample(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    live = fed(with_values(SPHERE.config, {'sampling.mode': 'manual'}, 'test'))
+    monkeypatch.setattr(live.streams.arrivals, 'silence',
+                        lambda kind: {'pose': 3.0, 'profile': 0.1}[kind])
+    with pytest.raises(SilentPosesError, match='no pose has come for 3.0 s'):
+        live.samples.take()
 
 
 def test_nobody_asked_for_a_sample() -> None:
@@ -290,6 +338,28 @@ def test_work_that_fails_is_told_and_the_next_is_done(monkeypatch: pytest.Monkey
     assert state_of(live).session.trouble == ''
 
 
+def test_a_process_that_ends_is_told_and_asked_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    live, done, update = LiveSession(SPHERE.config, Place()), Event(), []
+
+    def ended() -> None:
+        update.append(state_of(live).session.trouble)
+        if len(update) == 3:
+            done.set()
+            return
+        raise WorkerEndedError(-9)
+
+    monkeypatch.setattr(live.reviewer, 'update', ended)
+    live.start()
+    live._judged.set()
+    while len(update) < 2:
+        done.wait(0.01)
+    while 'ended by signal 9' not in state_of(live).session.trouble:
+        done.wait(0.01)
+    live._judged.set()
+    assert done.wait(PATIENCE), 'the next time'
+    assert update[0] == '' and 'please report' not in update[1]
+
+
 def later(items, seconds: int):
     return [replace(item, stamp=item.stamp + seconds * 10**9) for item in items]
 
@@ -302,7 +372,8 @@ def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
         (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
     live.update()
     state, newest = state_of(live), SPHERE.poses[-1].stamp - 15 * 10**9
-    assert state.taken == 5 and min(s.stamp for s in state.samples) > newest
+    assert state.taken == 5 + 1, 'the newest that waited, and where the robot stands'
+    assert min(s.stamp for s in state.samples) > newest
     assert any(re.match('left [1-9][0-9]* stops out, the oldest of more than 5', note)
                for note in state.session.notes)
 
@@ -318,7 +389,7 @@ def test_without_profiles_the_stops_that_wait_for_them_do_not_pile_up() -> None:
 
 
 def test_poses_whose_stamps_hardly_go_on_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stations, 'MOST_POSES', 50)
+    monkeypatch.setattr(dwells, 'MOST_POSES', 50)
     for mode in ('still', 'manual'):
         live = LiveSession(with_values(SPHERE.config, {'sampling.mode': mode}, 'test'), Place())
         live.add_poses([replace(SPHERE.poses[0], stamp=10**18 + i) for i in range(1000)])

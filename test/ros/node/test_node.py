@@ -227,6 +227,7 @@ def test_wrong_parameters_end_the_node(argument: str, reason: str) -> None:
     ('target.type:=cone', "target.type is 'cone', expected one of"),
     ('target.type:=points', 'target.type points is solved from files, .* "handeye solve'),
     ('name:=a/b', "name is 'a/b', expected the name of a folder"),
+    (f'name:={300 * "a"}', "name is 'a{20}...', expected at most 100 characters"),
     ('name:=[]', 'name is \\[], expected a value of type str'),
     ('target.size:=[1.0]', 'target.size is \\[1.0], expected a list of 0 or 2 values'),
     ('name:="  "', "name is '  ', expected a text without control characters, or blanks"),

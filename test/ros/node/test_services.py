@@ -1,9 +1,12 @@
 """The services and parameters of a running node, over real DDS."""
 from __future__ import annotations
 
+import array
 from collections.abc import Iterator
 import subprocess
+from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
@@ -13,6 +16,7 @@ from rcl_interfaces.msg import SetParametersResult  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters, SetParameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from ros_helpers import Client, LATCHED, pose_message, running_node, sphere_profile  # noqa: E402
+from sensor_msgs.msg import PointCloud2  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -40,11 +44,12 @@ def node(process: subprocess.Popen[str], client: Client) -> subprocess.Popen[str
     return process
 
 
-def stand_still(client: Client, start: int, seconds: float = 1.0) -> None:
+def stand_still(client: Client, start: int, seconds: float = 1.0, x: float = 0.0,
+                frame_id: str = 'laser') -> None:
     """Publish a robot that stands still, and what its sensor sees."""
     for stamp in range(start, start + round(seconds * NS), NS // 20):
-        client.poses.publish(pose_message(stamp))
-        client.profiles.publish(sphere_profile(stamp + 1))
+        client.poses.publish(pose_message(stamp, (x, 0.0, 0.0)))
+        client.profiles.publish(sphere_profile(stamp + 1, frame_id))
 
 
 def set_parameter(client: Client, name: str, value: object) -> SetParametersResult:
@@ -103,35 +108,74 @@ def test_malformed_messages_are_counted_and_stop_nothing(
     assert node.poll() is None
 
 
-def test_two_frames_on_one_topic(client: Client, node: subprocess.Popen[str]) -> None:
-    client.profiles.publish(sphere_profile(START, 'left'))
-    client.profiles.publish(sphere_profile(START + 1, 'right'))
-    client.poses.publish(pose_message(START))
-    state = client.until_counted(profiles=2, poses=1)
-    assert 'dropped a profile of frame "right"' in state['dropped']
-    answer = client.call('compute_calibration')
-    assert not answer.success
-    assert 'the profile topic carries two frames, "left" and "right"' in answer.message
-
-
-def test_a_looping_bag_is_explained_and_may_start_again(
-        client: Client, node: subprocess.Popen[str]) -> None:
+@pytest.mark.parametrize(('change', 'cause'), [
+    (lambda cloud: setattr(cloud, 'point_step', 0), 'point_step'),
+    (lambda cloud: cloud.fields.pop(), 'no fields are named "z"'),
+    (lambda cloud: cloud.data.__setitem__(slice(None), millimetres(cloud)),
+     'set profile.unit to mm')], ids=['point_step 0', 'no z', 'millimetres'])
+def test_the_cause_of_a_stream_that_breaks_off_is_in_every_answer(
+        client: Client, node: subprocess.Popen[str], change: Any, cause: str) -> None:
     stand_still(client, START)
     client.until_counted(profiles=20, poses=20)
+    for number in range(5):
+        broken = sphere_profile(START + 2 * NS + number * NS // 4)
+        change(broken)
+        client.profiles.publish(broken)
+    state = client.until_counted(malformed=5, profiles=20)
+    for text in (state['message'], client.call('take_sample').message):
+        assert 'the last 5 profiles cannot be used; the last reason: ' in text and cause in text
+
+
+def millimetres(cloud: PointCloud2) -> array.array:
+    return array.array('B', (1e3 * np.frombuffer(cloud.data, '<f4')).astype('<f4').tobytes())
+
+
+def test_a_stray_of_another_frame_is_ignored_and_two_sensors_are_refused(
+        client: Client, node: subprocess.Popen[str]) -> None:
     stand_still(client, START)
-    state = client.until_counted(profiles=40, poses=40)
-    assert 'clear the samples if a bag was started again (20 times)' in state['dropped']
-    assert state['level'] == DiagnosticStatus.WARN
-    late = ('poses and profiles are dropped, as their stamps are older than those before: call '
-            '~/clear_samples if a bag was started again')
-    assert late in state['message']
-    assert client.call('compute_calibration').message.endswith(late)
-    assert client.call('clear_samples').success
-    assert 'dropped' not in client.state()['message']
-    stand_still(client, START)
-    client.until_counted(profiles=60, poses=60)
-    assert client.state()['dropped'] == ''
+    client.profiles.publish(sphere_profile(START + NS, 'right'))
+    client.poses.publish(pose_message(START + NS, frame_id='map'))
+    state = client.until_counted(profiles=21, poses=21)
+    assert 'dropped a profile of frame "right" (1 times)' in state['dropped']
     assert client.call('take_sample').success
+    stand_still(client, START + 2 * NS, 0.25, frame_id='right')
+    client.until_counted(profiles=26, poses=26)
+    for service in ('take_sample', 'compute_calibration'):
+        answer = client.call(service)
+        assert not answer.success
+        assert 'the profile topic carries two frames, "laser" and "right"' in answer.message
+
+
+def test_a_clock_that_is_set_back_takes_nothing_that_is_not(
+        client: Client, node: subprocess.Popen[str]) -> None:
+    assert client.call('auto_sample', SetBool.Request(data=False)).success
+    stand_still(client, START)
+    client.until_counted(profiles=20, poses=20)
+    assert client.call('take_sample').success
+    back = START - 60 * NS
+    stand_still(client, back, 0.25, x=0.193)
+    state = client.until_counted(profiles=25, poses=25)
+    assert state['level'] == DiagnosticStatus.WARN
+    assert 'are dropped, as their stamps are older than those before' in state['message']
+    answer = client.call('take_sample')
+    assert not answer.success and 'nobody knows where the robot is' in answer.message
+    stand_still(client, back + NS // 4, 1.75, x=0.193)
+    state = client.until_counted(profiles=60, poses=60)
+    assert 'the clock of the poses was set back by 6' in state['dropped']
+    assert 'older than those before' not in state['message']
+    answer = client.call('take_sample')
+    assert answer.success and answer.message.startswith('sample 2 taken: '), answer.message
+
+
+def test_a_stop_is_judged_while_the_robot_stands(
+        client: Client, node: subprocess.Popen[str]) -> None:
+    stand_still(client, START, 1.1)
+    client.until(lambda: client.state()['samples'] == '1', 'the stop is a sample')
+    stand_still(client, START + 22 * NS // 20)  # it stays: no second one
+    stand_still(client, START + 3 * NS, 0.2, x=0.1)
+    client.until_counted(profiles=46, poses=46)
+    assert client.call('remove_last_sample').message.startswith('removed sample 1, the last one')
+    assert client.state()['samples'] == '0'
 
 
 def test_one_wild_stamp_makes_nothing_else_late(

@@ -15,8 +15,10 @@ from command import PATIENCE
 from handeye_ros.config import Config
 from handeye_ros.diagnosis.review import NoReviewError, review
 from handeye_ros.ros.errors import WorkerEndedError
-from handeye_ros.ros.node.worker import COMMAND, InProcess, WorkerProcess
+from handeye_ros.ros.node import worker as worker_module
+from handeye_ros.ros.node.worker import COMMAND, InProcess, Judge, WorkerProcess
 from handeye_ros.sampling.errors import SilentPosesError
+from handeye_ros.sampling.stops import evenly
 import pytest
 
 
@@ -64,6 +66,27 @@ def test_one_that_was_killed_is_told_and_started_again(worker: WorkerProcess) ->
     with pytest.raises(WorkerEndedError, match='ended by signal 9 before it had an answer'):
         worker.run(os.kill, pid, signal.SIGKILL)
     assert worker.run(os.getpid) != pid
+
+
+def test_one_that_is_suspended_is_ended_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worker_module, 'SUSPENDED', 0.1)
+    worker = WorkerProcess()
+    try:
+        pid = worker.run(os.getpid)
+        with pytest.raises(WorkerEndedError, match=r'was suspended \(SIGSTOP\)'):
+            worker.run(os.kill, pid, signal.SIGSTOP)
+        assert worker.run(os.getpid) != pid
+        judge, many = Judge(worker), list(range(100))
+        assert judge._run(evenly, many, 5) and not judge.trouble
+        monkeypatch.setattr(worker, 'run', lambda *_, **__: raised(WorkerEndedError(-9)))
+        assert judge._run(evenly, many, 5) == evenly(many, 5)
+        assert 'ended by signal 9' in judge.trouble and 'the node itself' in judge.trouble
+    finally:
+        worker.stop()
+
+
+def raised(error: Exception) -> None:
+    raise error
 
 
 def test_what_cannot_be_sent_spoils_nothing_that_comes_next(worker: WorkerProcess) -> None:

@@ -68,7 +68,7 @@ def again(live: LiveSession, **values: object) -> LiveSession:
     assert found
     other = LiveSession(config, Place(), SessionStore(Place().folder, found))
     other.restore(found.session(config), found.config)
-    other.settle()
+    other.update()
     return other
 
 
@@ -154,9 +154,12 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     state = state_of(other)
     assert [s.number for s in state.samples][:5] == [1, 2, 3, 4, 6], 'no number comes twice'
     found, _ = other.compute()
-    offline = read_session(Path(other.path))
+    offline = read_session(Path(other.samples.store.path))
     expected = pipeline.calibrate_session(offline.session(offline.config), offline.config)
     assert np.abs(found.T_flange_sensor - expected.T_flange_sensor).max() < 1e-9
+    third = again(other)
+    assert state_of(third).calibration.state == 'current', 'it is solved without being asked'
+    assert np.abs(third.calibration.T_flange_sensor - found.T_flange_sensor).max() < 1e-9
 
 
 def test_other_settings_read_the_stored_profiles(tmp_path: Path) -> None:
