@@ -11,7 +11,7 @@ from dataclasses import replace
 from handeye_ros import targets
 from handeye_ros.checks.change_point import moved_slightly
 from handeye_ros.checks.conventions import require_conventions, require_range_sign
-from handeye_ros.checks.errors import LeftOutError
+from handeye_ros.checks.errors import CountedWrongWayError, LeftOutError
 from handeye_ros.checks.explained import require_edges
 from handeye_ros.checks.frames import require_own_frame
 from handeye_ros.checks.misfit import require_consistent
@@ -27,6 +27,7 @@ from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
 from handeye_ros.diagnosis.clocks import require_same_clock
 from handeye_ros.diagnosis.snapshots import stop_snapshots
+from handeye_ros.diagnosis.wrong_settings import require_settings
 from handeye_ros.errors import DataError, NamedCauseError
 from handeye_ros.estimation.consensus import Consensus, consensus, refine, SUBSETS
 from handeye_ros.estimation.linearise import Problem
@@ -67,16 +68,18 @@ def solve_session(session: Session, config: Config, solver: Solver | None = None
     Return the calibration from the samples of a session, as solve does.
 
     solver: solve itself, or what calls it elsewhere.
-    Raises DataError without one: of the clocks where these explain why the samples do not fit.
+    Raises DataError without one: of a setting or of the clocks where these explain why the
+    samples do not fit.
     """
     session.require_stations()
     config = session.with_base(config)
     try:
         return (solver or solve)(session.samples, session.rejects, config, session.frame_id)
-    except NamedCauseError:
-        raise
-    except DataError:
-        require_same_clock(session, config)
+    except DataError as error:
+        if not isinstance(error, NamedCauseError) or isinstance(error, CountedWrongWayError):
+            require_settings(session, config)
+        if not isinstance(error, NamedCauseError):
+            require_same_clock(session, config)
         raise
 
 
