@@ -26,7 +26,8 @@ from handeye_ros.profiles.range_sign import range_sign_evidence
 from handeye_ros.results.outcome import mounted
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import evenly, needed, result_of, Seen, Stop
+from handeye_ros.sampling.station_features import evenly
+from handeye_ros.sampling.stops import needed, result_of, Seen, Stop
 
 MOST_STOPS, MOST_PROFILES = 40, 4  # that are read again, and of each stop
 LEAST_SHARE = 0.7  # of the stops that fit, at the least

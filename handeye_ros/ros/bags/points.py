@@ -85,13 +85,13 @@ def require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     if not points[:, 2].max() - points[:, 2].min() > THICK:  # nor where it is not finite
         return
     spread = [np.ptp(column) for column in points.T]
-    along, across, beside = axes
-    text = (f'the points do not lie in the plane of {along} and {across}: their {beside} spans '
-            f'{spread[2] * 1e3:.1f} mm')
-    if spread[0] < THIN * spread[2]:
-        text += f', their {along} nothing: set profile.axes to [{beside}, {across}]'
-    elif spread[1] < THIN * spread[2]:
-        text += f', their {across} nothing: set profile.axes to [{along}, {beside}]'
+    text = (f'the points do not lie in the plane of {axes[0]} and {axes[1]}: '
+            f'their {axes[2]} spans {spread[2] * 1e3:.1f} mm')
+    if min(spread[:2]) < THIN * spread[2]:
+        empty = int(np.argmin(spread[:2]))
+        left, right = sorted(((2, 1), (0, 2))[empty], key=lambda k: _back(np.diff(points[:, k])))
+        text += (f', their {axes[empty]} nothing: set profile.axes to '
+                 f'[{axes[left]}, {axes[right]}]')
     else:
         text += ('; a line profiler measures in one plane: let its driver publish single '
                  'profiles in its own frame')
