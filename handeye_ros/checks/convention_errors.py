@@ -122,8 +122,7 @@ def _chained(R: Array, first: int, valid: NDArray[np.bool_] | None = None) -> Ar
 
 CONVENTION_ERRORS: dict[str, PoseMap] = {
     INVERSE: PoseMap(_inverse, 'publish the pose of the flange in the base (p_base = T p_flange), '
-                  'not its inverse; or, if the sensor is not where calibration_type says, mend '
-                  'that'),
+                     'not its inverse'),
     'quaternions read as w x y z': PoseMap(
         _wxyz, 'fill x, y, z, w of the message by name, not in the order w x y z'),
     'positions in millimetres': PoseMap(partial(_scaled, factor=1e-3),

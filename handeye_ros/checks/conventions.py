@@ -74,11 +74,13 @@ def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], before:
     poses = se3.inverse(undo(se3.inverse(problem.poses))) if on_base else undo(problem.poses)
 
     def refusal(fit: Fit) -> DataError:
-        after = residual_rms(fit[0].solution)
-        if name == INVERSE and _mounted_on_base(fit[0]) != on_base:
+        after, advice = residual_rms(fit[0].solution), CONVENTION_ERRORS[name].advice
+        if name == INVERSE:
             other = 'eye_in_hand' if on_base else 'eye_on_base'
-            return CalibrationTypeError(other, before, after)
-        return ConventionError(name, before, after, CONVENTION_ERRORS[name].advice)
+            if _mounted_on_base(fit[0]) != on_base:
+                return CalibrationTypeError(other, before, after)
+            advice += f'; or set calibration_type to {other}, if the sensor is mounted so'
+        return ConventionError(name, before, after, advice)
     return Hypothesis(partial(of_problem, replace(problem, poses=poses)), refusal)
 
 

@@ -14,12 +14,10 @@ from handeye_ros import se3, targets
 from handeye_ros.checks.alternatives import Fit, Hypothesis, require_stated
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, Sample
+from handeye_ros.diagnosis.refit import fit_of
 from handeye_ros.errors import DataError, UnusableMessageError
-from handeye_ros.estimation.consensus import Consensus, fast_consensus
-from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.solution import redundancy
 from handeye_ros.profiles.errors import FeatureError
-from handeye_ros.results.outcome import mounted
 from handeye_ros.sampling import station_features
 from handeye_ros.sampling.dwells import interpolate, NS
 from handeye_ros.sampling.errors import ClocksDifferError
@@ -65,10 +63,10 @@ def require_same_clock(session: Session, config: Config) -> None:
     rest = float(np.quantile(changes, STILL_SHARE)) if len(changes) else 0.0
     limit = max(MOVING * rest, SMALLEST_CHANGE)
     stills = [_still(*part, limit, config) for part in seen]
-    stated = _agreed(session.samples, config)
+    stated = fit_of(session.samples, config)
     hypotheses = [_late(stills, behind, config) for behind in (0, 1, -1)
                   if abs(_offset(stills, behind)) > SMALLEST]
-    require_stated((stated,) if stated else (), hypotheses)
+    require_stated(stated or (), hypotheses)
 
 
 def _profiles(stop: Stop, config: Config
@@ -145,20 +143,10 @@ def _pairs(stills: Sequence[_Still], behind: int) -> list[tuple[_Still, _Still]]
 def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
     """Return that what was seen during each stop is of the stop so many before."""
     def refit() -> Fit | None:
-        agreed = _agreed([replace(still.sample, T_base_flange=stop.pose)
-                          for still, stop in _pairs(stills, behind) if still.sample], config)
-        enough = agreed and redundancy(agreed.solution) >= FEWEST_CONDITIONS
-        return (agreed,) if agreed and enough else None
+        fit = fit_of([replace(still.sample, T_base_flange=stop.pose)
+                      for still, stop in _pairs(stills, behind) if still.sample], config)
+        return fit if fit and redundancy(fit[0].solution) >= FEWEST_CONDITIONS else None
 
     def refusal(fit: Fit) -> DataError:
         return ClocksDifferError(_offset(stills, behind), config.time_offset)
     return Hypothesis(refit, refusal)
-
-
-def _agreed(samples: Sequence[Sample], config: Config) -> Consensus | None:
-    """Return what samples agree on, None if on nothing."""
-    method = targets.method_for(config)
-    if len(samples) < method.minimum:
-        return None
-    observations = method.features.observe(samples)
-    return fast_consensus(Problem(method, mounted(samples, config), observations, config))

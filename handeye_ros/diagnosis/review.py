@@ -17,6 +17,7 @@ from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.estimation.model import UNUSED
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.results.outcome import left_out, Measured, measured_points, mounted
+from handeye_ros.sampling.edge_shapes import consistent_edges
 import numpy as np
 
 FEWEST = 3  # samples that can say anything of each other
@@ -62,7 +63,11 @@ def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) 
 
     Raises NoReviewError for too few, DataError where no fit can be started.
     """
-    chosen = [i for i, use in enumerate(included) if use]
+    # as in a solve: of the edges only what all samples believe in, none at the border of the view
+    kept, _ = consistent_edges([s for s, use in zip(samples, included, strict=True) if use])
+    by_stamp = {sample.stamp: sample for sample in kept}
+    chosen = [i for i, use in enumerate(included) if use and samples[i].stamp in by_stamp]
+    samples = [by_stamp.get(s.stamp, s) for s in samples]
     if len(chosen) < FEWEST:
         raise NoReviewError(len(chosen))
     method = targets.method_for(config)

@@ -14,17 +14,15 @@ from functools import partial
 from itertools import permutations
 
 from handeye_ros import targets
-from handeye_ros.checks.alternatives import believable, Fit, Hypothesis, of_problem
+from handeye_ros.checks.alternatives import believable, Fit, Hypothesis
 from handeye_ros.checks.misfit import residual_rms
 from handeye_ros.config import Config
 from handeye_ros.config.values import with_assignments
 from handeye_ros.data import Reject, Sample
+from handeye_ros.diagnosis.refit import fit_of
 from handeye_ros.errors import DataError, mm, NamedCauseError
-from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.solution import redundancy
 from handeye_ros.profiles.range_sign import range_sign_evidence
-from handeye_ros.results.outcome import mounted
-from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.station_features import evenly
 from handeye_ros.sampling.stops import needed, result_of, Seen, Stop
@@ -46,6 +44,8 @@ class WrongSettingError(NamedCauseError):
 
 def require_settings(session: Session, config: Config) -> None:
     """Raise WrongSettingError where other settings explain the stops of a session."""
+    if config.sampling.moving:  # a pass is of many profiles, each with its own pose
+        return
     stops = [_thinned(outcome.stop, config) for outcome in session.outcomes
              if not outcome.refused][:MOST_STOPS]
     stated = _fit(stops, config)
@@ -94,13 +94,9 @@ def _changed(config: Config, values: dict[str, str]) -> Config:
 def _fit(stops: Sequence[Stop], config: Config) -> Fit | None:
     """Return the fit of stops as a configuration reads them, None where there is none."""
     results: list[Sample | Reject] = [result_of(stop, config) for stop in stops]
-    method, found = targets.method_for(config), [r for r in results if isinstance(r, Sample)]
-    if len(found) < method.minimum or range_sign_evidence(results).against:
+    if range_sign_evidence(results).against:
         return None
-    samples, _ = consistent_edges(found)
-    if len(samples) < method.minimum:
-        return None
-    return of_problem(Problem(method, mounted(samples, config), method.observe(samples), config))
+    return fit_of([result for result in results if isinstance(result, Sample)], config)
 
 
 def _conditions(fit: Fit) -> int:
