@@ -65,7 +65,8 @@ def main() -> None:
 
 def _row(name: str, seed: int, verbose: bool) -> tuple[int, int, int]:
     scenario = FAULTS.get(name) or SCENARIOS[name]
-    right = {'profile.axes': '[x, z]', 'profile.range_sign': '1', 'profile.unit': 'm', 'time_offset': '0.0'} | {
+    right = {'profile.axes': '[x, z]', 'profile.range_sign': '1', 'profile.unit': 'm',
+             'time_offset': '0.0'} | {
         key: f'[{", ".join(value)}]' if isinstance(value, list) else str(value)
         for key, value in settings(scenario).items()}
     results = []
