@@ -1,12 +1,12 @@
 """
-The seam of simulated curved preforms against the truth.
+The seam of simulated joints and curved preforms against the truth.
 
 usage: .venv/bin/python bench/seam.py [SEEDS]
 
 A preform of 200 mm with a lap of 5 mm (or a butt seam with a gap of 3 mm), points 0.4 mm apart
 with 0.1 mm of noise on each axis: centre line against the true one (RMS and largest distance,
 square to the seam), approach against the true normal, over SEEDS (default 20) seeds; the worst is
-told.
+told. Then the joints of bench/joints.py, as a leaning sensor sees them, over a fifth of the seeds.
 """
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ import sys
 import time
 
 from handeye_ros.data import Array
+from handeye_ros.errors import DataError
 from handeye_ros.scanning.seam import find_seam, tool_frames
 from handeye_ros.simulate.preform import Preform, preform_cloud, PreformCloud
+from joints import JOINTS, Scanned, scanned
 import numpy as np
 from scipy.spatial import cKDTree
 
 
-def errors(truth: PreformCloud, T_base_tool: Array) -> tuple[Array, Array]:
+def errors(truth: PreformCloud | Scanned, T_base_tool: Array) -> tuple[Array, Array]:
     """Return distances from the true line (m) and angles to the true approach (degrees)."""
     _, index = cKDTree(truth.centre).query(T_base_tool[:, :3, 3])
     tangent = np.gradient(truth.centre, axis=0)[index]
@@ -51,6 +53,24 @@ def main() -> None:
             angle.append(turned.max())
         print(f'{kind:6} {np.median(rms):11.3f} {max(rms):5.3f}  {max(largest):16.3f} '
               f'{np.median(angle):8.2f} {max(angle):5.2f} {np.median(seconds):16.1f}')
+    print(f'\n{"":36} kind   largest off the line [mm], approach [degrees], missing at ends [mm]')
+    for name, joint in JOINTS.items():
+        told = [of_joint(scanned(joint, np.random.default_rng(seed)), joint.length)
+                for seed in range(max(seeds // 5, 1))]
+        worst = np.max([numbers for _, numbers in told], axis=0)
+        kinds = ', '.join(sorted({kind for kind, _ in told}))
+        print(f'{name:36} {kinds:6} ' + ('  '.join(f'{v:.3f}' for v in worst)
+                                         if np.isfinite(worst).any() else ''))
+
+
+def of_joint(truth: Scanned, length: float) -> tuple[str, tuple[float, float, float]]:
+    """Return the kind of the seam found, and its errors (mm, degrees, mm); NaN: refused."""
+    try:
+        seam = find_seam(truth.points)
+    except DataError as refusal:
+        return f'refused: {str(refusal)[:60]}', (np.nan, np.nan, np.nan)
+    away, turned = errors(truth, tool_frames(seam, 5e-3).T_base_tool)
+    return seam.kind, (1e3 * away.max(), turned.max(), length - 1e3 * seam.curve.length)
 
 
 if __name__ == '__main__':

@@ -16,6 +16,7 @@ from scipy.interpolate import make_lsq_spline
 
 KNOT_SPACING = 0.03  # m between the knots of a spline
 CUT = 3.5  # sigmas of points that are left out
+FINEST = 1e-6  # m: a smaller scatter is rounding, and no reason to leave points out
 FINE = 2000  # points that measure a length
 SAME = 4e-5  # m RMS between cubic and spline: the cubic follows the seam too
 
@@ -70,10 +71,10 @@ def spline(t: Array, points: Array) -> Curve:
     Least squares over knots that lie KNOT_SPACING apart; outliers are left out.
     """
     kept = np.ones(len(t), dtype=bool)
-    for _ in range(3):
+    for _ in range(4):
         fitted = make_lsq_spline(t[kept], points[kept], _knots(t[kept], points[kept]), k=3)
-        away = np.linalg.norm(fitted(np.clip(t, t[kept][0], t[kept][-1])) - points, axis=1)
-        kept = away <= CUT * np.sqrt((away[kept] ** 2).mean())
+        away = np.linalg.norm(fitted(t) - points, axis=1)
+        kept = away <= CUT * max(float(np.sqrt((away[kept] ** 2).mean())), FINEST)
     tangent = fitted.derivative()
 
     def advance(at: float) -> Array:
@@ -81,7 +82,7 @@ def spline(t: Array, points: Array) -> Curve:
         return np.asarray(way / np.linalg.norm(way))
 
     return Curve('spline', float(t[0]), float(t[-1]),
-                 lambda at: np.asarray(fitted(np.clip(at, t[kept][0], t[kept][-1]))), advance)
+                 lambda at: np.asarray(fitted(at)), advance)
 
 
 def _knots(t: Array, points: Array) -> Array:

@@ -87,6 +87,24 @@ class NoLineError(DataError):
                          f'at {place(at)} (closed, or branching?): cut a part out with --box')
 
 
+class HiddenWallError(DataError):
+    """A step that may be a lap or a T, since its wall is not seen."""
+
+    def __init__(self, height: float, at: Sequence[float]) -> None:
+        super().__init__(f'a step of {mm(height)} at {place(at)} whose wall is not seen: too high '
+                         'for a lap, and without the wall the root of a T is not known: scan with '
+                         'the sensor leant by 30 to 45 degrees towards the wall')
+
+
+class UnclearSeamError(DataError):
+    """A seam whose sections do not agree; spread: of them, noise: of the points."""
+
+    def __init__(self, spread: float, noise: float) -> None:
+        super().__init__(f'the sections of the seam scatter by {mm(spread)}, and the points by '
+                         f'{mm(noise)}: what was found is no even seam; cut it out with --box, '
+                         'or scan more densely')
+
+
 class TaughtPathError(InputError):
     """A taught path that cannot be read."""
 

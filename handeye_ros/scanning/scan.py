@@ -16,13 +16,15 @@ from handeye_ros.data import Array, Calibration, Profile
 from handeye_ros.scanning.cloud_files import Points
 from handeye_ros.scanning.errors import EmptyScanError, NoPosesAroundError
 from handeye_ros.scanning.point_std import point_std, sensor_in_base, variance_polynomial
-from handeye_ros.scanning.thinning import Thinning
 from handeye_ros.scanning.track import Track
 import numpy as np
 from numpy.typing import NDArray
 
 BATCH = 64  # profiles at once: the arrays stay in the cache
 SLOPE_REACH = 4  # returns to either side that tell the slope of the surface
+BITS = 22  # 4 million cubes are remembered, in 32 MB
+MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)  # of Fibonacci hashing
+HALF = 1 << 20  # cubes to either side of the origin along each axis
 
 
 @dataclass(frozen=True)
@@ -163,3 +165,29 @@ def _incidence(x: Array, z: Array) -> Array:
     before, after = np.maximum(index - SLOPE_REACH, 0), np.minimum(index + SLOPE_REACH,
                                                                    len(x) - 1)
     return np.asarray(np.arctan2(np.abs(z[after] - z[before]), np.abs(x[after] - x[before])))
+
+
+class Thinning:
+    """
+    Remembers cubes that held a point already.
+
+    A table of fixed size: where a cloud has more cubes than it, a cube may be forgotten for
+    another, and then keeps a second point when the laser comes by again.
+    """
+
+    def __init__(self, edge: float) -> None:
+        """Start with all cubes empty; edge: of a cube (m)."""
+        self._edge = edge
+        self._table = np.full(1 << BITS, np.iinfo(np.uint64).max, dtype=np.uint64)
+
+    def new(self, points: Array) -> NDArray[np.bool_]:
+        """Tell which points (3, n) are the first of their cube."""
+        cells = np.floor(points / self._edge).astype(np.int64) + HALF
+        x, y, z = (cells & (2 * HALF - 1)).astype(np.uint64)
+        key = (x << np.uint64(42)) | (y << np.uint64(21)) | z
+        slot = (key * MULTIPLIER) >> np.uint64(64 - BITS)
+        is_new = np.zeros(len(key), dtype=bool)
+        first = np.unique(key, return_index=True)[1]
+        is_new[first] = self._table[slot[first]] != key[first]
+        self._table[slot[is_new]] = key[is_new]
+        return is_new

@@ -1,40 +1,51 @@
 """
-Where two edges face each other in a cloud: the rough course of a seam.
+Where the edges of two sheets face each other: the rough course of a seam, and its kind.
 
-A point whose neighbours leave a wide angle free lies on an edge, and looks out there. Two points
-that are nearest to each other with opposite outlooks are a pair across a seam: the rims of a gap,
-or the rim and the foot of a step. Borders of the part have no such partner.
+Edges of parallel sheets that look at each other across a gap are a butt seam, above each other a
+lap; edges of sheets at an angle that would meet below their own bodies are a fillet, or a V where
+both sheets bend outwards above. The partner of a point is the nearest of each kind; borders of
+the part have none.
 """
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from handeye_ros.data import Array
-from handeye_ros.scanning.errors import InterruptedSeamError, NoSeamError, SeveralSeamsError
+from handeye_ros.scanning.errors import (
+    HiddenWallError,
+    InterruptedSeamError,
+    NoSeamError,
+    SeveralSeamsError,
+)
+from handeye_ros.scanning.seam_sheets import Rims
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-NEIGHBOURS = 32
-REACH = 3.5  # of the neighbourhood that tells an edge, in spacings
-FREE_ANGLE = 2.2  # rad without neighbours: an edge
+PARALLEL = 0.8  # cosine between the normals of the sheets of a gap or a step
 OPPOSITE, AHEAD = -0.5, -0.3  # cosines between outlooks, and of an outlook to the partner
-RIVAL = 1.4  # times the distance of its nearest partner that a partner may have
+INWARDS = 0.3  # cosine between one sheet's normal and the way into the other: a hollow corner
+NEXT_NEAREST = 1.4  # times the distance of its nearest partner that a partner may have
 LINK = 8.0  # spacings between pairs that belong to one seam
 SHORTEST = 0.01  # m of a seam
 MINOR = 0.15  # of the longest seam's length: what is shorter is no seam
 IN_LINE = 0.85  # cosine of what continues a seam behind an interruption
-CHUNK = 20_000
+HIGHEST_LAP = 8e-3  # m: a step that is higher is none of a lap
+NARROWEST = 4.0  # spacings of a gap
+OUTWARDS = 0.9  # cosine between the axis of a V and the normals of its plates
+KINDS = ('v', 'butt', 'lap', 'fillet', 'step')  # one of an earlier kind is taken before others
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Midpoints (k, 3) of the pairs, in order along the seam, and unit normals (k, 3) there."""
+    """Pairs (k, 2) of rows of the rims, in order along the seam; others: seams not taken."""
 
-    points: Array
-    normals: Array
+    kind: str
+    pairs: NDArray[np.intp]
+    middle: Array
+    others: int
 
 
 def spacing_of(points: Array) -> float:
@@ -45,89 +56,135 @@ def spacing_of(points: Array) -> float:
     return float(np.median(distance[:, 6]) * np.sqrt(np.pi / 6.0))
 
 
-def course(points: Array, spacing: float, widest: float) -> Course:
+def course(rims: Rims, points: Array, spacing: float, widest: float, up: Array) -> Course:
     """
-    Return the rough course of the only seam in points (n, 3).
+    Return the rough course of the only seam between the rims of sheets in points (n, 3).
 
-    widest: largest distance between its edges (m). Raises NoSeamError, SeveralSeamsError,
-    InterruptedSeamError.
+    widest: largest distance between its edges (m); up: (3,) towards the tool. Raises
+    NoSeamError, SeveralSeamsError, InterruptedSeamError, HiddenWallError.
     """
-    rows, outlook, normals = edge_points(points, spacing)
-    pairs = _pairs(points[rows], outlook, widest)
-    if len(pairs) < 8:
+    pairs = _pairs(rims, widest)
+    by_kind: dict[str, list[NDArray[np.intp]]] = {kind: [] for kind in (*KINDS, 'none')}
+    sides = np.sort(rims.label[pairs], axis=1)
+    for two in np.unique(sides, axis=0):
+        between = pairs[(sides == two).all(axis=1)]
+        for _, rows in _parts(rims, between, spacing):
+            of_two = _kind(rims, between[rows], spacing, up)
+            if of_two != 'butt' or not _covered(rims, between[rows], points, spacing):
+                by_kind[of_two].append(between[rows])
+    found = {kind: _whole(rims, by_kind[kind], spacing) for kind in KINDS}
+    longest = max((length for parts in found.values() for length, _ in parts), default=0.0)
+    seams = {kind: sorted((p for p in parts if p[0] >= MINOR * longest), key=lambda p: -p[0])
+             for kind, parts in found.items()}
+    kind = next((kind for kind in KINDS if seams[kind]), None)
+    if kind is None:
         raise NoSeamError(spacing, widest)
-    first, second = points[rows][pairs[:, 0]], points[rows][pairs[:, 1]]
-    middle = 0.5 * (first + second)
-    parts = _parts(middle, spacing)
+    middles = [rims.points[pairs].mean(axis=1) for _, pairs in seams[kind]]
+    pairs = seams[kind][0][1]
+    if kind == 'step':
+        raise HiddenWallError(_height(rims, pairs), middles[0].mean(axis=0))
+    _require_one(middles, spacing)
+    return Course(kind, pairs, middles[0], sum(len(parts) for parts in seams.values()) - 1)
+
+
+def _whole(rims: Rims, parts: list[NDArray[np.intp]], spacing: float
+           ) -> list[tuple[float, NDArray[np.intp]]]:
+    """Return length and pairs of the seams that parts of one kind make together."""
     if not parts:
-        raise NoSeamError(spacing, widest)
-    _require_one([middle[part] for part in parts], spacing)
-    part = parts[0]
-    normal = normals[rows][pairs[part, 0]]
-    other = normals[rows][pairs[part, 1]]
-    normal = normal + other * np.sign((normal * other).sum(axis=1))[:, None]
-    return Course(middle[part], normal / np.linalg.norm(normal, axis=1)[:, None])
+        return []
+    pairs = np.concatenate(parts)
+    return [(length, pairs[rows]) for length, rows in _parts(rims, pairs, spacing)]
 
 
-def edge_points(points: Array, spacing: float) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return the rows of points on an edge, their outlooks (k, 3), and normals (n, 3) of all."""
-    tree = cKDTree(points)
-    outlook, normals = np.zeros_like(points), np.zeros_like(points)
-    free = np.zeros(len(points))
-    for start in range(0, len(points), CHUNK):
-        part = slice(start, start + CHUNK)
-        free[part], outlook[part], normals[part] = _surroundings(tree, points[part], spacing)
-    rows = np.flatnonzero(free > FREE_ANGLE)
-    return rows, outlook[rows], normals
-
-
-def _surroundings(tree: cKDTree, points: Array, spacing: float) -> tuple[Array, Array, Array]:
-    """Return the widest free angle (n,) around points, its middle and the normal (n, 3)."""
-    distance, near = tree.query(points, NEIGHBOURS + 1, distance_upper_bound=REACH * spacing)
-    there = np.isfinite(distance[:, 1:])
-    near = np.where(there, near[:, 1:], near[:, :1])
-    offset = tree.data[near] - points[:, None]
-    count = np.maximum(there.sum(axis=1), 1)
-    mean = offset.sum(axis=1) / count[:, None]
-    centred = (offset - mean[:, None]) * there[..., None]
-    _, axes = np.linalg.eigh(np.swapaxes(centred, 1, 2) @ centred)
-    flat = offset @ axes[:, :, 1:]
-    angle = np.arctan2(flat[..., 1], flat[..., 0])
-    angle = np.sort(np.where(there, angle, np.inf), axis=1)
-    angle = np.where(np.isfinite(angle), angle, angle[:, :1] + 2 * np.pi)
-    angle = np.where(np.isfinite(angle), angle, 0.0)  # alone
-    gaps = np.diff(angle, axis=1, append=angle[:, :1] + 2 * np.pi)
-    widest = np.argmax(gaps, axis=1)
-    each = np.arange(len(points))
-    free, middle = gaps[each, widest], angle[each, widest] + gaps[each, widest] / 2
-    outlook = np.einsum('nij,nj->ni', axes[:, :, 1:], np.stack(
-        [np.cos(middle), np.sin(middle)], axis=1))
-    return np.where(count >= 6, free, 0.0), outlook, axes[:, :, 0]
-
-
-def _pairs(edge: Array, outlook: Array, widest: float) -> NDArray[np.intp]:
-    """Return the pairs (k, 2) of points that look at each other across a seam."""
-    i, j = cKDTree(edge).query_pairs(widest, output_type='ndarray').T
-    way = edge[j] - edge[i]
-    length = np.linalg.norm(way, axis=1)
-    facing = (outlook[i] * outlook[j]).sum(axis=1) < OPPOSITE
-    facing &= (way * outlook[i]).sum(axis=1) > AHEAD * length
-    facing &= (way * outlook[j]).sum(axis=1) < -AHEAD * length
-    i, j, length = i[facing], j[facing], length[facing]
-    nearest = np.full(len(edge), np.inf)
-    np.minimum.at(nearest, i, length)
-    np.minimum.at(nearest, j, length)
-    chosen = (length == nearest[i]) | (length == nearest[j])
-    chosen &= length <= RIVAL * np.minimum(nearest[i], nearest[j])
+def _pairs(rims: Rims, widest: float) -> NDArray[np.intp]:
+    """Return the pairs (k, 2) of rims that look at each other, the nearest of their sheets."""
+    i, j = cKDTree(rims.points).query_pairs(widest, output_type='ndarray').T
+    way = rims.points[j] - rims.points[i]
+    length = np.maximum(np.linalg.norm(way, axis=1), 1e-12)
+    least = np.where(rims.label[i] == rims.label[j], -AHEAD, AHEAD) * length
+    ahead = (way * rims.outlook[i]).sum(axis=1) > least
+    ahead &= -(way * rims.outlook[j]).sum(axis=1) > least
+    alike = np.abs((rims.normals[i] * rims.normals[j]).sum(axis=1)) > PARALLEL
+    ahead &= alike == ((rims.outlook[i] * rims.outlook[j]).sum(axis=1) < OPPOSITE)
+    i, j, length = i[ahead], j[ahead], length[ahead]
+    # of each point the nearest on each other sheet
+    nearest = []
+    for one, other in ((i, j), (j, i)):
+        key = np.unique(one * (rims.label.max(initial=0) + 1) + rims.label[other],
+                        return_inverse=True)[1]
+        least = np.full(len(i), np.inf)
+        np.minimum.at(least, key, length)
+        nearest.append(least[key])
+    chosen = (length == nearest[0]) | (length == nearest[1])
+    chosen &= length <= NEXT_NEAREST * np.minimum(*nearest)
     return np.stack([i[chosen], j[chosen]], axis=1)
 
 
-def _parts(middle: Array, spacing: float) -> list[NDArray[np.intp]]:
-    """Return the rows of each connected line of midpoints in its order, the longest first."""
-    pairs = cKDTree(middle).query_pairs(LINK * spacing, output_type='ndarray')
-    length = np.linalg.norm(middle[pairs[:, 0]] - middle[pairs[:, 1]], axis=1)
+def _kind(rims: Rims, pairs: NDArray[np.intp], spacing: float, up: Array) -> str:
+    """Return the kind of a seam between two sheets; none: their corner stands out."""
+    i, j = pairs.T
+    normals, outlook = rims.normals, rims.outlook
+    alike = (normals[i] * normals[j]).sum(axis=1)
+    if np.median(np.abs(alike)) > PARALLEL:
+        height = _height(rims, pairs)
+        way = np.linalg.norm(rims.points[j] - rims.points[i], axis=1)
+        aside = np.sqrt(max(float(np.median(way)) ** 2 - height ** 2, 0.0))
+        if height <= max(aside - 2 * spacing, 0.5 * aside):
+            return 'butt' if aside > NARROWEST * spacing else 'none'
+        return 'lap' if height <= HIGHEST_LAP else 'step'
+    into = np.where(normals[i] @ up > normals[j] @ up,  # of an upright wall the normal may be -n
+                    (normals[i] * outlook[j]).sum(axis=1), (normals[j] * outlook[i]).sum(axis=1))
+    if np.median(into) > -INWARDS:
+        return 'none'
+    return 'v' if _is_v(rims, pairs, spacing) else 'fillet'
+
+
+def _covered(rims: Rims, pairs: NDArray[np.intp], points: Array, spacing: float) -> bool:
+    """Tell whether something stands in a gap, higher than its edges."""
+    ends = rims.points[pairs]
+    normal = np.linalg.svd(rims.normals[pairs].reshape(-1, 3), full_matrices=False)[2][0]
+    normal *= np.sign((rims.normals[pairs] @ normal).sum())
+    flat = np.eye(3) - np.outer(normal, normal)
+    reach = 0.25 * float(np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)))
+    middle = ends.mean(axis=1)
+    distance, near = cKDTree(points @ flat).query(
+        middle @ flat, 8, distance_upper_bound=max(reach, spacing))
+    there = np.isfinite(distance)
+    above = (points[np.where(there, near, 0)] - middle[:, None]) @ normal > 4 * spacing
+    return bool((above & there).any(axis=1).mean() > 0.5)
+
+
+def _height(rims: Rims, pairs: NDArray[np.intp]) -> float:
+    """Return the median height of a step."""
+    way = rims.points[pairs[:, 1]] - rims.points[pairs[:, 0]]
+    return float(np.median(np.abs((way * rims.normals[pairs[:, 0]]).sum(axis=1))))
+
+
+def _is_v(rims: Rims, pairs: NDArray[np.intp], spacing: float) -> bool:
+    """Tell whether both sheets of a hollow corner bend outwards at their other ends."""
+    axis = -rims.outlook[pairs].sum(axis=(0, 1))
+    axis /= np.linalg.norm(axis)
+    others = np.flatnonzero(np.isin(rims.label, rims.label[pairs], invert=True))
+    if not len(others):
+        return False
+    tree = cKDTree(rims.points[others])
+    for sheet in np.unique(rims.label[pairs]):
+        own = (rims.label == sheet) & (rims.outlook @ axis > INWARDS)
+        distance, near = tree.query(rims.points[own], distance_upper_bound=LINK * spacing)
+        plate = others[near[np.isfinite(distance)]]
+        if (np.abs(rims.normals[plate] @ axis) > OUTWARDS).sum() < len(pairs) / 8:
+            return False
+    return True
+
+
+def _parts(rims: Rims, pairs: NDArray[np.intp], spacing: float
+           ) -> list[tuple[float, NDArray[np.intp]]]:
+    """Return length and rows of each connected line of pairs that is no crumb, in its order."""
+    middle = rims.points[pairs].mean(axis=1)
+    links = cKDTree(middle).query_pairs(LINK * spacing, output_type='ndarray')
+    length = np.linalg.norm(middle[links[:, 0]] - middle[links[:, 1]], axis=1)
     n = len(middle)
-    graph = coo_matrix((np.maximum(length, 1e-9), pairs.T), shape=(n, n)).tocsr()
+    graph = coo_matrix((np.maximum(length, 1e-9), links.T), shape=(n, n)).tocsr()
     count, label = connected_components(graph, directed=False)
     found = []
     for part in range(count):
@@ -135,9 +192,9 @@ def _parts(middle: Array, spacing: float) -> list[NDArray[np.intp]]:
         inner = graph[rows][:, rows]
         end = int(np.argmax(dijkstra(inner, directed=False, indices=0)))
         along = dijkstra(inner, directed=False, indices=end)
-        found.append((float(along.max()), rows[np.argsort(along)]))
-    found.sort(key=lambda item: -item[0])
-    return [rows for size, rows in found if size >= max(SHORTEST, MINOR * found[0][0])]
+        if along.max() >= SHORTEST:
+            found.append((float(along.max()), rows[np.argsort(along)]))
+    return found
 
 
 def _require_one(parts: list[Array], spacing: float) -> None:

@@ -15,7 +15,9 @@ import numpy as np
 import yaml
 
 FORMAT = 'handeye_ros/seam/1'
-COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')
+NAMES = {'v': 'V seam', 'butt': 'butt seam', 'lap': 'lap seam', 'fillet': 'fillet seam'}
+COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', 'residual')
+NEARBY = 0.01  # m along the seam whose sections tell the residual at a frame
 WITHIN = 1e-3  # m: the share of a taught path that is nearer is told
 
 
@@ -64,10 +66,29 @@ def read_taught(path: Path) -> Array:
     return points
 
 
-def csv_text(frames: ToolFrames) -> str:
-    """Return arc length, position and quaternion of each frame, metres, as CSV."""
+def measures(seam: Seam, frames: ToolFrames) -> Array:
+    """
+    Return (m, 3) at each frame: gap, mismatch and residual (m).
+
+    Gap and mismatch: distance between the edges along and across the sheets; residual: RMS
+    distance of the sections nearby from the line.
+    """
+    own = np.linspace(0.0, seam.curve.length, len(seam.normals))
+    across = seam.second - seam.first
+    mismatch = (across * seam.normals).sum(axis=1)
+    way = np.gradient(seam.root, axis=0)
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    aside = across - mismatch[:, None] * seam.normals - (across * way).sum(axis=1)[:, None] * way
+    near = np.abs(own - frames.lengths[:, None]) <= NEARBY
+    residual = np.sqrt((near * seam.residuals ** 2).sum(axis=1) / near.sum(axis=1))
+    return np.column_stack([*(np.interp(frames.lengths, own, v) for v in (
+        np.linalg.norm(aside, axis=1), np.abs(mismatch))), residual])
+
+
+def csv_text(seam: Seam, frames: ToolFrames) -> str:
+    """Return arc length, position, quaternion and measures of each frame, metres, as CSV."""
     rows = np.column_stack([frames.lengths, frames.T_base_tool[:, :3, 3],
-                            se3.quaternion(frames.T_base_tool)])
+                            se3.quaternion(frames.T_base_tool), measures(seam, frames)])
     lines = [','.join(COLUMNS), *(','.join(f'{v:.9f}' for v in row) for row in rows)]
     return '\n'.join(lines) + '\n'
 
@@ -76,14 +97,17 @@ def values(seam: Seam, frames: ToolFrames, frame_id: str, taught: Taught | None
            ) -> dict[str, Any]:
     """Return what is told of a seam as plain values."""
     told: dict[str, Any] = {
-        'format': FORMAT, 'frame': frame_id, 'kind': seam.kind, 'curve': seam.curve.kind,
-        'length': seam.curve.length, 'noise': seam.noise, 'spacing': seam.spacing,
-        'neighbours': seam.neighbours}
+        'format': FORMAT, 'frame': frame_id, 'kind': seam.kind, 'line': seam.line,
+        'curve': seam.curve.kind, 'length': seam.curve.length, 'noise': seam.noise,
+        'residual': seam.residual, 'spacing': seam.spacing}
     if taught:
         told['taught'] = dict(vars(taught))
-    told['frames'] = [{'length': float(length), 'position': T[:3, 3].tolist(),
-                       'quaternion': se3.quaternion(T).tolist()}
-                      for length, T in zip(frames.lengths, frames.T_base_tool, strict=True)]
+    told['frames'] = [
+        {'length': float(length), 'position': T[:3, 3].tolist(),
+         'quaternion': se3.quaternion(T).tolist(),
+         **dict(zip(COLUMNS[-3:], map(float, row), strict=True))}
+        for length, T, row in zip(frames.lengths, frames.T_base_tool, measures(seam, frames),
+                                  strict=True)]
     return told
 
 
@@ -95,16 +119,22 @@ def yaml_text(told: dict[str, Any]) -> str:
 def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str, taught: Taught | None
           ) -> None:
     """Write seam.csv and seam.yaml; raises UnwritableError."""
-    write_whole(folder / 'seam.csv', csv_text(frames))
+    write_whole(folder / 'seam.csv', csv_text(seam, frames))
     write_whole(folder / 'seam.yaml', yaml_text(values(seam, frames, frame_id, taught)))
 
 
 def sentences(seam: Seam, frames: ToolFrames, taught: Taught | None) -> list[str]:
     """Return what is told of a seam, for a person."""
-    lines = [f'{seam.kind} seam of {seam.curve.length * 1e3:.1f} mm, centre line: '
-             f'{seam.curve.kind}; {len(frames.lengths)} tool frames',
+    gap, mismatch, _ = 1e3 * measures(seam, frames).T
+    lines = [f'{NAMES[seam.kind]} of {seam.curve.length * 1e3:.1f} mm, path along its '
+             f'{seam.line}: {seam.curve.kind}; {len(frames.lengths)} tool frames',
+             f'gap {gap.min():.2f} to {gap.max():.2f} mm, mismatch {mismatch.min():.2f} to '
+             f'{mismatch.max():.2f} mm; its sections scatter by {seam.residual * 1e3:.3f} mm',
              f'the points are {seam.spacing * 1e3:.2f} mm apart, their noise is '
-             f'{seam.noise * 1e3:.3f} mm; {seam.neighbours} neighbours make a local plane']
+             f'{seam.noise * 1e3:.3f} mm']
+    if seam.others:
+        lines.append(f'{seam.others} other edges that face each other (steps, corners) are not '
+                     'taken for the seam; cut one out with --box to have it')
     if taught:
         lines.append(f'{taught.count} taught points: mean distance {taught.mean * 1e3:.3f} mm, '
                      f'RMS {taught.rms * 1e3:.3f} mm, largest {taught.largest * 1e3:.3f} mm, '

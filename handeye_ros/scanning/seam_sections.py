@@ -1,10 +1,13 @@
 """
 The two edges of a seam, section by section across its rough course.
 
-On each side of the seam a parabola is laid through the section of the sheet; its end is where the
-sheet, seen with noise, most likely ends: for points spread evenly with density q up to an end e,
-each off by a Gaussian error of s, the likelihood is largest where
-sum phi((e - b) / s) / Phi((e - b) / s) / s = q.
+On each side a parabola is laid through the section of the sheet; its end is where the sheet, seen
+with noise, most likely ends: for points spread evenly with density q up to an end e, each off by a
+Gaussian error of s, the likelihood is largest where sum h((e - b) / s) / s = q, h = phi / Phi.
+Its bias to first order in 1 / q (Cox and Snell 1968), (1/2) int h' phi dx / (int h phi dx)^2 / q
+= -0.365 / q, is taken off. The foot of a lap lies on the lower sheet under the rim, whether the
+wall hides it or not; the root of a fillet is where the sheets meet, that of a V midway between
+its lower edges.
 """
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from handeye_ros.data import Array
 from handeye_ros.scanning.curves import arc_length, Curve, spline
 from handeye_ros.scanning.errors import InterruptedSeamError, NoLineError
 from handeye_ros.scanning.seam_edges import Course
+from handeye_ros.scanning.seam_sheets import Rims, Sheets
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
@@ -23,63 +27,113 @@ from scipy.special import log_ndtr
 WIDTH = 24.0  # spacings of sheet beside the seam that are looked at, at least
 NARROWEST = 6e-3  # m of the same
 MARGIN = 2.5  # spacings beside the seam where no end can lie
+BEYOND = 2e-3  # m before the rough edge where the sheet may end
 FEWEST = 12  # points of a side of a section
 TOLERANCE = 4.0  # sigmas of what lies on the sheet
 WIDEST_LINE = 12.0  # spacings across the rough course
 MISSING = 5e-3  # m of an edge that may be missing
+WINDOW = 5e-3  # m along the seam whose pairs tell the rough edges
+OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may go on
+SHORT = 0.365  # of 1 / q: what the likeliest end falls short by on average, of few points
+MET = 4.0  # spacings between the lower edges of a V without a root gap
 
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """The two edges of a seam: points (k, 3) each, section by section; noise: of the cloud."""
+    """
+    The two edges of a seam, section by section.
 
+    at: (k,) lengths along the rough course; first, second, root: (k, 3); normals: (k, 2, 3) of
+    the sheets there, out of the part; noise: 1 sigma about the sheets (m); ends: the lengths
+    where the seam begins and ends.
+    """
+
+    at: Array
     first: Array
     second: Array
+    root: Array
     normals: Array
     noise: float
+    ends: tuple[float, float]
 
 
-def edges(points: Array, rough: Course, spacing: float) -> Edges:
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """
+    A sheet in a section: its end (3,), its way out there (3,), its mean normal (3,).
+
+    noise: 1 sigma about it; span: how far it reaches along the seam (m).
+    """
+
+    end: Array
+    outwards: Array
+    normal: Array
+    noise: float
+    span: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """The rough course: its curve, and per pair t (k,), the place there (k, 3), its two rims."""
+
+    curve: Curve
+    t: Array
+    at: Array
+    rims: tuple[NDArray[np.intp], NDArray[np.intp]]
+
+    def position(self, t: float) -> tuple[Array, Array]:
+        """Return the place and way at t, also a little beyond the ends."""
+        inside = float(np.clip(t, self.curve.first, self.curve.last))
+        way = self.curve.advance(inside)
+        return self.curve.position(inside) + (t - inside) * way, way
+
+
+def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Course,
+          spacing: float) -> Edges:
     """
     Return the edges of the seam along a rough course.
 
     Raises NoLineError, InterruptedSeamError.
     """
-    middle, lines = _middle(rough, spacing)
+    line = _line(rims, rough, spacing)
     step = max(1e-3, 3 * spacing)
-    at = np.arange(0.5 * step, middle.length, step)
-    tree, found, noises = cKDTree(points), [], []
-    for t in middle.by_length(at):
-        place, way = middle.position(t), middle.advance(t)
-        normal = lines.normals[np.argmin(((lines.points - place) ** 2).sum(axis=1))]
-        normal = normal - (normal @ way) * way
-        frame = np.column_stack([way, np.cross(normal, way), normal])
-        frame /= np.linalg.norm(frame, axis=0)
-        ends = _section(points, tree, place, frame, step, spacing)
-        if ends:
-            noises.append(ends[1])
-            found.append(np.concatenate([place + ends[0] @ frame.T, normal[None]]))
-        else:
-            found.append(np.full((3, 3), np.nan))
-    rows = np.array(found)
-    _require_whole(rows, np.array([middle.position(t) for t in middle.by_length(at)]), step)
-    rows = rows[np.isfinite(rows).all(axis=(1, 2))]
-    return Edges(rows[:, 0], rows[:, 1], rows[:, 2], float(np.median(noises)))
+    first, last = line.curve.first - OVERHANG, line.curve.last + OVERHANG
+    at = np.arange(first + 0.5 * step, last, step)
+    degree = 1 if rough.kind in ('v', 'fillet') else 2
+    sections: list[tuple[float, _Side, _Side]] = []
+    for t in at:
+        a, b = (_side(points, tree, sheets, rims, line, side, t, step, spacing, degree)
+                for side in (0, 1))
+        if a is not None and b is not None:
+            sections.append((float(t), a, b))
+    whole = np.isin(at, [t for t, _, _ in sections])
+    _require_whole(whole, [line.position(float(t))[0].tolist() for t in at], step)
+    (t0, a0, b0), (t1, a1, b1) = sections[0], sections[-1]
+    filled = [(t, a, b) for t, a, b in sections
+              if min(np.ptp(a.span), np.ptp(b.span)) > 0.5 * step - spacing]
+    rows = np.array([_joint(rough.kind, a, b, spacing) for _, a, b in filled])
+    return Edges(np.array([t for t, _, _ in filled]), rows[:, 0], rows[:, 1], rows[:, 2],
+                 rows[:, 3:], float(np.median([s.noise for _, *both in filled for s in both])),
+                 (t0 + max(a0.span[0], b0.span[0]), t1 + min(a1.span[1], b1.span[1])))
 
 
-def _middle(rough: Course, spacing: float) -> tuple[Curve, Course]:
-    """Return a smooth curve along the rough course, and its points with normals of one side."""
-    points = rough.points
-    t = arc_length(_averaged(points))
+def _line(rims: Rims, rough: Course, spacing: float) -> _Line:
+    """Return a smooth curve along the rough course, and the pairs in order across it."""
+    t = arc_length(_averaged(rough.middle))
     t, index = np.unique(t, return_index=True)
-    curve = spline(t, points[index])
-    away = np.linalg.norm(np.array([curve.position(v) for v in t]) - points[index], axis=1)
+    points, pairs = rough.middle[index], rough.pairs[index]
+    curve = spline(t, points)
+    at = np.array([curve.position(v) for v in t])
+    away = np.linalg.norm(at - points, axis=1)
     widest = float(np.quantile(away, 0.95))
     if widest > WIDEST_LINE * spacing:
-        raise NoLineError(2 * widest, points[index][int(np.argmax(away))])
-    towards = np.linalg.svd(rough.normals)[2][0]
-    normals = rough.normals * np.sign(rough.normals @ towards)[:, None]
-    return curve, Course(points, _averaged(normals))
+        raise NoLineError(2 * widest, points[int(np.argmax(away))])
+    i, j = pairs.T
+    up = (-rims.outlook[i] - rims.outlook[j] if rough.kind in ('v', 'fillet')
+          else rims.normals[i] + rims.normals[j])
+    across = np.cross(up, np.array([curve.advance(v) for v in t]))
+    turned = ((rims.outlook[i] - rims.outlook[j]) * across).sum(axis=1) < 0
+    return _Line(curve, t, at, (np.where(turned, j, i), np.where(turned, i, j)))
 
 
 def _averaged(values: Array, reach: int = 10) -> Array:
@@ -91,47 +145,67 @@ def _averaged(values: Array, reach: int = 10) -> Array:
                       / (2 * half + 1)[:, None])
 
 
-def _section(points: Array, tree: cKDTree, place: Array, frame: Array, step: float,
-             spacing: float) -> tuple[Array, float] | None:
-    """Return the ends of both sides (2, 3) in the section's frame, and the noise."""
+def _side(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, line: _Line, side: int,
+          t: float, step: float, spacing: float, degree: int) -> _Side | None:
+    """Return one sheet in the section at t."""
+    near = np.abs(line.t - np.clip(t, line.t[0], line.t[-1])) <= WINDOW
+    own, other = line.rims[side][near], line.rims[1 - side][near]
+    if not len(own):
+        return None
+    place, way = line.position(t)
+    inwards, upright = _axes(rims, own, other, way)
+    start = place + np.median(rims.points[own] - line.at[near], axis=0)
     width = max(WIDTH * spacing, NARROWEST)
-    near = points[tree.query_ball_point(place, 1.5 * width)]
-    along, across, height = ((near - place) @ frame).T
-    slab = (np.abs(along) <= step / 2) & (np.abs(across) <= width)
-    across, height = across[slab], height[slab]
-    sides = [_side(sign * across, height, MARGIN * spacing) for sign in (-1.0, 1.0)]
-    if sides[0] is None or sides[1] is None:
+    rows = np.array(tree.query_ball_point(start + 0.5 * width * inwards, 0.8 * width), dtype=int)
+    labels, counts = np.unique(rims.label[own], return_counts=True)
+    rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(own)])]
+    along, b, height = ((points[rows] - start) @ np.column_stack([way, inwards, upright])).T
+    limit = BEYOND
+    if np.isin(labels, rims.label[other]).any():  # one sheet on both sides
+        apart = np.median((rims.points[own] - rims.points[other]) @ inwards)
+        limit = min(0.5 * abs(float(apart)), BEYOND)
+    slab = (np.abs(along) <= step / 2) & (b <= width) & (b >= -limit)
+    along, b, height = along[slab], b[slab], height[slab]
+    fitted = _sheet(b, height, MARGIN * spacing, degree)
+    if fitted is None:
         return None
-    (left, s_left), (right, s_right) = sides[0], sides[1]
-    apart_left = np.abs(height - np.polyval(left, -across))
-    apart_right = np.abs(height - np.polyval(right, across))
-    on_left = (apart_left < TOLERANCE * s_left) & (
-        (across < 0) | (apart_right > 2 * TOLERANCE * s_right))
-    on_right = (apart_right < TOLERANCE * s_right) & (
-        (across > 0) | (apart_left > 2 * TOLERANCE * s_left))
-    ends = []
-    for b, sheet, noise in ((-across[on_left], left, s_left),
-                            (across[on_right], right, s_right)):
-        inner = b > MARGIN * spacing
-        density = inner.sum() / (width - MARGIN * spacing)
-        end = -_end_of(-b, noise, density)
-        ends.append((end, np.polyval(sheet, end)))
-    return (np.array([[0.0, -ends[0][0], ends[0][1]], [0.0, *ends[1]]]),
-            float(np.hypot(s_left, s_right) / 2 ** 0.5))
+    sheet, noise = fitted
+    on_sheet = np.abs(height - np.polyval(sheet, b)) < TOLERANCE * noise
+    inner = on_sheet & (b > MARGIN * spacing)
+    end = -_end_of(-b[on_sheet], noise, inner.sum() / (b[inner].max() - MARGIN * spacing))
+    slope = np.polyval(np.polyder(sheet), end)
+    mean = np.polyfit(b[inner], height[inner], 1)[0]
+    return _Side(start + end * inwards + np.polyval(sheet, end) * upright,
+                 -(inwards + slope * upright) / np.hypot(1, slope),
+                 (upright - mean * inwards) / np.hypot(1, mean), noise,
+                 (float(along[on_sheet].min()), float(along[on_sheet].max())))
 
 
-def _side(b: Array, height: Array, margin: float) -> tuple[Array, float] | None:
-    """Return the parabola through the sheet at b > margin, and the scatter about it."""
+def _axes(rims: Rims, own: NDArray[np.intp], other: NDArray[np.intp], way: Array
+          ) -> tuple[Array, Array]:
+    """Return the ways into a sheet and out of its surface (3,), square to the seam's."""
+    inwards = -rims.outlook[own].mean(axis=0)
+    inwards -= (inwards @ way) * way
+    inwards /= np.linalg.norm(inwards)
+    upright = np.cross(way, inwards)
+    towards = upright @ rims.outlook[other].mean(axis=0)
+    if abs(towards) > 0.5:  # of a corner: the other sheet ends on this one
+        return inwards, -np.sign(towards) * upright
+    return inwards, upright if upright @ rims.normals[own].mean(axis=0) >= 0 else -upright
+
+
+def _sheet(b: Array, height: Array, margin: float, degree: int) -> tuple[Array, float] | None:
+    """Return the polynomial through the sheet at b > margin, and the scatter about it."""
     kept: NDArray[np.bool_] = np.asarray(b > margin)
-    if kept.sum() < FEWEST:
+    if kept.sum() < FEWEST or np.ptp(b[kept]) < margin:
         return None
-    sheet, noise = np.array([0.0, 0.0, 0.0]), np.inf
+    sheet, noise = np.zeros(3), np.inf
     for cut in (np.inf, 3.0, 3.0):
         apart = np.abs(height - np.polyval(sheet, b))
         used = kept & (apart <= cut * noise)
         if used.sum() < FEWEST:
             return None
-        sheet = np.polyfit(b[used], height[used], 2)
+        sheet = np.polyfit(b[used], height[used], degree)
         noise = 1.4826 * float(np.median(np.abs(height[used] - np.polyval(sheet, b[used]))))
         noise = max(noise, 1e-6)
     return sheet, noise
@@ -148,17 +222,32 @@ def _end_of(b: Array, noise: float, density: float) -> float:
     low, high = last - 5 * noise, last + 5 * noise + 10 / max(density, 1.0)
     if excess(low) < 0 or excess(high) > 0:
         return last
-    return float(brentq(excess, low, high, xtol=1e-8))
+    return float(brentq(excess, low, high, xtol=1e-8)) + SHORT / density
 
 
-def _require_whole(rows: Array, places: Array, step: float) -> None:
-    missing = np.logical_not(np.isfinite(rows).all(axis=(1, 2)))
-    start = None
-    for k, lost in enumerate([*missing, False]):
-        if lost and start is None:
-            start = k
-        elif not lost and start is not None:
-            inside = start > 0 and k < len(missing)
-            if inside and (k - start) * step > MISSING or k - start == len(missing):
-                raise InterruptedSeamError((k - start) * step, places[(start + k) // 2])
-            start = None
+def _joint(kind: str, a: _Side, b: _Side, spacing: float) -> Array:
+    """Return the two edges, the root and the two normals (5, 3) of a section."""
+    first, second, root = a.end, b.end, 0.5 * (a.end + b.end)
+    if kind == 'lap':
+        normal = a.normal + b.normal  # the curvature of the sheets cancels
+        upper, lower = (a, b) if (a.end - b.end) @ normal > 0 else (b, a)
+        across = upper.outwards - (upper.outwards @ normal) / (normal @ normal) * normal
+        root = lower.end + lower.outwards * (
+            ((upper.end - lower.end) @ across) / (lower.outwards @ across))
+        first, second = (first, root) if upper is a else (root, second)
+    elif kind == 'fillet' or (kind == 'v' and np.linalg.norm(first - second) < MET * spacing):
+        ways = np.column_stack([a.outwards, -b.outwards])
+        root = a.end + a.outwards * np.linalg.lstsq(ways, b.end - a.end, rcond=None)[0][0]
+    return np.array([first, second, root, a.normal, b.normal])
+
+
+def _require_whole(whole: NDArray[np.bool_], places: list[list[float]], step: float) -> None:
+    """Refuse a seam of which too much is missing between its ends."""
+    rows = np.flatnonzero(whole)
+    if not len(rows):
+        raise InterruptedSeamError(len(whole) * step, places[len(places) // 2])
+    gaps = np.diff(rows) - 1
+    worst = int(np.argmax(gaps)) if len(gaps) else 0
+    if len(gaps) and gaps[worst] * step > MISSING:
+        raise InterruptedSeamError(float(gaps[worst] * step),
+                                   places[int(rows[worst] + gaps[worst] // 2 + 1)])

@@ -1,15 +1,23 @@
 """A seam in a cloud: edges, centre line and frames against the truth; refusals in words."""
 from __future__ import annotations
 
+from dataclasses import replace
+import importlib.util
+from pathlib import Path
+import re
+import sys
+
 from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.data import Calibration, Profile, Quality, TimedPose
+from handeye_ros.errors import DataError
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.scanning import seam_files
 from handeye_ros.scanning.cloud_files import cloud_writer
 from handeye_ros.scanning.curves import cubic, spline, through
 from handeye_ros.scanning.errors import (
+    HiddenWallError,
     InterruptedSeamError,
     NoLineError,
     NoSeamError,
@@ -17,13 +25,21 @@ from handeye_ros.scanning.errors import (
     TooFewPointsError,
 )
 from handeye_ros.scanning.seam import find_seam, tool_frames
+from handeye_ros.scanning.seam_programs import PROGRAMS
 from handeye_ros.simulate.preform import Preform, preform_cloud
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 import yaml
+
+spec = importlib.util.spec_from_file_location(
+    'bench_joints', Path(__file__).parents[2] / 'bench' / 'joints.py')
+joints = importlib.util.module_from_spec(spec)
+sys.modules[spec.name] = joints  # for its dataclasses
+spec.loader.exec_module(joints)
 
 START, PERIOD = 1_700_000_000_000_000_000, 10_000_000
 SMALL = {'length': 0.12, 'spacing': 5e-4}
@@ -60,6 +76,70 @@ def test_centre_line_and_approach_are_the_true_ones(kind, seed):
     assert np.degrees(np.arccos(cosine.min())) < 1.0
 
 
+@pytest.mark.parametrize(('name', 'kind'), [
+    ('butt 3, backing 1', 'butt'), ('butt 3, backing 5', 'butt'),
+    ('butt 3 on a table, seen all round', 'butt'), ('lap 5, lean -20', 'lap'),
+    ('lap 5, lean 20', 'lap'), ('vee 6, root 2', 'v'), ('vee 8, root 1.5, 45 degrees', 'v'),
+    ('tee 12, lean 30', 'fillet'), ('lap 5, spatter', 'lap')])
+def test_joints_as_a_sensor_sees_them(name, kind):
+    joint = replace(joints.JOINTS[name], length=40.0)
+    truth = joints.scanned(joint, np.random.default_rng(1))
+    seam = find_seam(truth.points)
+    frames = tool_frames(seam, 5e-3)
+    assert seam.kind == kind
+    assert off_line(truth, frames.T_base_tool[:, :3, 3]).max() < 1e-4
+    cosine = -(frames.T_base_tool[:, :3, 1] @ truth.normals[0])
+    assert np.degrees(np.arccos(cosine.min())) < 1.0
+    assert seam.curve.length == pytest.approx(0.04, abs=1e-3)
+    assert seam.residual < 10 * seam.noise
+
+
+def test_what_no_seam_can_be_made_of_is_refused_for_its_reason():
+    hidden = joints.scanned(replace(joints.JOINTS['tee 12'], length=40.0),
+                            np.random.default_rng(0))
+    with pytest.raises(HiddenWallError, match='a step of 12 mm .* leant'):
+        find_seam(hidden.points)
+    ragged = cloud_of(kind='butt', gap=4e-3).points
+    line = np.linalg.svd(ragged - ragged.mean(axis=0), full_matrices=False)[2][0]
+    along = (ragged - ragged.mean(axis=0)) @ line
+    uneven = ragged[np.sin(along / 2e-3) + 0.01 * np.arange(len(along)) % 1 < 0.8]
+    with pytest.raises(DataError):
+        find_seam(uneven)
+
+
+def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():
+    truth = joints.scanned(replace(joints.JOINTS['vee 6, root 2'], length=40.0),
+                           np.random.default_rng(0))
+    seam = find_seam(truth.points)
+    last = seam.curve.position(seam.curve.last)
+    turned = find_seam(truth.points, line='first', start=last)
+    assert (seam.line, turned.line) == ('root', 'first')
+    away = np.linalg.norm(turned.curve.position(turned.curve.first) - seam.second[-1])
+    assert away < 2e-4
+    gap = seam_files.measures(seam, tool_frames(seam, 5e-3))[:, 0]
+    assert gap == pytest.approx(2e-3, abs=1.5e-4)
+
+
+def test_programs_hold_the_frames_as_each_robot_writes_them():
+    seam = find_seam(cloud_of().points)
+    frames = tool_frames(seam, 0.02)
+    T = frames.T_base_tool[1]
+    tool = np.column_stack([T[:3, 0], np.cross(T[:3, 1], T[:3, 0]), T[:3, 1]])
+    number = r'(-?\d+\.\d+)'
+    krl, rapid, ur = (program(frames, 'base') for _, program in PROGRAMS.values())
+    x, y, z, a, b, c = map(float, re.findall(rf'[XYZABC] {number}', krl.split('LIN {')[2]))
+    R = Rotation.from_euler('z', a, True) * Rotation.from_euler('y', b, True) * (
+        Rotation.from_euler('x', c, True))
+    np.testing.assert_allclose(R.as_matrix(), tool, atol=1e-5)
+    np.testing.assert_allclose([x, y, z], 1e3 * T[:3, 3], atol=1e-4)
+    line = re.search(r'CONST robtarget seam1:=\[\[(.*?)\],\[(.*?)\],\[0,0,0,0\],\[', rapid)
+    w, *vector = map(float, line[2].split(','))
+    np.testing.assert_allclose(Rotation.from_quat([*vector, w]).as_matrix(), tool, atol=1e-6)
+    pose = [float(v) for v in re.findall(r'movel\(p\[(.*?)\]', ur)[1].split(',')]
+    np.testing.assert_allclose(Rotation.from_rotvec(pose[3:]).as_matrix(), tool, atol=1e-5)
+    np.testing.assert_allclose(pose[:3], T[:3, 3], atol=1e-6)
+
+
 def test_the_edges_of_a_gap_are_where_the_sheets_end():
     truth = cloud_of(kind='butt', gap=4e-3, noise=5e-5)
     seam = find_seam(truth.points)
@@ -74,8 +154,8 @@ def test_frames_are_rotations_at_the_pitch():
     np.testing.assert_allclose(R @ R.swapaxes(1, 2), np.tile(np.eye(3), (len(R), 1, 1)),
                                atol=1e-14)
     np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-14)
-    np.testing.assert_allclose(np.diff(frames.lengths), 3e-3)
-    steps = np.linalg.norm(np.diff(frames.T_base_tool[:, :3, 3], axis=0), axis=1)
+    np.testing.assert_allclose(np.diff(frames.lengths)[:-1], 3e-3)
+    steps = np.linalg.norm(np.diff(frames.T_base_tool[:, :3, 3], axis=0), axis=1)[:-1]
     np.testing.assert_allclose(steps, 3e-3, rtol=1e-3)  # chords of a weakly bent curve
 
 
@@ -105,7 +185,7 @@ def test_the_approach_points_where_it_is_told():
     ({'seams': 2, 'kind': 'butt'}, SeveralSeamsError, '2 seams'),
     ({'missing': (0.45, 0.55)}, InterruptedSeamError, 'not seen for 1[0-9]'),
     ({'missing': (0.45, 0.55), 'kind': 'butt'}, InterruptedSeamError, 'scan there again'),
-    ({'thickness': 1e-3}, NoSeamError, 'scan more densely'),
+    ({'thickness': 5e-4}, NoSeamError, 'scan more densely'),
     ({'thickness': 0.0}, NoSeamError, 'no seam'),
 ])
 def test_what_is_no_single_seam_is_refused(values, error, words):
@@ -166,8 +246,8 @@ def test_the_verb_writes_what_others_read(tmp_path):
     np.savetxt(tmp_path / 'taught.csv', truth.centre[::100] + [0, 0, 5e-4], delimiter=',',
                header=header, comments='')
     towards = [str(v) for v in -truth.normals.mean(axis=0)]
-    run = handeye('seam', 'c.pcd', '--out', 'seam', '--bag', '--picture', '--taught',
-                  'taught.csv', '--towards', *towards, cwd=tmp_path)
+    run = handeye('seam', 'c.pcd', '--out', 'seam', '--bag', '--picture', '--robot', 'krl',
+                  '--taught', 'taught.csv', '--towards', *towards, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     told = yaml.safe_load((tmp_path / 'seam/seam.yaml').read_text())
     assert told['kind'] == 'lap'
@@ -176,6 +256,7 @@ def test_the_verb_writes_what_others_read(tmp_path):
     rows = np.genfromtxt(tmp_path / 'seam/seam.csv', delimiter=',', names=True)
     assert len(rows) == len(told['frames'])
     assert (tmp_path / 'seam/seam.png').stat().st_size > 1000
+    assert (tmp_path / 'seam/seam.src').read_text().count('LIN {') == len(rows)
     types = get_typestore(Stores.ROS2_JAZZY)
     with Reader(tmp_path / 'seam/path') as reader:
         found = {c.msgtype: types.deserialize_cdr(data, c.msgtype)
