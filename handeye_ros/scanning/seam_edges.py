@@ -27,7 +27,7 @@ from scipy.spatial import cKDTree
 PARALLEL = 0.8  # cosine between the normals of the sheets of a gap or a step
 OPPOSITE, AHEAD = -0.5, -0.3  # cosines between outlooks, and of an outlook to the partner
 INWARDS = 0.3  # cosine between one sheet's normal and the way into the other: a hollow corner
-NEXT_NEAREST = 1.4  # times the distance of its nearest partner that a partner may have
+NEXT_NEAREST = 1.15  # times the distance of its nearest partner that a partner may have
 LINK = 8.0  # spacings between pairs that belong to one seam
 SHORTEST = 0.01  # m of a seam
 MINOR = 0.15  # of the longest seam's length: what is shorter is no seam

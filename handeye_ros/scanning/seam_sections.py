@@ -154,7 +154,8 @@ def _side(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, line: _Line,
         return None
     place, way = line.position(t)
     inwards, upright = _axes(rims, own, other, way)
-    start = place + np.median(rims.points[own] - line.at[near], axis=0)
+    off = np.median(rims.points[own] - line.at[near], axis=0)
+    start = place + off - (off @ way) * way  # the two of a pair need not lie abreast
     width = max(WIDTH * spacing, NARROWEST)
     rows = np.array(tree.query_ball_point(start + 0.5 * width * inwards, 0.8 * width), dtype=int)
     labels, counts = np.unique(rims.label[own], return_counts=True)
@@ -173,6 +174,8 @@ def _side(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, line: _Line,
     on_sheet = np.abs(height - np.polyval(sheet, b)) < TOLERANCE * noise
     inner = on_sheet & (b > MARGIN * spacing)
     end = -_end_of(-b[on_sheet], noise, inner.sum() / (b[inner].max() - MARGIN * spacing))
+    if abs(end) > BEYOND:
+        return None
     slope = np.polyval(np.polyder(sheet), end)
     mean = np.polyfit(b[inner], height[inner], 1)[0]
     return _Side(start + end * inwards + np.polyval(sheet, end) * upright,
