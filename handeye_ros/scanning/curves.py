@@ -89,7 +89,8 @@ def _knots(t: Array, points: Array) -> Array:
     """Return knots of a cubic spline, with points between each two."""
     count = int(np.clip(np.linalg.norm(np.diff(points[::8], axis=0), axis=1).sum()
                         / KNOT_SPACING, 1, max(len(t) // 8, 1)))
-    inner = np.quantile(t, np.linspace(0, 1, count + 1)[1:-1])
+    # longer pieces at the ends, where nothing beyond holds the direction
+    inner = np.quantile(t, (np.arange(1, count - 1) + 0.5) / count)
     return np.concatenate([[t[0]] * 4, inner, [t[-1]] * 4])
 
 
