@@ -1,7 +1,7 @@
 """The verb that finds a seam and plans the path along it."""
-from collections.abc import Collection
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Optional, TYPE_CHECKING
+from typing import Annotated, Any, Optional, TYPE_CHECKING
 
 from handeye_ros.cli.app import app
 from handeye_ros.cli.common import Assignments, doing, NoPath
@@ -33,14 +33,25 @@ Travel = Annotated[float, typer.Option(help='The tool leans along the seam (degr
 Work = Annotated[float, typer.Option(help='The tool leans across the seam (degrees).')]
 TaughtFile = Annotated[NoPath, typer.Option(
     metavar='FILE', help='A taught path to compare with: CSV with x, y, z (m).')]
-LINES = ('auto', 'centre', 'root', 'first', 'second')
+
+
+def _one_of(*known: str) -> Callable[[Any], Any]:
+    """Return what refuses values that are none of those known."""
+    def checked(value: Any) -> Any:
+        for one in [value] if isinstance(value, str) else value or ():
+            if one not in known:
+                raise typer.BadParameter(f'{one!r} is not one of {", ".join(known)}')
+        return value
+    return checked
+
+
 Line = Annotated[str, typer.Option(
-    help='What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
+    callback=_one_of('auto', 'centre', 'root', 'first', 'second'), help='What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
     'centre, root, first or second edge.')]
 Start = Annotated[Optional[tuple[float, float, float]], typer.Option(  # noqa: UP045 - see common.py
     metavar='X Y Z', help='A place near the end where the path starts (m).')]
 Programs = Annotated[Optional[list[str]], typer.Option(  # noqa: UP045 - see common.py
-    '--robot', help='Also write a program: krl (KUKA), rapid (ABB) or ur (Universal Robots); '
+    '--robot', callback=_one_of('krl', 'rapid', 'ur'), help='Also write a program: krl (KUKA), rapid (ABB) or ur (Universal Robots); '
     'may be given several times.')]
 AsBag = Annotated[bool, typer.Option(
     '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')]
@@ -71,13 +82,8 @@ def seam(
     """Find the seam in a cloud, and plan tool frames along it (Wu 2017)."""
     import math
 
-    from handeye_ros.results.calibration_file import write_whole
     from handeye_ros.scanning import seam_files
     from handeye_ros.scanning.seam import find_seam, tool_frames
-    from handeye_ros.scanning.seam_programs import PROGRAMS
-    _require_known('--line', line, LINES)
-    for one in robot or ():
-        _require_known('--robot', one, PROGRAMS)
     compared = seam_files.read_taught(taught) if taught else None
     points, frame = _cloud(path, calibration, config, assignments)
     points = points[((points >= box[::2]) & (points <= box[1::2])).all(axis=1)]
@@ -86,20 +92,10 @@ def seam(
         frames = tool_frames(found, pitch, towards, math.radians(travel), math.radians(work))
     distances = seam_files.against_taught(found, compared) if compared is not None else None
     seam_files.write(out, found, frames, frame, distances)
-    for one in robot or ():
-        name, program = PROGRAMS[one]
-        write_whole(out / name, program(frames, frame))
-    _more(found, frames, frame, out, bag, picture)
+    _more(found, frames, frame, out, robot or (), bag, picture)
     for line in seam_files.sentences(found, frames, distances):
         typer.echo(line)
     typer.echo(f'wrote {out.absolute()}')
-
-
-def _require_known(option: str, value: str, known: Collection[str]) -> None:
-    """Refuse a value that is none of those known."""
-    if value not in known:
-        raise typer.BadParameter(f'{value!r} is not one of {", ".join(known)}',
-                                 param_hint=option)
 
 
 def _cloud(path: Path, calibration: Path | None, config: Path | None, assignments: list[str]
@@ -126,8 +122,13 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
     return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame
 
 
-def _more(found: 'Seam', frames: 'ToolFrames', frame: str, out: Path, bag: bool, picture: bool
-          ) -> None:
+def _more(found: 'Seam', frames: 'ToolFrames', frame: str, out: Path, robots: Sequence[str],
+          bag: bool, picture: bool) -> None:
+    from handeye_ros.results.calibration_file import write_whole
+    from handeye_ros.scanning.seam_programs import PROGRAMS
+    for robot in robots:
+        name, program = PROGRAMS[robot]
+        write_whole(out / name, program(frames, frame))
     if bag:
         import time
 
