@@ -46,13 +46,14 @@ def _one_of(*known: str) -> Callable[[Any], Any]:
 
 
 Line = Annotated[str, typer.Option(
-    callback=_one_of('auto', 'centre', 'root', 'first', 'second'), help='What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
+    callback=_one_of('auto', 'centre', 'root', 'first', 'second'),
+    help='What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
     'centre, root, first or second edge.')]
 Start = Annotated[Optional[tuple[float, float, float]], typer.Option(  # noqa: UP045 - see common.py
     metavar='X Y Z', help='A place near the end where the path starts (m).')]
 Programs = Annotated[Optional[list[str]], typer.Option(  # noqa: UP045 - see common.py
-    '--robot', callback=_one_of('krl', 'rapid', 'ur'), help='Also write a program: krl (KUKA), rapid (ABB) or ur (Universal Robots); '
-    'may be given several times.')]
+    '--robot', callback=_one_of('krl', 'rapid', 'ur'), help='Also write a program: krl (KUKA), '
+    'rapid (ABB) or ur (Universal Robots); may be given several times.')]
 AsBag = Annotated[bool, typer.Option(
     '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')]
 Picture = Annotated[bool, typer.Option(
