@@ -15,6 +15,7 @@ BAGS = {
     'inverted_poses': ('small_inverted_poses', 4),
     'line': ('small_line', 5),
     'plane': ('small_plane', 6),
+    'plate_sweep': ('small_plate_sweep', 8),
     'tracker': ('small_tracker', 7),
     'arm': ('small_arm', 8),
 }

@@ -22,10 +22,11 @@ NAME = 'truth.yaml'
 
 def truth_values(simulated: Simulated, seed: int) -> dict[str, Any]:
     """Return what truth.yaml holds, with all that is needed to make the recording again."""
-    scenario = simulated.scenario
+    scenario, offset = simulated.scenario, simulated.truth.time_offset
     return {
         **_values(scenario.name, seed, simulated.truth.T_flange_sensor),
         'T_base_target': transform_values(simulated.truth.T_base_target),
+        **({} if offset is None else {'time_offset': offset}),
         'noise': {'sensor': scenario.sensor.noise,
                   'robot_translation': scenario.robot.repeatability[0],
                   'robot_rotation': scenario.robot.repeatability[1]},

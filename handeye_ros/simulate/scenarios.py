@@ -15,6 +15,7 @@ from handeye_ros.simulate.scenario import (
     SphereTarget,
     WedgeTarget,
 )
+from handeye_ros.simulate.sweep_model import Sweep
 
 PLATE = Scenario()
 WIDE = SensorModel(range=(0.14, 0.27), half_width=0.27, max_incidence=1.15)
@@ -43,6 +44,17 @@ SMALL_LINE, SMALL_PLANE = (
 COARSE_PLATE = replace(SMALL_PLATE, sensor=_sensor(**SMALL, columns=320))
 SMALL_SPHERE = replace(SPHERE, name='small_sphere', robot=SMALL_PLATE.robot,
                        sensor=replace(WIDE, **SMALL, columns=640))
+
+
+
+def _swept(base: Scenario, name: str, columns: int = 640, rate: float = 50.0,
+           poses: float = 250.0, **more: Any) -> Scenario:
+    """Return a sweep over a target in place of stops, its profiles stamped 20 ms early."""
+    sensor = replace(base.sensor, columns=columns, rate=rate, delay=-0.02, rim_bias=0.0, **more)
+    return replace(base, name=name, stations=(10, 10) if base.scene == 'plate' else (20, 0),
+                   tilt=min(math.radians(24), base.tilt), sensor=sensor, sweep=Sweep(),
+                   robot=replace(base.robot, rate=poses))
+
 
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     PLATE,
@@ -86,7 +98,10 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     replace(PLATE, name='inverted_poses', convention_errors=('inverted',)),
     *(replace(PLATE, name=name, convention_errors=(name,)) for name in CONVENTION_ERRORS
       if name != 'inverted'),
+    # the robot moves all the time
+    *(_swept(base, f'{base.name}_sweep') for base in (PLATE, SPHERE, LINE, PLANE, WEDGE)),
     # the recordings in bags/
+    _swept(PLATE, 'small_plate_sweep', 320, 12.0, 50.0, resolution=2.0**-20),
     SMALL_PLATE,
     SMALL_SPHERE,
     SMALL_LINE,
