@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 ALIKE_POSITION = 1.0  # poses this far apart (m), or turned this far (rad), share half the error
 ALIKE_ROTATION = 1.4
 SAME_PLACE = 0.006  # of these lengths: nearer poses err alike
+ALIKE_TIME, MOST_TIMES = 0.5, 48  # s over which half of an error in time is alike; of these
 MOST_PLACES = 24  # that span the robot's error
 FIELD, GRID = 1.25, 11  # how far the field of view goes beyond the points; its points each way
 
@@ -138,7 +139,20 @@ def process_root(place: Array) -> Array:
     A rational quadratic kernel, that is of many scales of length at once; of very many places it
     is spanned by some (Nystroem).
     """
-    some = place[spread(place, MOST_PLACES)]
+    return _root(place, spread(place, MOST_PLACES))
+
+
+def process_in_time(times: Array) -> Array:
+    """Return the same (n, k) of a process in time, at times (n,) in s."""
+    count = min(MOST_TIMES, len(times), 2 + int(np.ptp(times) / ALIKE_TIME))
+    evenly = np.linspace(times.min(), times.max(), count)
+    nearest = np.abs(times - evenly[:, None]).argmin(axis=1)
+    return _root(times[:, None] / ALIKE_TIME, np.unique(nearest).tolist())
+
+
+def _root(place: Array, chosen: list[int]) -> Array:
+    """Return the root (n, k) of the covariance at places (n, j), spanned by the chosen ones."""
+    some = place[chosen]
     own = kernel(some, some)
     values, vectors = np.linalg.eigh(own)
     keep = values > 1e-6 * values[-1]

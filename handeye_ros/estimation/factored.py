@@ -123,15 +123,16 @@ class Columns:
     def predicted_covariance(self, covariance: Array, rows: NDArray[np.intp]) -> Array:
         """Return the covariance (s, count, count) of s stations' rows, from that of unknowns."""
         c, a, k = self.single, self.axes, self.shared.shape[1]
-        own, functions = self.blocks(rows)
-        C = np.empty((len(rows), c + a, c + a))
-        C[:, :c, :c] = covariance[:c, :c]
-        cross = functions @ covariance[:c, c:].reshape(c * a, k).T
-        C[:, :c, c:] = cross.reshape(len(rows), c, a)
-        C[:, c:, :c] = np.swapaxes(C[:, :c, c:], 1, 2)
+        (own, functions), n = self.blocks(rows), len(rows)
+        one, by_axis = own[..., :c], own[..., c:]
+        cross = (functions @ covariance[:c, c:].reshape(c * a, k).T).reshape(n, c, a)
         both = covariance[c:, c:].reshape(a, k, a, k).swapaxes(1, 2).reshape(a * a, k * k)
-        C[:, c:, c:] = (self._at(self.products, rows) @ both.T).reshape(len(rows), a, a)
-        return np.asarray(own @ C @ np.swapaxes(own, 1, 2))
+        of_axes = (self._at(self.products, rows) @ both.T).reshape(n, a, a)
+        # the first by all rows at once: the others are few numbers at each station
+        left = (one.reshape(-1, c) @ covariance[:c, :c]).reshape(one.shape)
+        mixed = one @ cross @ np.swapaxes(by_axis, 1, 2)
+        return np.asarray(left @ np.swapaxes(one, 1, 2) + mixed + np.swapaxes(mixed, 1, 2)
+                          + by_axis @ of_axes @ np.swapaxes(by_axis, 1, 2))
 
     def _of_rows(self, values: Array, rows: NDArray[np.intp]) -> Array:
         if rows.size == len(values):  # all of them, in their order

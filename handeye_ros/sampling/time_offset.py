@@ -99,8 +99,9 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
     problem = Problem(method, mounted(samples, config), method.features.observe(samples), config)
     if not any(sample.motion for sample in samples):
         return problem
-    model = PoseModel(Pairing.of(samples).poses_and_twists, (TIME_OFFSET,), (1,),
-                      (config.time_offset_std,), least=1.0)
+    pairing = Pairing.of(samples)
+    model = PoseModel(pairing.poses_and_twists, (TIME_OFFSET,), (1,), (config.time_offset_std,),
+                      least=1.0, times=(pairing.stamps - pairing.stamps[0]) * 1e-9)
     offset = next(sample.offset for sample in samples if sample.motion)
     return replace(problem, pose_model=model, pose_values=np.array([offset]))
 
