@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.basis import bending, box, field_motions, process_in_time
+from handeye_ros.estimation.basis import bending, box, field_motions
 from handeye_ros.estimation.best_fit import motions_by_poses, of_mount
 from handeye_ros.estimation.linearise import Linear, Problem
 from handeye_ros.estimation.model import Estimate
@@ -89,8 +89,9 @@ def prepared(first: Linear) -> Callable[[Linear], tuple[ParameterBlock, ...]]:
 
     Those of functions of the poses are the last.
     """
-    own = first.problem.method.nuisances
-    every = [source(first) for source in ((own.blocks,) if own else ()) + SOURCES]
+    own = (first.problem.method.nuisances, first.problem.pose_model)
+    sources = [each.blocks for each in own if each and each.blocks]
+    every = [source(first) for source in (*sources, *SOURCES)]
 
     def at(linear: Linear) -> tuple[ParameterBlock, ...]:
         return tuple(block for blocks in every for block in blocks(linear)
@@ -156,23 +157,6 @@ def robot_smooth(first: Linear) -> Blocks:
                 partial(_motions_of_axes, by_poses, axes),
                 report=f'{name}_error')
     return at if size else _none
-
-
-def robot_tracking(first: Linear) -> Blocks:
-    """Return the blocks of the errors of a robot that moves, which vary smoothly with time."""
-    size, model = first.problem.config.noise.robot_smooth, first.problem.pose_model
-    if not size or model is None or model.times_here is None:
-        return _none
-    functions = process_in_time(model.times_here)
-
-    def at(linear: Linear) -> Iterator[ParameterBlock]:
-        for name, axes, std in (('tracking_position', slice(0, 3), size),
-                                ('tracking_rotation', slice(3, 6), size / TURN_LENGTH)):
-            twists = np.einsum('xa,nk->nxak', np.eye(6)[:, axes], functions)
-            twists = twists.reshape(len(functions), 6, -1)
-            yield ParameterBlock(name, by_twists(linear, twists) * std, std, twists=twists,
-                                 report=f'{name}_error')
-    return at
 
 
 def sensor_distortion(first: Linear) -> Blocks:
@@ -270,4 +254,4 @@ def _none(linear: Linear) -> Iterable[ParameterBlock]:
 
 
 SOURCES: tuple[Source, ...] = (stated_measures, robot_scale, sensor_distortion, pose_model,
-                               robot_tracking, robot_smooth)
+                               robot_smooth)

@@ -68,8 +68,8 @@ class PoseModel:
     (N, 6, k), the derivatives by the values: a translation, and a rotation vector about the
     flange's origin, both in the base frame. names, counts, stds: of blocks of the parameters, one
     after the other, each with the 1 sigma of its prior about 0. stations: those of the N that a
-    problem has, None: all. least: of the blocks, see ParameterBlock. times: (N,) of the samples
-    (s), where the robot moves.
+    problem has, None: all. least: of the blocks, see ParameterBlock. blocks: the source of others
+    that come with such poses, None: there are none.
     """
 
     evaluate: Callable[[Array], tuple[Array, Array]]
@@ -78,13 +78,7 @@ class PoseModel:
     stds: tuple[float, ...]
     stations: NDArray[np.intp] | None = None
     least: float = 0.0
-    times: Array | None = None
-
-    @property
-    def times_here(self) -> Array | None:
-        """Return the times (n,) of the stations of a problem, None where they do not matter."""
-        return self.times if self.times is None or self.stations is None else (
-            self.times[self.stations])
+    blocks: Any = None
 
     def at(self, values: Array) -> tuple[Array, Array]:
         """Return the poses (n, 4, 4) and twists (n, 6, k) of the stations of a problem."""

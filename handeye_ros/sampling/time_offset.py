@@ -7,18 +7,19 @@ from several offsets, on some of the samples, until one explains them.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 
 from handeye_ros import targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
-from handeye_ros.estimation.blocks import by_twists
+from handeye_ros.estimation.basis import process_in_time
+from handeye_ros.estimation.blocks import Blocks, by_twists, ParameterBlock
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate, PoseModel
-from handeye_ros.estimation.noise import Noise, Whitening, whitening
+from handeye_ros.estimation.noise import Noise, TURN_LENGTH, Whitening, whitening
 from handeye_ros.estimation.search import guesses, relabelled
 from handeye_ros.estimation.solution import retracted
 from handeye_ros.estimation.solver import (
@@ -101,9 +102,26 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
         return problem
     pairing = Pairing.of(samples)
     model = PoseModel(pairing.poses_and_twists, (TIME_OFFSET,), (1,), (config.time_offset_std,),
-                      least=1.0, times=(pairing.stamps - pairing.stamps[0]) * 1e-9)
+                      least=1.0, blocks=partial(robot_tracking, pairing.stamps))
     offset = next(sample.offset for sample in samples if sample.motion)
     return replace(problem, pose_model=model, pose_values=np.array([offset]))
+
+
+def robot_tracking(stamps: NDArray[np.int64], first: Linear) -> Blocks:
+    """Return the blocks of the errors of a robot that moves, which vary smoothly with time."""
+    size, model = first.problem.config.noise.robot_smooth, first.problem.pose_model
+    assert model is not None
+    here = stamps if model.stations is None else stamps[model.stations]
+    functions = process_in_time((here - stamps[0]) * 1e-9)
+
+    def at(linear: Linear) -> Iterator[ParameterBlock]:
+        for name, axes, std in (('tracking_position', slice(0, 3), size),
+                                ('tracking_rotation', slice(3, 6), size / TURN_LENGTH)):
+            twists = np.einsum('xa,nk->nxak', np.eye(6)[:, axes], functions)
+            twists = twists.reshape(len(functions), 6, -1)
+            yield ParameterBlock(name, by_twists(linear, twists) * std, std, twists=twists,
+                                 report=f'{name}_error')
+    return at
 
 
 def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
