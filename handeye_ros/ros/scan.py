@@ -68,7 +68,7 @@ class ScanNode(Node):
         self.create_subscription(PointCloud2, config.profile_topic, self._on_profile, STREAM,
                                  raw=True)
         self._listen_to_poses()
-        self.create_timer(PERIOD, self._tell)
+        self.create_timer(PERIOD, self._publish_ready)
 
     def _listen_to_poses(self) -> None:
         if self._config.kinematics:
@@ -109,7 +109,7 @@ class ScanNode(Node):
         except MessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 
-    def _tell(self) -> None:
+    def _publish_ready(self) -> None:
         """Publish the points of the profiles that the poses have passed."""
         if not self._poses:
             return

@@ -184,7 +184,7 @@ class DwellDetector:
         stations, self._waiting = [*self._waiting, *([current] if current else [])], []
         return self._stops(stations)
 
-    def here(self) -> Stop:
+    def current_stop(self) -> Stop:
         """
         Return the stop that the robot stands in now.
 

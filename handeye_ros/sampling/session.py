@@ -187,9 +187,9 @@ class Session(DwellDetector):
         """
         Return a sample of the stop that the robot stands in now.
 
-        Raises what here() raises, or a NoProfilesError, FeatureError or NothingNewError.
+        Raises what current_stop() raises, or a NoProfilesError, FeatureError or NothingNewError.
         """
-        stop = self.here()
+        stop = self.current_stop()
         outcome = self.outcome(stop, sample_of(stop, self._config))
         if isinstance(outcome.result, Reject):
             raise NothingNewError(outcome.result.reason)

@@ -6,6 +6,7 @@ read again from where it lies.
 """
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,6 +29,7 @@ from handeye_ros.ros.bags.storage import pieces, Progress
 from handeye_ros.ros.bags.topic import Topic
 from handeye_ros.ros.bags.tree import Tree
 from handeye_ros.sampling.errors import ClocksApartError, TwoFramesError
+from handeye_ros.sampling.stream import FEW, FEW_SHARE
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +73,22 @@ def read(path: Path, config: Config, progress: Progress = lambda share: None,
     if config.time_offset:
         offset = round(config.time_offset * 1e9)
         profiles = tuple(replace(p, stamp=p.stamp + offset) for p in profiles)
-    frames = list(dict.fromkeys(profile.frame_id for profile in profiles))
-    if len(frames) > 1:
-        raise TwoFramesError('profile', frames[0], frames[1])
+    profiles = _of_one_frame(profiles, contents)
     _check_clocks(profiles, poses)
     return Recording(profiles, poses, tuple(contents.warnings), tuple(contents.files))
+
+
+def _of_one_frame(profiles: tuple[RawProfile, ...], contents: Contents) -> tuple[RawProfile, ...]:
+    """Return the profiles of the frame of the most; TwoFramesError where others are no strays."""
+    frames = Counter(profile.frame_id for profile in profiles)
+    (frame, count), *others = frames.most_common(2)
+    strays = len(profiles) - count
+    if not others:
+        return profiles
+    if strays > max(FEW, FEW_SHARE * len(profiles)) or strays >= count:
+        raise TwoFramesError('profile', *list(frames)[:2])
+    contents.warnings.append(f'left out {strays} profiles of other frames than "{frame}"')
+    return tuple(profile for profile in profiles if profile.frame_id == frame)
 
 
 def read_poses(path: Path, config: Config) -> tuple[Sequence[TimedPose], Contents]:

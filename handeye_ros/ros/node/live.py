@@ -130,7 +130,7 @@ class LiveSession:
     def start(self) -> None:
         """Let the threads do what has to be done, until the process ends."""
         self._judge.begin()
-        self.threads.start(self.streams.wake, self._judge_and_tell)
+        self.threads.start(self.streams.wake, self._judge_stops)
         self.threads.start(self._judged, self._derive)
 
     def stop(self) -> None:
@@ -145,7 +145,7 @@ class LiveSession:
         self._asked = self._due = bool(session.samples)
         return text
 
-    def _judge_and_tell(self) -> None:
+    def _judge_stops(self) -> None:
         self.samples.judge_all()
         self.on_change()
         self._judged.set()
@@ -159,7 +159,7 @@ class LiveSession:
 
     def _derive(self) -> None:
         """Do what follows from the samples of now."""
-        self.samples.extract_anew()
+        self.samples.extract_again()
         self.reviewer.update()
         if self._due:
             with suppress(DataError, InputError):  # it is told by the state of the answer
@@ -192,12 +192,12 @@ class LiveSession:
         with self.streams.lock:
             if self.samples.cleared != cleared:
                 raise ClearedError
-            self.answer.found(found, stamps)
+            self.answer.set(found, stamps)
         self.on_change()
         return found, calibration_summary(found)
 
     def _solved(self, judge: Callable[[], None]) -> tuple[Calibration, frozenset[int]]:
-        self.samples.extract_anew()
+        self.samples.extract_again()
         with self.samples.work:
             judge()
             session, config = self.copied(), self.config

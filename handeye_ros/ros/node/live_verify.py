@@ -85,7 +85,7 @@ class LiveVerification:
             return f'{course.text}: stops do not count, points are taken while the robot moves'
         found = course.add(stop, self._config, self._samples.judge.result)
         text = f'{course.text}; {sample_summary(found)}'
-        self._samples.told(not isinstance(found, Reject), 0, f'verification: {text}')
+        self._samples.note_attempt(not isinstance(found, Reject), 0, f'verification: {text}')
         self._samples.on_outcome(Outcome(0, stop, found))
         return text
 

@@ -177,10 +177,10 @@ class HandeyeNode(Node):
             text, success = str(error), False
         text = with_trouble(text, in_the_way(self.state, success, service.__name__))
         log = self.get_logger()
-        if success:
-            log.info(text)
-        else:
+        if not success:
             log.warning(f'{service.__name__}: {text}')
+        elif service != self.take_sample:  # which is in the log as an outcome
+            log.info(text)
         return success, text
 
     def _answer(self, service: Callable[[], str], _: Trigger.Request,

@@ -49,7 +49,7 @@ class Publishers:
         self._lock = threading.Lock()
         self._closed = False
         self._shown: Calibration | None = None
-        self._told: dict[str, str] = {}
+        self._published: dict[str, str] = {}
         self._texts = {name: node.create_publisher(String, f'~/{name}', LATCHED)
                        for name in ('samples', 'status', 'guidance')}
         self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED)
@@ -60,12 +60,12 @@ class Publishers:
             node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
                                       f'~/calibration only, not on /tf_static; {INSTALL_TF2}')
         self._advised: GuidanceState | None = None
-        self._next_pose = made_anew(node, PoseStamped, '~/next_pose')
+        self._next_pose = latched_publisher(node, PoseStamped, '~/next_pose')
         self._advertise_answer()
 
     def _advertise_answer(self) -> None:
-        self._calibration = made_anew(self._node, TransformStamped, '~/calibration')
-        self._tf_static = made_anew(self._node, TFMessage, '/tf_static') if TFMessage else None
+        self._calibration = latched_publisher(self._node, TransformStamped, '~/calibration')
+        self._tf_static = TFMessage and latched_publisher(self._node, TFMessage, '/tf_static')
 
     def show(self) -> None:
         """Publish what has changed since the last time."""
@@ -93,9 +93,9 @@ class Publishers:
 
     def _say(self, name: str, text: str) -> bool:
         """Publish a text if it is another than before; return whether it is."""
-        if self._told.get(name) == text:
+        if self._published.get(name) == text:
             return False
-        self._told[name] = text
+        self._published[name] = text
         self._texts[name].publish(String(data=text))
         return True
 
@@ -114,7 +114,7 @@ class Publishers:
         self._say('guidance', guidance.text)
         if guidance.translation is None or guidance.rotation is None:
             self._node.destroy_publisher(self._next_pose)
-            self._next_pose = made_anew(self._node, PoseStamped, '~/next_pose')
+            self._next_pose = latched_publisher(self._node, PoseStamped, '~/next_pose')
         else:
             self._next_pose.publish(pose_stamped(
                 guidance.translation, guidance.rotation, self._live.framed.base_frame,
@@ -160,7 +160,7 @@ class Publishers:
                                               self._node.get_clock().now().to_msg()))
 
 
-def made_anew(node: Node, kind: Any, name: str) -> Publisher:
+def latched_publisher(node: Node, kind: Any, name: str) -> Publisher:
     """
     Create a latched publisher that may be destroyed while an executor waits.
 

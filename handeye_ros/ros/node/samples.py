@@ -123,7 +123,7 @@ class LiveSamples:
         verdict = (f'sample {outcome.number} taken' if outcome.sample else
                    f'stop {outcome.number} gave no sample')
         text = '; '.join(filter(None, (sample_summary(outcome.result), remark)))
-        self.told(outcome.sample is not None, outcome.number, f'{verdict}: {text}')
+        self.note_attempt(outcome.sample is not None, outcome.number, f'{verdict}: {text}')
         self.on_outcome(outcome)
 
     def _stored(self, outcome: Outcome) -> Outcome:
@@ -145,18 +145,18 @@ class LiveSamples:
         with self.streams.lock:
             self.streams.session.leave(stop)
 
-    def extract_anew(self) -> None:
+    def extract_again(self) -> None:
         """Let the stored profiles give what the settings of now make of them, if these ask."""
         with self._extracting:
             while self._stale:
                 with self.work, self.streams.lock:  # nothing is judged by the settings before
                     self._stale, outcomes = False, self.streams.session.outcomes
                 with self._progress.doing('the samples are extracted anew from their profiles'):
-                    fresh = [self.judge.anew(outcome, self.config) for outcome in outcomes]
+                    fresh = [self.judge.again(outcome, self.config) for outcome in outcomes]
                     with self.streams.lock:
                         self.streams.session.replace(fresh)
 
-    def told(self, accepted: bool, number: int, text: str) -> None:
+    def note_attempt(self, accepted: bool, number: int, text: str) -> None:
         """Keep the answer to an attempt to take a sample; number: 0 where there is none."""
         self.attempt = Attempt(accepted, number, text)
 
@@ -167,7 +167,7 @@ class LiveSamples:
         try:
             return self._take()
         except HandeyeError as error:
-            self.told(False, 0, str(error))
+            self.note_attempt(False, 0, str(error))
             raise
         finally:
             self.streams.wake.set()
@@ -195,7 +195,7 @@ class LiveSamples:
             self._put(outcome)
         again_text = ' again, as the robot has not moved since' if again else ''
         text = f'sample {outcome.number} taken{again_text}: {sample_summary(sample)}'
-        self.told(True, outcome.number, text)
+        self.note_attempt(True, outcome.number, text)
         self.on_outcome(outcome)
         return text
 
@@ -206,14 +206,14 @@ class LiveSamples:
         return stop, self.judge.sample(stop, known[1]), known
 
     def _standing(self) -> Stop:
-        """Return the stop that the robot stands in; raises what here() of the session raises."""
+        """Return the stop that the robot stands in; raises DataError as the session does."""
         arrivals = self.streams.arrivals
         silence = arrivals.silence('pose')
         limit = POSES_SILENT if arrivals.silence('profile') < PROFILES_COME else BOTH_SILENT
         if arrivals.counts['pose'] and silence > limit:
             raise SilentPosesError(silence)
         with self.streams.lock:
-            return self.streams.session.here()
+            return self.streams.session.current_stop()
 
     def remove_last(self) -> str:
         """Forget the last sample; raises DataError when there is none, InputError unstored."""

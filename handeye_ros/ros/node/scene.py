@@ -97,7 +97,7 @@ def _seen(samples: Sequence[Seen], poses: Sequence[Array], calibration: Calibrat
             _by_residual(seen.residual, scale) for seen, points in zip(samples, spots, strict=True)
             for _ in points]))
         found.append(_lines('face lines', LINES, np.concatenate(ends)))
-        found += [_text('numbers at the target', f'{seen.number}{_told(seen.residual)}',
+        found += [_text('numbers at the target', f'{seen.number}{_residual_label(seen.residual)}',
                         points.mean(axis=0), _by_residual(seen.residual, scale))
                   for seen, points in zip(samples, spots, strict=True) if len(points)]
         found += _sensor(T_sensors[-1], calibration)
@@ -107,7 +107,7 @@ def _seen(samples: Sequence[Seen], poses: Sequence[Array], calibration: Calibrat
 LISTS = (Marker.SPHERE_LIST, Marker.LINE_LIST, Marker.POINTS)
 
 
-def _told(residual: float | None) -> str:
+def _residual_label(residual: float | None) -> str:
     return '' if residual is None else f': {residual * 1e3:.3f} mm'
 
 

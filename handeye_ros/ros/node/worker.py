@@ -179,7 +179,7 @@ class Judge:
         """Return the sample of a stop; raises NoProfilesError or FeatureError with the reason."""
         return self._run(sample_of, needed(stop, config), config)
 
-    def anew(self, outcome: Outcome, config: Config) -> Outcome:
+    def again(self, outcome: Outcome, config: Config) -> Outcome:
         """Return what becomes of the same stop with another configuration; others come first."""
         bare = replace(outcome, result=Reject(outcome.result.stamp, ''))
         return replace(outcome, result=self._run(judged, bare, config, urgent=False).result)

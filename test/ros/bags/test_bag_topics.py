@@ -80,6 +80,14 @@ def test_two_frames_on_one_topic(tmp_path):
         bag.read(path, CONFIG)
 
 
+def test_a_stray_of_another_frame_is_left_out(tmp_path):
+    stray = replace(PROFILES[3], frame_id='other')
+    found = bag.read(written(tmp_path, profiles=[*PROFILES[:3], stray, *PROFILES[4:]]), CONFIG)
+    assert {p.frame_id for p in found.profiles} == {'laser'}
+    assert len(found.profiles) == len(PROFILES) - 1
+    assert found.warnings == ('left out 1 profiles of other frames than "laser"',)
+
+
 def test_quaternions_of_no_length_are_refused(tmp_path):
     zero = [replace(p, quaternion=np.zeros(4)) for p in POSES]
     with pytest.raises(AllMalformedError, match='none of the 100 messages on /flange_pose can be '

@@ -46,13 +46,13 @@ with ros():
     print(gone.asked > 3)
 """
 ANEW = START + """
-from handeye_ros.ros.node.publishers import made_anew
+from handeye_ros.ros.node.publishers import latched_publisher
 from std_msgs.msg import String
 
 with ros():
     node = Node('publishes')
     before = list(node.waitables)
-    publisher = made_anew(node, String, '~/text')
+    publisher = latched_publisher(node, String, '~/text')
     print(list(node.waitables) == before)
 """
 

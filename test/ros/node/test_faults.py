@@ -181,20 +181,6 @@ def test_it_ends_at_once_while_streams_run(tmp_path: Path, client: Client, numbe
     assert 'Traceback' not in (tmp_path / 'node.log').read_text()
 
 
-def test_after_a_clear_another_frame_is_taken(tmp_path: Path, client: Client) -> None:
-    with running_node(tmp_path):
-        client.connect()
-        for number in range(8):
-            frame = 'left' if number % 2 else 'right'
-            client.profiles.publish(sphere_profile(START + number, frame))
-        client.until_counted(profiles=8)
-        assert 'two frames, "right" and "left"' in client.state()['message']
-        assert client.call('clear_samples').success
-        client.profiles.publish(sphere_profile(START + 8, 'left'))
-        client.until_counted(profiles=9)
-        assert 'two frames' not in client.state()['message']
-
-
 @pytest.mark.parametrize('page', ['reliability.md', 'security.md'])
 def test_every_test_that_a_page_names_is_there(page: str) -> None:
     text = (ROOT / 'docs' / page).read_text(encoding='utf-8')

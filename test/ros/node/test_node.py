@@ -246,19 +246,6 @@ def test_wrong_parameters(argument: str, reason: str) -> None:
         rclpy.shutdown(context=context)
 
 
-def test_a_wrong_unit_is_named_where_a_sample_is_asked_for(
-        tmp_path: Path, client: Client) -> None:
-    with running_node(tmp_path, '-p', 'profile.unit:=mm'):
-        client.connect()
-        for stamp in range(10**18, 10**18 + 10**9, 10**9 // 20):
-            client.poses.publish(pose_message(stamp))
-            client.profiles.publish(sphere_profile(stamp + 1))
-        state = client.until_counted(malformed=20, poses=20)
-        for text in (state['message'], client.call('take_sample').message):
-            assert '20 of 20 profiles cannot be used; the last reason: ' in text
-            assert 'set profile.unit to m' in text
-
-
 def test_a_best_effort_robot_is_heard_and_a_wrong_type_told(
         tmp_path: Path, client: Client) -> None:
     poses = client.node.create_publisher(PoseStamped, '/robot/pose', BEST_EFFORT)

@@ -126,6 +126,17 @@ def test_the_cause_of_a_stream_that_breaks_off_is_in_every_answer(
         assert 'the last 5 profiles cannot be used; the last reason: ' in text and cause in text
 
 
+def test_a_stream_that_was_never_usable_says_why(
+        client: Client, node: subprocess.Popen[str]) -> None:
+    assert set_parameter(client, 'profile.unit', 'mm').successful
+    stand_still(client, START)
+    state = client.until_counted(malformed=20, poses=20)
+    for text in (state['message'], client.call('take_sample').message):
+        assert 'profiles cannot be used; the last reason: ' in text
+        assert 'set profile.unit to m' in text
+    assert set_parameter(client, 'profile.unit', 'm').successful
+
+
 def millimetres(cloud: PointCloud2) -> array.array:
     return array.array('B', (1e3 * np.frombuffer(cloud.data, '<f4')).astype('<f4').tobytes())
 
@@ -144,6 +155,10 @@ def test_a_stray_of_another_frame_is_ignored_and_two_sensors_are_refused(
         answer = client.call(service)
         assert not answer.success
         assert 'the profile topic carries two frames, "laser" and "right"' in answer.message
+    assert client.call('clear_samples').success
+    client.profiles.publish(sphere_profile(START + 3 * NS, 'right'))
+    client.until_counted(profiles=27)
+    assert 'two frames' not in client.state()['message'], 'the next one counts'
 
 
 def test_a_clock_that_is_set_back_takes_nothing_that_is_not(

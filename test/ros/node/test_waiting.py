@@ -203,4 +203,4 @@ def test_stops_give_the_same_in_another_process_and_where_that_has_ended(tmp_pat
 def described(judge: Judge, stops: Any, outcomes: Any, config: Config) -> list[Any]:
     return [[repr(judge.result(stop, config)) for stop in stops],
             [repr(judge.sample(stop, config)) for stop in stops],
-            [repr(judge.anew(outcome, config).sample) for outcome in outcomes]]
+            [repr(judge.again(outcome, config).sample) for outcome in outcomes]]
