@@ -20,6 +20,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.model import Method, UNUSED
+from handeye_ros.estimation.quantiles import chi2_sf
 from handeye_ros.targets.ends import edges_of
 from handeye_ros.verification.fixed_fit import (
     by_calibration,
@@ -37,7 +38,10 @@ SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
 LEVER = 0.1  # m: a scale over it is that of a turn
 SMOOTH_ANGLE, SMOOTH_DISTANCE = 1.5, 0.9  # rad, m: over which an error of the robot is alike
 ITERATIONS = 6
+SMOOTHER = 1.4  # times as far, in the flange: a joint of the wrist turns with it
 RANK = 1e-9
+OUTLIER = 0.01  # chance that any good stop is left out
+MOST_OUTLIERS = 0.15  # of the stops
 CAUSES = ('target', 'sensor', 'robot')
 
 
@@ -116,7 +120,7 @@ def rows_at(it: Comparison, cause: str, move: Array) -> Rows:
     X = se3.perturb(it.X, move) if cause == 'sensor' else it.X
     seen, obs = it.seen, it.seen.observations
     p = points_in_base(seen, X)
-    centre = _centre(it)
+    centre = points_in_base(it.seen, it.X).mean(axis=0)
     back = se3.transform(se3.exp_rotation(-move[3:]), np.zeros(3))[:3, :3]
     if cause == 'target':
         p = (p - centre - move[:3]) @ back.T + centre
@@ -128,7 +132,8 @@ def rows_at(it: Comparison, cause: str, move: Array) -> Rows:
     E = np.hstack([by_p, se3.cross(to_point, by_p)])
     known = np.hstack([np.hstack([G, found.dg_dtarget]) @ root_of(it.covariance),
                        _setbacks(it, X, by_p)])
-    blocks = noise_factors(seen, X, by_p, it.config.noise)
+    # the error of the sensor's field differs from stop to stop, as that of the pose does
+    blocks = noise_factors(seen, X, by_p, it.config.noise, it.config.noise.distortion)
     columns = white(blocks, np.hstack([found.g[:, None], known, T, -G, E])) / it.noise_scale
     constant = -sum(float(np.log(np.diag(factor)).sum()) for _, factor in blocks)
     parts, stations = [], []
@@ -138,13 +143,8 @@ def rows_at(it: Comparison, cause: str, move: Array) -> Rows:
         parts.append(U[:, s > RANK * s[0]].T @ own)
         stations.append(np.full(len(parts[-1]), station))
         constant -= 0.5 * float(own[:, 0] @ own[:, 0] - parts[-1][:, 0] @ parts[-1][:, 0])
-    some, c = np.concatenate(parts), 1 + known.shape[1]
-    return Rows(some[:, 0], some[:, 1:c], some[:, c:c + 6], some[:, c + 6:c + 12],
-                some[:, c + 12:], np.concatenate(stations), constant)
-
-
-def _centre(it: Comparison) -> Array:
-    return np.asarray(points_in_base(it.seen, it.X).mean(axis=0))
+    r, known, *by = np.split(np.concatenate(parts), np.cumsum([1, known.shape[1], 6, 6]), axis=1)
+    return Rows(r[:, 0], known, by[0], by[1], by[2], np.concatenate(stations), constant)
 
 
 def _setbacks(it: Comparison, X: Array, by_p: Array) -> Array:
@@ -155,6 +155,33 @@ def _setbacks(it: Comparison, X: Array, by_p: Array) -> Array:
     groups = {(int(k), int(e)) for k, e in zip(obs.kind, obs.end, strict=True) if e}
     columns = [np.where((obs.kind == k) & (obs.end == e), out, 0.0) for k, e in sorted(groups)]
     return it.config.target.setback_std * np.reshape(columns, (-1, len(out))).T
+
+
+def agreeing(it: Comparison) -> tuple[Comparison, list[int]]:
+    """
+    Return the comparison without stops that contradict the others, and which they are.
+
+    By their leave-one-out residuals, with target and sensor free to have moved.
+    """
+    station, left_out = it.seen.observations.station, list[int]()
+    most = int(MOST_OUTLIERS * len(np.unique(station)))
+    some = it
+    while len(left_out) < most:
+        rows = rows_at(some, '', np.zeros(6))
+        D, P = np.hstack([rows.target, rows.sensor]), np.tile(_prior(SCALES[-1]), 2)
+        W = np.linalg.inv(rows.unchanged + (D * P) @ D.T)
+        found, p = np.unique(rows.station), []
+        for k in found:
+            own = np.flatnonzero(rows.station == k)
+            residual = W[own] @ rows.r
+            p.append(float(chi2_sf(residual @ np.linalg.solve(W[np.ix_(own, own)], residual),
+                                   len(own))))
+        if min(p) * len(p) > OUTLIER:
+            break
+        left_out.append(int(found[int(np.argmin(p))]))
+        keep = np.isin(station, left_out, invert=True)
+        some = replace(it, seen=replace(it.seen, observations=it.seen.observations.select(keep)))
+    return some, left_out
 
 
 def causes(it: Comparison) -> tuple[float, tuple[Cause, ...]]:
@@ -191,7 +218,7 @@ def _displacements(it: Comparison, name: str) -> Array:
     """Return the derivatives (m, 3, 6) of the points by a move."""
     if name == 'sensor':
         return by_calibration(it.seen, it.X)
-    offset = points_in_base(it.seen, it.X) - _centre(it)
+    offset = points_in_base(it.seen, it.X) - points_in_base(it.seen, it.X).mean(axis=0)
     return np.concatenate([np.broadcast_to(np.eye(3), (len(offset), 3, 3)), -se3.skew(offset)],
                           axis=2)
 
@@ -203,12 +230,12 @@ def _robot(it: Comparison, rows: Rows) -> Cause:
     away = np.linalg.norm(T[:, None, :3, 3] - T[None, :, :3, 3], axis=-1) / SMOOTH_DISTANCE
     cosine = (np.einsum('aij,bij->ab', T[:, :3, :3], T[:, :3, :3]) - 1) / 2
     turn = np.arccos(np.clip(cosine, -1.0, 1.0)) / SMOOTH_ANGLE
-    smooth = np.exp(-0.5 * (away ** 2 + turn ** 2))
+    square = away ** 2 + turn ** 2
+    smooth, smoother = np.exp(-0.5 * square), np.exp(-0.5 * square / SMOOTHER ** 2)
     likelihood = [rows.likelihood((D * _prior(s)) @ D.T * kernel) for s in SCALES
-                  for D, kernel in ((rows.robot, smooth), (rows.sensor, smooth),
+                  for D, kernel in ((rows.robot, smooth), (rows.sensor, smoother),
                                     (rows.robot, rows.station[:, None] == rows.station))]
-    left = np.zeros(6)
-    return Cause('robot', _mean(likelihood), left, np.zeros((6, 6)), 0.0, 0.0)
+    return Cause('robot', _mean(likelihood), np.zeros(6), np.zeros((6, 6)), 0.0, 0.0)
 
 
 def _mean(logarithms: Sequence[float]) -> float:
@@ -228,6 +255,6 @@ def smallest_moves(it: Comparison, name: str) -> tuple[Array, Array]:
     occam = np.linalg.slogdet(np.eye(6) + I6 * _prior(1e-3))[1]
     sigmas = np.sqrt(2 * np.log(3 * len(SCALES) * EVIDENCE) + occam) + 1.64  # with 95 %
     value, axes = np.linalg.eigh(I6[:3, :3])
-    value = np.where(value > RANK * value[-1], np.maximum(value, 1e-300), 1e-300)
+    value = np.maximum(value, 1e-300)
     return axes.T[::-1], (sigmas / np.sqrt(value))[::-1]
 

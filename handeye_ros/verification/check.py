@@ -21,6 +21,7 @@ from handeye_ros.estimation.model import Method
 from handeye_ros.results.outcome import mounted, sensor_axes
 from handeye_ros.targets import METHODS
 from handeye_ros.verification.causes import (
+    agreeing,
     Cause,
     CAUSES,
     causes,
@@ -73,6 +74,7 @@ class Check:
     target_axes: list[list[float]]
     sensor_shows: list[float]
     sensor_axes: list[list[float]]
+    left_out: list[int]
 
 
 def check(samples: Sequence[Sample], calibration: Calibration, config: Config, reason: str = ''
@@ -88,11 +90,11 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
         raise NoCheckError(calibration.method, list(METHODS))
     if len(samples) < LEAST_STATIONS:
         raise TooFewSeenError(len(samples), LEAST_STATIONS, reason)
-    it = _comparison(samples, calibration, method, joint, config)
+    it, left_out = agreeing(_comparison(samples, calibration, method, joint, config))
     if len(np.unique(it.seen.observations.station)) < LEAST_STATIONS:
         raise TooFewSeenError(len(np.unique(it.seen.observations.station)), LEAST_STATIONS, reason)
     nothing, found = causes(it)
-    return _judged(it, nothing, found, samples[0].stamp)
+    return _judged(it, nothing, found, samples[0].stamp, [k + 1 for k in left_out])
 
 
 def _comparison(samples: Sequence[Sample], calibration: Calibration, method: Method,
@@ -109,7 +111,8 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, method: Met
                       covariance, config, scale).labelled()
 
 
-def _judged(it: Comparison, nothing: float, found: Sequence[Cause], stamp: int) -> Check:
+def _judged(it: Comparison, nothing: float, found: Sequence[Cause], stamp: int,
+            left_out: list[int]) -> Check:
     likelihood = np.array([cause.likelihood for cause in found])
     evidence = float(np.logaddexp.reduce(likelihood) - np.log(len(found)) - nothing)
     odds = np.exp(likelihood - np.logaddexp.reduce(likelihood))
@@ -127,12 +130,15 @@ def _judged(it: Comparison, nothing: float, found: Sequence[Cause], stamp: int) 
             chances = ', '.join(f'{CAUSES[k]} {odds[k]:.0%}' for k in few)
             sentence = f'these stops cannot tell ({chances}): {sentence}. {_deciding(it, named)}'
     p, kind = points_in_base(it.seen, it.X), it.seen.observations.kind
+    if left_out:
+        sentence += f'. Left out, as they contradict the others: stops {left_out}'
     g = it.method.geometry.conditions(p, kind, it.state, it.config).g
     return Check(stamp, verdict, sentence, len(np.unique(it.seen.observations.station)),
                  float(np.sqrt((g ** 2).mean())), math.exp(min(evidence, 700.0)),
                  dict(zip(CAUSES, map(float, odds), strict=True)), *_size(target), *_size(sensor),
                  sensor.displacement, sensor.displacement_std,
-                 _finite(shows[0]), axes[0].tolist(), _finite(shows[1]), axes[1].tolist())
+                 _finite(shows[0]), axes[0].tolist(), _finite(shows[1]), axes[1].tolist(),
+                 left_out)
 
 
 def _finite(shows: Array) -> list[float]:

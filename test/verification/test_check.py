@@ -50,15 +50,22 @@ def said(calibrated, kind, change, seed):
     return bench.one_check(change, scenario, config, solved, X, T, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize('kind', bench.TARGETS)
 @pytest.mark.parametrize('change', bench.TRUTH)
-def test_what_changed_is_named_and_nothing_else(calibrated, kind, change):
-    verdicts = [said(calibrated, kind, change, seed).verdict for seed in range(5)]
-    if change == 'unchanged':
-        assert verdicts == ['unchanged'] * 5
-    else:
-        right = sum(bench.TRUTH[change] in verdict.split(' or ') for verdict in verdicts)
-        assert right >= 4, verdicts
+def test_what_changed_is_named_and_nothing_else(calibrated, change):
+    found = [(kind, said(calibrated, kind, change, seed).verdict)
+             for kind in bench.TARGETS for seed in range(4)]
+    right = [bench.TRUTH[change] in verdict.split(' or ') for _, verdict in found]
+    assert sum(right) >= (len(found) if change == 'unchanged' else len(found) - 2), found
+
+
+def test_a_stop_that_contradicts_the_others_is_left_out(calibrated):
+    scenario, config, solved, X, T = calibrated['plate']
+    seen = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
+    off = se3.perturb(seen[2].T_base_flange, np.array([0, 0, 1e-3, 0, 0, 0]))
+    seen[2] = replace(seen[2], T_base_flange=off)
+    found = checking.check(seen, solved, config)
+    assert (found.verdict, found.left_out, found.stations) == ('unchanged', [3], 7)
+    assert found.sentence.endswith('stops [3]')
 
 
 def test_a_change_is_measured(calibrated):
