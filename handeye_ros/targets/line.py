@@ -43,7 +43,7 @@ from handeye_ros.targets.common import (
     ObservationRows,
     some_stations,
 )
-from handeye_ros.targets.line_ends import other_choices, same_side
+from handeye_ros.targets.line_ends import other_choices, same_kind, same_side
 import numpy as np
 from numpy.typing import NDArray
 
@@ -130,12 +130,13 @@ def guess(observations: Observations, poses: Array, config: Config, rng: np.rand
     Yield estimates from nothing, best first: every direction of the line is tried.
 
     Where several ends of a face are in sight it is not told which of them is the edge: the same
-    side in all stations first; only when none of these will do, other ways to choose.
+    kind in all stations first, or the same side; only when none of these will do, other ways to
+    choose.
     """
     alone = replace(config, target=replace(config.target, use_face=False))
     problem = Problem(LINE, poses, observations, alone)
     problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
-    for parts, finer in ((same_side, 1), (other_choices, 1), (same_side, FINER)):
+    for parts, finer in ((same_kind, 1), (same_side, 1), (other_choices, 1), (same_side, FINER)):
         found = (e for part in parts(problem, MINIMUM)
                  for e in best_of(part, linear_candidates(part, finer), finer))
         for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):

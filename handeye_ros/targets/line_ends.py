@@ -9,12 +9,34 @@ from dataclasses import replace
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import Observations
+from handeye_ros.estimation.model import ENDS, Observations
 from handeye_ros.targets.common import FACE
 import numpy as np
 from numpy.typing import NDArray
 
 CONDITIONS = 2  # of one edge point
+GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDS)])
+# of ends, by their number in observations: corners, steps, and ends with nothing behind them
+
+
+def same_kind(problem: Problem, fewest: int) -> list[Problem]:
+    """
+    Return problems of the edge points of one group of kinds each, that of most stations first.
+
+    A corner is seen as one in nearly all stations, whatever else ends a face in sight: the reach
+    of the sensor, a step. Where several of a kind are in sight, those of either side follow.
+    """
+    obs = problem.observations
+    group = np.where(obs.kind == FACE, 0, GROUPS[obs.end])
+    stations = [len(np.unique(obs.station[group == k])) for k in range(GROUPS.max() + 1)]
+    present = [k for k in np.argsort(stations)[::-1].tolist() if k and stations[k]]
+    if len(present) < 2:
+        return []
+    left = _left(problem)
+    choices = [(group == k) & side for k in present for side in (True, left, ~left)]
+    parts = [_part(problem, chosen, fewest) for chosen in choices]
+    return [part for i, part in enumerate(parts) if part is not None and (
+        i % 3 == 0 or np.bincount(obs.station[choices[i - i % 3]]).max() > CONDITIONS)]
 
 
 def same_side(problem: Problem, fewest: int) -> list[Problem]:
