@@ -14,6 +14,7 @@ from handeye_ros.profiles.lines import face_line
 from handeye_ros.profiles.segment import Segment, straight_segments
 import numpy as np
 
+MOST_CORNERS, SMALLEST_CORNER = 3, 0.25  # of a profile; shorter face, over the best one's
 FAR_END = 0.75  # of its length, that its other end is away: faces that cross are no edge
 SMALLEST_ANGLE = 0.26  # between two faces (rad): less is one bent face
 REACH = 0.5  # of a face's length: its end is at most so far from where the two cross, for a
@@ -21,21 +22,24 @@ REACH = 0.5  # of a face's length: its end is at most so far from where the two 
 SMALLEST_REACH = 2e-3  # m: of faces however short
 
 
-def corner_features(points: Array, config: Config) -> tuple[FaceLine, FaceLine]:
+def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     """
-    Return the lines of the two faces of a profile that meet, in the order of its x.
+    Return the lines of the faces of a profile that meet, two by two, each two in the order of x.
 
-    points: (n, 2) in the sensor plane, NaN where there was no return. Of several pairs that one
-    is taken whose shorter face is the longest. Raises FeatureError where no two faces meet.
+    points: (n, 2) in the sensor plane, NaN where there was no return. Any two of them may be the
+    edge: a block on a table makes a groove with it. First come those whose shorter face is the
+    longest. Raises FeatureError where no two faces meet.
     """
     segments = straight_segments(points, config.noise.sensor, config.sampling.min_points)
     pairs = [pair for pair in combinations(segments, 2) if _meet(*pair, points)]
     if not pairs:
         raise FeatureError(_reason(segments, config.sampling.min_points))
-    best = max(pairs, key=lambda pair: min(len(segment.rows) for segment in pair))
-    first, second = sorted((face_line(segment, points) for segment in best),
-                           key=lambda line: float(line.centre[0]))
-    return first, second
+    shorter = [min(len(segment.rows) for segment in pair) for pair in pairs]
+    order = sorted(range(len(pairs)), key=lambda k: -shorter[k])[:MOST_CORNERS]
+    best = [pairs[k] for k in order if shorter[k] >= SMALLEST_CORNER * max(shorter)]
+    lines = {segment: face_line(segment, points) for pair in best for segment in pair}
+    return tuple(line for pair in best for line in sorted(
+        (lines[segment] for segment in pair), key=lambda line: float(line.centre[0])))
 
 
 def _reason(segments: list[Segment], min_points: int) -> str:

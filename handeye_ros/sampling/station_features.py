@@ -46,7 +46,7 @@ def of_station(profiles: Sequence[Profile], method: Method, config: Config
             used.append(profile)
     if not found or 2 * len(found) < len(profiles):
         raise FeatureError(reasons.most_common(1)[0][0])
-    return used, combine(found)
+    return used, combine(found, 1 if method.essential else len(method.kinds))
 
 
 def features_of_each(profiles: Sequence[Profile], method: Method, config: Config
@@ -86,11 +86,12 @@ def flipped_features(profile: Profile, config: Config) -> tuple[Feature, ...]:
         return ()
 
 
-def combine(found: Sequence[tuple[Feature, ...]]) -> tuple[Feature, ...]:
+def combine(found: Sequence[tuple[Feature, ...]], together: int = 1) -> tuple[Feature, ...]:
     """
     Return the features of one station from those of its profiles (one tuple each).
 
-    Features are matched by kind and by the way they face. Raises FeatureError when the
+    Features are matched by kind, place, and the way they face; together: of so many lines one
+    after the other none is used without the others. Raises FeatureError when the
     profiles of the station do not agree.
     """
     if len(found) == 1:
@@ -100,7 +101,7 @@ def combine(found: Sequence[tuple[Feature, ...]]) -> tuple[Feature, ...]:
         return (_combined_arc(arcs),)
     edges = [f for features in found for f in features if isinstance(f, EdgePoint)]
     lines = _combined_lines([[f for f in features if isinstance(f, FaceLine)]
-                             for features in found])
+                             for features in found], together)
     combined: list[Feature] = list(lines)
     for sign in (-1.0, 1.0):
         same = [e for e in edges if np.sign(e.direction[0]) == sign]
@@ -113,19 +114,21 @@ def combine(found: Sequence[tuple[Feature, ...]]) -> tuple[Feature, ...]:
     return tuple(combined)
 
 
-def _combined_lines(seen: Sequence[Sequence[FaceLine]]) -> list[FaceLine]:
+def _combined_lines(seen: Sequence[Sequence[FaceLine]], together: int) -> list[FaceLine]:
     """
     Return one line for each surface that most profiles show, of those that each shows.
 
     Raises DisagreeingProfilesError when they agree on fewer than every one of them shows.
     """
     usual = Counter(map(len, seen)).most_common(1)[0][0]
+    lines = next(lines for lines in seen if len(lines) == usual)
     combined: list[FaceLine] = []
     failed = None
-    for line in next(lines for lines in seen if len(lines) == usual):
+    for first in range(0, usual, together):
         try:
-            combined.append(_combined_line([min(lines, key=lambda other: _apart(other, line))
-                                            for lines in seen if lines]))
+            combined += [_combined_line([min(others, key=partial(_apart, line))
+                                         for others in seen if others])
+                         for line in lines[first:first + together]]
         except DisagreeingProfilesError as error:
             failed = failed or error
     if failed and len(combined) < min(map(len, seen)):

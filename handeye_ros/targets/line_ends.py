@@ -9,8 +9,9 @@ from dataclasses import replace
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import ENDS, Observations
+from handeye_ros.estimation.model import Observations
 from handeye_ros.targets.common import FACE
+from handeye_ros.targets.ends import edges_of, ENDS
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,7 +28,7 @@ def same_kind(problem: Problem, fewest: int) -> list[Problem]:
     of the sensor, a step. Where several of a kind are in sight, those of either side follow.
     """
     obs = problem.observations
-    group = np.where(obs.kind == FACE, 0, GROUPS[obs.end])
+    group = np.where(obs.kind == FACE, 0, GROUPS[edges_of(obs).end])
     stations = [len(np.unique(obs.station[group == k])) for k in range(GROUPS.max() + 1)]
     present = [k for k in np.argsort(stations)[::-1].tolist() if k and stations[k]]
     if len(present) < 2:

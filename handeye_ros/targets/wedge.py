@@ -24,6 +24,7 @@ from handeye_ros.estimation.model import (
     Measures,
     Method,
     Observations,
+    UNUSED,
 )
 from handeye_ros.estimation.starts import best_of
 from handeye_ros.profiles.corners import corner_features
@@ -36,6 +37,7 @@ from handeye_ros.targets.common import (
     GUESS_STATIONS,
     ObservationRows,
     some_stations,
+    SOURCES,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +45,7 @@ from numpy.typing import NDArray
 KINDS = ('face_1', 'face_2')
 LABELS = ('y', 'z', 'ry', 'rz', 'turn', 'angle')
 SHARE = np.array([-0.5, 0.5])  # of a change of the angle between them, by which each face turns
+MINIMUM = 6  # samples
 SWEEP = 24  # turns of the pair of faces tried about an edge that is known
 
 
@@ -53,7 +56,7 @@ def observe(samples: Sequence[Sample]) -> Observations:
 
 def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
     if isinstance(feature, FaceLine):
-        add_face(rows, station, feature, source, kind=int(source > 0))
+        add_face(rows, station, feature, source, kind=source // SOURCES % len(KINDS))
 
 
 def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
@@ -86,25 +89,67 @@ def free(config: Config) -> NDArray[np.bool_]:
 
 def relabel(observations: Observations, p: Array, target: Array, config: Config
             ) -> Observations:
-    """Return each station's two lines given to the faces in the way that fits better."""
-    kind = observations.kind
-    as_is, swapped = (np.bincount(
-        observations.station, conditions(p, k, target, config).g ** 2)
-        for k in (kind, 1 - kind))
-    swap = (swapped < as_is)[observations.station]
-    return replace(observations, kind=np.where(swap, 1 - kind, kind))
+    """Return two lines of each station, those that fit, given to the faces as they fit better."""
+    kind, pair = observations.kind, _pair(observations)
+    count = int(pair.max()) + 1
+    group = observations.station * count + pair
+    size = (int(observations.station.max()) + 1) * count
+    as_is, swapped = (np.bincount(group, conditions(p, k, target, config).g ** 2, size)
+                      for k in (kind, 1 - kind))
+    kind = np.where((swapped < as_is)[group], 1 - kind, kind)
+    if count > 1:
+        number = np.bincount(group, minlength=size)
+        squares = np.minimum(as_is, swapped) / np.maximum(number, 1)
+        away = np.where(number, np.sqrt(squares), np.inf).reshape(-1, count)
+        near = away <= away.min(axis=1, keepdims=True) + plane.SAME_SURFACE
+        kind = np.where(near.argmax(axis=1)[observations.station] == pair, kind, UNUSED)
+    return replace(observations, kind=kind)
+
+
+def _pair(observations: Observations) -> NDArray[np.intp]:
+    """Return to which two lines of its station each observation (m,) belongs."""
+    return observations.source // (len(KINDS) * SOURCES)
+
+
+def one_corner(problem: Problem) -> list[Problem]:
+    """
+    Return problems with one pair of lines of each station: its first, convex, or concave one.
+
+    A block and the table that it stands on make a groove, where the faces meet on the other side.
+    """
+    obs, pair = problem.observations, _pair(problem.observations)
+    if not pair.any():
+        return [problem]
+    corners = [crossings(obs.select(pair == k)) for k in range(int(pair.max()) + 1)]
+    first = np.full((3, len(problem.poses)), -1)  # the pair of each station
+    for k, corner in reversed(list(enumerate(corners))):
+        station, depth = corner.station[::2], corner.points[::2, 1]
+        of_pair = obs.select(pair == k)
+        count = np.bincount(of_pair.station, minlength=len(problem.poses))
+        middle = np.bincount(of_pair.station, of_pair.points[:, 1])[station] / count[station]
+        convex = (middle - depth) * problem.config.profile.range_sign > 0
+        first[0, station] = first[1, station[convex]] = first[2, station[~convex]] = k
+    different = {each.tobytes(): each for each in first}
+    parts = [replace(problem, observations=obs.select(each[obs.station] == pair)).subset(
+        np.flatnonzero(each >= 0)) for each in different.values()]
+    return [part for part in parts if len(part.poses) >= MINIMUM]
 
 
 def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
           ) -> Iterator[Estimate]:
-    """
-    Yield estimates from nothing.
-
-    The crossings of the two lines lie on one straight edge, whatever the labels; and where the
-    labels are right by chance, the left lines lie in one plane and so do the right ones.
-    """
+    """Yield estimates from nothing; of edges of one sign where several are in sight."""
     chosen = some_stations(len(poses), GUESS_STATIONS, rng)
-    problem = Problem(WEDGE, poses, observations, config).subset(chosen)
+    for part in one_corner(Problem(WEDGE, poses, observations, config).subset(chosen)):
+        yield from _guess(part)
+
+
+def _guess(problem: Problem) -> Iterator[Estimate]:
+    """
+    Yield estimates from two lines of each station.
+
+    Their crossings lie on one straight edge, whatever the labels; and where the labels are right
+    by chance, the left lines lie in one plane and so do the right ones.
+    """
     corners = crossings(problem.observations)
     edges = replace(problem, method=edge_line.LINE, observations=corners)
     yield from _refined(problem, [_with_faces(problem, e) for e in best_of(
@@ -193,7 +238,7 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 
 
 WEDGE = Method(
-    'wedge', KINDS, LABELS, essential=(), minimum=6, guess=guess,
+    'wedge', KINDS, LABELS, essential=(), minimum=MINIMUM, guess=guess,
     features=FeatureModel(corner_features, observe),
     geometry=Geometry(conditions, retract, free, relabel), measures=Measures(describe),
     nuisances=FACES_AND_EDGES)

@@ -138,3 +138,32 @@ def test_the_edge_of_a_block_keeps_to_one_face(seed: int) -> None:
     alone = with_values(config, {'target.use_face': False}, 'test')
     points = pipeline.calibrate(made.profiles, made.poses, alone)
     assert np.trace(found.covariance[:3, :3]) < np.trace(points.covariance[:3, :3])
+
+
+def corner_samples(seed, only_open, count=24):
+    """
+    Return stations at a corner: its edge on the one side, the reach of the sensor on the other.
+
+    Which face is in sight changes, and so does the side. only_open: stations without the corner.
+    """
+    rng = np.random.default_rng(seed)
+    wide = replace(SCENARIOS['wedge'], sensor=SCENARIOS['sphere'].sensor, stations=(count, 0))
+    made, samples = cell(wide, seed, target__type='line'), []
+    for k, sample in enumerate(made.samples):
+        a, b = sample.features if rng.random() < 0.5 else sample.features[::-1]
+        along = np.linalg.solve(np.column_stack([a.direction, -b.direction]), b.centre - a.centre)
+        corner = a.centre + along[0] * a.direction
+        out = a.direction * np.sign(along[0])
+        std = rng.uniform(5e-6, 65e-6)
+        roof = EdgePoint(corner + std * rng.normal() * out, out, std, a.std, 'roof')
+        reach = EdgePoint(corner - rng.uniform(0.015, 0.05) * out, -out, 3e-5, a.std, 'open')
+        ends = [reach] if k < only_open else [roof, reach]
+        samples.append(replace(sample, features=(a, *ends)))
+    return replace(made, samples=tuple(samples))
+
+
+@pytest.mark.parametrize('only_open', [1, 5])
+def test_a_corner_is_told_from_the_reach_of_the_sensor_by_its_kind(only_open: int) -> None:
+    for seed in range(5):
+        made = corner_samples(seed, only_open)
+        assert made.error(transform(made)) < 5e-4

@@ -118,3 +118,33 @@ def test_the_two_lines_of_a_stop_stay_apart() -> None:
     assert isinstance(left, FaceLine)
     assert isinstance(right, FaceLine)
     assert left.direction[1] < 0 < right.direction[1]
+
+
+def test_a_groove_beside_the_edge_is_another_corner() -> None:
+    x = np.linspace(-0.02, 0.02, 800)
+    z = 0.17 + np.abs(x)  # a block, whose foot stands on a table at x = 0.008
+    foot = x > 0.008
+    z[foot] = 0.178 - (x[foot] - 0.008)
+    lines = corner_features(np.column_stack([x, z]), Config())
+    slopes = [round(float(line.direction[1] / line.direction[0]), 3) for line in lines]
+    assert sorted(zip(slopes[::2], slopes[1::2], strict=True)) == [(-1.0, 1.0), (1.0, -1.0)]
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_a_block_on_a_table_is_told_from_the_groove_at_its_foot(seed: int) -> None:
+    made = cell('wedge', seed)
+    rng, samples = np.random.default_rng(seed), []
+    for k, sample in enumerate(made.samples):
+        left, right = sample.features
+        # the table rises from the right face's far end: where its line has gone on for 40 mm
+        foot = right.centre + 0.02 * right.direction
+        out = np.array([right.direction[0], -right.direction[1]])
+        table = FaceLine(foot + 0.015 * out, out, 0.01, 1e-5)
+        block, groove = (left, right), (right, table)
+        if k % 5 == 0:
+            pairs = [groove]
+        else:
+            pairs = [groove, block] if rng.random() < 0.5 else [block, groove]
+        samples.append(replace(sample, features=tuple(line for pair in pairs for line in pair)))
+    found = pipeline.solve(samples, [], made.config, 'laser')
+    assert made.error(found.T_flange_sensor) < 2e-4
