@@ -51,8 +51,8 @@ class Answer:
     The corrected arm.
 
     stds, known: (k,) 1 sigma of its parameters, and that over the prior one; models: from the
-    simplest, of which chosen is the answer; smooth: 1 sigma of what is left of the robot's error,
-    each axis (m); calibration: the hand-eye transform that belongs to it; fit: what it comes from.
+    simplest, of which chosen is the answer; smooth: RMS of what is left of the robot's error, each
+    axis (m); calibration: the hand-eye transform that belongs to it; fit: what it comes from.
     """
 
     arm: Arm

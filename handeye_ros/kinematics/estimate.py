@@ -105,9 +105,9 @@ class Fit:
         return float(np.sqrt((self.data.distances(self.state)[self.used] ** 2).mean()))
 
     @property
-    def smooth_std(self) -> float:
-        """Return 1 sigma of what is left of the robot's error (m), 0 where it is not asked."""
-        return SMOOTH * float(self.shown.map_scales[-1]) ** 0.5 if self.root.shape[1] else 0.0
+    def smooth_rms(self) -> float:
+        """Return the RMS of what is left of the robot's error, each axis (m)."""
+        return float(np.sqrt(((self.root @ self.state.smooth)[self.used] ** 2).mean()))
 
     @cached_property
     def shown(self) -> Scales:

@@ -67,7 +67,7 @@ class Outcome:
     The answer: the model chosen, and all models from the simplest, which has no errors of the arm.
 
     covariance: (u, u) of X, the targets, the parameters; known: (k,) sigma over prior of each
-    parameter; smooth: 1 sigma (m) of what is left of the robot's error; warnings: sentences.
+    parameter; smooth: RMS (m) of what is left of the robot's error; warnings: sentences.
     """
 
     models: tuple[Model, ...]
@@ -125,7 +125,7 @@ def solve(start: Fit, more: Sequence[str], limit: float, cause: Callable[[], str
     for model in models[1:]:
         chosen = model if _better(model, chosen) else chosen
     wide, covariance = stated_covariance(richest, chosen.fit.state)
-    return Outcome(models, chosen, covariance, _known(chosen.fit), wide.smooth_std,
+    return Outcome(models, chosen, covariance, _known(chosen.fit), wide.smooth_rms,
                    tuple(_warnings(models, chosen)))
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Array, Calibration, TimedPose
+from handeye_ros.data import AnyProfile, Array, TimedPose
 from handeye_ros.estimation.linalg import covering
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.kinematics.answer import Answer
@@ -20,8 +20,10 @@ from handeye_ros.kinematics.table import judged_joints
 from handeye_ros.results.outcome import in_mount
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.time_offset import synchronised
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
 OTHER_FRAMES = 0.02  # m; poses further off are of other frames than the URDF's
 EQUAL = 5e-5  # m; rounding of reported poses
@@ -49,64 +51,68 @@ def solve_recording(recording: JointRecording, chain: Chain, more: Sequence[str]
     """Return the corrected arm and the calibration that belongs to it; raises DataError."""
     config = replace(config, kinematics='', pose_source='topic', robot_base_frame=chain.base,
                      robot_effector_frame=chain.flange)
-    joints = recording.joints
+    joints, stamps = recording.joints, np.array([pose.stamp for pose in recording.poses])
     odd = judged_joints(chain, {joint.follows: column for joint, column in zip(
         chain.joints, joints.T, strict=True) if joint.follows == joint.name})
     session = pipeline.gather(recording.profiles, recording.poses, config)
-    q = at_stamps([sample.stamp for sample in session.samples], recording.poses, joints)
     told = [*recording.warnings, *session.warnings, *odd]
     if recording.reported:
-        inside, poses = _poses_at([sample.stamp for sample in session.samples], recording.reported)
-        told.append(compared(poses, chain.forward(q[inside])))
-    outcome, calibration = solve_session(session, q, chain, more, config)
-    return answer_of(outcome, calibration, recording.inputs, told)
+        told.append(_compared(recording, stamps, chain, session))
+    outcome = solve_session(session, stamps, joints, chain, more, config)
+    calibration = pipeline.calibrate(recording.profiles, corrected(recording, outcome.arm), config)
+    both = covering(calibration.covariance, outcome.covariance[:6, :6])
+    return answer_of(outcome, replace(calibration, covariance=both), recording.inputs, told)
 
 
-def _poses_at(stamps: Sequence[int], poses: Sequence[TimedPose]
-              ) -> tuple[NDArray[np.bool_], Array]:
-    """Return which stamps lie between the poses, and the poses (k, 4, 4) there."""
-    times = np.array([pose.stamp for pose in poses])
-    at = np.array(stamps)
-    inside = (at >= times[0]) & (at <= times[-1])
-    after = np.minimum(np.searchsorted(times, at[inside]), len(times) - 1)
-    near = [poses[i] for i in after]  # the robot stands still there
-    return inside, se3.from_quaternion(np.array([pose.translation for pose in near]),
-                                       np.array([pose.quaternion for pose in near]))
+def corrected(recording: JointRecording, arm: Arm) -> list[TimedPose]:
+    """Return the flange poses of a corrected arm at the joint values of a recording."""
+    T = arm.forward(recording.joints)
+    return [replace(pose, translation=own[:3, 3], quaternion=q) for pose, own, q in zip(
+        recording.poses, T, se3.quaternion(T), strict=True)]
 
 
-def solve_session(session: Session, q: Array, chain: Chain, more: Sequence[str], config: Config
-                  ) -> tuple[Outcome, Calibration]:
+def _compared(recording: JointRecording, stamps: NDArray[np.int64], chain: Chain,
+              session: Session) -> str:
+    """Return in words how the controller's poses differ from those of the URDF, at samples."""
+    reported = np.array([pose.stamp for pose in recording.reported])
+    times, first = np.unique(reported - reported[0], return_index=True)
+    at = np.array([sample.stamp for sample in session.samples])
+    at = at[(at >= reported[0]) & (at <= reported[-1])]
+    if len(times) < 2 or not len(at):
+        return 'the reported poses are of another time than the profiles, and are not compared'
+    poses = [recording.reported[i] for i in first]
+    T = se3.interpolated(times.astype(float), np.array([p.translation for p in poses]),
+                         np.array([p.quaternion for p in poses]),
+                         (at - reported[0]).astype(float))
+    return compared(T, chain.forward(at_stamps(at.tolist(), stamps, recording.joints)))
+
+
+def solve_session(session: Session, stamps: NDArray[np.int64], joints: Array, chain: Chain,
+                  more: Sequence[str], config: Config) -> Outcome:
     """
-    Return the corrected arm and the calibration that belongs to it.
+    Return the corrected arm, from samples of a robot that stops or moves.
 
-    session: its poses are those of the arm as stated; q: (n, joints) at its samples. Raises
-    DataError.
+    session: its poses are those of the arm as stated, at joint values (n, joints) of stamps (n,).
+    Raises DataError.
     """
     if len(session.samples) < MINIMUM:
         raise TooFewConfigurationsError(len(session.samples), MINIMUM)
-    order = np.argsort([sample.stamp for sample in session.samples], kind='stable')
-    samples, q = [session.samples[i] for i in order], q[order]
-    ordered, _ = consistent_edges(samples)
-    here = np.searchsorted([s.stamp for s in samples], [s.stamp for s in ordered])
+    ordered, _ = consistent_edges(sorted(session.samples, key=lambda sample: sample.stamp))
+    ordered = synchronised(ordered, config).samples
+    q = at_stamps([sample.stamp + round(sample.offset * 1e9) for sample in ordered], stamps,
+                  joints)
     method, arm = targets.method_for(config), Arm(chain)
-    problem = Problem(method, in_mount(arm.forward(q[here]), config),
+    problem = Problem(method, in_mount(arm.forward(q), config),
                       method.features.observe(ordered), config)
-    data, state = profiles_of(problem, q[here], arm)
-    outcome = solve(fit_of(data, state), more, config.limits.residual, lambda: DEFAULT_CAUSE)
-    T = outcome.arm.forward(q)
-    corrected = [replace(sample, T_base_flange=pose)
-                 for sample, pose in zip(samples, T, strict=True)]
-    calibration = pipeline.solve(corrected, session.rejects, config, session.frame_id)
-    both = covering(calibration.covariance, outcome.covariance[:6, :6])
-    return outcome, replace(calibration, covariance=both)
+    data, state = profiles_of(problem, q, arm)
+    return solve(fit_of(data, state), more, config.limits.residual, lambda: DEFAULT_CAUSE)
 
 
-def at_stamps(stamps: Sequence[int], table: Sequence[TimedPose], joints: Array) -> Array:
-    """Return joint values (n, joints) at stamps, between those of a table of poses."""
-    times = np.array([pose.stamp for pose in table], dtype=np.int64)
-    first = int(times[0])
-    return np.column_stack([np.interp(np.array(stamps) - first, times - first, column)
-                            for column in joints.T])
+def at_stamps(at: Sequence[int], stamps: NDArray[np.int64], joints: Array) -> Array:
+    """Return joint values (k, joints) at some stamps, between those (n, joints) of stamps (n,)."""
+    times, first = np.unique(stamps - stamps[0], return_index=True)
+    spline = PchipInterpolator(times * 1e-9, joints[first])
+    return np.asarray(spline(np.clip(np.array(at) - stamps[0], times[0], times[-1]) * 1e-9))
 
 
 def compared(reported: Array, nominal: Array) -> str:

@@ -39,7 +39,7 @@ def sentence(answer: Answer) -> str:
     before, after = answer.models[0], answer.models[answer.chosen]
     return (f'points that were left out: {before.left_out * 1e3:.2f} mm RMS before, '
             f'{after.left_out * 1e3:.2f} mm after; what is left of the error of the robot: '
-            f'{answer.smooth * 1e3:.2f} mm (1 sigma, each axis)')
+            f'{answer.smooth * 1e3:.2f} mm (RMS, each axis)')
 
 
 def unknown(answer: Answer, joint: int) -> Iterator[str]:

@@ -22,7 +22,7 @@ class Cell:
 
     T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base);
     T_world_target: the target in the base, or in the flange. T_base_flange, its reported
-    twin: (n, 4, 4). T_mount_best: what serves best with the reported poses.
+    twin: (n, 4, 4). T_mount_best: what serves best with the reported poses. arm: its errors.
     """
 
     T_mount_sensor: Array
@@ -30,6 +30,7 @@ class Cell:
     T_base_flange: Array
     T_base_flange_reported: Array
     T_mount_best: Array
+    arm: arm.ArmErrors | None = None
 
     def T_target_sensor(self, T_base_flange: Array, calibration_type: str) -> Array:
         """Return the sensor's poses (n, 4, 4) in the target at flange poses (n, 4, 4)."""
@@ -54,7 +55,7 @@ def draw(scenario: Scenario, stops: Stops, anywhere: Stops, rng: np.random.Gener
         T_true = T_far @ stops.T_target_sensor @ se3.inverse(T_near)
         T_mount_sensor, T_world_target = T_near, T_far
     reported = perturbed(T_true, robot_error(scenario.robot, T_true, rng))
-    best = T_mount_sensor
+    best, errors = T_mount_sensor, None
     if scenario.robot.geometry:
         errors = arm.draw(scenario.robot.geometry, rng)
         reported = perturbed(reported, arm.reported_error(T_true, errors))
@@ -62,7 +63,7 @@ def draw(scenario: Scenario, stops: Stops, anywhere: Stops, rng: np.random.Gener
         best = _best_mount(more, arm.reported_error(more, errors), T_mount_sensor, scenario)
     reported[:, :3, 3] *= 1 + scenario.robot.scale
     reported = _bumped(reported, scenario.bumped, rng)
-    return Cell(T_mount_sensor, T_world_target, T_true, reported, best)
+    return Cell(T_mount_sensor, T_world_target, T_true, reported, best, errors)
 
 
 def _sensor_on_flange(scenario: Scenario, rng: np.random.Generator) -> Array:

@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
+from handeye_ros.simulate import arm, motion
 from handeye_ros.simulate import cell as cells
-from handeye_ros.simulate import motion
 from handeye_ros.simulate.scenario import Scenario
 from handeye_ros.simulate.sweep_model import Sweep
 import numpy as np
@@ -55,6 +55,8 @@ def reported(scenario: Scenario, cell: cells.Cell, along: Way, rng: np.random.Ge
     T = se3.transform(late[:, :3, :3], T[:, :3, 3])
     T = cells.perturbed(T, cells.robot_error(robot, T, rng) + _drift(times, sweep, rng))
     stamped = np.maximum.accumulate(times + rng.normal(size=len(times)) * sweep.pose_jitter)
+    if cell.arm:
+        T = cells.perturbed(T, arm.reported_error(T, cell.arm))
     step = sweep.resolution
     place = np.round(T[:, :3, 3] / step) * step if step else T[:, :3, 3]
     return tuple(TimedPose(int(s), t, q) for s, t, q in zip(
