@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 D1, A2, D4, D6 = 0.45, 0.75, 0.75, 0.10  # m: shoulder, upper arm, forearm, flange
 AXES = 'zyyzyz'
+ENDLESS = (4, 6)  # joints that turn without end
 LENGTHS = (D1, A2, D4, 0.0, 0.0, D6)  # m, along z, after each joint
 
 
@@ -59,12 +60,14 @@ def urdf() -> str:
     heights = (0.0, *LENGTHS[:-1])
     links = ''.join(f'  <link name="{name}"/>\n' for name in (
         'base', *(f'link_{k}' for k in range(1, 7)), 'flange'))
+    kinds = {False: 'revolute', True: 'continuous'}
     axes = {'y': '0 1 0', 'z': '0 0 1'}
     joints = ''.join(
-        f'  <joint name="joint_{k}" type="revolute">\n    <origin xyz="0 0 {height}"/>\n'
+        f'  <joint name="joint_{k}" type="{kinds[k in ENDLESS]}">\n'
+        f'    <origin xyz="0 0 {height}"/>\n'
         f'    <parent link="{f"link_{k - 1}" if k > 1 else "base"}"/>\n'
         f'    <child link="link_{k}"/>\n    <axis xyz="{axes[axis]}"/>\n'
-        '    <limit lower="-12.6" upper="12.6" effort="0" velocity="3"/>\n  </joint>\n'
+        '    <limit lower="-3.2" upper="3.2" effort="0" velocity="3"/>\n  </joint>\n'
         for k, (axis, height) in enumerate(zip(AXES, heights, strict=True), 1))
     return (f'<?xml version="1.0"?>\n<robot name="arm">\n{links}{joints}'
             '  <joint name="end" type="fixed">\n'
