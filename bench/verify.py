@@ -1,7 +1,7 @@
 """
 Every verification routine over seeds: are its regions honest, and does it see a wrong calibration.
 
-usage: .venv/bin/python bench/verify.py [--rendered] [--first SEED] [SEEDS] [ROUTINE...]
+usage: .venv/bin/python bench/verify.py [--rendered] [--stops] [--first SEED] [SEEDS] [ROUTINE...]
 
 For each of SEEDS (default 200) a calibration is drawn with its stated covariance (0.03 mm and
 0.01 degrees, 1 sigma of each axis) and measures a simulated artefact with the robot and sensor of
@@ -9,7 +9,9 @@ the main job. --rendered: from recordings of rendered profiles (640 columns, 10 
 features with exactly known noise. "within": how often the values lie within their stated 95 %
 region (for lines and planes: the RMS distance below its stated 95 % bound). "wrong fails": how
 often a calibration that is 1 mm and 0.5 degrees off fails at the default tolerance; the verdicts
-of the right one follow.
+of the right one follow. --stops: instead of all this, how many stops with which turns are needed
+for faces: the smallest error of the calibration that would show, which 9 of 10 seeds stay below,
+and how often an exact calibration passes at 0.3 mm.
 """
 from __future__ import annotations
 
@@ -17,6 +19,7 @@ import argparse
 from collections import Counter
 from dataclasses import replace
 from functools import partial
+from itertools import product
 
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, NoiseConfig
@@ -118,13 +121,33 @@ def trial(name: str, seed: int, scenes: dict = SCENES) -> tuple[Verification, Ve
     return right, wrong
 
 
+def stops(names: list[str], seeds: range) -> None:
+    """Print what is seen from so many stops with such turns."""
+    print(f'{"":9} stops  turns  smallest error [mm]  exact passes')
+    for name in [name for name in names if name in ('plane', 'step', 'square')]:
+        for count, tilt in product((8, 12, 20, 30), (20, 30, 40)):
+            found = []
+            for seed in seeds:
+                made = SCENES[name](np.random.default_rng(seed), count=count,
+                                    tilt=np.deg2rad(tilt))
+                exact = calibration(made.T_flange_sensor, np.diag(STD ** 2))
+                found += runs(ROUTINES[name], made, (exact,), 0.0)
+            size = np.quantile([v.smallest_error for v in found], 0.9)
+            passed = np.mean([v.verdict == 'pass' for v in found])
+            print(f'{name:9} {count:5} {tilt:6} {1e3 * size:20.2f} {passed:13.0%}', flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument('--rendered', action='store_true')
+    parser.add_argument('--stops', action='store_true')
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('seeds', type=int, nargs='?', default=200)
     parser.add_argument('routines', nargs='*', default=list(SCENES))
     given = parser.parse_args()
+    if given.stops:
+        stops(given.routines, range(given.first, given.first + given.seeds))
+        return
     print(f'{"":9} within  wrong fails  smallest_error [mm]  verdicts of the right calibration')
     for name in given.routines:
         trials = [trial(name, given.first + k, RENDERED if given.rendered else SCENES)

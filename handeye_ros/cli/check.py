@@ -28,6 +28,7 @@ Folder = Annotated[NoPath, typer.Option(
     metavar='DIR', help='Tell how the calibrations below this folder went through time.')]
 Picture = Annotated[NoPath, typer.Option(
     metavar='FILE', help='Draw the trend of the folder (needs matplotlib).')]
+Csv = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the trend as CSV.')]
 Out = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the checks as YAML too.')]
 
 
@@ -40,6 +41,7 @@ def check(
     kinematics: KinematicsFile = None,
     folder: Folder = None,
     picture: Picture = None,
+    csv: Csv = None,
     out: Out = None,
 ) -> None:
     """Check whether a calibration still holds: exit code 0 only where nothing changed, 1 if so."""
@@ -50,7 +52,7 @@ def check(
     changed = (_check_bags(bags, against, config, assignments, out) if bags and against
                else False)
     if folder:
-        _tell_trend(folder, against, picture)
+        _tell_trend(folder, against, picture, csv)
     if changed:
         raise typer.Exit(CHANGED)
 
@@ -81,14 +83,17 @@ def _check_bags(bags: list[Path], against: Path, config: Path | None, assignment
     return bool(changed)
 
 
-def _tell_trend(folder: Path, against: Path | None, picture: Path | None) -> None:
-    from handeye_ros.results.calibration_file import read_calibration
+def _tell_trend(folder: Path, against: Path | None, picture: Path | None, csv: Path | None
+                ) -> None:
+    from handeye_ros.results.calibration_file import read_calibration, write_whole
     from handeye_ros.verification import trend
     entries, warnings = trend.trend(folder, read_calibration(against) if against else None)
     for warning in warnings:
         warn(warning)
     show(trend.table(entries))
     typer.echo(trend.since_when(entries))
+    if csv:
+        write_whole(csv, trend.csv_text(entries))
     if picture:
         trend.draw(entries, picture)
         typer.echo(f'wrote {picture.absolute()}')

@@ -92,10 +92,11 @@ def line(rng: np.random.Generator, count: int = 14, robot: RobotModel | None = N
 
 
 def planes(rng: np.random.Generator, places: Array, lengths: tuple[float, ...] = (),
-           count: int = 20, robot: RobotModel | None = None, take: Take = stations) -> Measured:
+           count: int = 20, robot: RobotModel | None = None, take: Take = stations,
+           tilt: float = TILT) -> Measured:
     """Return planes at places (k, 4, 4) in the artefact, each in a bag."""
     target = PlateTarget((0.2, 0.15), table=None, clutter=None)
-    scenario = replace(SCENARIOS['plane'], target=target, stations=(count, 0), tilt=TILT,
+    scenario = replace(SCENARIOS['plane'], target=target, stations=(count, 0), tilt=tilt,
                        robot=robot or RobotModel())
     X, T = sensor_on_flange(rng), somewhere(rng)
     return measured([take(scenario, X, T @ place, SCENES['plane'].stops(scenario, rng), rng)

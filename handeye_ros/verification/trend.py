@@ -2,12 +2,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import csv
 from dataclasses import dataclass
+from datetime import datetime, UTC
+import io
 from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Calibration
-from handeye_ros.estimation.quantiles import chi2_sf
+from handeye_ros.estimation.quantiles import chi2_isf, chi2_sf
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.errors import CalibrationFileError
 from handeye_ros.scanning.pictures import figure, save
@@ -15,7 +18,8 @@ from handeye_ros.verification.errors import NoTrendError
 import numpy as np
 from rich.table import Table
 
-SUSPICIOUS = 0.01
+CHANGED, WARNING = 0.01, 0.05  # p of a difference: to act on, to watch
+EARLIEST = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,12 +27,13 @@ class Entry:
     """
     One calibration of a trend.
 
+    recorded: when its first sample was taken, or its file written where that is not known.
     difference: (6,) to the first, std: (6,) of it, by both covariances; p_first, p_before: how
     often chance alone makes such a difference to the first, and to the one before.
     """
 
     path: Path
-    created: str
+    recorded: str
     difference: Array
     std: Array
     p_first: float
@@ -48,18 +53,26 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
         except CalibrationFileError as error:
             warnings.append(str(error))
             continue
-        found.append((str(calibration.provenance.get('created', '')), path, calibration))
+        found.append((_recorded(calibration), path, calibration))
     found.sort(key=lambda item: (item[0], str(item[1])))
     if len(found) < 2 - (first is not None):
         raise NoTrendError(folder, len(found))
     reference = first or found[0][2]
     entries, before = [], reference
-    for created, path, calibration in found:
+    for recorded, path, calibration in found:
         difference, C = between(calibration, reference)
-        entries.append(Entry(path, created, difference, np.sqrt(np.diag(C)),
+        entries.append(Entry(path, recorded, difference, np.sqrt(np.diag(C)),
                              _p(difference, C), _p(*between(calibration, before))))
         before = calibration
     return entries, warnings
+
+
+def _recorded(calibration: Calibration) -> str:
+    """Return when a calibration was recorded, by its samples; else when it was solved."""
+    stamp = min((report.stamp for report in calibration.samples), default=0)
+    if stamp < EARLIEST:
+        return str(calibration.provenance.get('created', ''))
+    return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
 
 
 def between(a: Calibration, b: Calibration) -> tuple[Array, Array]:
@@ -75,12 +88,13 @@ def _p(difference: Array, C: Array) -> float:
 def table(entries: Sequence[Entry]) -> Table:
     """Return the trend as a table."""
     made = Table(title='differences from the first', title_justify='left')
-    for column in ('created', 'x [mm]', 'y [mm]', 'z [mm]', 'rotation [degrees]',
+    for column in ('recorded', 'x [mm]', 'y [mm]', 'z [mm]', 'rotation [degrees]',
                    'p to the first', 'p to the one before', ''):
         made.add_column(column, justify='right')
     for e in entries:
-        note = 'CHANGED' if e.p_before < SUSPICIOUS else ''
-        made.add_row(e.created, *(f'{v * 1e3:.3f}' for v in e.difference[:3]),
+        note = ('CHANGED' if e.p_before < CHANGED else
+                'watch' if min(e.p_before, e.p_first) < WARNING else '')
+        made.add_row(e.recorded, *(f'{v * 1e3:.3f}' for v in e.difference[:3]),
                      f'{np.degrees(np.linalg.norm(e.difference[3:])):.4f}', f'{e.p_first:.3g}',
                      f'{e.p_before:.3g}', note)
     return made
@@ -89,26 +103,46 @@ def table(entries: Sequence[Entry]) -> Table:
 def since_when(entries: Sequence[Entry]) -> str:
     """Return a sentence on the first that differs from the one before it."""
     for e in entries:
-        if e.p_before < SUSPICIOUS:
-            return f'the calibration changed between {e.created or e.path} and the one before it'
+        if e.p_before < CHANGED:
+            return f'the calibration changed between {e.recorded or e.path} and the one before it'
     return 'no calibration differs from the one before by more than their uncertainties explain'
 
 
 def draw(entries: Sequence[Entry], path: Path) -> None:
-    """Write a picture of the trend; raises NoMatplotlibError, UnwritableError."""
+    """
+    Write a picture of the trend; raises NoMatplotlibError, UnwritableError.
+
+    The bars reach as far as a joint test of all six differences takes for chance, once in 20.
+    """
     drawing, axes = figure(2, 1)
     at = np.arange(len(entries))
     difference = np.array([e.difference for e in entries])
-    std = np.array([e.std for e in entries])
+    reach = float(np.sqrt(chi2_isf(WARNING, 6))) * np.array([e.std for e in entries])
     for ax, part, scale, unit in ((axes[0], slice(0, 3), 1e3, 'mm'),
                                   (axes[1], slice(3, 6), 180 / np.pi, 'degrees')):
         for k, name in enumerate('xyz'):
             ax.errorbar(at + 0.05 * (k - 1), scale * difference[:, part][:, k],
-                        2 * scale * std[:, part][:, k], fmt='o-', capsize=3,
+                        scale * reach[:, part][:, k], fmt='o-', capsize=3,
                         label=name if unit == 'mm' else f'about {name}')
-        ax.set_ylabel(f'difference [{unit}], 2 sigma')
+        ax.set_ylabel(f'difference [{unit}], joint 95 %')
         ax.axhline(0, color='0.7', linewidth=0.8)
+        for place in np.flatnonzero([e.p_before < CHANGED for e in entries]) - 0.5:
+            ax.axvline(place, color='tab:red', linestyle='--', linewidth=1)
+            ax.annotate('changed', (place, 1), xycoords=('data', 'axes fraction'), fontsize=8,
+                        color='tab:red', va='bottom', ha='center')
         ax.legend(fontsize=8)
-    axes[1].set_xticks(at, [e.created[:16] or e.path.parent.name for e in entries],
+    axes[1].set_xticks(at, [e.recorded[:16] or e.path.parent.name for e in entries],
                        rotation=20, ha='right', fontsize=8)
     save(drawing, path)
+
+
+def csv_text(entries: Sequence[Entry]) -> str:
+    """Return the trend as CSV: metres and radians."""
+    lines = io.StringIO()
+    made = csv.writer(lines, lineterminator='\n')
+    axes = ('x', 'y', 'z', 'rx', 'ry', 'rz')
+    made.writerow(('recorded', 'path', *axes, *(f'{axis}_std' for axis in axes), 'p_first',
+                   'p_before'))
+    for e in entries:
+        made.writerow((e.recorded, e.path, *e.difference, *e.std, e.p_first, e.p_before))
+    return lines.getvalue()

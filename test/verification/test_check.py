@@ -7,7 +7,7 @@ from pathlib import Path
 
 from command import assert_refused, handeye
 from handeye_ros import pipeline, se3
-from handeye_ros.data import Calibration, Quality
+from handeye_ros.data import Calibration, Quality, SampleReport
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.simulate import gauges, simulate
@@ -55,7 +55,8 @@ def test_what_changed_is_named_and_nothing_else(calibrated, change):
     found = [(kind, said(calibrated, kind, change, seed).verdict)
              for kind in bench.TARGETS for seed in range(4)]
     right = [bench.TRUTH[change] in verdict.split(' or ') for _, verdict in found]
-    assert sum(right) >= (len(found) if change == 'unchanged' else len(found) - 2), found
+    least = {'unchanged': 1.0, 'joint 0.05': 0.8}.get(change, 0.95)  # measured: bench/check.py
+    assert sum(right) >= least * len(found), found
 
 
 def test_a_stop_that_contradicts_the_others_is_left_out(calibrated):
@@ -145,6 +146,19 @@ def test_a_trend_tells_since_when(tmp_path):
     assert len(entries) == 5 and len(warnings) == 1
 
 
+def test_a_trend_goes_by_the_time_of_the_recordings(tmp_path):
+    calibrations(tmp_path, 3)
+    for k, day in ((0, 2), (1, 0), (2, 1)):  # solved in another order than recorded
+        path = tmp_path / f'day_{k}' / 'calibration.yaml'
+        stamp = 1_700_000_000_000_000_000 + day * 86_400_000_000_000
+        write_calibration(replace(read_calibration(path), samples=(
+            SampleReport(stamp, True),)), path)
+    entries, _ = trend.trend(tmp_path)
+    assert [e.path.parent.name for e in entries] == ['day_1', 'day_2', 'day_0']
+    assert entries[0].recorded.startswith('2023-11-14')
+    assert len(trend.csv_text(entries).splitlines()) == 4
+
+
 def test_a_steady_trend_is_told_so(tmp_path):
     calibrations(tmp_path, 5)
     entries, _ = trend.trend(tmp_path)
@@ -169,8 +183,10 @@ def test_the_verb_on_recordings_and_a_folder(tmp_path):
     run = handeye('check', 'today', 'today', '--against', 'b/calibration.yaml', cwd=tmp_path)
     assert run.returncode == 1, run.stderr
     assert 'UNCHANGED' not in run.stdout and run.stdout.endswith('since today\n')
-    run = handeye('check', '--folder', '.', '--picture', 't.png', cwd=tmp_path)
+    run = handeye('check', '--folder', '.', '--picture', 't.png', '--csv', 't.csv',
+                  cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     assert 'CHANGED' in run.stdout and (tmp_path / 't.png').stat().st_size > 1000
+    assert (tmp_path / 't.csv').read_text().startswith('recorded,path,x,')
     assert_refused(handeye('check', 'today', cwd=tmp_path), 2, '--against')
     assert_refused(handeye('check', '--folder', 'today', cwd=tmp_path), 3, 'today')
