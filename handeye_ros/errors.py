@@ -78,7 +78,7 @@ def mm(metres: float) -> str:
 
 
 def degrees(radians: float) -> str:
-    return f'{math.degrees(radians):.3g} degrees' if radians < 1 else 'nothing at all'
+    return f'{math.degrees(radians):.3g} degrees' if radians < 1 else 'more than 57 degrees'
 
 
 class ConfigFileError(InputError):

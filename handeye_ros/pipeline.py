@@ -128,7 +128,8 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     if warning:
         calibration = with_warnings(calibration, [warning])
     if not calibration.quality.holdout_rms <= config.limits.residual:
-        raise LeftOutError(calibration.quality.holdout_rms, config.limits.residual)
+        quality = calibration.quality
+        raise LeftOutError(quality.holdout_rms, quality.residual_rms, config.limits.residual)
     return calibration, [ordered[i] for i in agreed.used], solution
 
 

@@ -5,6 +5,8 @@ import math
 
 from handeye_ros.errors import DataError, degrees, mm, NamedCauseError
 
+NOISY = 0.5  # of the residual left out that is in the fit too, where noise rules
+
 
 class TooFewSamplesError(DataError):
     """Fewer samples than the method needs."""
@@ -19,20 +21,21 @@ class TooFewConditionsError(DataError):
     """Samples that fix an answer but cannot judge it."""
 
     def __init__(self, used: int, dropped: int, redundant: int, needed: int) -> None:
-        lost = f' (of which {dropped} contradict the others)' if dropped else ''
-        super().__init__(f'{used + dropped} usable samples{lost} leave {redundant} conditions to '
-                         f'judge an answer by; {needed} are needed: take more samples, at new '
+        lost = f' ({dropped} of them contradict the others)' if dropped else ''
+        super().__init__(f'{used + dropped} usable samples{lost} give only {redundant} redundant '
+                         f'equations; at least {needed} are needed: take more samples at new '
                          'poses')
 
 
-class SuspectedError(DataError):
+class UnidentifiedOutlierError(DataError):
     """Samples one of which seems to be wrong, too few to tell which, or if the robot is."""
 
     def __init__(self, used: int, more: int) -> None:
-        super().__init__(f'these {used} samples contradict each other: at least one is wrong (its '
-                         'pose is off by a millimetre or so, or it saw something else), or the '
-                         'robot is less accurate than noise.robot_smooth says, and so few cannot '
-                         f'tell; take {more} more at new poses, or all of them anew')
+        super().__init__(f'these {used} samples contradict each other: either the robot is less '
+                         'accurate than noise.robot_smooth states, or at least one sample is '
+                         'wrong (a pose wrong by about a millimetre, or another surface); so few '
+                         f'samples cannot show which: take {more} more at new poses, or repeat '
+                         'them all')
 
 
 class TwoAnswersError(DataError):
@@ -40,7 +43,7 @@ class TwoAnswersError(DataError):
 
     def __init__(self, distance: float, turn: float, missing: str) -> None:
         super().__init__(f'two answers fit these samples, {mm(distance)} and '
-                         f'{math.degrees(turn):.2g} degrees apart; to part them, {missing}')
+                         f'{math.degrees(turn):.2g} degrees apart; to distinguish them, {missing}')
 
 
 class TooFewEdgesError(DataError):
@@ -57,18 +60,18 @@ class LostEdgesError(DataError):
     """Edges that are shown but are none of the target; lost: how many, and where."""
 
     def __init__(self, lost: str) -> None:
-        super().__init__(f'{lost}; no answer that leaves out so many can be trusted: check '
-                         'target.size, that the edges are straight and the laser crosses no '
-                         'others, or calibrate from the plane alone (target.type plane)')
+        super().__init__(f'{lost}; an answer that leaves out so many cannot be trusted: check '
+                         'target.size, that the edges are straight and that the laser crosses no '
+                         'other edges, or calibrate from the plane alone (target.type plane)')
 
 
 class SensorFrameError(DataError):
     """The sensor's frame is called like one of the robot; key: the one that names it."""
 
     def __init__(self, frame: str, key: str) -> None:
-        super().__init__(f'the profiles have the frame_id "{frame}", which {key} names as a frame '
-                         'of the robot, so the result would be a transform of that frame to '
-                         f'itself: give the sensor a frame of its own in its driver, or set {key}')
+        super().__init__(f'the profiles have the frame_id "{frame}", and {key} is the same frame, '
+                         'so the result would be a transform from this frame to itself: set '
+                         f'another frame_id in the driver of the sensor, or set {key}')
 
 
 class OneOrientationError(NamedCauseError):
@@ -76,8 +79,8 @@ class OneOrientationError(NamedCauseError):
 
     def __init__(self, turn: float) -> None:
         super().__init__(f'all poses share one orientation (within {turn * 57.3:.2f} degrees): '
-                         'the translation of the sensor cannot be told from the place of the '
-                         'target; tilt the tool by 15 degrees or more about two axes')
+                         'the position of the sensor cannot be separated from the position of '
+                         'the target; tilt the tool by 15 degrees or more about two axes')
 
 
 class OneAxisError(NamedCauseError):
@@ -96,26 +99,27 @@ class TooUncertainError(NamedCauseError):
     def translation(cls, direction: str, std: float, limit: float, missing: str
                     ) -> TooUncertainError:
         """Return the error for a translation, metres."""
-        return cls(f'the position along {direction} is known only to {mm(std)} (1 sigma; '
+        return cls(f'the position along {direction} is uncertain by {mm(std)} (1 sigma; '
                    f'limits.translation is {mm(limit)}): {missing}')
 
     @classmethod
     def rotation(cls, axis: str, std: float, limit: float, missing: str) -> TooUncertainError:
         """Return the error for a rotation, radians."""
-        return cls(f'the rotation about {axis} is known only to {degrees(std)} (1 sigma; '
-                   f'limits.rotation is {degrees(limit)}): {missing}')
+        known = f'is uncertain by {degrees(std)} (1 sigma; ' if std < 1 else 'is not determined ('
+        return cls(f'the rotation about {axis} {known}limits.rotation is {degrees(limit)}): '
+                   f'{missing}')
 
 
 def missing_turn(axes: str, turn: float) -> str:
     """Return what to do about poses that turn too little about some axes, by turn RMS (rad)."""
-    return (f'the poses turn only by {degrees(turn)} RMS about {axes}; tilt the tool by 15 '
-            'degrees or more, to both sides, about it')
+    return (f'the poses turn by only {degrees(turn)} RMS about {axes}; tilt the tool about this '
+            'axis by 15 degrees or more to both sides')
 
 
 def missing_spread() -> str:
     """Return what to do about poses that turn enough."""
-    return ('take more samples, with the target all over the field of view (near, far, left, '
-            'right), at different tilts each')
+    return ('take more samples with the target in all parts of the field of view (near, far, '
+            'left, right), each with another tilt')
 
 
 class InconsistentError(DataError):
@@ -123,9 +127,9 @@ class InconsistentError(DataError):
 
     def __init__(self, residual: float, limit: float) -> None:
         super().__init__(f'samples and poses contradict each other by {mm(residual)} RMS '
-                         f'(limits.residual is {mm(limit)}), and no usual slip explains it: '
-                         'check the poses (frames, convention, units), target.type and '
-                         'profile.unit, profile.axes, profile.range_sign')
+                         f'(limits.residual is {mm(limit)}), and no known convention error '
+                         'explains it: check the poses (frames, convention, units), target.type, '
+                         'profile.unit, profile.axes and profile.range_sign')
 
 
 class MovedError(DataError):
@@ -168,8 +172,8 @@ class ScatteredOrientationsError(DataError):
 
     def __init__(self, residual: float) -> None:
         super().__init__(f'samples and poses contradict each other by {mm(residual)} RMS, and '
-                         'the orientations of the poses point all over, as they do when angles '
-                         'in degrees are taken for radians: convert the angles of the poses')
+                         'the orientations of the poses are scattered in all directions, as when '
+                         'angles in degrees are read as radians: convert the angles of the poses')
 
 
 class ScatterError(DataError):
@@ -177,10 +181,10 @@ class ScatterError(DataError):
 
     def __init__(self, residual: float, expected: float, limit: float) -> None:
         times = residual / expected
-        beyond = f' (limits.scatter is {limit:g})' if times > limit else ', far beyond chance'
+        beyond = f' (limits.scatter is {limit:g})' if times > limit else ''
         super().__init__(f'the residuals of {mm(residual)} RMS are {times:.1f} times what the '
-                         f'configured noise makes{beyond}: something other than noise is in '
-                         'them; check profile.range_sign, '
+                         f'configured noise explains{beyond}: there is another cause than noise; '
+                         'check profile.range_sign, '
                          'profile.axes and target.type, or raise noise.* if the robot or the '
                          'sensor really is that inaccurate')
 
@@ -218,17 +222,22 @@ class ScaleError(DataError):
 
     def __init__(self, scale: float, std: float) -> None:
         super().__init__(f'the lengths of robot and sensor differ by {100 * scale:.2f} +- '
-                         f'{100 * std:.2f} %: one of them is scaled wrongly; measure a known '
-                         'length with each, and mend its unit or its calibration')
+                         f'{100 * std:.2f} %: one of them has a wrong scale; measure a known '
+                         'length with each, and correct the unit or the calibration of the wrong '
+                         'one')
 
 
 class LeftOutError(DataError):
     """Stations that the others do not predict."""
 
-    def __init__(self, left_out: float, limit: float) -> None:
-        super().__init__(f'samples miss by {mm(left_out)} RMS what the others predict '
-                         f'(limits.residual is {mm(limit)}): too few samples, or some are '
-                         'wrong; take more')
+    def __init__(self, left_out: float, residual: float, limit: float) -> None:
+        noisy = residual > NOISY * left_out
+        why = ('the noise of sensor or robot is that large; take more samples, or raise '
+               'limits.residual if this accuracy is enough' if noisy else
+               'too few samples, or some are wrong; take more')
+        super().__init__(f'samples differ by {mm(left_out)} RMS from what the others predict '
+                         f'(limits.residual is {mm(limit)}), and by {mm(residual)} from the '
+                         f'answer: {why}')
 
 
 class ConventionError(NamedCauseError):
@@ -243,6 +252,6 @@ class ContradictingStationsError(DataError):
     """Too many stations do not fit the answer of the others."""
 
     def __init__(self, dropped: int, total: int) -> None:
-        super().__init__(f'{dropped} of {total} stations contradict the others: no answer can '
-                         'be trusted; check that target and sensor are fixed and that the '
+        super().__init__(f'{dropped} of {total} stations contradict the others, so no answer can '
+                         'be trusted: check that target and sensor are fixed and that the '
                          'laser crosses only the target')

@@ -10,11 +10,11 @@ from handeye_ros.checks.errors import (
     missing_turn,
     OneAxisError,
     OneOrientationError,
-    SuspectedError,
     TooFewConditionsError,
     TooFewSamplesError,
     TooUncertainError,
     TwoAnswersError,
+    UnidentifiedOutlierError,
 )
 from handeye_ros.checks.minima import alternative_minimum
 from handeye_ros.config import Config
@@ -140,8 +140,8 @@ def require_judged(agreed: Consensus) -> None:
     """
     Refuse an answer where too little is left to judge it by.
 
-    Raises TooFewConditionsError, and SuspectedError where that would be so without the one sample
-    that seems to be wrong.
+    Raises TooFewConditionsError, and UnidentifiedOutlierError where that would be so without the
+    one sample that seems to be wrong.
     """
     dropped, left = len(agreed.dropped), redundancy(agreed.solution)
     needed = _redundant(dropped)
@@ -150,7 +150,7 @@ def require_judged(agreed: Consensus) -> None:
     each = int(agreed.solution.ranks.max())
     missing = _redundant(dropped + 1) - (left - each)
     if agreed.contaminated > SUSPECTED and missing > 0:
-        raise SuspectedError(len(agreed.used), -(-missing // each))
+        raise UnidentifiedOutlierError(len(agreed.used), -(-missing // each))
 
 
 def _redundant(dropped: int) -> int:

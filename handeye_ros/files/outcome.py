@@ -51,7 +51,7 @@ def require_trusted(method: FileMethod[Any], answer: Answer[Any], config: Config
         raise TooUncertainError.translation(name_direction(direction, frame), shift,
                                             limits.translation, method.advice)
     if not answer.holdout_rms <= limits.residual:
-        raise LeftOutError(answer.holdout_rms, limits.residual)
+        raise LeftOutError(answer.holdout_rms, answer.residual_rms, limits.residual)
 
 
 def _quality(answer: Answer[Any], config: Config) -> Quality:

@@ -13,7 +13,7 @@ import pytest
     ('flange', 'robot_effector_frame'), ('base', 'robot_base_frame')])
 def test_a_frame_of_the_robot_is_refused_by_its_key(frame: str, key: str) -> None:
     made = cell('sphere')
-    with pytest.raises(SensorFrameError, match=f'"{frame}", which {key} names'):
+    with pytest.raises(SensorFrameError, match=f'"{frame}", and {key} is the same'):
         pipeline.solve(made.samples, [], made.config, frame)
     other = replace(made.config, **{key: 'tool0'})
     assert pipeline.solve(made.samples, [], other, frame).child_frame == frame

@@ -101,7 +101,7 @@ def test_tilts_of_one_degree_are_too_uncertain(name: str, where: str, frame: str
     assert re.search(rf'\b{frame}\b', str(error)) and 'degrees' in str(error)
     if isinstance(error, TooUncertainError):
         turns, axes = turning(made.problem.poses)
-        assert f'turn only by {np.degrees(turns[1]):.3g} degrees RMS about' in str(error)
+        assert f'turn by only {np.degrees(turns[1]):.3g} degrees RMS about' in str(error)
         assert_names(str(error).split('RMS about')[1], axes[1], frame)
 
 

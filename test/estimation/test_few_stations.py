@@ -7,10 +7,10 @@ from dataclasses import replace
 from cells import cell
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import (
-    SuspectedError,
     TooFewConditionsError,
     TooFewSamplesError,
     TooUncertainError,
+    UnidentifiedOutlierError,
 )
 from handeye_ros.checks.minima import alternative_minimum
 from handeye_ros.config import Config, with_values
@@ -151,7 +151,7 @@ def test_six_stations_of_which_one_is_wrong_are_refused_and_why() -> None:
         samples, _ = simulate_samples(scenario, np.random.default_rng(seed))
         with pytest.raises(DataError) as refusal:
             pipeline.solve(samples, [], config, 'laser')
-        contaminated += isinstance(refusal.value, SuspectedError)
+        contaminated += isinstance(refusal.value, UnidentifiedOutlierError)
     assert contaminated >= 4, 'two answers, of others'
 
 
