@@ -18,7 +18,7 @@ ALIKE_POSITION = 1.0  # poses this far apart (m), or turned this far (rad), shar
 ALIKE_ROTATION = 1.4
 SAME_PLACE = 0.006  # of these lengths: nearer poses err alike
 ALIKE_TIME, MOST_TIMES = 0.5, 48  # s over which half of an error in time is alike; of these
-MOST_PLACES = 24  # that span the robot's error
+MOST_BASIS = 24  # that span the robot's error
 FIELD, GRID = 1.25, 11  # how far the field of view goes beyond the points; its points each way
 
 
@@ -119,7 +119,7 @@ def _each_of_unit_size(columns: Array, counts: Sequence[int], ways: int) -> list
     return [part / count ** 0.5 for part, count in zip(parts, counts, strict=True)]
 
 
-def places(poses: Array) -> Array:
+def pose_features(poses: Array) -> Array:
     """Return where poses (n, 4, 4) are, (n, 6), in units over which the robot's error is alike."""
     rotations = Rotation.from_matrix(poses[:, :3, :3])
     vectors = (rotations.mean().inv() * rotations).as_rotvec()
@@ -139,7 +139,7 @@ def process_root(place: Array) -> Array:
     A rational quadratic kernel, that is of many scales of length at once; of very many places it
     is spanned by some (Nystroem).
     """
-    return _root(place, spread(place, MOST_PLACES))
+    return _root(place, farthest_points(place, MOST_BASIS))
 
 
 def process_in_time(times: Array) -> Array:
@@ -159,7 +159,7 @@ def _root(place: Array, chosen: list[int]) -> Array:
     return np.asarray(kernel(place, some) @ (vectors[:, keep] / np.sqrt(values[keep])))
 
 
-def spread(place: Array, most: int) -> list[int]:
+def farthest_points(place: Array, most: int) -> list[int]:
     """Return the indices of at most so many places (n, 6) that are far from each other."""
     chosen = [0]
     nearest = ((place - place[0]) ** 2).sum(axis=1)

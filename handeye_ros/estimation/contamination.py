@@ -17,7 +17,6 @@ from handeye_ros.estimation.quantiles import chi2_sf
 from handeye_ros.estimation.solution import Solution
 import numpy as np
 
-FEW = 20  # stations, beyond which a wrong one stands out or does not matter
 SLIPPED = np.repeat([1e-3, 3e-3], 3)  # by how much a wrong one is (m, rad; 1 sigma of each axis)
 WRONG = 0.05  # share of stations that are wrong
 SURE = 100.0  # times as likely as anything else is that the station is wrong which is
@@ -57,15 +56,13 @@ class Contamination:
         return np.asarray(np.tensordot(self.chance, moved, 1))
 
 
-def contamination(solution: Solution, dropped: int) -> Contamination | None:
+def contamination(solution: Solution, dropped: int) -> Contamination:
     """
-    Return which station of a solution may be wrong, None where there are many.
+    Return which station of a solution may be wrong.
 
     dropped: how many are known to have been wrong, which makes another one likelier.
     """
     n = len(solution.problem.poses)
-    if n > FEW:
-        return None
     known = evaluated(solution.problem, solution.estimate, Noise())
     white = whitening(known.problem, known.linear, known.noise)
     slips = white(known.linear.by_pose * SLIPPED)

@@ -13,12 +13,14 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.estimation.basis import places, process_root, spread
+from handeye_ros.estimation.basis import farthest_points, pose_features, process_root
 from handeye_ros.estimation.factored import products
 from handeye_ros.estimation.model import Estimate, Method, Observations, PoseModel
 from handeye_ros.estimation.stations import Stations, stations_of
 import numpy as np
 from numpy.typing import NDArray
+
+MOST_DISTINCT = 100  # poses that are counted: that many leave nothing free
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,14 +69,14 @@ class Problem:
         return stations_of(self.observations)
 
     @cached_property
-    def places(self) -> Array:
+    def pose_features(self) -> Array:
         """Return where the poses are (n, 6), in units over which the robot's error is alike."""
-        return places(self.poses)
+        return pose_features(self.poses)
 
     @cached_property
-    def apart(self) -> list[int]:
-        """Return the stations that are at places of their own: a pose may be taken again."""
-        return spread(self.places, len(self.poses))
+    def distinct(self) -> list[int]:
+        """Return stations of poses that differ, MOST_DISTINCT at most: one may be taken again."""
+        return farthest_points(self.pose_features, MOST_DISTINCT)
 
     @property
     def in_hand(self) -> bool:
@@ -89,7 +91,7 @@ class Problem:
     @cached_property
     def smooth(self) -> Array:
         """Return the root (n, r) of the covariance of a smooth error at the poses."""
-        return process_root(places(self.robot_poses))
+        return process_root(pose_features(self.robot_poses))
 
     @cached_property
     def smooth_products(self) -> Array:

@@ -17,7 +17,6 @@ from handeye_ros.estimation.solver import least_squares, Rows, System
 import numpy as np
 from numpy.typing import NDArray
 
-ASKED = 100  # stations, beyond which there are enough poses
 SAME = 1e-3  # relative singular value of what a station says twice, but for its noise
 
 
@@ -198,12 +197,9 @@ def redundancy(solution: Solution) -> int:
     """
     Return how many independent conditions there are beyond the number of unknowns.
 
-    A pose that is taken again says nothing new.
+    A pose that is taken again says nothing new; of very many poses some are counted.
     """
-    ranks = solution.ranks
-    if len(ranks) <= ASKED:
-        ranks = ranks[solution.problem.apart]
-    return int(ranks.sum()) - solution.unknowns
+    return int(solution.ranks[solution.problem.distinct].sum()) - solution.unknowns
 
 
 def station_squares(solution: Solution) -> Array:

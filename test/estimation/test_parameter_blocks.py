@@ -9,7 +9,7 @@ from cells import config as settings_of
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Calibration, EdgePoint, FaceLine, Sample
-from handeye_ros.estimation.basis import bending, kernel, places, process_root
+from handeye_ros.estimation.basis import bending, kernel, pose_features, process_root
 from handeye_ros.estimation.blocks import ParameterBlock, prepared
 from handeye_ros.estimation.linalg import inverse
 from handeye_ros.estimation.linearise import linearise
@@ -151,7 +151,7 @@ def test_the_stated_uncertainty_holds_for_every_robot(size: float) -> None:
 
 def test_a_programme_run_again_tells_nothing_new_of_the_robots_error() -> None:
     made = cell('plate', 0, **ALL_BLOCKS)
-    place = places(made.problem.poses)
+    place = pose_features(made.problem.poses)
     once, twice = process_root(place), process_root(np.concatenate([place, place]))
     assert twice.shape == (2 * len(once), once.shape[1])
     assert np.allclose(twice[:len(once)], twice[len(once):])
@@ -162,9 +162,9 @@ def test_many_places_are_spanned_by_some() -> None:
     rng = np.random.default_rng(0)
     T = se3.from_quaternion(rng.uniform(-0.2, 0.2, (400, 3)), np.column_stack(
         [rng.uniform(-0.2, 0.2, (400, 3)), np.ones(400)]))
-    root = process_root(places(T))
+    root = process_root(pose_features(T))
     assert root.shape[1] <= 24
-    exact = kernel(places(T), places(T))
+    exact = kernel(pose_features(T), pose_features(T))
     assert np.diag(exact - root @ root.T).mean() < 0.25 < 0.5 < np.diag(root @ root.T).min()
 
 
