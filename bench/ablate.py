@@ -1,0 +1,183 @@
+#!/usr/bin/env python3
+"""
+What each mechanism of the estimator is worth: it is switched off, one at a time.
+
+usage: python bench/ablate.py [--seeds N] [--first S] [--only TEXT] [--cells TEXT]
+
+A row per mechanism, over the same recordings: N of each cell of handeye_ros/simulate/faults.py,
+N of few samples, and N of each kind of bench/sessions.py.
+  answered  of the cells with faults; TRE  mm, median and 90 %: error of mapped points
+  NEES      mean squared error over the reported covariance: 6 when that is true
+  in 95 %   the share of answers whose 95 % region holds the truth, and how many answers less or
+            more than with all mechanisms, over the standard deviation of that difference
+  few       the same two of few samples
+  wrong     answers of bad sessions that are wrong; refused: good sessions that are refused
+  s         CPU seconds of all solves
+How to read it: a mechanism that changes none of the columns beyond chance is not needed.
+"""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+import time
+
+from handeye_ros import pipeline, se3
+from handeye_ros.config import Config, with_values
+from handeye_ros.errors import HandeyeError
+from handeye_ros.estimation import consensus, posterior, scales, search, solution
+from handeye_ros.estimation.contamination import Contamination
+from handeye_ros.sampling.session import Session
+from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate
+from handeye_ros.simulate.recording import Simulated
+import numpy as np
+from physics import field, LIMIT
+from sessions import kinds, session
+
+Switch = tuple[object, str, object]
+FEW = {f'{a} + {b}': replace(SCENARIOS['plate'], stations=(a, b))
+       for a, b in ((3, 3), (4, 3), (4, 4))}
+
+
+def without_blocks(*names: str) -> Switch:
+    """Return the switch of the blocks whose names begin so."""
+    every = posterior.prepared
+
+    def prepared(first: object) -> Callable[[object], tuple]:
+        blocks_at = every(first)
+        return lambda linear: tuple(b for b in blocks_at(linear) if not b.name.startswith(names))
+    return posterior, 'prepared', prepared
+
+
+def nobody(solved: solution.Solution, dropped: int) -> Contamination:
+    """Return that no station of a solution is wrong."""
+    n = len(solved.problem.poses)
+    return Contamination(np.zeros(n), np.zeros((n, 6)), np.zeros((n, 6, 6)), np.ones(n))
+
+
+MECHANISMS: dict[str, tuple[Switch, ...]] = {
+    'all': (),
+    'alternative minima': ((pipeline, 'require_only_answer', lambda *args: None),),
+    'contamination': ((consensus, 'contamination', nobody),),
+    'best-fit transform': ((solution, 'covering', lambda first, second: first),),
+    'MAP scales of their own': ((scales, 'MAP', scales.CONSERVATIVE),),
+    'prior scales': ((posterior, 'STEPS', 0), (posterior, 'LAST_STEPS', 0)),
+    'variance components': ((posterior._System, 'with_noise', lambda self, *args: self.noise),),
+    'starts from subsets': ((pipeline, 'SUBSETS', 0),),
+    'graduated non-convexity': (
+        (search, 'graduated', lambda start, squares, refit: refit(start, np.ones(
+            len(squares(start))))),),
+    'taking stations back': ((pipeline, 'refine', consensus._refined),),
+    'freed shape': ((pipeline, 'believable_shape', lambda problem, agreed, rng: agreed),),
+    'one edge shape for all': (
+        (pipeline, 'consistent_edges', lambda samples: (list(samples), [])),),
+    'set-back': (without_blocks('setback', 'incidence'),),
+    'set-back by incidence': (without_blocks('incidence'),),
+    'edge shape': (without_blocks('shape'),),
+    'flatness': (without_blocks('flatness'),),
+    'distortion': (without_blocks('distortion'),),
+    'robot scale': (without_blocks('scale'),),
+    'robot smooth error': (without_blocks('robot_'),),
+}
+
+
+@contextmanager
+def switched_off(switches: tuple[Switch, ...]) -> Iterator[None]:
+    """Replace what mechanisms consist of for a while."""
+    before = [(owner, name, getattr(owner, name)) for owner, name, _ in switches]
+    for owner, name, value in switches:
+        setattr(owner, name, value)
+    try:
+        yield
+    finally:
+        for owner, name, value in before:
+            setattr(owner, name, value)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording whose features are extracted, for all mechanisms alike."""
+
+    scenario: Scenario
+    config: Config
+    made: Simulated
+    seen: Session
+
+    @classmethod
+    def of(cls, name: str, scenario: Scenario, seed: int) -> Recording | None:
+        """Return that of a scenario, None where it shows nothing."""
+        config = with_values(Config(), settings(scenario), name)
+        made = simulate(scenario, np.random.default_rng(seed))
+        try:
+            return cls(scenario, config, made, pipeline.gather(made.profiles, made.poses, config))
+        except HandeyeError:
+            return None
+
+    def outcome(self) -> tuple[float, float]:
+        """Return the error of mapped points (m) and the NEES, nan where it is refused."""
+        try:
+            answer = pipeline.solve_session(self.seen, self.config)
+        except HandeyeError:
+            return np.nan, np.nan
+        X, true = answer.T_flange_sensor, self.made.truth.T_flange_sensor
+        points, delta = field(self.scenario), se3.difference(X, true)
+        off = se3.apply(X, points) - se3.apply(true, points)
+        return (float(np.sqrt((off ** 2).sum(axis=1).mean())),
+                float(delta @ np.linalg.solve(answer.covariance, delta)))
+
+
+def figures(found: np.ndarray, every: np.ndarray) -> str:
+    """Return answered, TRE, NEES, share inside, and the change of that in sigmas."""
+    good = found[~np.isnan(found[:, 0])]
+    inside, before = found[:, 1] < LIMIT, every[:, 1] < LIMIT
+    change = int(inside.sum()) - int(before.sum())
+    sigma = max(float((inside != before).sum()) ** 0.5, 1.0)
+    tre = 1e3 * np.quantile(good[:, 0], [0.5, 0.9]) if len(good) else (np.nan, np.nan)
+    return (f'{len(good):4}/{len(found):<4} {tre[0]:6.3f} {tre[1]:6.3f} {good[:, 1].mean():7.3g} '
+            f'{100 * (good[:, 1] < LIMIT).mean():4.0f}% {change / sigma:+5.1f}')
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--seeds', type=int, default=3)
+    parser.add_argument('--first', type=int, default=0)
+    parser.add_argument('--only', default='', help='mechanisms with this in their name')
+    parser.add_argument('--cells', default='', help='cells with this in their name')
+    arguments = parser.parse_args()
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
+    groups = [[found for name, scenario in cells.items() if arguments.cells in name
+               for seed in seeds if (found := Recording.of(name, scenario, seed))]
+              for cells in (FAULTS, FEW)]
+    every: list[np.ndarray] = []
+    print(f'{"without":26} {"answered":>9} {"TRE, mm":>6} {"90 %":>6} {"NEES":>7} {"in 95":>5} '
+          f'{"change":>5} | {"few: answered":>9} ...   wrong refused      s')
+    for name, switches in MECHANISMS.items():
+        if name != 'all' and arguments.only not in name:
+            continue
+        start = time.process_time()
+        with switched_off(switches):
+            found = [np.array([r.outcome() for r in group]).reshape(-1, 2) for group in groups]
+            seconds = time.process_time() - start
+            wrong, refused = sessions_of(seeds)
+        every = every or found
+        cells = ' | '.join(figures(*pair) for pair in zip(found, every, strict=True)
+                           if len(pair[0]))
+        print(f'{name:26} {cells} | {wrong:5} {refused:7} {seconds:6.1f}', flush=True)
+
+
+def sessions_of(seeds: range) -> tuple[int, int]:
+    """Return how many bad sessions of each kind are answered wrongly, and good ones refused."""
+    wrong = refused = 0
+    for kind in kinds().values():
+        for seed in seeds:
+            refusal, off = session(kind, seed)
+            wrong += not kind.good and not refusal and off
+            refused += kind.good and bool(refusal)
+    return wrong, refused
+
+
+if __name__ == '__main__':
+    main()
