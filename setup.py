@@ -31,11 +31,11 @@ setup(
         'test': ['hypothesis', 'opencv-python-headless<5', 'plyfile', 'pypcd4', 'pytest>=7.4',
                  'pytest-instafail', 'pytest-rerunfailures', 'pytest-timeout', 'pytest-xdist',
                  'selenium', 'urdf-parser-py'],
-        'docs': ['mkdocs'],
+        'docs': ['mkdocs', 'pymdown-extensions'],
         'dev': ['colcon-common-extensions', 'flake8', 'flake8-blind-except', 'flake8-builtins',
                 'flake8-class-newline', 'flake8-comprehensions', 'flake8-deprecated',
                 'flake8-docstrings', 'flake8-import-order', 'flake8-quotes', 'foxglove-sdk',
-                'mkdocs', 'mypy', 'ruff', 'types-PyYAML', 'wheel'],
+                'mkdocs', 'mypy', 'pymdown-extensions', 'ruff', 'types-PyYAML', 'wheel'],
     },
     entry_points={
         'console_scripts': [

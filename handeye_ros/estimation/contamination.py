@@ -51,7 +51,7 @@ class Contamination:
 
     @property
     def covariance(self) -> Array:
-        """Return (6, 6) by what the covariance of the transform has to grow."""
+        """Return (6, 6) by what the covariance of the transform has to grow, (10)."""
         moved = self.covariances + self.shifts[:, :, None] * self.shifts[:, None, :]
         return np.asarray(np.tensordot(self.chance, moved, 1))
 

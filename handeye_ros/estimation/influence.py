@@ -38,7 +38,7 @@ def leave_one_out(white: Array, jacobian: Array, covariance: Array, block: NDArr
 
 def leave_own_out(predicted_covariance: Array, white: Array) -> Array:
     """
-    Return residuals (s, c) of blocks, each against the answer without it, to first order.
+    Return leave-one-out residuals (s, c) of blocks, to first order, (12).
 
     white: (s, c) against that of all; seen: (s, c, c) the covariance of what that explains.
     """

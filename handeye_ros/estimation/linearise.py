@@ -1,5 +1,5 @@
 """
-What is to be solved, and its residuals and derivatives at an estimate.
+What is to be solved, and its residuals and derivatives at an estimate: (1), (2) of estimator.md.
 
 A condition g(p) = 0 holds for a point of the sensor plane s = (x, 0, z) carried to the base,
 p = R_i (X s) + a_i.
@@ -209,7 +209,7 @@ def points_in_base(problem: Problem, X: Array) -> Array:
 
 def linearise(problem: Problem, estimate: Estimate) -> Linear:
     """
-    Return residuals and derivatives at an estimate.
+    Return residuals and derivatives r, J at an estimate, (2).
 
     Or at several at once, X (n, 4, 4) and target (n, s), where the method can do that.
     """

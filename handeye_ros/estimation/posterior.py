@@ -169,7 +169,7 @@ class _System:
 
     @cached_property
     def solved(self) -> tuple[Array, Array]:
-        """Return what unknowns and doubts are (u + q,), and their covariance."""
+        """Return the unknowns and nuisance parameters (u + q,) and their covariance C, (5)."""
         s, q = self.scales, len(self.group)
         if len(self.r) < len(s):
             return from_conditions(self.columns.dense * s, self.r, q)
@@ -197,7 +197,7 @@ class _System:
         return prior_scales(covariance[u:, u:], x[u:], self.first, self.variances, largest)
 
     def with_noise(self, x: Array, covariance: Array, believed: Array = CONFIGURED) -> Noise:
-        """Return the noise with the factors that the residuals show, held to those believed."""
+        """Return the noise with the factors that residuals show, held to those believed, (7)."""
         sums, columns = np.zeros((4, 2)), self.columns.scaled(self.scales)
         every = -(-len(self.problem.poses) // ASKED)
         for stations, factors in zip(self.problem.stations, self.white.factors, strict=True):

@@ -1,10 +1,9 @@
 """
-How large a doubt is, judged by what the data show of its unknowns.
+The scales of prior sigmas, from what the data show of the parameters: (6) of estimator.md.
 
-The unknowns of a doubt are normal, and the size of them all, its standard deviation over the
-configured one, is unknown too: Student's t in magnitude (Gelman 2006, Bayesian Analysis 1:515).
-It is not taken as the likeliest, which is nothing as soon as few unknowns are small by chance,
-but summed over.
+The parameters of a block are normal, and the scale of them all, their standard deviation over the
+configured one, is unknown too, with a half-t prior (Gelman 2006, Bayesian Analysis 1:515). The
+most likely scale is nothing as soon as few parameters are small by chance: it is summed over.
 """
 from __future__ import annotations
 
@@ -98,7 +97,7 @@ class Scales:
 def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], size: Array,
                  largest: Array) -> Scales:
     """
-    Return the sizes of doubts.
+    Return the scales of blocks, (6).
 
     value (q,) and covariance (q, q) of their unknowns in units of their sigma, when the variance
     of each doubt is size (d,) times the configured one; first: (d,) ascending, where the unknowns

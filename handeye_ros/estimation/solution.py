@@ -91,9 +91,9 @@ class Solution:
     @cached_property
     def reported(self) -> Array:
         """
-        Return the covariance (u, u) of the unknowns that is stated of the estimate.
+        Return the reported covariance (u, u) of the unknowns, (8).
 
-        Both the transform of the mount and the one that serves best are within it.
+        Both the transform of the mount and the one that maps points best are within it.
         """
         conservative = self.conservative
         if conservative is None:
@@ -107,7 +107,7 @@ class Solution:
         return reported
 
     def _best_fit(self, conservative: Solution, away: Array) -> Array:
-        """Return the mean square (6, 6) of what serves best, about the estimate."""
+        """Return the mean square (6, 6) of the best-fit transform about the estimate, (9)."""
         moving = best_fit_motions(self.linear, conservative.blocks)
         columns = np.hstack([np.eye(6, conservative.unknowns), moving])
         away = away + moving @ conservative.nuisance

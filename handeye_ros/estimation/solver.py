@@ -179,7 +179,7 @@ def _better_of(now: list[Array], new: list[Array], better: NDArray[np.bool_]) ->
 
 def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array], S]) -> S:
     """
-    Return the state that a start leads to while blocks that do not fit lose their say.
+    Return the state that a start leads to while blocks that do not fit lose weight, (11).
 
     squares(state): (n,) mean squared whitened residuals of the blocks; refit(state, weights
     (n,)): the state some steps nearer to the least weighted squares.
