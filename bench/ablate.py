@@ -2,10 +2,10 @@
 """
 What each mechanism of the estimator is worth: it is switched off, one at a time.
 
-usage: python bench/ablate.py [--seeds N] [--first S] [--only TEXT] [--cells TEXT]
+usage: python bench/ablate.py [--seeds N] [--first S] [--sessions N] [--only TEXT] [--cells TEXT]
 
 A row per mechanism, over the same recordings: N of each cell of handeye_ros/simulate/faults.py,
-N of few samples, and N of each kind of bench/sessions.py.
+N of few samples, and some of each kind of bench/sessions.py.
   answered  of the cells with faults; TRE  mm, median and 90 %: error of mapped points
   NEES      mean squared error over the reported covariance: 6 when that is true
   in 95 %   the share of answers whose 95 % region holds the truth, and how many answers less or
@@ -144,6 +144,7 @@ def main() -> None:
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--seeds', type=int, default=3)
     parser.add_argument('--first', type=int, default=0)
+    parser.add_argument('--sessions', type=int, default=1, help='of each kind, 0: none')
     parser.add_argument('--only', default='', help='mechanisms with this in their name')
     parser.add_argument('--cells', default='', help='cells with this in their name')
     arguments = parser.parse_args()
@@ -161,7 +162,7 @@ def main() -> None:
         with switched_off(switches):
             found = [np.array([r.outcome() for r in group]).reshape(-1, 2) for group in groups]
             seconds = time.process_time() - start
-            wrong, refused = sessions_of(seeds)
+            wrong, refused = sessions_of(range(arguments.sessions))
         every = every or found
         cells = ' | '.join(figures(*pair) for pair in zip(found, every, strict=True)
                            if len(pair[0]))
