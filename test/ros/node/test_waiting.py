@@ -138,7 +138,7 @@ def verifying(tmp_path: Path) -> tuple[LiveSession, Gate]:
     """Return what has seen all that a verification needs, and what will tell its verdict."""
     second = Gate()
     live = running(tmp_path, second, sampling__mode='manual', verify__routine='sphere',
-                   verify__radius=0.04)
+                   verify__radius=0.04, verify__tolerance=2e-3, verify__angle_tolerance=0.02)
     stand(live, *PARTS[0])
     live.compute()
     live.verification.begin()
