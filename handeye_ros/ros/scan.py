@@ -93,7 +93,11 @@ class ScanNode(Node):
 
     def _on_pose(self, msg: PoseStamped) -> None:
         try:
-            self._poses.append(pose_from_stamped(msg))
+            pose = pose_from_stamped(msg)
+            if pose.parent_frame.lstrip('/') not in ('', self._config.base_frame):
+                raise MessageError('PoseStamped', f'it is given in "{pose.parent_frame}", but '
+                                   f'robot_base_frame is "{self._config.base_frame}"')
+            self._poses.append(pose)
         except MessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 

@@ -42,7 +42,8 @@ class Session(DwellDetector):
     def clear(self) -> None:
         """Forget all samples and all that was received."""
         super().clear()
-        self._checks = 0  # by early(), in the dwell of now
+        self._checks = 0  # by early(), in the dwell of now; the next one, and the first (ns)
+        self._early_at = self._early_from = 0
         self._outcomes: list[Outcome] = []
         self._numbers = 0  # given so far
 
@@ -167,14 +168,18 @@ class Session(DwellDetector):
         That is MOST_PROFILES soon, or one after a second. A stop that gave no sample is returned
         a few times more: what hindered may be gone. passed() returns it again when it is over.
         """
+        stood = self._finder.stood
+        if stood < self._early_at:
+            if stood < self._early_from:  # another dwell
+                self._checks, self._early_at = 0, self._early_from
+            return None
         sampling = self._config.sampling
-        stood = self._finder.stood / NS - sampling.still_time - 2 * sampling.settle_time
-        if stood < 0:
-            self._checks = 0
-        if sampling.moving or stood < 0 or self._checks == len(EARLY_CHECKS):
+        self._early_from = round((sampling.still_time + 2 * sampling.settle_time) * NS)
+        if sampling.moving or self._checks == len(EARLY_CHECKS):
             return None
         seconds, least = EARLY_CHECKS[self._checks]
-        if stood < seconds:
+        self._early_at = self._early_from + round(seconds * NS)
+        if stood < self._early_at:
             return None
         self._checks += 1
         stop = self.standing()

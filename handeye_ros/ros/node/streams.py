@@ -185,6 +185,7 @@ class Streams:
             for pose in poses:
                 self.arrivals.came('pose', pose.stamp)
                 self.session.add_pose(pose)
+            self.early = self.session.early() or self.early
             self._put_off(self.session.passed())
 
     def _put_off(self, stops: Iterable[Stop]) -> None:
@@ -194,7 +195,6 @@ class Streams:
         while len(self.waiting) > MOST_STOPS:
             self.waiting.popleft()
             self._skipped += 1
-        self.early = self.session.early() or self.early
         if self.waiting or self.early:
             self.wake.set()
 
