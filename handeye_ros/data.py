@@ -21,8 +21,8 @@ class Profile:
     """
     One laser profile, in the sensor's own plane.
 
-    points: (n, 2), along the laser line and range, in the order of the line, either way;
-    a row with NaN is a column without a return.
+    points: (n, 2), along the laser line and range, in the order of the line, either way (a
+    session sorts others); a row with NaN is a column without a return.
     axes: the signed axes of frame_id that the two columns of points run along.
     beside: the third coordinate in frame_id, across the plane (metres); it is not used.
     intensity: (n,) of the points, where it was asked for and the driver gives it.

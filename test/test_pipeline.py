@@ -297,3 +297,14 @@ def test_the_real_sphere_is_better_than_the_published_transform() -> None:
     assert found.quality.holdout_rms < 0.138e-3
     assert found.quality.samples_used >= 13
     assert found.quality.holdout_rms > found.quality.residual_rms
+
+
+def test_points_in_no_order_are_sorted_along_the_line() -> None:
+    made = recorded('plate', 0, columns=640)
+    rng = np.random.default_rng(0)
+    shuffled = [replace(profile, points=rng.permutation(profile.points))
+                for profile in made.profiles]
+    ordered, found = (pipeline.calibrate(profiles, made.poses, made.config)
+                      for profiles in (made.profiles, shuffled))
+    assert found.quality.samples_used == ordered.quality.samples_used
+    assert made.error(found.T_flange_sensor) < 1e-4

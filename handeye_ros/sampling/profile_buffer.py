@@ -4,11 +4,14 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator
 from copy import copy
+from dataclasses import replace
 from typing import Self
 
 from handeye_ros.data import AnyProfile, RawProfile
+import numpy as np
 
 MOST_BYTES = 256_000_000  # of messages: 8 s of 2000 profiles a second of 1280 points
+MOST_BACK = 0.2  # of the way forth: behind a step the columns may run back by less
 SLACK = 0.05  # of it that is made free at once
 
 
@@ -42,7 +45,7 @@ class ProfileBuffer:
     def add(self, profiles: Iterable[AnyProfile]) -> None:
         """Take the next ones."""
         for profile in profiles:
-            self.items.append(profile)
+            self.items.append(in_line_order(profile))
             self._bytes += _held(profile)
         if self._bytes > self._most:
             # more than has to go: to shift what is left for every single one takes its time
@@ -70,3 +73,18 @@ def _held(profile: AnyProfile) -> int:
 
 def _stamp(profile: AnyProfile) -> int:
     return profile.stamp
+
+
+def in_line_order(profile: AnyProfile) -> AnyProfile:
+    """Return a profile with its points sorted along the line where they are in no order."""
+    if isinstance(profile, RawProfile):
+        return profile  # sorted when it is read
+    x = profile.points[:, 0]
+    placed = np.isfinite(x).nonzero()[0]
+    steps = np.diff(x[placed])
+    forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()
+    if min(forth, back) <= MOST_BACK * max(forth, back):
+        return profile
+    order = placed[np.argsort(x[placed], kind='stable')]
+    intensity = None if profile.intensity is None else profile.intensity[order]
+    return replace(profile, points=profile.points[order], intensity=intensity)

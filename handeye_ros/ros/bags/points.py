@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from handeye_ros.data import Array
 from handeye_ros.ros.errors import MessageError
+from handeye_ros.sampling.profile_buffer import MOST_BACK
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,7 +22,6 @@ THIN = 0.01  # of the spread across the plane: an axis with less is the one acro
 SURE = 10  # so many returns do not follow each other by chance
 # of the steps between returns: fewer go back along the line, more along the range
 LINE_BACK, RANGE_BACK = 0.05, 0.1
-MOST_BACK = 0.2  # of the way forth: behind a step the columns may run back by less
 
 
 def require_unit(points: Array, unit: str) -> None:
