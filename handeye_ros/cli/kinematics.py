@@ -40,6 +40,7 @@ def kinematics(
     """Find the errors of the robot's joints and axes, together with the hand-eye transform."""
     settings = configuration(config, assignments)
     from handeye_ros.errors import UnknownNameError
+    from handeye_ros.kinematics.answer import only_in_yaml, save
     from handeye_ros.kinematics.chain import chain_of, read_urdf
     from handeye_ros.kinematics.model import ON_DEMAND
     from handeye_ros.kinematics.screen import table
@@ -53,7 +54,11 @@ def kinematics(
     for warning in found.warnings:
         warn(warning)
     show(table(found))
-    typer.echo(_saved(found, text, out, settings))
+    lost = only_in_yaml(found.arm)
+    if lost:
+        warn(f'no URDF can hold {" and ".join(lost)}: corrected.urdf is without them, '
+             'kinematics.yaml has them')
+    typer.echo(save(found, text, out, settings.save.formats))
     if propose:
         typer.echo(_proposed(found, propose, out))
 
@@ -84,25 +89,6 @@ def _solve_bag(source: Path, urdf: Path, chain: 'Chain', more: list[str], settin
     inputs = [*recording.inputs, input_values(urdf)]
     with doing('solving'):
         return solve_recording(replace(recording, inputs=inputs), chain, more, settings)
-
-
-def _saved(found: 'Answer', urdf: str, out: Path, settings: 'Config') -> str:
-    """Write an answer into a folder; return what was written."""
-    from handeye_ros.kinematics import answer as answers
-    from handeye_ros.results import exports
-    from handeye_ros.results.calibration_file import write_whole
-    lost = answers.only_in_yaml(found.arm)
-    if lost:
-        warn(f'no URDF can hold {" and ".join(lost)}: corrected.urdf is without them, '
-             'kinematics.yaml has them')
-    out = out.absolute()
-    provenance = found.calibration.provenance
-    read_with = {**provenance['config'], 'kinematics': str(out / answers.NAME)}
-    calibration = replace(found.calibration, provenance={**provenance, 'config': read_with})
-    saved = exports.save_all(calibration, out, settings.save.formats)
-    write_whole(out / answers.NAME, answers.text(found))
-    write_whole(out / answers.URDF, answers.corrected_urdf(urdf, found.arm))
-    return f'{saved}, {answers.NAME}, {answers.URDF}'
 
 
 def _proposed(found: 'Answer', count: int, out: Path) -> str:

@@ -1,8 +1,8 @@
 """What is told and written of a corrected arm: kinematics.yaml, corrected.urdf."""
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime, UTC
 import math
 from pathlib import Path
@@ -16,7 +16,8 @@ from handeye_ros.kinematics.chain import Chain, Joint, motion, REVOLUTE
 from handeye_ros.kinematics.errors import UrdfError
 from handeye_ros.kinematics.estimate import Fit
 from handeye_ros.kinematics.model import Arm, COUNTS, OFFSET, ON_DEMAND, Parameter, PRIORS
-from handeye_ros.results.calibration_file import transform_from, transform_values
+from handeye_ros.results import exports
+from handeye_ros.results.calibration_file import transform_from, transform_values, write_whole
 import numpy as np
 import yaml
 
@@ -172,3 +173,17 @@ def only_in_yaml(arm: Arm) -> tuple[str, ...]:
     return tuple(kind for kind in ON_DEMAND if any(p.kind == kind for p in arm.parameters))
 
 
+def save(answer: Answer, urdf: str, folder: Path, formats: Sequence[str]) -> str:
+    """
+    Write calibration.yaml, kinematics.yaml and corrected.urdf; return what was written.
+
+    urdf: that of the robot as stated. The calibration names the kinematics that belong to it.
+    """
+    folder = folder.absolute()
+    provenance = answer.calibration.provenance
+    read_with = {**provenance['config'], 'kinematics': str(folder / NAME)}
+    calibration = replace(answer.calibration, provenance={**provenance, 'config': read_with})
+    saved = exports.save_all(calibration, folder, formats)
+    write_whole(folder / NAME, text(answer))
+    write_whole(folder / URDF, corrected_urdf(urdf, answer.arm))
+    return f'{saved}, {NAME}, {URDF}'

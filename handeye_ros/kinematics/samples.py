@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Array, TimedPose
+from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
 from handeye_ros.estimation.linalg import covering
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.kinematics.answer import Answer
@@ -58,7 +58,7 @@ def solve_recording(recording: JointRecording, chain: Chain, more: Sequence[str]
     told = [*recording.warnings, *session.warnings, *odd]
     if recording.reported:
         told.append(_compared(recording, stamps, chain, session))
-    outcome = solve_session(session, stamps, joints, chain, more, config)
+    outcome = outcome_of(session.samples, stamps, joints, chain, more, config)
     calibration = pipeline.calibrate(recording.profiles, corrected(recording, outcome.arm), config)
     both = covering(calibration.covariance, outcome.covariance[:6, :6])
     return answer_of(outcome, replace(calibration, covariance=both), recording.inputs, told)
@@ -87,17 +87,31 @@ def _compared(recording: JointRecording, stamps: NDArray[np.int64], chain: Chain
     return compared(T, chain.forward(at_stamps(at.tolist(), stamps, recording.joints)))
 
 
-def solve_session(session: Session, stamps: NDArray[np.int64], joints: Array, chain: Chain,
-                  more: Sequence[str], config: Config) -> Outcome:
+def solve_samples(samples: Sequence[Sample], rejects: Sequence[Reject], frame_id: str,
+                  stamps: NDArray[np.int64], joints: Array, chain: Chain, config: Config
+                  ) -> Answer:
+    """Return the corrected arm from samples of stops; see outcome_of. Raises DataError."""
+    outcome = outcome_of(samples, stamps, joints, chain, (), config)
+    T = outcome.arm.forward(at_stamps([sample.stamp for sample in samples], stamps, joints))
+    stops = [replace(sample, T_base_flange=own, motion=None)
+             for sample, own in zip(samples, T, strict=True)]
+    calibration = pipeline.solve(stops, rejects, config, frame_id)
+    both = covering(calibration.covariance, outcome.covariance[:6, :6])
+    return answer_of(outcome, replace(calibration, covariance=both),
+                     [{'topic': config.profile_topic}, {'topic': config.joint_topic}], ())
+
+
+def outcome_of(samples: Sequence[Sample], stamps: NDArray[np.int64], joints: Array,
+               chain: Chain, more: Sequence[str], config: Config) -> Outcome:
     """
     Return the corrected arm, from samples of a robot that stops or moves.
 
-    session: its poses are those of the arm as stated, at joint values (n, joints) of stamps (n,).
-    Raises DataError.
+    samples: their poses are those of the arm as stated, at joint values (n, joints) of stamps
+    (n,). Raises DataError.
     """
-    if len(session.samples) < MINIMUM:
-        raise TooFewConfigurationsError(len(session.samples), MINIMUM)
-    ordered, _ = consistent_edges(sorted(session.samples, key=lambda sample: sample.stamp))
+    if len(samples) < MINIMUM:
+        raise TooFewConfigurationsError(len(samples), MINIMUM)
+    ordered, _ = consistent_edges(sorted(samples, key=lambda sample: sample.stamp))
     ordered = synchronised(ordered, config).samples
     q = at_stamps([sample.stamp + round(sample.offset * 1e9) for sample in ordered], stamps,
                   joints)

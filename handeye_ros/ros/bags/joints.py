@@ -61,11 +61,16 @@ def values_of(arm: Arm, given: dict[str, float]) -> list[float]:
 
 def pose_from_joints(arm: Arm, data: bytes) -> TimedPose:
     """Return the flange pose of an arm at a serialised JointState; raises MessageError."""
+    return joints_and_pose(arm, data)[1]
+
+
+def joints_and_pose(arm: Arm, data: bytes) -> tuple[Array, TimedPose]:
+    """Return joint values (joints,) too."""
     stamp, given = joint_state(data)
     values = dict(zip(arm.chain.measured, values_of(arm, given), strict=True))
     q = arm.chain.values({name: np.array([value]) for name, value in values.items()}, KIND)
     T = arm.forward(q)[0]
-    return TimedPose(stamp, T[:3, 3], se3.quaternion(T), arm.chain.base)
+    return q[0], TimedPose(stamp, T[:3, 3], se3.quaternion(T), arm.chain.base)
 
 
 class JointTable(PoseTable):

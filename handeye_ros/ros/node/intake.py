@@ -25,6 +25,7 @@ from handeye_ros.ros.bags.transforms import FlangeTracker
 from handeye_ros.ros.errors import MessageError
 from handeye_ros.ros.executable import InvalidHandle
 from handeye_ros.ros.node.diagnostics import why_silent
+from handeye_ros.ros.node.kinematics import LiveKinematics
 from handeye_ros.ros.node.live import LiveSession
 from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import NameValidationException
@@ -86,7 +87,10 @@ class Intake:
         self._reader = ProfileReader(config.profile)
         self._before: int | None = None  # the stamp of the last message of profiles
         self._listen(PointCloud2, config.profile_topic, self._on_profile, STREAM)
-        if config.kinematics:
+        self.kinematics = LiveKinematics(live, config) if config.robot_description else None
+        if self.kinematics:
+            self._listen(JointState, config.joint_topic, self._on_joint_values, STREAM)
+        elif config.kinematics:
             take = partial(self._on_joints, read_arm(Path(config.kinematics)))
             self._listen(JointState, config.joint_topic, take, STREAM)
         elif config.pose_source == 'topic':
@@ -107,7 +111,7 @@ class Intake:
         config = self._live.config
         if kind == 'profile':
             return why_silent(self._node, 'profile_topic', config.profile_topic, CLOUD)
-        if config.kinematics:
+        if config.kinematics or config.robot_description:
             return why_silent(self._node, 'joint_topic', config.joint_topic, JOINTS)
         if config.pose_source == 'topic':
             return why_silent(self._node, 'pose_topic', config.pose_topic, POSE)
@@ -174,6 +178,10 @@ class Intake:
 
     def _on_joints(self, arm: Arm, data: bytes) -> None:
         self._live.add_poses([self._stamped(pose_from_joints(arm, data))])
+
+    def _on_joint_values(self, data: bytes) -> None:
+        assert self.kinematics is not None
+        self._live.add_poses([self.kinematics.pose(data)])
 
     def _on_transforms(self, static: bool, msg: Any) -> None:
         self._live.add_poses(self._tracker.add(msg.transforms, static))

@@ -53,13 +53,13 @@ class LiveSession:
         solver: runs what takes long; judge: what an answer waits for.
         """
         self.place = place
-        self._solver, self._judge = solver or InProcess(), Judge(judge or InProcess())
+        self.solver, self._judge = solver or InProcess(), Judge(judge or InProcess())
         self.progress = Progress()
         self.streams = Streams(config)
         self.samples = LiveSamples(self.streams, self._judge, store or Store(), self.progress)
-        self.reviewer = Reviewer(self.samples, self._solver)
+        self.reviewer = Reviewer(self.samples, self.solver)
         self.answer = Answer()
-        self.verification = LiveVerification(self.samples, self.answer, place, self._solver,
+        self.verification = LiveVerification(self.samples, self.answer, place, self.solver,
                                              self.progress)
         self._judged = threading.Event()  # since which there is something to derive
         self._asked = self._due = False  # for an answer, ever; and again, as settings changed
@@ -136,7 +136,7 @@ class LiveSession:
     def stop(self) -> None:
         """End what takes long, and the threads with it."""
         self.threads.stop()
-        self._solver.stop()
+        self.solver.stop()
         self._judge.stop()
 
     def restore(self, session: Session, before: Config) -> str:
@@ -205,7 +205,7 @@ class LiveSession:
         session.require_stations()
         with self.progress.doing(COMPUTED):
             found = pipeline.solve_session(
-                session, config, partial(self._solver.run, pipeline.solve, urgent=True))
+                session, config, partial(self.solver.run, pipeline.solve, urgent=True))
         inputs = [{'topic': config.profile_topic},
                   {'topic': config.pose_topic if config.pose_source == 'topic' else '/tf'}]
         return (replace(found, provenance={**found.provenance, 'inputs': inputs}),

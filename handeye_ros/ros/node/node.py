@@ -15,6 +15,7 @@ from handeye_ros.ros.executable import offer, RCLError, ros, spin, UNSENDABLE
 from handeye_ros.ros.node import params
 from handeye_ros.ros.node.diagnostics import RepeatedWarnings, same_name
 from handeye_ros.ros.node.intake import Intake
+from handeye_ros.ros.node.kinematics import compute
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.publishers import Publishers
 from handeye_ros.ros.node.status import state_of
@@ -97,6 +98,7 @@ class HandeyeNode(Node):
     def _serve(self) -> None:
         samples = MutuallyExclusiveCallbackGroup()
         for services in ((self.compute_calibration,), (self.save_calibration,),
+                         (self.compute_kinematics,),
                          (self.verify_start, self.verify_result)):
             self._offer_all(services, MutuallyExclusiveCallbackGroup())
         self._offer_all((self.take_sample, self.remove_last_sample, self.clear_samples), samples)
@@ -160,6 +162,10 @@ class HandeyeNode(Node):
     def save_calibration(self) -> str:
         """Write the last answer."""
         return self.live.save()
+
+    def compute_kinematics(self) -> str:
+        """Find the errors of the arm, and write the corrected one."""
+        return compute(self._intake.kinematics)
 
     def verify_start(self) -> str:
         """Let the stops from now on verify the calibration."""

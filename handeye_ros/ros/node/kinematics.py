@@ -1,0 +1,73 @@
+"""The robot's own error, from the samples of a running session and the joint values heard."""
+from __future__ import annotations
+
+from array import array
+from pathlib import Path
+from threading import Lock
+
+from handeye_ros.config import Config
+from handeye_ros.data import TimedPose
+from handeye_ros.errors import InputError
+from handeye_ros.kinematics.answer import save
+from handeye_ros.kinematics.chain import chain_of, read_urdf
+from handeye_ros.kinematics.model import Arm
+from handeye_ros.kinematics.samples import solve_samples
+from handeye_ros.kinematics.screen import sentence
+from handeye_ros.ros.bags.joints import joints_and_pose
+from handeye_ros.ros.node.live import LiveSession
+import numpy as np
+
+FOLDER = 'kinematics'  # below that of the session's results
+MOST = 1_000_000  # joint values that are held: hours of a driver at 100 Hz
+COMPUTED = 'the kinematics are being computed'
+NO_URDF = ('~/compute_kinematics needs the URDF of the robot: start the node with the parameter '
+           'robot_description set to its file, and joint_topic')
+
+
+class LiveKinematics:
+    """Joint values as they come, the poses that the arm of a URDF has at them, and the answer."""
+
+    def __init__(self, live: LiveSession, config: Config) -> None:
+        """Read the URDF that robot_description names; raises InputError."""
+        path = Path(config.robot_description)
+        self._live, self._urdf, self._lock = live, read_urdf(path), Lock()
+        self._arm = Arm(chain_of(self._urdf, config.robot_base_frame,
+                                 config.robot_effector_frame, path))
+        self._stamps, self._joints = array('q'), array('d')
+
+    def pose(self, data: bytes) -> TimedPose:
+        """Return the flange pose at a serialised JointState, which is held; MessageError."""
+        q, pose = joints_and_pose(self._arm, data)
+        with self._lock:
+            self._stamps.append(pose.stamp)
+            self._joints.extend(q.tolist())
+            if len(self._stamps) > MOST:
+                del self._stamps[:MOST // 2], self._joints[:MOST // 2 * len(q)]
+        return pose
+
+    def compute(self) -> str:
+        """Find and write the corrected arm; return what to say. Raises HandeyeError."""
+        live = self._live
+        live.samples.extract_again()
+        with live.samples.work:
+            live.samples.judge_rest()
+            session, config = live.copied(), live.config
+        live.streams.wake.set()
+        session.require_stations()
+        with self._lock:
+            stamps = np.array(self._stamps, dtype=np.int64)
+            joints = np.array(self._joints).reshape(len(stamps), -1)
+        with live.progress.doing(COMPUTED):
+            answer = live.solver.run(
+                solve_samples, session.samples, session.rejects, session.frame_id, stamps, joints,
+                self._arm.chain, config, urgent=True)
+        folder = live.place.folder(config) / FOLDER
+        told = (sentence(answer), save(answer, self._urdf, folder, config.save.formats))
+        return '; '.join([*told, *answer.warnings])
+
+
+def compute(kinematics: LiveKinematics | None) -> str:
+    """Return what ~/compute_kinematics says; raises InputError without a URDF."""
+    if kinematics is None:
+        raise InputError(NO_URDF)
+    return kinematics.compute()

@@ -1,0 +1,38 @@
+"""The corrected arm from a running node: joint states in, files out."""
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs rclpy')
+pytest.importorskip('pinocchio')
+
+from command import ROOT  # noqa: E402, I100
+from geometry_msgs.msg import PoseStamped  # noqa: E402
+from handeye_ros.kinematics.answer import read_arm  # noqa: E402
+from handeye_ros.results.calibration_file import read_calibration  # noqa: E402
+from ros_helpers import BEST_EFFORT, Client, replay, running_node  # noqa: E402
+
+pytestmark = pytest.mark.ros
+BAG = ROOT / 'bags/arm'
+
+
+def test_the_node_corrects_the_arm(tmp_path: Path, client: Client) -> None:
+    client.node.create_subscription(PoseStamped, '/flange_pose', lambda pose: None, BEST_EFFORT)
+    with running_node(tmp_path, '-p', 'target.type:=sphere', '-p',
+                      f'robot_description:={BAG / "robot.urdf"}'):
+        client.until(lambda: client.profiles.get_subscription_count(), 'the node subscribes')
+        replay(BAG)
+        done = client.call('compute_kinematics')
+    assert done.success, done.message
+    assert 'points that were left out: 0.33 mm RMS before, 0.03 mm after' in done.message
+    folder = tmp_path / 'sphere/kinematics'
+    assert len(read_arm(folder).parameters) == 30
+    assert read_calibration(folder / 'calibration.yaml').quality.holdout_rms < 6e-5
+
+
+def test_without_a_urdf_it_says_what_is_needed(tmp_path: Path, client: Client) -> None:
+    with running_node(tmp_path):
+        done = client.call('compute_kinematics')
+    assert not done.success and 'needs the URDF of the robot' in done.message
