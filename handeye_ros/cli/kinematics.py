@@ -40,7 +40,7 @@ def kinematics(
     """Find the errors of the robot's joints and axes, together with the hand-eye transform."""
     settings = configuration(config, assignments)
     from handeye_ros.errors import UnknownNameError
-    from handeye_ros.kinematics.answer import only_in_yaml, save
+    from handeye_ros.kinematics.answer import save
     from handeye_ros.kinematics.chain import chain_of, read_urdf
     from handeye_ros.kinematics.model import ON_DEMAND
     from handeye_ros.kinematics.screen import table
@@ -54,10 +54,6 @@ def kinematics(
     for warning in found.warnings:
         warn(warning)
     show(table(found))
-    lost = only_in_yaml(found.arm)
-    if lost:
-        warn(f'no URDF can hold {" and ".join(lost)}: corrected.urdf is without them, '
-             'kinematics.yaml has them')
     typer.echo(save(found, text, out, settings.save.formats))
     if propose:
         typer.echo(_proposed(found, propose, out))

@@ -168,11 +168,6 @@ def _from_rpy(rpy: Array) -> Array:
     return np.asarray(yaw @ pitch @ roll)
 
 
-def only_in_yaml(arm: Arm) -> tuple[str, ...]:
-    """Return the kinds of parameters that no URDF can hold."""
-    return tuple(kind for kind in ON_DEMAND if any(p.kind == kind for p in arm.parameters))
-
-
 def save(answer: Answer, urdf: str, folder: Path, formats: Sequence[str]) -> str:
     """
     Write calibration.yaml, kinematics.yaml and corrected.urdf; return what was written.
@@ -186,4 +181,6 @@ def save(answer: Answer, urdf: str, folder: Path, formats: Sequence[str]) -> str
     saved = exports.save_all(calibration, folder, formats)
     write_whole(folder / NAME, text(answer))
     write_whole(folder / URDF, corrected_urdf(urdf, answer.arm))
-    return f'{saved}, {NAME}, {URDF}'
+    lost = [kind for kind in ON_DEMAND if kind in answer.models[answer.chosen].kinds]
+    without = f' (without {" and ".join(lost)}, which no URDF can hold)' if lost else ''
+    return f'{saved}, {NAME}, {URDF}{without}'
