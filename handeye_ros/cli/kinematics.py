@@ -39,14 +39,10 @@ def kinematics(
 ) -> None:
     """Find the errors of the robot's joints and axes, together with the hand-eye transform."""
     settings = configuration(config, assignments)
-    from handeye_ros.errors import UnknownNameError
+    _require_kinds(parameters)
     from handeye_ros.kinematics.answer import save
     from handeye_ros.kinematics.chain import chain_of, read_urdf
-    from handeye_ros.kinematics.model import ON_DEMAND
     from handeye_ros.kinematics.screen import table
-    for kind in parameters:
-        if kind not in ON_DEMAND:
-            raise UnknownNameError('kind of parameter', kind, ON_DEMAND)
     text = read_urdf(urdf)
     chain = chain_of(text, base, flange, urdf)
     solve = _solve_table if source.suffix in TABLES and source.is_file() else _solve_bag
@@ -57,6 +53,14 @@ def kinematics(
     typer.echo(save(found, text, out, settings.save.formats))
     if propose:
         typer.echo(_proposed(found, propose, out))
+
+
+def _require_kinds(kinds: list[str]) -> None:
+    from handeye_ros.errors import UnknownNameError
+    from handeye_ros.kinematics.model import ON_DEMAND
+    for kind in kinds:
+        if kind not in ON_DEMAND:
+            raise UnknownNameError('kind of parameter', kind, ON_DEMAND)
 
 
 def _solve_table(source: Path, urdf: Path, chain: 'Chain', more: list[str], settings: 'Config'
