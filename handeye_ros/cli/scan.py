@@ -30,9 +30,9 @@ def calibrated(file: Path, config: Path | None, assignments: list[str]
     """Return a calibration, and the settings that read what is measured with it."""
     from handeye_ros.config import load, with_assignments
     from handeye_ros.results.calibration_file import read_calibration
-    from handeye_ros.results.report.evidence import config_of
+    from handeye_ros.results.report.evidence import use_config
     calibration = read_calibration(file)
-    settings = load(config) if config else config_of(calibration)
+    settings = use_config(calibration, load(config) if config else None)
     return calibration, with_assignments(settings, assignments)
 
 

@@ -106,6 +106,7 @@ def describe_target(agreed: Consensus, config: Config) -> dict[str, Any]:
     solution = agreed.solution
     told = solution.problem.method.measures.describe(solution.estimate.target, solution.target_std)
     told |= reported_blocks(solution) | {'joint': _joint(solution)}
+    told = {key: value for key, value in told.items() if not key.startswith(TIME_OFFSET)}
     notes = [shape.note for shape in contradictions(solution, config)]
     notes += [lost] if (lost := lost_edges(agreed)) else []
     notes += [beside] if (beside := other_surfaces(agreed)) else []

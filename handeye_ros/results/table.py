@@ -19,10 +19,13 @@ from rich.text import Text
 LENGTHS = ('centre', 'point', 'radius', 'distance', 'size', 'setback')
 DIRECTIONS = ('normal', 'direction', 'normal_1', 'normal_2')
 ANGLES = ('angle',)
+MOST_REASONS = 10  # of samples left out, that are told in full
 # Sizes of smooth errors that the samples show: how they are told.
 FOUND = {
     'robot_position_error': ('robot, smooth error', 1e3, 'mm'),
     'robot_rotation_error': ('robot, smooth turn', math.degrees(1), 'degrees'),
+    'tracking_position_error': ('robot, error in motion', 1e3, 'mm'),
+    'tracking_rotation_error': ('robot, turn in motion', math.degrees(1), 'degrees'),
     'distortion_error': ('sensor, bent field', 1e3, 'mm'),
     'flatness_error': ('target, flatness', 1e3, 'mm'),
 }
@@ -96,6 +99,9 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
     yield 'samples', f'{quality.samples_used} used, {quality.samples_rejected} rejected'
     for reason, count in _reasons(calibration.samples).items():
         yield '', f'{count} rejected: {reason}'
+    if offset := calibration.time_offset:
+        yield 'time offset', (f'{offset.value * 1e3:.3f} ms, 1 sigma {offset.std * 1e3:.3f} '
+                              '(to be added to the stamps of the profiles)')
     yield from _target_values(calibration.target)
     yield from records(calibration)
 
@@ -108,7 +114,10 @@ def records(calibration: Calibration) -> Iterator[tuple[str, str]]:
 
 
 def _reasons(samples: tuple[SampleReport, ...]) -> Counter[str]:
-    return Counter(s.reason or 'no reason given' for s in samples if not s.used)
+    found = Counter(s.reason or 'no reason given' for s in samples if not s.used)
+    if len(found) <= MOST_REASONS:
+        return found
+    return Counter((s.reason or 'no reason given').split(':')[0] for s in samples if not s.used)
 
 
 def _weakest(direction: str, std: float) -> str:

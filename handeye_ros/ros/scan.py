@@ -26,7 +26,7 @@ from handeye_ros.errors import DataError, NoRosError
 from handeye_ros.kinematics.answer import read_arm
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.results.calibration_file import file_of, read_calibration
-from handeye_ros.results.report.evidence import config_of
+from handeye_ros.results.report.evidence import use_config
 from handeye_ros.ros.bags.flow import returns_of
 from handeye_ros.ros.bags.joints import pose_from_joints
 from handeye_ros.ros.bags.messages import pose_from_stamped
@@ -155,7 +155,7 @@ def _cloud(points: Points, frame: str, stamp: int) -> PointCloud2:
 def scan(path: Path, assignments: Sequence[str], options: ScanOptions) -> None:
     """Publish until Ctrl-C; raises InputError for a calibration that cannot be read."""
     calibration = read_calibration(file_of(path))
-    config = with_assignments(config_of(calibration), assignments)
+    config = with_assignments(use_config(calibration), assignments)
     with ros():
         try:
             node = ScanNode(calibration, config, options)

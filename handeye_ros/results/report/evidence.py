@@ -75,6 +75,19 @@ def config_of(calibration: Calibration) -> Config:
     return configuration.from_provenance(calibration.provenance.get('config'))
 
 
+def use_config(calibration: Calibration, config: Config | None = None) -> Config:
+    """
+    Return the configuration for what is measured with a calibration: with its time offset.
+
+    config: another than it was made with.
+    """
+    config = config or config_of(calibration)
+    if calibration.time_offset:
+        config = replace(config, time_offset=calibration.time_offset.value)
+    still = config.sampling.mode if not config.sampling.moving else 'still'
+    return replace(config, sampling=replace(config.sampling, mode=still))
+
+
 def judged(stops: Sequence[StopSnapshot], used: Sequence[Sample], solution: Solution,
            calibration: Calibration) -> Evidence:
     """
