@@ -17,6 +17,7 @@ from handeye_ros.files.method import FileMethod, Input
 from handeye_ros.files.outcome import require_trusted
 from handeye_ros.results.truth_errors import Errors, errors_against, FIELD
 from handeye_ros.sampling.edge_shapes import consistent_edges
+from handeye_ros.sampling.time_offset import synchronised
 import numpy as np
 from numpy.typing import NDArray
 
@@ -150,9 +151,11 @@ def _believed(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Conf
               ) -> tuple[Stations, DataError | None]:
     """Return the stations that the target's own method believes, and why it has no answer."""
     try:
-        agreed, solution = pipeline.estimate(ordered, rejects, config)
+        moved = synchronised(ordered, config)
+        agreed, solution = pipeline.estimate(moved.samples, rejects, config, moved.estimate)
     except DataError as error:
         return Stations(tuple(ordered), config), error
+    ordered = [replace(sample, motion=None) for sample in moved.samples]  # the others know none
     known = Known(solution.problem, solution.estimate, solution.noise)
     stations = Stations(tuple(ordered[i] for i in agreed.used), config, known)
     try:

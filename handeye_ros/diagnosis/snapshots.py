@@ -24,7 +24,8 @@ def _snapshot(outcome: Outcome, config: Config) -> StopSnapshot:
     stamp = outcome.result.stamp
     T = sample.T_base_flange if sample else _middle(seen)
     return StopSnapshot(outcome.number, stamp, in_mount(T, config), _points(seen, stamp, config),
-                sample.features if sample else (), getattr(outcome.result, 'reason', ''))
+                        sample.features if sample else (), getattr(outcome.result, 'reason', ''),
+                        samples=tuple(s.stamp for s in sample.single) if sample else ())
 
 
 def _points(seen: Seen, stamp: int, config: Config) -> Array:

@@ -108,7 +108,8 @@ class NoStationsError(DataError):
         super().__init__(f'the robot never stood still for {still_time:g} s in {poses} poses, '
                          f'but for {longest:.2g} s at most: stop at each sample, or lower '
                          'sampling.still_time; if its poses are noisy, raise '
-                         'sampling.still_translation and sampling.still_rotation')
+                         'sampling.still_translation and sampling.still_rotation; of a robot that '
+                         'moves all the time, set sampling.mode to moving')
 
 
 class SparsePosesError(DataError):

@@ -22,7 +22,8 @@ class StopSnapshot:
     number: counted from 1; T_mount: (4, 4) of what carries the sensor in what the target rests
     in; points: (n, 2) of one of its profiles, in the sensor plane; features: what was found in
     it; reason: why it was not used, empty if it was. residuals, left_out: (k,) of its measured
-    points (metres), with and without it in the fit; empty where it was not used.
+    points (metres), with and without it in the fit; empty where it was not used. samples: stamps
+    of the samples of a robot that moved.
     """
 
     number: int
@@ -33,6 +34,7 @@ class StopSnapshot:
     reason: str = ''
     residuals: Array = field(default_factory=lambda: np.empty(0))
     left_out: Array = field(default_factory=lambda: np.empty(0))
+    samples: tuple[int, ...] = ()
 
     @property
     def used(self) -> bool:
@@ -100,8 +102,9 @@ def judged(stops: Sequence[StopSnapshot], used: Sequence[Sample], solution: Solu
     outside = left_out(solution, measured)
     reasons = {report.stamp: report.reason for report in calibration.samples if not report.used}
     found = [replace(stop, reason=reasons.get(stop.stamp, stop.reason)) for stop in stops]
-    place = {stop.stamp: i for i, stop in enumerate(found)}
-    for station, sample in enumerate(used):
-        own, i = measured.station == station, place[sample.stamp]
-        found[i] = replace(found[i], residuals=inside[own], left_out=outside[own])
+    place = {stamp: i for i, stop in enumerate(found) for stamp in stop.samples or (stop.stamp,)}
+    at = np.array([place[sample.stamp] for sample in used])[measured.station]
+    for i in np.unique(at).tolist():
+        found[i] = replace(found[i], reason='', residuals=inside[at == i],
+                           left_out=outside[at == i])
     return Evidence(tuple(found), calibration)
