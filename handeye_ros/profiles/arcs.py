@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array
-from handeye_ros.profiles.bins import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.circles import (
     arc_points,
     candidates,
@@ -21,6 +20,7 @@ from handeye_ros.profiles.circles import (
     REFIT_WIDTHS,
 )
 from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.segment import MOST_NOISE, noise_level, returned, without_clutter
 import numpy as np
 from numpy.typing import NDArray

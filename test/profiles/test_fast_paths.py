@@ -1,7 +1,7 @@
 """What is done quickly in profiles/ gives what the plain way of the same gives."""
 from __future__ import annotations
 
-from handeye_ros.profiles import bins, circles, faces, line_search
+from handeye_ros.profiles import circles, faces, line_search, lines
 from handeye_ros.profiles.continuation import Returns
 from handeye_ros.profiles.segment import Segment
 from hypothesis import given
@@ -108,7 +108,7 @@ def test_quantiles_and_bins(seed: int, n: int) -> None:
     np.testing.assert_allclose(circles._quantiles(values, (0.005, 0.995)),
                                np.quantile(values, [0.005, 0.995]), rtol=0, atol=1e-15)
     parts = min(n, 7)
-    got, size = bins.bin_means(values, parts)
+    got, size = lines.bin_means(values, parts)
     first = [*np.linspace(0, n, parts, endpoint=False).astype(int), n]
     plain = [values[a:b].mean() for a, b in zip(first, first[1:], strict=False)]
     np.testing.assert_allclose(got, plain, rtol=0, atol=1e-14)
