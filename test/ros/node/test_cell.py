@@ -166,11 +166,11 @@ def test_the_cause_is_in_the_log_and_in_every_answer(tmp_path: Path, client: Cli
 
 def test_what_lasts_is_said_again_after_a_while() -> None:
     said: list[str] = []
-    nag = RepeatedWarnings(said.append)
+    warnings = RepeatedWarnings(said.append)
     for now in (0.0, 1.0, 5.0, 9.9, 10.0, 12.0):
-        nag.tell([f'no poses for {now:.0f} s'], now)
-    nag.tell([], 13.0)
-    nag.tell(['no poses for 1 s'], 14.0)
+        warnings.update([f'no poses for {now:.0f} s'], now)
+    warnings.update([], 13.0)
+    warnings.update(['no poses for 1 s'], 14.0)
     assert said == ['no poses for 0 s', 'no poses for 10 s', 'no poses for 1 s']
 
 
