@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 import signal
 
 from handeye_ros.errors import DataError, HandeyeError, InputError, UnusableMessageError
@@ -123,6 +124,12 @@ class PageError(InputError):
         """Return the error for an address that is none."""
         return cls(f'page.address is "{address}", expected an IP address such as 127.0.0.1 or '
                    '0.0.0.0: there is no page')
+
+    @classmethod
+    def token(cls, file: Path | None, why: str) -> PageError:
+        """Return the error for a token that cannot be kept."""
+        return cls(f'there is no page: its token cannot be written to {file} ({why}); set '
+                   'output_dir to a folder that can be written')
 
     @classmethod
     def port(cls, address: str, port: int, why: str) -> PageError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from functools import partial
 import os
+from pathlib import Path
 import sys
 from threading import Lock
 from typing import Any
@@ -47,7 +48,7 @@ class HandeyeNode(Node):
         """Subscribe and serve; raises InputError for what the user configured."""
         super().__init__('handeye')
         config, stored = params.declare(self)
-        place = Place(self.get_namespace())
+        self._place = place = Place(self.get_namespace())
         self.live = LiveSession(config, place, SessionStore(place.folder, stored),
                                 WorkerProcess(LOWER), WorkerProcess())
         self._outputs = Publishers(self, self.live)
@@ -89,6 +90,11 @@ class HandeyeNode(Node):
     def is_busy(self) -> bool:
         """Return whether a thread is at work that Python would wait for."""
         return bool(self.live.progress.text)
+
+    @property
+    def token_file(self) -> Path:
+        """Return the file that keeps the token of the page."""
+        return self._place.parent(self.live.config) / '.page_token'
 
     @property
     def state(self) -> State:

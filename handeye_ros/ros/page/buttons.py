@@ -2,11 +2,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Protocol, TYPE_CHECKING
 
 from handeye_ros.ros.errors import PageError
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.page.telling import told
+from handeye_ros.ros.page.contents import contents
 from handeye_ros.sampling.state import State
 from rclpy.parameter import Parameter
 
@@ -23,6 +24,10 @@ class Served(Protocol):
     """The node, as far as the page knows it."""
 
     live: LiveSession
+
+    @property
+    def token_file(self) -> Path:
+        """Return the file that keeps the token of the page."""
 
     @property
     def state(self) -> State:
@@ -44,13 +49,15 @@ def serve(node: Served) -> PageServer | None:
     if not config.port:
         return None
     from handeye_ros.ros.page.server import PageServer, Source  # aiohttp takes long to import
-    source = Source(lambda: told(node.state, node.live), acts(node), SLOW)
+    source = Source(lambda: contents(node.state, node.live), acts(node), SLOW)
     try:
-        page = PageServer(source, config.address, config.port)
+        file = node.token_file
+        page = PageServer(source, config.address, config.port, file)
     except PageError as error:
         log.warning(str(error))
         return None
-    log.info(f'page for a browser: {page.url}')
+    log.info(f'page for a browser: {page.url}' + (
+        f'; it asks for the token in {file}' if page.guard.token else ''))
     return page
 
 

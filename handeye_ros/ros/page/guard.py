@@ -3,14 +3,18 @@ Who may read the page, and act: requests of this host's own pages, or with the t
 
 Another site's page in the same browser must neither act (its Origin gives it away, and
 Sec-Fetch-Site) nor read through a name that it lets point here (its Host does). Where other
-machines can reach the page a token is needed too; the first visit puts it into a cookie.
+machines can reach the page a token is needed too; the first visit puts it into a cookie. The
+token is kept in a file that its user alone can read, and survives a restart.
 """
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 import hmac
 import ipaddress
+import os
+from pathlib import Path
 import secrets
 import socket
 import time
@@ -35,11 +39,15 @@ class Guard:
     token: empty where only this machine can reach the page.
     """
 
-    def __init__(self, address: str, port: int) -> None:
-        """Make a new token where one is needed; raises ValueError for an address that is none."""
+    def __init__(self, address: str, port: int, token_file: Path | None = None) -> None:
+        """
+        Take the token of a file, or make a new one, where one is needed.
+
+        Raises ValueError for an address that is none, OSError for a file that cannot be written.
+        """
         self.port = port
         self.local = is_loopback(address)
-        self.token = '' if self.local else secrets.token_urlsafe(TOKEN_BYTES)
+        self.token = '' if self.local else token_of(token_file)
         self._hosts = {'localhost', address, socket.gethostname()}
         self._left, self._since = BURST, time.monotonic()
 
@@ -50,8 +58,6 @@ class Guard:
 
     def refusal(self, headers: Mapping[str, str], given: str) -> Refusal | None:
         """Return why a request is refused, None where it is not; given: its token."""
-        if not self._in_time():
-            return Refusal(429, 'too many requests: wait a second')
         host = headers.get('Host', '')
         if not self._is_ours(host):
             return Refusal(403, 'this page is not served under that name')
@@ -59,9 +65,12 @@ class Guard:
         site = headers.get('Sec-Fetch-Site', 'same-origin')
         if origin not in (None, f'http://{host}') or site not in ('same-origin', 'none'):
             return Refusal(403, 'requests of other pages are refused')
-        if self.token and not hmac.compare_digest(given.encode(), self.token.encode()):
-            return Refusal(401, 'open the full address, with its token, that the node printed '
-                           'at its start')
+        if self.token and not hmac.compare_digest(given.encode(errors='replace'),
+                                                  self.token.encode()):
+            return Refusal(401, 'the token is missing or wrong')
+        # refused requests come first: they must not count against those that may come
+        if not self._in_time():
+            return Refusal(429, 'too many requests: wait a second')
         return None
 
     def _is_ours(self, host: str) -> bool:
@@ -83,6 +92,22 @@ class Guard:
             return False
         self._left -= 1.0
         return True
+
+
+def token_of(file: Path | None) -> str:
+    """Return the token in a file, a new one that is written into it where there is none."""
+    if file is None:
+        return secrets.token_urlsafe(TOKEN_BYTES)
+    with suppress(OSError, UnicodeDecodeError):
+        known = file.read_text(encoding='ascii').strip()
+        if len(known) >= TOKEN_BYTES and not file.stat().st_mode & 0o077:
+            return known
+    token = secrets.token_urlsafe(TOKEN_BYTES)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.unlink(missing_ok=True)
+    with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), 'w') as stream:
+        stream.write(token + '\n')
+    return token
 
 
 def is_loopback(address: str) -> bool:

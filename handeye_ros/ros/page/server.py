@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib import resources
 import json
+from pathlib import Path
 import threading
 from typing import Any
 
@@ -27,7 +28,9 @@ MOST_CLIENTS = 8
 MOST_CONNECTIONS = 64
 MOST_WAITING = 4  # requests of one kind
 LARGEST_BODY = 1024  # bytes
+COOKIE_AGE = 30 * 86400  # s
 PATIENCE = 10.0  # s for a client to take an event, for the server to start
+FILES = ('page.css', 'page.js', 'scene.js', 'language.js')
 KINDS = {'.html': 'text/html', '.css': 'text/css', '.js': 'text/javascript'}
 HEADERS = {
     'Content-Security-Policy': "default-src 'self'; img-src 'self' data:; "
@@ -57,12 +60,16 @@ class Source:
 class PageServer:
     """A running page; stop ends it."""
 
-    def __init__(self, source: Source, address: str, port: int) -> None:
-        """Start to serve; raises PageError."""
+    def __init__(self, source: Source, address: str, port: int,
+                 token_file: Path | None = None) -> None:
+        """Start to serve; token_file: keeps the token, where one is needed. Raises PageError."""
         try:
-            self.guard = Guard(address, port)
+            self.guard = Guard(address, port, token_file)
         except ValueError as error:
             raise PageError.address(address) from error
+        except OSError as error:
+            raise PageError.token(token_file, error.strerror or str(error)) from error
+        self._busy: dict[asyncio.BaseTransport, int] = {}  # requests now, of each connection
         self._source, self._address, self._port = source, address, port
         self._clients = 0
         self._waiting = dict.fromkeys((True, False), 0)
@@ -80,10 +87,9 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """Return the full address, with the token where one is needed."""
+        """Return the address; the token, where one is needed, is not told."""
         name = f'[{self._address}]' if ':' in self._address else self._address
-        return f'http://{name}:{self._port}/' + (f'?token={self.guard.token}'
-                                                 if self.guard.token else '')
+        return f'http://{name}:{self._port}/'
 
     async def _start(self) -> None:
         self._changed, self._ending = asyncio.Condition(), False
@@ -100,7 +106,7 @@ class PageServer:
     def _protocol(self) -> asyncio.BaseProtocol:
         """Return what serves a new connection: nothing where there are too many."""
         assert self._runner.server is not None
-        return _Gate(self._runner.server)
+        return _Gate(self._runner.server, self._busy)
 
     def stop(self) -> None:
         """End all connections, and the thread."""
@@ -163,25 +169,33 @@ class PageServer:
     async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         given = request.query.get('token') or request.cookies.get(self.guard.cookie, '')
         refusal = self.guard.refusal(request.headers, given)
+        if refusal and refusal.status == 401 and request.path in ('/', '/page.css'):
+            return _static('login.html' if request.path == '/' else 'page.css', refusal.status)
         if refusal:
             return _sentence(refusal.status, refusal.text)
+        connection = request.transport
+        if connection is None:  # it went while this waited
+            return _sentence(400, 'the connection is closed')
+        self._busy[connection] = self._busy.get(connection, 0) + 1
         try:
             return await handler(request)
         except web.HTTPException as error:
             return _sentence(error.status, error.reason.lower())
+        finally:
+            if connection in self._busy:
+                self._busy[connection] -= 1
 
     async def _index(self, request: web.Request) -> web.StreamResponse:
         if 'token' in request.query:
             response = web.Response(status=303, headers=HEADERS | {'Location': '/'})
             response.set_cookie(self.guard.cookie, self.guard.token, httponly=True,
-                                samesite='Strict')
+                                samesite='Strict', max_age=COOKIE_AGE)
             return response
         return _static('index.html')
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
         name = request.match_info['name']
-        return _static(name) if name in ('page.css', 'page.js', 'scene.js') else _sentence(
-            404, 'there is no such page')
+        return _static(name) if name in FILES else _sentence(404, 'there is no such page')
 
     async def _act(self, request: web.Request) -> web.StreamResponse:
         act = self._source.acts.get(request.match_info['name'])
@@ -189,7 +203,7 @@ class PageServer:
             return _sentence(404, 'there is no such button')
         if request.content_type != 'application/json':
             return _sentence(415, 'expected application/json')
-        values = _object(await request.text())
+        values = _object(await request.read())
         if values is None:
             return _sentence(400, 'expected a JSON object')
         slow = request.match_info['name'] in self._source.slow
@@ -204,15 +218,26 @@ class PageServer:
 
 
 class _Gate(asyncio.Protocol):
-    """Closes a connection at once where there are too many; they are counted as they are made."""
+    """
+    Lets a new connection in; where there are too many, the oldest that asks for nothing goes.
 
-    def __init__(self, server: web.Server) -> None:
-        self._server = server
+    busy: how many requests each connection has at work, in the order in which they came.
+    """
+
+    def __init__(self, server: web.Server, busy: dict[asyncio.BaseTransport, int]) -> None:
+        self._server, self._busy = server, busy
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        if len(self._server.connections) >= MOST_CONNECTIONS:
-            transport.close()
-            return
+        for old in [t for t in self._busy if t.is_closing()]:
+            del self._busy[old]
+        if len(self._busy) >= MOST_CONNECTIONS:
+            idle = next((t for t, requests in self._busy.items() if not requests), None)
+            if idle is None:
+                transport.close()
+                return
+            del self._busy[idle]
+            idle.close()
+        self._busy[transport] = 0
         protocol = self._server()
         transport.set_protocol(protocol)
         protocol.connection_made(transport)
@@ -222,16 +247,17 @@ def _sentence(status: int, text: str) -> web.Response:
     return web.json_response({'success': False, 'message': text}, status=status, headers=HEADERS)
 
 
-def _static(name: str) -> web.Response:
+def _static(name: str, status: int = 200) -> web.Response:
     text = resources.files(__package__).joinpath('assets', name).read_text(encoding='utf-8')
     kind = KINDS[name[name.rindex('.'):]]
-    return web.Response(text=text, content_type=kind, charset='utf-8', headers=HEADERS)
+    return web.Response(text=text, status=status, content_type=kind, charset='utf-8',
+                        headers=HEADERS)
 
 
-def _object(text: str) -> dict[str, Any] | None:
+def _object(text: bytes) -> dict[str, Any] | None:
     """Return what a JSON text holds if that is an object."""
     try:
-        found = json.loads(text or '{}')
+        found = json.loads(text or b'{}')
     except (ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) else None

@@ -3,7 +3,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-import math
 from pathlib import Path
 import socket
 import time
@@ -11,9 +10,10 @@ from typing import Any
 
 from browser import chromium, complaints
 from command import PATIENCE
-from handeye_ros import se3
+from handeye_ros.results import table
 from handeye_ros.results.calibration_file import read_calibration
-import numpy as np
+from handeye_ros.results.report import page
+from handeye_ros.results.report.evidence import Evidence
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
@@ -79,15 +79,16 @@ def test_a_calibration_by_clicking(tmp_path: Path, client: Client) -> None:
         assert str(path) in saved
         wait(browser, "document.getElementById('answer-x')", 'the figures')
         found = read_calibration(path)
-        told = [words(browser, f'answer-{axis}') for axis in 'xyz']
-        assert told == [f'{1e3 * v:.3f}' for v in found.T_flange_sensor[:3, 3]]
-        told = [words(browser, f'answer-{name}') for name in ('roll', 'pitch', 'yaw')]
-        assert told == [f'{math.degrees(v):.4f}' for v in se3.rpy(found.T_flange_sensor)]
-        assert words(browser, 'answer-residual') == f'{1e3 * found.quality.residual_rms:.3f}'
-        assert words(browser, 'answer-used') == str(found.quality.samples_used)
-        std = browser.execute_script("return document.getElementById('answer-z')"
-                                     '.nextElementSibling.textContent')
-        assert std == f'{1e3 * np.sqrt(found.covariance[2, 2]):.3f}'
+        rows = browser.execute_script("return [...document.querySelectorAll('#figures tbody tr')]"
+                                      '.map(r => [...r.cells].map(c => c.textContent))')
+        # the page, the report and the command line say the same, figure by figure
+        assert rows[:6] == [list(row) for row in table.transform_rows(found)]
+        text = page.html(found, Evidence(()))
+        assert all(figure in text for row in rows[:6] for figure in row[1:3])
+        quality = found.quality
+        assert rows[6:] == [['residual', f'{1e3 * quality.residual_rms:.3f}', '', 'mm'],
+                            ['left out', f'{1e3 * quality.holdout_rms:.3f}', '', 'mm'],
+                            ['samples used', str(quality.samples_used), '', '']]
         press(browser, '[data-sample="5"]', 'sample 5 is back')
         wait(browser, "document.getElementById('answer-state').textContent.startsWith('outdated')",
              'the answer is told to be outdated')
@@ -119,7 +120,7 @@ def cleared(browser: Any) -> None:
 @pytest.mark.parametrize('width', [390, 1280])
 def test_it_is_readable_and_fits_gloves(tmp_path: Path, client: Client, width: int) -> None:
     with opened(tmp_path, client, width) as browser:
-        wait(browser, "document.querySelectorAll('#sigmas meter').length > 6", 'the sigmas')
+        wait(browser, "document.querySelectorAll('#sigmas .bar').length > 6", 'the sigmas')
         browser.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', {
             'width': width, 'height': 900, 'deviceScaleFactor': 1, 'mobile': width < 500})
         assert browser.execute_script('return document.documentElement.scrollWidth') <= width

@@ -6,6 +6,7 @@ from contextlib import contextmanager, ExitStack
 from http.client import HTTPConnection, HTTPResponse
 import json
 import math
+from pathlib import Path
 import socket
 import threading
 from typing import Any
@@ -58,7 +59,7 @@ def served(address: str = '127.0.0.1') -> Iterator[tuple[PageServer, Cell]]:
         page.stop()
 
 
-def asked(page: PageServer, method: str, path: str, body: str | None = None,
+def asked(page: PageServer, method: str, path: str, body: str | bytes | None = None,
           **headers: str) -> tuple[int, str]:
     """Return status and text of an answer; headers: _ for - in their names."""
     connection = HTTPConnection('127.0.0.1', page.guard.port, timeout=30)
@@ -87,8 +88,9 @@ def test_it_shows_the_page_and_acts() -> None:
 
 @pytest.mark.parametrize(('path', 'body', 'status'), [
     ('/act/none', '{}', 404), ('/act/take', '[]', 400), ('/act/take', '{', 400),
-    ('/act/take', '[' * 900, 400), ('/act/take', '{"a": "' + 'x' * 2000 + '"}', 413)])
-def test_what_is_no_request_is_refused(path: str, body: str, status: int) -> None:
+    ('/act/take', '[' * 900, 400), ('/act/take', b'\xff', 400),
+    ('/act/take', '{"a": "' + 'x' * 2000 + '"}', 413)])
+def test_what_is_no_request_is_refused(path: str, body: str | bytes, status: int) -> None:
     with served() as (page, cell):
         assert asked(page, 'POST', path, body, Content_Type='application/json')[0] == status
         assert cell.asked == []
@@ -122,18 +124,32 @@ def test_other_origins_are_refused(headers: dict[str, str]) -> None:
 
 def test_other_machines_need_the_token() -> None:
     with served('0.0.0.0') as (page, cell):
-        assert page.guard.token and page.guard.token in page.url
+        assert page.guard.token and page.guard.token not in page.url
         for path in ('/', '/events', '/page.js', '/?token=wrong', '/?token='):
             status, text = asked(page, 'GET', path)
             assert status == 401 and page.guard.token not in text
         assert asked(page, 'POST', '/act/take', '{}', Content_Type='application/json')[0] == 401
         assert cell.asked == []
         assert asked(page, 'GET', f'/?token={page.guard.token}')[0] == 303
+        assert 'name="token"' in asked(page, 'GET', '/')[1], 'it asks for the token'
+        for cookie in (f'{page.guard.cookie}=\xff', '\xff'):
+            assert asked(page, 'GET', '/', Cookie=cookie)[0] == 401
         cookie = f'{page.guard.cookie}={page.guard.token}'
         assert asked(page, 'GET', '/', Cookie=cookie)[0] == 200
         assert asked(page, 'POST', '/act/take', '{}', Cookie=cookie,
                      Content_Type='application/json')[0] == 200
     assert Guard('0.0.0.0', 1).token != Guard('0.0.0.0', 1).token
+
+
+def test_the_token_survives_a_restart_in_a_file_of_the_user_alone(tmp_path: Path) -> None:
+    file = tmp_path / 'new' / 'token'
+    token = Guard('0.0.0.0', 1, file).token
+    assert file.stat().st_mode & 0o777 == 0o600 and file.read_text().strip() == token
+    assert Guard('0.0.0.0', 1, file).token == token
+    file.chmod(0o644)  # others may have read it
+    assert Guard('0.0.0.0', 1, file).token != token and not file.stat().st_mode & 0o077
+    other = tmp_path / 'none'
+    assert not Guard('127.0.0.1', 1, other).token and not other.exists()
 
 
 def test_events_come_as_json() -> None:
@@ -185,14 +201,14 @@ def test_what_takes_long_keeps_nobody_else_waiting() -> None:
         assert sorted(answers) == [200] * servers.MOST_WAITING + [429] * 3
 
 
-def test_too_many_connections_are_closed() -> None:
+def test_idle_connections_make_room_for_one_that_asks() -> None:
     with served() as (page, _), ExitStack() as lines:
         others = [lines.enter_context(socket.create_connection(('127.0.0.1', page.guard.port)))
                   for _ in range(servers.MOST_CONNECTIONS)]
-        with socket.create_connection(('127.0.0.1', page.guard.port)) as one_more:
-            one_more.settimeout(30)
-            assert one_more.recv(1) == b'', 'it is closed'
-        for other in others:
+        assert asked(page, 'GET', '/')[0] == 200
+        others[0].settimeout(30)
+        assert others[0].recv(1) == b'', 'the oldest is closed'
+        for other in others[1:]:
             other.setblocking(False)
             with pytest.raises(BlockingIOError):  # and these are not
                 other.recv(1)
@@ -204,6 +220,14 @@ def test_too_many_requests_are_refused() -> None:
     assert answers[0] is None
     refused = [a.status for a in answers if a]
     assert set(refused) == {429}
+
+
+def test_refused_requests_keep_nobody_out() -> None:
+    guard = Guard('127.0.0.1', 80)
+    foreign = {'Host': 'localhost', 'Origin': 'http://other.example'}
+    answers = [guard.refusal(foreign, '') for _ in range(int(3 * BURST))]
+    assert {a.status for a in answers if a} == {403}
+    assert guard.refusal({'Host': 'localhost'}, '') is None
 
 
 def test_a_port_in_use_and_an_address_that_is_none() -> None:

@@ -4,6 +4,7 @@
 const $ = id => document.getElementById(id);
 const mm = (v, digits = 3) => (1e3 * v).toFixed(digits);
 const degrees = (v, digits = 4) => (v * 180 / Math.PI).toFixed(digits);
+const SILENT = 3;  // s without a message, after which what is shown is old
 let told = null, heard = 0;
 const shown = {};
 
@@ -36,7 +37,9 @@ function show(state) {
   if (changed('guidance', state.guidance)) showGuidance(state.guidance);
   if (changed('scene', state.scene)) drawScene($('scene'), state.scene);
   if (changed('samples', [state.samples, state.worst])) showSamples(state);
-  if (changed('calibration', state.calibration)) showAnswer(state.calibration);
+  if (changed('calibration', [state.calibration, state.rows])) showAnswer(state.calibration, state.rows);
+  showSteps(state);
+  ring(state);
   const troubles = [state.profiles.trouble, state.poses.trouble, state.session.trouble]
     .filter(Boolean);
   $('trouble').hidden = !troubles.length;
@@ -46,14 +49,19 @@ function show(state) {
     (state.session.mode === 'still' ? 'a sample is taken at every stop' : 'samples are taken by hand'));
 }
 
+const flows = stream => stream.count > 0 && stream.age < SILENT;
+
 function showNow(state) {
-  text('standing', state.motion.standing ? 'Standing still.' : 'Moving.');
-  text('motion', state.motion.text);
+  const flowing = flows(state.profiles) && flows(state.poses);
+  $('live').classList.toggle('old', !flowing);
+  text('standing', !flows(state.poses) ? 'No poses.' :
+    label(state.motion.standing ? 'Standing still.' : 'Moving.'));
+  text('motion', flows(state.poses) ? state.motion.text : '');
   drawProfile($('profile'), state.profile);
   const p = state.profile;
-  text('feature', !p ? 'No profile with a pose around it.' : p.reason ? 'No feature: ' + p.reason :
-    'The feature is seen.');
-  $('feature').className = p && !p.reason ? 'good' : 'bad';
+  text('feature', !flows(state.profiles) ? 'No profiles.' : !p ? 'No profile with a pose around it.' :
+    p.reason ? 'No feature: ' + p.reason : label('The feature is seen.'));
+  $('feature').className = !flowing ? '' : p && !p.reason ? 'good' : 'bad';
   const age = stream => stream.count ? stream.age.toFixed(1) + ' s ago' : 'none yet';
   text('ages', 'last profile ' + age(state.profiles) + ', last pose ' + age(state.poses));
 }
@@ -62,11 +70,12 @@ function showGuidance(guidance) {
   const list = $('advice');
   list.replaceChildren(...(guidance ? guidance.sentences : []).map(s => element('li', s)));
   $('enough').hidden = !guidance || !guidance.enough;
-  text('enough', guidance && guidance.enough ? 'Enough samples' : '');
+  text('enough', guidance && guidance.enough ? label('Enough samples') : '');
   $('enough').className = 'badge good';
   const sigmas = guidance ? guidance.sigmas : [];
+  showHeadline(sigmas);
   if (!sigmas.length) {
-    $('sigmas').replaceChildren(element('p', 'Nothing yet.', 'small'));
+    $('sigmas').replaceChildren(element('p', label('Nothing yet.'), 'small'));
     return;
   }
   $('sigmas').replaceChildren(...[...sigmas].reverse().map(bar));
@@ -78,14 +87,61 @@ function bar(sigma) {
   const over = sigma.std > sigma.limit;
   line.append(element('span', sigma.name),
     element('span', figure(sigma.std) + ' of ' + figure(sigma.limit), over ? 'bad' : 'good'));
-  const meter = document.createElement('meter');
-  meter.max = 2 * sigma.limit;
-  meter.high = meter.low = sigma.limit;
-  meter.optimum = 0;
-  meter.value = sigma.std;
-  meter.setAttribute('aria-label', sigma.name);
-  made.append(line, meter);
+  made.append(line, progress(element('div', '', 'bar'), sigma));
   return made;
+}
+
+// Full when the limit is reached: half full where sigma is twice as large.
+function progress(made, sigma) {
+  const share = Math.min(sigma.limit / sigma.std, 1) || 0;
+  const fill = made.firstElementChild || made.appendChild(element('div'));
+  fill.style.width = (100 * share).toFixed(0) + '%';
+  fill.className = share < 1 ? 'short' : '';
+  made.setAttribute('role', 'progressbar');
+  made.setAttribute('aria-label', sigma.name);
+  made.setAttribute('aria-valuenow', (100 * share).toFixed(0));
+  return made;
+}
+
+function showHeadline(sigmas) {
+  const points = sigmas[sigmas.length - 1];
+  $('headline').hidden = $('reached').hidden = !points;
+  if (!points) return;
+  text('headline', 'Points are known to ' + mm(points.std, 2) + ' mm, wanted ' +
+    mm(points.limit, 2) + ' mm');
+  progress($('reached'), points);
+}
+
+function showSteps(state) {
+  const taken = state.samples.filter(s => s.taken).length;
+  const rate = stream => stream.kind + 's ' + (flows(stream) ? 'come' : 'missing');
+  const enough = Boolean(state.guidance && state.guidance.enough);
+  const done = {
+    connect: [flows(state.profiles) && flows(state.poses),
+      rate(state.profiles) + ', ' + rate(state.poses)],
+    samples: [enough, String(taken)],
+    answer: [state.calibration.state === 'current', label(STATES[state.calibration.state].split(':')[0])],
+  };
+  let now = true;
+  for (const [name, [ready, words]] of Object.entries(done)) {
+    const step = $('step-' + name);
+    step.className = ready ? 'done' : now ? 'now' : '';
+    now = now && ready;
+    step.lastElementChild.textContent = words;
+  }
+}
+
+let rung = null;
+
+function ring(state) {
+  const taken = state.samples.filter(s => s.taken).length;
+  if (rung !== null && taken > rung && $('sound').checked) {
+    const audio = new AudioContext(), tone = audio.createOscillator();
+    tone.connect(audio.destination);
+    tone.start();
+    tone.stop(audio.currentTime + 0.15);
+  }
+  rung = taken;
 }
 
 function showSamples(state) {
@@ -111,12 +167,12 @@ function sample(s) {
   const { line, number, what, figure, button } = lines.get(s.number);
   line.className = s.excluded ? 'out' : '';
   number.textContent = s.number;
-  what.textContent = s.text + (s.excluded ? ' (left out)' :
-    s.taken && !s.believed ? ' (not believed)' : '');
+  what.textContent = s.text + (s.excluded ? ' (' + label('left out') + ')' :
+    s.taken && !s.believed ? ' (' + label('not used by the fit') + ')' : '');
   figure.textContent = s.residual === null ? '' : 'residual ' + mm(s.residual) +
     ' mm, against the others ' + mm(s.left_out) + ' mm';
   button.hidden = !s.taken;
-  button.textContent = s.excluded ? 'Bring back' : 'Leave out';
+  button.textContent = label(s.excluded ? 'Bring back' : 'Leave out');
   button.setAttribute('aria-label', button.textContent + ' sample ' + s.number);
   button.dataset.sample = s.number;
   button.onclick = () => ask(s.excluded ? 'include' : 'exclude', { number: s.number }, button);
@@ -130,30 +186,20 @@ function newLine() {
   return made;
 }
 
-function showAnswer(c) {
-  const words = { none: 'none yet', current: 'current', outdated: 'outdated: samples or settings ' +
-    'have changed since', withdrawn: 'withdrawn: there is no answer any more' };
-  text('answer-state', words[c.state]);
-  $('answer-state').className = 'badge ' + (c.state === 'current' ? 'good' : 'bad');
-  text('answer-text', c.text);
-  $('figures').hidden = !c.translation;
-  if (!c.translation) return;
-  const row = (id, name, value, std, unit) => {
+const STATES = { none: 'none yet', current: 'current', outdated: 'outdated: samples or settings ' +
+  'have changed since', withdrawn: 'withdrawn: there is no answer any more' };
+
+function showAnswer(c, rows) {
+  text('answer-state', label(STATES[c.state]) + (c.translation ? ': ' + c.child + ' in ' + c.parent : ''));
+  $('answer-state').className = 'badge ' + ({ current: 'good', none: '' }[c.state] ?? 'bad');
+  text('answer-text', c.state === 'none' ? '' : c.text);
+  $('figures').hidden = !rows.length;
+  $('figures').tBodies[0].replaceChildren(...rows.map(([name, value, std, unit]) => {
     const made = document.createElement('tr');
-    const cell = element('td', value);
-    cell.id = id;
-    made.append(element('td', name), cell, element('td', std), element('td', unit));
+    made.id = 'answer-' + name.replace(' ', '-');
+    made.append(...[name, value, std, unit].map(words => element('td', words)));
     return made;
-  };
-  const rows = ['x', 'y', 'z'].map((axis, i) =>
-    row('answer-' + axis, axis, mm(c.translation[i]), mm(c.std[i]), 'mm'));
-  rows.push(...['roll', 'pitch', 'yaw'].map((name, i) =>
-    row('answer-' + name, name, degrees(c.rpy[i]), degrees(c.std[3 + i]), '°')));
-  rows.push(row('answer-residual', 'residual', mm(c.residual_rms), '', 'mm'),
-    row('answer-holdout', 'left out', mm(c.holdout_rms), '', 'mm'),
-    row('answer-used', 'samples used', String(c.used), '', ''));
-  $('figures').tBodies[0].replaceChildren(...rows);
-  text('answer-state', words[c.state] + ': ' + c.child + ' in ' + c.parent);
+  }));
 }
 
 async function ask(name, values, button) {
@@ -206,13 +252,38 @@ turnable($('scene'), redraw);
 addEventListener('resize', redraw);
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', redraw);
 
-const events = new EventSource('events');
-events.onmessage = event => {
-  const state = JSON.parse(event.data);
-  if (state.error) text('link', state.error); else show(state);
-};
-events.onerror = () => text('link', 'the node does not answer; trying again');
+// A browser gives up on a stream that once was answered with anything but 200: begin anew then.
+let events = null;
+
+function connect() {
+  events = new EventSource('events');
+  events.onmessage = event => {
+    const state = JSON.parse(event.data);
+    if (state.error) text('link', state.error); else show(state);
+  };
+  events.onerror = async () => {
+    text('link', 'the node does not answer; trying again');
+    if (events.readyState !== EventSource.CLOSED) return;
+    setTimeout(connect, 2000);
+    const answer = await fetch('page.js').catch(() => null);
+    if (answer && answer.status === 401) location.reload();  // it asks for the token
+  };
+}
+connect();
+
 setInterval(() => {
-  if (heard && Date.now() - heard > 3000) text('link', 'nothing heard of the node for ' +
-    ((Date.now() - heard) / 1000).toFixed(0) + ' s: what is shown is old');
+  const silence = (Date.now() - heard) / 1000;
+  document.body.classList.toggle('old', heard > 0 && silence > SILENT);
+  if (heard && silence > SILENT) text('link', 'nothing heard of the node for ' +
+    silence.toFixed(0) + ' s: what is shown is old');
 }, 1000);
+
+$('language').value = language;
+$('language').addEventListener('change', () => {
+  language = $('language').value;
+  localStorage.setItem('language', language);
+  translate();
+  for (const key of Object.keys(shown)) delete shown[key];
+  if (told) show(told);
+});
+translate();

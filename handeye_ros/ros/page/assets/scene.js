@@ -28,6 +28,31 @@ function box(points) {
   return { low, high };
 }
 
+// Lines every 1, 2 or 5 times a power of ten millimetres, at least 40 pixels apart.
+function grid(pen, width, height, place, scale) {
+  const least = 40 / scale, power = 10 ** Math.floor(Math.log10(least));
+  const step = [1, 2, 5, 10].map(k => k * power).find(s => s >= least);
+  const digits = Math.max(0, -Math.floor(Math.log10(step * 1e3)));
+  const [x0, z0] = place([0, 0]);
+  pen.strokeStyle = colour('line');
+  pen.fillStyle = colour('dim');
+  pen.lineWidth = 1;
+  pen.beginPath();
+  for (let k = Math.ceil(-x0 / scale / step); x0 + k * step * scale < width; k++) {
+    const x = x0 + k * step * scale;
+    pen.moveTo(x, 0);
+    pen.lineTo(x, height);
+    pen.fillText((1e3 * k * step).toFixed(digits), x + 2, height - 4);
+  }
+  for (let k = Math.ceil(-z0 / scale / step); z0 + k * step * scale < height; k++) {
+    const z = z0 + k * step * scale;
+    pen.moveTo(0, z);
+    pen.lineTo(width, z);
+    pen.fillText((1e3 * k * step).toFixed(digits) + ' mm', 2, z - 2);
+  }
+  pen.stroke();
+}
+
 let frame = null;  // of the profiles seen so far, so that the picture does not jump
 
 function drawProfile(canvas, profile) {
@@ -40,17 +65,12 @@ function drawProfile(canvas, profile) {
   const now = box(profile.points);
   frame = frame ? { low: frame.low.map((v, k) => Math.min(v, now.low[k])),
     high: frame.high.map((v, k) => Math.max(v, now.high[k])) } : now;
+  // one scale for both axes: what is square is shown square
   const edge = 26, size = [0, 1].map(k => Math.max(frame.high[k] - frame.low[k], 1e-6));
-  const place = p => [edge + (p[0] - frame.low[0]) / size[0] * (width - 2 * edge),
-    edge + (p[1] - frame.low[1]) / size[1] * (height - 2 * edge)];
-  pen.fillStyle = colour('dim');
-  const mm = v => (1e3 * v).toFixed(0) + ' mm';
-  pen.fillText('x ' + mm(frame.low[0]), 4, height - 6);
-  pen.textAlign = 'right';
-  pen.fillText(mm(frame.high[0]), width - 4, height - 6);
-  pen.textAlign = 'left';
-  pen.fillText('range ' + mm(frame.low[1]), 4, 14);
-  pen.fillText(mm(frame.high[1]), 4, height - 22);
+  const scale = Math.min((width - 2 * edge) / size[0], (height - 2 * edge) / size[1]);
+  const middle = [0, 1].map(k => (frame.low[k] + frame.high[k]) / 2);
+  const place = p => [width / 2 + (p[0] - middle[0]) * scale, height / 2 + (p[1] - middle[1]) * scale];
+  grid(pen, width, height, place, scale);
   pen.fillStyle = colour('text');
   for (const p of profile.points) {
     const [x, y] = place(p);

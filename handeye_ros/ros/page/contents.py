@@ -1,14 +1,15 @@
 """What the page shows of a session: its state, the profile of now, and a small scene."""
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, EdgePoint, FaceLine
+from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.candidates import anchor_of
+from handeye_ros.results import table
 from handeye_ros.results.outcome import in_mount
 from handeye_ros.results.target_shape import shape
 from handeye_ros.ros.node.live import LiveSession
@@ -20,10 +21,22 @@ MOST_POINTS = 400  # of a profile: a tablet shows no more
 DIGITS = 6  # of a metre in a picture
 
 
-def told(state: State, live: LiveSession) -> dict[str, Any]:
-    """Return what the page shows, as plain values."""
+def contents(state: State, live: LiveSession) -> dict[str, Any]:
+    """Return what the page shows, as plain values; rows: the lines of the table of the answer."""
     return {**asdict(state), 'profile': _profile(live.latest.current(live.config)),
-            'scene': _scene(live), 'accuracy': live.config.guidance.accuracy}
+            'scene': _scene(live), 'accuracy': live.config.guidance.accuracy,
+            'rows': list(answer_rows(live.answer.calibration))}
+
+
+def answer_rows(calibration: Calibration | None) -> Iterator[tuple[str, str, str, str]]:
+    """Yield name, value, 1 sigma and unit of what a calibration says, as the table of a solve."""
+    if calibration is None:
+        return
+    quality = calibration.quality
+    yield from table.transform_rows(calibration)
+    yield 'residual', f'{quality.residual_rms * 1e3:.3f}', '', 'mm'
+    yield 'left out', f'{quality.holdout_rms * 1e3:.3f}', '', 'mm'
+    yield 'samples used', str(quality.samples_used), '', ''
 
 
 def _profile(current: Current | None) -> dict[str, Any] | None:
