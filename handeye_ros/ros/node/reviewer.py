@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from handeye_ros import pipeline
+from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
+from handeye_ros.data import Array
 from handeye_ros.diagnosis.crossing import flat_crossing
 from handeye_ros.diagnosis.review import FEWEST, Review, review
 from handeye_ros.errors import DataError
@@ -45,7 +46,8 @@ class Reviewer:
         self.no_review = ''
         self._reviewed: tuple[Outcome, ...] | None = None
         self.advice = pipeline.advise((), self._samples.config)
-        self.advised = 0
+        self.advised = self._known_refused = 0
+        self._poses: dict[int, Array] = {}  # of stops that gave no sample, by their numbers
 
     @property
     def reviewed(self) -> tuple[Outcome, ...]:
@@ -61,7 +63,9 @@ class Reviewer:
         cleared, settings, config = self._samples.cleared, self._settings, self._samples.config
         outcomes, included = self._included()
         samples = [o.sample for o in outcomes if o.sample]
-        if _same(self._reviewed, outcomes) and self._advised == settings:
+        refused = self._refused()
+        if _same(self._reviewed, outcomes) and self._advised == settings and (
+                len(refused) == self._known_refused):
             return
         found, why = None, ''
         try:
@@ -72,7 +76,19 @@ class Reviewer:
             if self._samples.cleared == cleared:
                 self.review, self.no_review, self._reviewed = found, why, outcomes
         self.on_change()
-        self._advise(settings)
+        self._advise(settings, refused)
+
+    def _refused(self) -> list[Array]:
+        """Return the poses of the flange (4, 4) at which stops gave no sample."""
+        found, config = [], self._samples.config
+        for outcome in self._samples.streams.copied().outcomes:
+            if outcome.sample is None and outcome.number not in self._poses:
+                pose = outcome.stop.load(config).poses[-1]
+                self._poses[outcome.number] = se3.from_quaternion(pose.translation,
+                                                                  pose.quaternion)
+            if outcome.sample is None:
+                found.append(self._poses[outcome.number])
+        return found
 
     def _runner_for(self, samples: Sequence[object]) -> Runner:
         """Return what runs the work on samples: so few that nothing is solved need no process."""
@@ -92,7 +108,7 @@ class Reviewer:
             return ''
         return flat_crossing(outcome.sample, known.solution, self._samples.config)
 
-    def _advise(self, settings: int) -> None:
+    def _advise(self, settings: int, refused: list[Array]) -> None:
         """Tell what to do next, as the samples of now say."""
         cleared, config = self._samples.cleared, self._samples.config
         current = self._samples.streams.latest.current(config)
@@ -101,10 +117,12 @@ class Reviewer:
         outcomes, included = self._included()
         samples = sorted((o.sample for o, use in zip(outcomes, included, strict=True)
                           if use and o.sample), key=lambda sample: sample.stamp)
-        advice = self._runner_for(samples).run(pipeline.advise, samples, config, self._view)
+        advice = self._runner_for(samples).run(pipeline.advise, samples, config, self._view,
+                                                 refused)
         with self._samples.streams.lock:
             if self._samples.cleared == cleared:
                 self.advice, self._advised = advice, settings
+                self._known_refused = len(refused)
                 self.advised = max((o.number for o in outcomes), default=0)
         self.on_change()
 

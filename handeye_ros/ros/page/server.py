@@ -21,11 +21,11 @@ from typing import Any
 from aiohttp import web
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.errors import PageError
+from handeye_ros.ros.page.gate import Gate
 from handeye_ros.ros.page.guard import Guard
 
 RATE = 5.0  # events a second, at most
 MOST_CLIENTS = 8
-MOST_CONNECTIONS = 64
 MOST_WAITING = 4  # requests of one kind
 LARGEST_BODY = 1024  # bytes
 COOKIE_AGE = 30 * 86400  # s
@@ -106,7 +106,7 @@ class PageServer:
     def _protocol(self) -> asyncio.BaseProtocol:
         """Return what serves a new connection: nothing where there are too many."""
         assert self._runner.server is not None
-        return _Gate(self._runner.server, self._busy)
+        return Gate(self._runner.server, self._busy)
 
     def stop(self) -> None:
         """End all connections, and the thread."""
@@ -215,32 +215,6 @@ class PageServer:
         finally:
             self._waiting[slow] -= 1
         return web.json_response({'success': success, 'message': text}, headers=HEADERS)
-
-
-class _Gate(asyncio.Protocol):
-    """
-    Lets a new connection in; where there are too many, the oldest that asks for nothing goes.
-
-    busy: how many requests each connection has at work, in the order in which they came.
-    """
-
-    def __init__(self, server: web.Server, busy: dict[asyncio.BaseTransport, int]) -> None:
-        self._server, self._busy = server, busy
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        for old in [t for t in self._busy if t.is_closing()]:
-            del self._busy[old]
-        if len(self._busy) >= MOST_CONNECTIONS:
-            idle = next((t for t, requests in self._busy.items() if not requests), None)
-            if idle is None:
-                transport.close()
-                return
-            del self._busy[idle]
-            idle.close()
-        self._busy[transport] = 0
-        protocol = self._server()
-        transport.set_protocol(protocol)
-        protocol.connection_made(transport)
 
 
 def _sentence(status: int, text: str) -> web.Response:

@@ -16,6 +16,7 @@ import pytest
 pytest.importorskip('aiohttp', reason='needs aiohttp')
 from handeye_ros.ros.errors import PageError  # noqa: E402, I100
 from handeye_ros.ros.page import server as servers  # noqa: E402
+from handeye_ros.ros.page.gate import MOST_CONNECTIONS  # noqa: E402
 from handeye_ros.ros.page.guard import BURST, Guard  # noqa: E402
 from handeye_ros.ros.page.server import PageServer, plain, Source  # noqa: E402
 
@@ -204,7 +205,7 @@ def test_what_takes_long_keeps_nobody_else_waiting() -> None:
 def test_idle_connections_make_room_for_one_that_asks() -> None:
     with served() as (page, _), ExitStack() as lines:
         others = [lines.enter_context(socket.create_connection(('127.0.0.1', page.guard.port)))
-                  for _ in range(servers.MOST_CONNECTIONS)]
+                  for _ in range(MOST_CONNECTIONS)]
         assert asked(page, 'GET', '/')[0] == 200
         others[0].settimeout(30)
         assert others[0].recv(1) == b'', 'the oldest is closed'
