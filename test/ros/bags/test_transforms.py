@@ -67,6 +67,18 @@ def test_links_of_other_stamps_are_interpolated_and_never_extrapolated():
     np.testing.assert_allclose(pose.translation, [1.25, 0.0, 1.0], atol=1e-12)
 
 
+def test_a_clock_that_is_set_back_goes_on():
+    tracker, T = FlangeTracker('base', 'flange'), random_transform()
+    second, start = 10**9, 10**18
+    stamps = [*range(start, start + second, second // 50),
+              *range(start - 60 * second, start - 58 * second, second // 50)]
+    found = [pose.stamp for stamp in stamps
+             for pose in tracker.add([message('base', 'flange', T, stamp)], static=False)]
+    late = [stamp for stamp in found if stamp < start]
+    assert found[0] == start and late[-1] == stamps[-1]
+    assert 60 < len(late) < 80, 'half a second is lost'
+
+
 def test_every_stamp_is_told_once_and_in_order():
     tracker, T = FlangeTracker('base', 'flange'), random_transform()
     stamps = [p.stamp for s in (3, 4, 4, 2, 6)
