@@ -27,7 +27,7 @@ import numpy as np
 VERY_STRONG, DECISIVE = 10.0, 2 * float(np.log(1e5))
 WEAK = -2 * float(np.log(9))  # a chance of one in ten, at even odds beforehand
 OUTLIER = 1e-4  # chance of one of the good stations being taken for an outlier
-SMALLEST = 1e-2  # variance factor, doubts included, of samples without any error of their own
+SMALLEST = 1e-2  # variance factor, nuisance parameters as noise, of samples without any error
 BELIEVABLE = 4.0  # variance factor of an explanation: more explains nothing
 LARGEST_DROPPED_SHARE = 0.34  # of the stations, that an explanation may leave out
 

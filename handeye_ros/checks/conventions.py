@@ -19,7 +19,7 @@ from handeye_ros.checks.errors import (
     RangeSignError,
     ScatteredOrientationsError,
 )
-from handeye_ros.checks.misfit import misfit_of, residual_rms, SUSPICIOUS
+from handeye_ros.checks.misfit import misfit_of, MISFITTING, residual_rms
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError
@@ -28,7 +28,7 @@ from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.profiles.range_sign import range_sign_evidence
 import numpy as np
 
-UNSURE = 0.6  # variance factor, doubts included, from which the range's other sign is tried
+UNSURE = 0.6  # variance factor, nuisance parameters as noise, that makes the sign uncertain
 SCATTERED = 0.6  # mean of the cosines to the best direction, below which there is none
 
 
@@ -50,7 +50,7 @@ def require_conventions(problem: Problem, agreed: Consensus, flipped: Problem | 
     misfit = misfit_of(problem, agreed)
     if flipped and (misfit.variance_factor > UNSURE or misfit.hopeless or agreed.unused_share):
         require_stated((agreed,), [_other_sign(flipped, misfit.rms)])
-    if not misfit.hopeless and misfit.variance_factor < SUSPICIOUS:
+    if not misfit.hopeless and misfit.variance_factor < MISFITTING:
         return
     require_stated((agreed,), [
         _undone(problem, name, undo, misfit.rms) for name, change in CONVENTION_ERRORS.items()

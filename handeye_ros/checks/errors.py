@@ -243,8 +243,8 @@ class LeftOutError(DataError):
 class ConventionError(NamedCauseError):
     """A wrong pose convention that was recognised."""
 
-    def __init__(self, slip: str, before: float, after: float, advice: str) -> None:
-        super().__init__(f'the poses do not fit, but with {slip} the residual falls from '
+    def __init__(self, error: str, before: float, after: float, advice: str) -> None:
+        super().__init__(f'the poses do not fit, but with {error} the residual falls from '
                          f'{mm(before)} to {mm(after)}: {advice}')
 
 

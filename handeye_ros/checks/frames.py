@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from handeye_ros.checks.errors import SensorFrameError
 from handeye_ros.config import Config, UNNAMED_FRAME
 
-LARGEST_BESIDE = 1e-3  # m; of profiles beside their plane that need not be told
+LARGEST_BESIDE = 1e-3  # m; of profiles beside their plane that need no note
 
 
 def require_own_frame(frame_id: str, config: Config) -> None:

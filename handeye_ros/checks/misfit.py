@@ -15,7 +15,7 @@ from handeye_ros.estimation.noise import covariances, lumped
 from handeye_ros.estimation.solution import Solution
 import numpy as np
 
-SUSPICIOUS = 9.0  # variance factor from which something other than noise is looked for
+MISFITTING = 9.0  # variance factor from which something other than noise is looked for
 WILD, WILD_RATIO = 40.0, 4.0  # variance factor and residual over noise that no robot explains
 
 
@@ -81,7 +81,7 @@ def residual_rms(solution: Solution) -> float:
 
 
 def expected_rms(solution: Solution) -> float:
-    """Return the RMS of the plain residuals that the configured noise and doubts make (m)."""
+    """Return the RMS (m) of residuals from configured noise and nuisance parameters."""
     total = 0.0
     for at in solution.problem.stations:
         parts = covariances(solution.problem, solution.linear, at).sum(axis=0)

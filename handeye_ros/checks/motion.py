@@ -42,7 +42,7 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], method
 
 
 def mount_frame(config: Config) -> str:
-    """Return the frame that the sensor is fixed in, in which its transform is told."""
+    """Return the frame that the sensor is fixed in, in which its transform is given."""
     in_hand = config.calibration_type == 'eye_in_hand'
     return config.robot_effector_frame if in_hand else config.base_frame
 

@@ -1,4 +1,4 @@
-"""Whether target, robot and sensor are as stated: what was in doubt, against its prior."""
+"""Whether target, robot and sensor are as stated: nuisance parameters against their priors."""
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from handeye_ros.estimation.solution import redundancy, Solution
 import numpy as np
 
 CONTRADICTION = 4.0  # sigmas that make an answer wrong
-TOLD_CONTRADICTION = 3.0  # sigmas of a measure of the target that is told: it costs a look
+NOTED_CONTRADICTION = 3.0  # sigmas of a measure of the target that is noted in the answer
 POOR = 4.0  # variance factor from which another shape is tried from the start
 MORE_EXPLAINED = 0.1  # of the stations, with which a shape is tried to the end
 LARGEST_CHANGE = 0.5  # of a stated measure, relative: more is no tolerance but another target
@@ -29,7 +29,6 @@ MOST = 0.5  # of the squared residuals
 CHANCE = 1e-5  # of naming a scale that is none
 SMALLEST_SCALE_ERROR = 2e-3  # that is named as what is wrong
 ROUNDING = 1e-12  # of the squared effect of a scale: less is none
-TOLD = 0.5  # sigma over prior sigma below which a doubt is worth telling
 
 
 @dataclass(frozen=True)
@@ -76,46 +75,46 @@ def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
     method, target = solution.problem.method, solution.estimate.target
     labels = method.labels
     used = {d.name: value for d, value, _, _ in sizes(replace(solution, conservative=None))}
-    for doubt, _, std, z in sizes(solution):
-        if doubt.parameter is not None and abs(z) > TOLD_CONTRADICTION:
-            estimated = float(target[doubt.parameter - len(labels)])
-            yield Shape(doubt.name, estimated - used[doubt.name], estimated, std)
+    for block, _, std, z in sizes(solution):
+        if block.parameter is not None and abs(z) > NOTED_CONTRADICTION:
+            estimated = float(target[block.parameter - len(labels)])
+            yield Shape(block.name, estimated - used[block.name], estimated, std)
     given_up = method.geometry.free(solution.problem.config) & ~method.geometry.free(config)
     for i in np.flatnonzero(given_up).tolist():  # to make the stations agree
         first, std = float(method.measures.configured(config)[i]), float(solution.target_std[i])
-        if abs(target[i - len(labels)] - first) > TOLD_CONTRADICTION * math.hypot(std, stated[i]):
+        if abs(target[i - len(labels)] - first) > NOTED_CONTRADICTION * math.hypot(std, stated[i]):
             yield Shape(labels[i], first, float(target[i - len(labels)]), std)
 
 
 def sizes(solution: Solution) -> Iterator[tuple[ParameterBlock, float, float, float]]:
     """
-    Yield each doubt of one unknown with its value, 1 sigma, and how it contradicts its prior.
+    Yield each block of one parameter with its value, 1 sigma, and how it contradicts its prior.
 
     The last is the distance of what the data alone say from what was stated, in sigmas of both.
     """
     solution = solution.conservative or solution  # a size kept small contradicts nothing
     first = solution.unknowns
-    for doubt in solution.blocks:
-        if doubt.count == 1:
+    for block in solution.blocks:
+        if block.count == 1:
             n = float(solution.nuisance[first - solution.unknowns])
             p = min(float(solution.covariance[first, first]), 1 - 1e-9)
-            size = solution.noise.scales.get(doubt.name, 1.0)
+            size = solution.noise.scales.get(block.name, 1.0)
             alone, variance = n / (1 - p), p / (1 - p)
             z = alone / math.sqrt(1 / size + variance)
-            yield doubt, n * doubt.std, p ** 0.5 * doubt.std, z
-        first += doubt.count
+            yield block, n * block.std, p ** 0.5 * block.std, z
+        first += block.count
 
 
 def reported_blocks(solution: Solution) -> dict[str, Any]:
-    """Return what is told of the nuisance parameters: values of single ones, sizes of others."""
-    told: dict[str, Any] = {}
+    """Return what is reported of nuisance parameters: values of single ones, scales of others."""
+    report: dict[str, Any] = {}
     for block, value, std, _ in sizes(solution):
         if block.report:
-            told |= {block.report: block.origin + value, f'{block.report}_std': std}
+            report |= {block.report: block.origin + value, f'{block.report}_std': std}
     for block in (solution.conservative or solution).blocks:
         if block.report and block.count > 1:
-            told[block.report] = math.hypot(told.get(block.report, 0.0), block.std)
-    return told
+            report[block.report] = math.hypot(report.get(block.report, 0.0), block.std)
+    return report
 
 
 def scale_error(solution: Solution) -> tuple[float, float, float]:
@@ -148,8 +147,8 @@ def require_one_scale(solution: Solution) -> None:
 
     Raises ScaleError.
     """
-    for doubt, value, std, z in sizes(solution):
-        if doubt.name == 'scale' and abs(z) > CONTRADICTION and abs(value) > max(
+    for block, value, std, z in sizes(solution):
+        if block.name == 'scale' and abs(z) > CONTRADICTION and abs(value) > max(
                 SMALLEST_SCALE_ERROR, CONTRADICTION * std):
             raise ScaleError(abs(value), std)
 
@@ -158,7 +157,7 @@ def require_not_only_scale(solution: Solution) -> None:
     """
     Refuse a solution most of whose residuals one small scale error explains.
 
-    Doubts of the sensor and of the robot's positions could make much of it up, and the answer
+    Other nuisance parameters could make much of it up, and the answer
     would be wrong by as much of the lever. By an F-test. Raises ScaleError.
     """
     scale, std, total = scale_error(solution)

@@ -31,7 +31,7 @@ CHANGED = 0.8  # quantile of the changes there, which shows an edge that passes 
 STILL_SHARE = 0.1  # of the comparisons, at the least, are of a robot that stands still
 MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # times the change at rest; m
 FEWEST_PROFILES, FEWEST_CONDITIONS = 3, 6
-SMALLEST = 0.05  # s: less is told by no stop
+SMALLEST = 0.05  # s: no stop shows less
 
 
 @dataclass(frozen=True, eq=False)

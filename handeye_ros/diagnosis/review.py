@@ -27,7 +27,7 @@ class NoReviewError(DataError):
     """Too few samples, or such that no fit can be started."""
 
     def __init__(self, samples: int) -> None:
-        super().__init__(f'{samples} samples are used: residuals are told from {FEWEST} on')
+        super().__init__(f'{samples} samples are used: at least {FEWEST} are needed for residuals')
 
 
 @dataclass(frozen=True)
