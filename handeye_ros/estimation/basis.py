@@ -63,7 +63,7 @@ def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
     """
     Return the motions (3, k) that serve the field of view best where it is bent as by bending.
 
-    Along x and z, and the turn about the origin, of which none serves the points (m, 2). The
+    Along x and z, and the turn about the origin, less those that fit the points (m, 2) best. The
     field is FIELD times the box of these, which are means of many and lie inside it.
     """
     across = np.linspace(-FIELD, FIELD, GRID)

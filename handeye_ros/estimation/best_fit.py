@@ -1,10 +1,10 @@
 """
-What an answer is asked for where no transform is right: the one that serves best.
+The best-fit transform under model error, (9) of estimator.md.
 
-A robot that errs differently from stop to stop, or a sensor whose field is bent, maps points best
-with another transform than that of its mount: that which maps the points of the field of view, at
-all stops, nearest to where they are, but for a motion of the target. How far that lies from the
-answer follows from what is known of the doubts, and it is part of what is stated.
+Where a robot errs differently from station to station, or a sensor's field is bent, no transform
+is right. The one that maps the points of the field of view at all stations nearest to where they are,
+but for a motion of the target, is another than that of the mount. How far it lies from the answer
+follows from the nuisance parameters, and it is part of the reported covariance.
 """
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def of_mount(X: Array) -> Array:
 
 def motions_by_poses(problem: Problem, X: Array, field: Array) -> Array:
     """
-    Return by how much (6, n, 6) what serves best moves with what is added to the poses.
+    Return by how much (6, n, 6) the best-fit transform moves with errors of the poses.
 
-    field: (k, 2) points of the sensor plane over which it is to serve. That added to a pose is
+    field: (k, 2) points of the sensor plane over which it fits best. The error of a pose is
     as in Linear.by_pose: of the robot, in its base frame, about the flange.
     """
     R, a = problem.poses[:, None, :3, :3], problem.poses[:, None, :3, 3]

@@ -54,7 +54,7 @@ class ParameterBlock:
     retract(problem, estimate, change (k,)): both with the parameters changed, None where they
     are only taken out of the residuals. parameter: which of the target's it is, None if none.
     least, largest: bounds of the variance over the configured one. report: the key under which
-    the answer tells it, '' of none; origin: added to what is told of one parameter.
+    the answer reports it, '' of none; origin: added to the value of one parameter there.
     """
 
     name: str

@@ -11,7 +11,7 @@ from handeye_ros.estimation.quantiles import chi2_median
 import numpy as np
 
 STEPS = 30
-SETTLED = 1e-2  # relative change of a variance that changes no answer
+CONVERGED = 1e-2  # relative change of a variance that changes no answer
 BELIEF = 0.5  # of the start, in degrees of freedom
 SMALLEST_VARIANCE = 1e-24
 ROUNDING = 1e-12  # keeps a covariance invertible that one cause rules
@@ -38,7 +38,7 @@ def variance_components(residuals: Array, jacobian: Array, parts: Array, start: 
         expected = np.maximum(np.einsum('cnii->c', W) - taken, 0.0)
         factors = (form + BELIEF * start / variances) / (expected + BELIEF)
         variances = variances * factors
-        if np.abs(np.log(factors)).max() < SETTLED:
+        if np.abs(np.log(factors)).max() < CONVERGED:
             break
     return np.asarray(variances)
 

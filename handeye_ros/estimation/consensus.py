@@ -81,7 +81,7 @@ def consensus(problem: Problem, rng: np.random.Generator, subsets: int = 0,
     """
     Return the solution of the stations that agree.
 
-    subsets: how many random subsets of stations to start from when all together are in doubt.
+    subsets: how many random subsets of stations to start from when all together do not fit.
     start: from which alone to start.
 
     Raises DataError when no estimate can be started at all.
@@ -171,7 +171,7 @@ def without_outliers(trial: Refined) -> Consensus:
 
 def refine(agreed: Consensus, minimum: int) -> Consensus:
     """
-    Return the consensus with all doubts in its solution; what then does not fit is dropped.
+    Return the consensus with all nuisance blocks in its solution, outliers dropped.
 
     What fits only now, as the target is not as stated, is taken back. Of few stations each may
     be wrong without being seen to be: the stated covariance holds that.
@@ -197,7 +197,7 @@ def _misfits(part: Problem, found: Consensus) -> bool:
 
 
 def _refined(agreed: Consensus, minimum: int, noise: Noise | None = None) -> Consensus:
-    """Return the consensus with all doubts in its solution, and what does not fit dropped."""
+    """Return the consensus with all blocks in its solution, and what does not fit dropped."""
     used, dropped, part = agreed.used, dict(agreed.dropped), agreed.solution.problem
     total, estimate = len(used) + len(dropped), agreed.solution.estimate
     while True:

@@ -2,7 +2,7 @@
 What of a few stations it would do to the answer if one of them were wrong.
 
 That a station is wrong, by no more than a slip of its pose, and that all are right are weighed
-against each other (Box and Tiao 1968, Biometrika 55:119), with noise and doubts as configured:
+against each other (Box and Tiao 1968, Biometrika 55:119), with noise and blocks as configured:
 were these grown until they explain it, a wrong station would hide. Of many stations one that
 matters stands out by itself; of few, those that cannot be seen to be wrong still may be.
 """

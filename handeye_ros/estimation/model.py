@@ -174,7 +174,7 @@ class Geometry:
 @dataclass(frozen=True, eq=False)
 class Measures:
     """
-    What is stated of a target, and told of it.
+    What is stated of a target, and what is reported of it.
 
     tolerances(config): (k,) 1 sigma of those of its parameters that are stated with one, 0 of all
     others; configured(config): (k,) the values of those. relax(config): the configuration with

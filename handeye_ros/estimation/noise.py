@@ -2,7 +2,7 @@
 What the noise makes of the residuals: their covariances, and the map that makes them white.
 
 The error of a condition has two parts: the feature's own, and that of the station's pose, which
-all observations of the station share. Both are whitened together. Doubts, which all stations
+all observations of the station share. Both are whitened together. Blocks, which all stations
 share, are unknowns of the solution (see mixed); while it is searched for they count as errors
 of each station by itself.
 """
@@ -99,14 +99,15 @@ def lumped(problem: Problem, linear: Linear, at: Stations) -> Array:
 
 def _total(problem: Problem, linear: Linear, at: Stations, noise: Noise) -> Array:
     """Return the sum (stations, c, c) of covariances, and of what is lumped with them."""
-    told, shared = problem.config.noise, float(noise.lumped)
+    config, shared = problem.config.noise, float(noise.lumped)
     total = _feature(linear, at)
     first, second = at.components
     total *= noise.feature * first + noise.feature_2 * second if at.mixed else noise.feature
-    distortion = noise.local * _local(problem) + shared * told.distortion ** 2
+    distortion = noise.local * _local(problem) + shared * config.distortion ** 2
     if distortion:
         total += at.near * _squared(at.of(linear.by_point), distortion)
-    total += _squared(at.of(linear.by_pose), noise.robot * _pose(told) + shared * _smooth(told))
+    robot = noise.robot * _pose(config) + shared * _smooth(config)
+    total += _squared(at.of(linear.by_pose), robot)
     return total + _own(problem, linear, at) if shared else total
 
 

@@ -18,7 +18,7 @@ from functools import cached_property
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import ParameterBlock, prepared
-from handeye_ros.estimation.factored import Columns
+from handeye_ros.estimation.factored import FactoredJacobian
 from handeye_ros.estimation.linalg import from_conditions, from_information
 from handeye_ros.estimation.linearise import Linear, linearise, Problem, State
 from handeye_ros.estimation.model import Estimate
@@ -30,12 +30,12 @@ from numpy.typing import NDArray
 
 ROUNDS = 10  # of linearising
 STEPS, LAST_STEPS = 2, 4  # of estimating sizes in each round, and after the last
-SETTLED = 0.03  # relative change of a variance that changes no answer
-SETTLED_NOISE = 0.1  # the same, of the noise, on the way
+STEADY = 0.03  # relative change of a variance that changes no answer
+STEADY_NOISE = 0.1  # the same, of the noise, on the way
 ASKED = 300  # stations that at most are asked for the noise
 CONVERGED = 0.02  # step in sigmas
 DIVERGED = 4.0  # of a step over the smallest before
-SIZING = 1  # rounds in which a doubt may turn out so large that the step grows
+SIZING = 1  # rounds in which a block may turn out so large that the step grows
 BELIEF_NOISE = 4.0  # in the configured noise, in degrees of freedom
 CONFIGURED, MAP = np.ones(4), np.array([1.0, 1.0, 1e-4, 1.0])  # factors that are believed in
 MAP_STEPS = 3  # of estimating the noise that an estimate is best made with
@@ -75,7 +75,7 @@ def _approached(system: _System) -> tuple[_System, bool]:
         state = system.moved(x)
         noise, before = system.with_noise(x, covariance), system.noise.factors
         change = np.abs(np.log(noise.factors / before)).max()
-        there, steady = system.at(state, noise), change < SETTLED_NOISE
+        there, steady = system.at(state, noise), change < STEADY_NOISE
         system = there if resting and steady else there.sized(STEPS)[0]
         resting = system is there
         if size < CONVERGED and steady:
@@ -84,7 +84,7 @@ def _approached(system: _System) -> tuple[_System, bool]:
 
 
 def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
-    """Return the solution that an estimate is with doubts and noise of a given size."""
+    """Return the solution that an estimate is with blocks and noise of a given size."""
     state = State.of(problem, estimate)
     return _System.begun(state, replace(noise, lumped=False)).solution()
 
@@ -94,9 +94,9 @@ class _System:
     """
     The whitened least squares at an estimate.
 
-    r: (m,), of which the doubts are not taken out; columns: derivatives by u unknowns and by q
-    of the doubts at their configured size; gradient: (u + q,) by all of them; group: (q,) the
-    doubt of each.
+    r: (m,), of which the blocks are not taken out; columns: derivatives by u unknowns and by q
+    nuisance parameters in prior sigmas; gradient: (u + q,) by all of them; group: (q,) the
+    block of each parameter.
     """
 
     state: State
@@ -105,7 +105,7 @@ class _System:
     blocks: tuple[ParameterBlock, ...]
     white: Whitening
     r: Array
-    columns: Columns
+    columns: FactoredJacobian
     gradient: Array
     group: NDArray[np.intp]
     blocks_at: Callable[[Linear], tuple[ParameterBlock, ...]]
@@ -154,17 +154,17 @@ class _System:
 
     @property
     def first(self) -> NDArray[np.intp]:
-        """Return where the unknowns of each doubt begin (d,), among those of all doubts."""
+        """Return where the parameters of each block begin (d,), among those of all blocks."""
         return np.searchsorted(self.group, np.arange(len(self.blocks)))
 
     @property
     def variances(self) -> Array:
-        """Return how large (d,) the doubts are taken to be, over the configured variance."""
+        """Return the variances (d,) of the blocks over the configured ones."""
         return np.array([self.noise.scales.get(d.name, 1.0) for d in self.blocks])
 
     @cached_property
     def scales(self) -> Array:
-        """Return the sizes (u + q,) of the unknowns of doubts, 1 of others."""
+        """Return the scales (u + q,) of the nuisance parameters, 1 of the unknowns."""
         return np.append(np.ones(self.u), np.sqrt(self.variances)[self.group])
 
     @cached_property
@@ -177,21 +177,21 @@ class _System:
 
     def sized(self, steps: int) -> tuple[_System, Scales | None]:
         """
-        Return the system with the doubts as large as they show themselves, and these sizes.
+        Return the system with the prior scales that the data show, and these.
 
         A last step that changes next to nothing is not made; without blocks there are no scales.
         """
         system, found = self, None
         for _ in range(steps if self.blocks else 0):
             before, found = system.variances, system.shown
-            if np.abs(np.log(found.conservative / before)).max() < SETTLED:
+            if np.abs(np.log(found.conservative / before)).max() < STEADY:
                 break
             system = system.with_sizes(found.conservative)
         return system, found
 
     @cached_property
     def shown(self) -> Scales:
-        """Return how large the doubts show themselves."""
+        """Return the prior scales that the data show."""
         (x, covariance), u = self.solved, self.u
         largest = np.array([d.largest for d in self.blocks])
         return prior_scales(covariance[u:, u:], x[u:], self.first, self.variances, largest)
@@ -229,7 +229,7 @@ class _System:
         return State(problem, estimate, values)
 
     def with_sizes(self, variances: Array) -> _System:
-        """Return the system with other sizes of the doubts."""
+        """Return the system with other variances (d,) of the blocks."""
         named = {d.name: max(float(v), d.least)
                  for d, v in zip(self.blocks, variances, strict=True)}
         return replace(self, noise=replace(self.noise, scales=named))

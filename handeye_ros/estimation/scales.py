@@ -29,7 +29,7 @@ def _belief(freedom: float, scale: float) -> Array:
 
 # As configured in the mean square, with so heavy a tail that it may be several times as much.
 CONSERVATIVE = _belief(3.0, 0.8)
-# The same of a doubt of one unknown, of whose size a single number tells: Cauchy's tail.
+# The same of a block of one parameter, of whose scale a single number says little: Cauchy.
 ALONE = _belief(1.0, 1.0)
 # Nothing, unless the data show something: what an estimate is best made with.
 MAP = _belief(1.0, 0.01)
@@ -38,10 +38,10 @@ MAP = _belief(1.0, 0.01)
 @dataclass(frozen=True, eq=False)
 class Scales:
     """
-    How large d doubts show themselves, as variances over the configured ones.
+    The prior scales of d blocks, as variances over the configured ones.
 
     before: (d,) their variances so far; evidence: (s, d) logarithm of how likely the data are,
-    were a doubt of each of SIZES; fitted, square: (s, d) what they then are, without and with
+    were a block of each of SCALES; fitted, square: (s, d) what they then are, without and with
     what is not known of them; alone: (d,) whether they are of one unknown.
     """
 
@@ -65,7 +65,7 @@ class Scales:
     @cached_property
     def _waiting(self) -> NDArray[np.bool_]:
         """
-        Return which of the doubts of one unknown (d,) do not grow while another does.
+        Return which of the blocks of one parameter (d,) do not grow while another does.
 
         Two of them may explain the same, and were both large, neither would seem needed: that
         which explains most grows first.
@@ -100,7 +100,7 @@ def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], size:
     Return the scales of blocks, (6).
 
     value (q,) and covariance (q, q) of their unknowns in units of their sigma, when the variance
-    of each doubt is size (d,) times the configured one; first: (d,) ascending, where the unknowns
+    of each block is size (d,) times the configured one; first: (d,) ascending, where the unknowns
     of each begin; largest: (d,) the variance beyond which there is none.
     """
     blocks = [slice(*ends) for ends in pairwise([*first.tolist(), len(value)])]

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 LOST_SHARE = 0.1  # of the stations far from an estimate, from which another is looked for
 FAR, FAR_RATIO = 5e-3, 5.0  # residual (m; over the largest of an answer) of a hopeless start
 UNUSED_SQUARE = 8.0  # squared residual of a station whose essential observations are all unused
-SURE = 0.5  # squared residual of the believed share, in variances with all doubts, of no other
+SURE = 0.5  # squared residual of the believed share, in variances with all blocks, of no other
 CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good answer
 LARGEST_SQUARE = 16.0  # squared residual, in variances, that a clean recording stays below
 LARGEST_VARIANCE = 1.0  # m^2 or rad^2: more is no answer at all

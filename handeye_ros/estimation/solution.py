@@ -8,7 +8,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation import influence
 from handeye_ros.estimation.blocks import best_fit_motions, ParameterBlock, pose_errors
-from handeye_ros.estimation.factored import Columns
+from handeye_ros.estimation.factored import FactoredJacobian
 from handeye_ros.estimation.linalg import covariance_of, covering
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate
@@ -68,12 +68,11 @@ class Solution:
     """
     An estimate with what the data says of it.
 
-    white: whitened residuals (m,), what doubts explain taken out; columns: whitened derivatives by
-    u unknowns, X's six first, then q of the doubts in units of their sigma; covariance: of all
-    of them, infinite variances cut at LARGEST_STD; doubtful: (q,) how large those of the doubts
-    are; doubts: the doubts, their sigmas as estimated; cautious: the solution with doubts as large
-    as they may be, which moves the estimate further than it should, but tells how uncertain it is;
-    suspicion: (6, 6) what the covariance grows by as a station may be wrong.
+    white: whitened residuals (m,) without what the blocks explain; columns: whitened derivatives
+    by u unknowns, X's six first, then by q nuisance parameters in sigmas; covariance: C of (5),
+    infinite variances cut at LARGEST_STD; nuisance: (q,) estimates; blocks: with their sigmas as
+    estimated; conservative: the solution at conservative scales, which moves the estimate further
+    than it should, but says how uncertain it is; contamination: (6, 6) of (10).
     """
 
     problem: Problem
@@ -81,7 +80,7 @@ class Solution:
     noise: Noise
     linear: Linear
     white: Array
-    columns: Columns
+    columns: FactoredJacobian
     covariance: Array
     nuisance: Array = field(default_factory=lambda: np.empty(0))
     blocks: tuple[ParameterBlock, ...] = ()
@@ -115,7 +114,7 @@ class Solution:
 
     @property
     def unknowns(self) -> int:
-        """Return the number of unknowns that are no doubts."""
+        """Return the number of unknowns without the nuisance parameters."""
         return self.columns.count - len(self.nuisance)
 
     @property
@@ -138,7 +137,7 @@ class Solution:
         """
         station = self.problem.observations.station
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
-        J = self.columns.own[:, :self.unknowns]
+        J = self.columns.local[:, :self.unknowns]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         for at in self.problem.stations:
             s = np.linalg.svd(J[at.rows], compute_uv=False)
@@ -147,7 +146,7 @@ class Solution:
 
     @property
     def squares(self) -> float:
-        """Return the sum of squares, of residuals and of what doubts were taken to be."""
+        """Return the sum of squares, of residuals and of nuisance parameters."""
         return float(self.white @ self.white + self.nuisance @ self.nuisance)
 
     @property
@@ -185,11 +184,11 @@ def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
                     covariance_of(J))
 
 
-def columns_of(problem: Problem, own: Array, axes: int) -> Columns:
+def columns_of(problem: Problem, own: Array, axes: int) -> FactoredJacobian:
     """Return derivatives, the last axes of own (m, c + axes) by the robot's smooth errors."""
     nothing = np.empty((len(problem.poses), 0))
     shared, both = (problem.smooth, problem.smooth_products) if axes else (nothing, nothing)
-    return Columns(own, shared, both, axes, [at.rows for at in problem.stations],
+    return FactoredJacobian(own, shared, both, axes, [at.rows for at in problem.stations],
                    problem.observations.station)
 
 

@@ -37,7 +37,7 @@ class Stations:
         return values[self.rows]
 
     def every(self, step: int) -> Stations:
-        """Return each so manieth of the stations."""
+        """Return every step-th of the stations."""
         return Stations(self.rows[::step], self.near[::step], self.shared[::step],
                         self.components[:, ::step], self.mixed, self.alone)
 

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.factored import Columns, products
+from handeye_ros.estimation.factored import FactoredJacobian, products
 from handeye_ros.estimation.influence import groups
 from handeye_ros.estimation.linalg import from_conditions, from_information, LARGEST_STD
 from hypothesis import given, settings
@@ -11,20 +11,21 @@ import numpy as np
 import pytest
 
 
-def columns(counts: list[int], single: int, axes: int, functions: int, seed: int = 0) -> Columns:
+def columns(counts: list[int], single: int, axes: int, functions: int, seed: int = 0
+            ) -> FactoredJacobian:
     """Return random derivatives of stations with so many rows each."""
     rng = np.random.default_rng(seed)
     station = np.repeat(np.arange(len(counts)), counts)
     shared = rng.normal(size=(len(counts), functions))
-    return Columns(rng.normal(size=(len(station), single + axes)), shared, products(shared), axes,
-                   groups(station), station)
+    local = rng.normal(size=(len(station), single + axes))
+    return FactoredJacobian(local, shared, products(shared), axes, groups(station), station)
 
 
-def spelt_out(made: Columns) -> Array:
+def spelt_out(made: FactoredJacobian) -> Array:
     """Return the derivatives, one by one."""
-    c, shared = made.single, made.shared[made.station]
-    return np.column_stack([made.own[:, :c], *(
-        own * functions for own in made.own[:, c:].T for functions in shared.T)])
+    c, shared = made.single, made.basis[made.station]
+    return np.column_stack([made.local[:, :c], *(
+        own * functions for own in made.local[:, c:].T for functions in shared.T)])
 
 
 @settings(max_examples=60, deadline=None)
