@@ -2,9 +2,9 @@
 The best-fit transform under model error, (9) of estimator.md.
 
 Where a robot errs differently from station to station, or a sensor's field is bent, no transform
-is right. The one that maps the points of the field of view at all stations nearest to where they are,
-but for a motion of the target, is another than that of the mount. How far it lies from the answer
-follows from the nuisance parameters, and it is part of the reported covariance.
+is right. The one that maps the points of the field of view best, at all stations and but for a
+motion of the target, is another than that of the mount. How far it lies from the answer follows
+from the nuisance parameters, and it is part of the reported covariance.
 """
 from __future__ import annotations
 
