@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MINIMUM = 12  # configurations
-SMOOTH = 1e-4  # 1 sigma of what is left of the robot's error, each axis (m)
+SMOOTH = 2e-4  # 1 sigma of what is left of the robot's error, each axis (m)
 ROUNDS, SETTLED = 6, 0.02  # of estimating sizes and noise; relative change that ends them
 POOLED = 4.0  # degrees of freedom with which the noise of all axes counts for each
 LEAST_NOISE = 1e-6  # rounding of the values (m)

@@ -140,3 +140,13 @@ def _levers(chain: Chain, q: Array) -> dict[int, Array]:
     flange = (T @ chain.end)[:, :3, 3]
     return {j: (se3.cross(flange - frames[j][0], DOWN) * frames[j][1]).sum(axis=1)
             for j in SAGGING if j < len(frames)}
+
+
+def one_configuration(arm: Arm, q: Array) -> bool:
+    """Tell whether a six-axis arm stays on one side of all its singular configurations."""
+    chain = arm.chain
+    if len(chain.joints) != 6 or any(joint.kind != REVOLUTE for joint in chain.joints):
+        return False
+    own = parameters(chain, (OFFSET,))
+    _, J = Arm(chain, own, np.zeros(6)).with_twists(q)
+    return len(np.unique(np.sign(np.linalg.det(J)))) == 1

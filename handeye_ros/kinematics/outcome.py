@@ -15,7 +15,7 @@ from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.kinematics.answer import Answer, ModelErrors
 from handeye_ros.kinematics.causes import cause_of
-from handeye_ros.kinematics.chain import Chain, REVOLUTE
+from handeye_ros.kinematics.chain import Chain
 from handeye_ros.kinematics.errors import (
     ContradictionError,
     DegenerateConfigurationsError,
@@ -27,7 +27,7 @@ from handeye_ros.kinematics.estimate import (
     with_arm,
     without_outliers,
 )
-from handeye_ros.kinematics.model import Arm, GEOMETRY, OFFSET, parameters
+from handeye_ros.kinematics.model import Arm, GEOMETRY, OFFSET, one_configuration, parameters
 from handeye_ros.kinematics.points import Points
 from handeye_ros.kinematics.starts import first_fit
 from handeye_ros.threads import single_threaded
@@ -37,6 +37,8 @@ from numpy.typing import NDArray
 REGIONS = 8  # of the joint space, each left out once
 FEWEST_OF_REGION = 3
 FOLD_ROUNDS = 2
+MOST_FREEDOM = 6  # conditions of a stop that are independent: a pose has no more
+MOST_SHARE = 0.8  # of the conditions that a fit takes
 HOPELESS = 20.0  # times the limit of a corrected arm: no arm is so inaccurate
 LARGEST_TURN, LARGEST_SHIFT = 0.02, 0.01  # 1 sigma of the sensor's place (rad, m)
 
@@ -125,6 +127,7 @@ def solve(start: Fit, more: Sequence[str], limit: float, cause: Callable[[], str
     for model in models[1:]:
         chosen = model if _better(model, chosen) else chosen
     wide, covariance = stated_covariance(richest, chosen.fit.state)
+    covariance = covariance * _misfit(models[-1])
     return Outcome(models, chosen, covariance, _known(chosen.fit), wide.smooth_rms,
                    tuple(_warnings(models, chosen)))
 
@@ -168,6 +171,19 @@ def _better(model: Model, simpler: Model) -> bool:
     return bool(gain.mean() > gain.std() / len(gain) ** 0.5)
 
 
+def _misfit(model: Model) -> float:
+    """
+    Return the variance of left-out errors over that which the fit promises, at least 1.
+
+    Of a fit that takes the share h of its conditions it is (1 + h) / (1 - h) times that of the
+    residuals; what is beyond are errors of the arm that the model does not hold.
+    """
+    fit, J = model.fit, model.fit.jacobian[model.fit.rows]
+    conditions = np.minimum(np.bincount(fit.data.block[fit.rows]), MOST_FREEDOM).sum()
+    h = min(float(np.einsum('mi,mi->', J @ fit.covariance, J)) / conditions, MOST_SHARE)
+    return max(1.0, (model.left_out_rms / fit.noise_rms) ** 2 * (1 - h) / (1 + h))
+
+
 def _known(fit: Fit) -> Array:
     """Return the sigma over the prior (k,) of the parameters, both as configured."""
     first, arm = fit.data.unknowns, fit.state.arm
@@ -200,16 +216,6 @@ def _warnings(models: Sequence[Model], chosen: Model) -> list[str]:
         told.append('all poses are of one configuration of elbow and wrist: others make more of '
                     'the joints known')
     return told
-
-
-def one_configuration(arm: Arm, q: Array) -> bool:
-    """Tell whether a six-axis arm stays on one side of all its singular configurations."""
-    chain = arm.chain
-    if len(chain.joints) != 6 or any(joint.kind != REVOLUTE for joint in chain.joints):
-        return False
-    own = parameters(chain, (OFFSET,))
-    _, J = Arm(chain, own, np.zeros(6)).with_twists(q)
-    return len(np.unique(np.sign(np.linalg.det(J)))) == 1
 
 
 def answer_of(outcome: Outcome, calibration: Calibration, inputs: Sequence[dict[str, str]],
