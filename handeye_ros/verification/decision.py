@@ -19,7 +19,6 @@ from handeye_ros.verification.fixed_fit import FixedFit
 from handeye_ros.verification.verification import K, Quantity, StationResult
 import numpy as np
 import scipy.linalg
-from scipy.special import ndtri
 
 SENSITIVE = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % where false alarms are 5 %
 NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
@@ -115,8 +114,8 @@ def _failed(quantities: Sequence[Quantity], stations: Sequence[StationResult],
     failed = [f'{q.name} is off by {_shown(q.error, q.unit)} ± {_shown(q.expanded, q.unit)} '
               f'(k = {K:g})' for q in quantities
               if q.error is not None and abs(q.error) - q.expanded > tolerances.of(q.unit)]
-    sigmas = float(ndtri(1 - 0.025 / max(len(stations), 1)))  # of the largest of so many
-    far = [s for s in stations if s.used and s.distance - sigmas * s.std > tolerances.length]
+    far = [s for s in stations if s.used and K * s.std <= tolerances.length
+           and s.distance - K * s.std > tolerances.length]
     if far:
         worst = max(far, key=lambda s: s.distance)
         failed.append(f'points of {len(far)} of {len(stations)} stops lie up to '
@@ -127,7 +126,7 @@ def _failed(quantities: Sequence[Quantity], stations: Sequence[StationResult],
 def _implied(found: FixedFit, tolerances: Tolerances) -> list[str]:
     """Return a sentence when the points show that the calibration is off by more."""
     if found.p_no_error > SIGNIFICANT or (
-            found.implied - NORMAL_95 * found.implied_std <= tolerances.length):
+            found.implied - ONE_SIDED_95 * found.implied_std <= tolerances.length):
         return []
     return [f'the pattern of the distances matches a calibration error of {mm(found.implied)} ± '
             f'{mm(K * found.implied_std)} (k = {K:g}) at the points']

@@ -41,10 +41,10 @@ class BadCovarianceError(InputError):
 class NotTheArtefactError(DataError):
     """Points that do not have the shape of the artefact, whatever the calibration."""
 
-    def __init__(self, routine: str, rms: float) -> None:
+    def __init__(self, routine: str, distance: float) -> None:
         super().__init__(
-            f'this is not what "{routine}" measures: no error of the calibration brings the '
-            f'points closer than {mm(rms)} RMS to its shape. Check which artefact stood under the '
+            f'this is not what "{routine}" measures: no error of the calibration brings all '
+            f'points closer than {mm(distance)} to its shape. Check what stood under the '
             'sensor, that it did not move, and that nothing else was in sight (--near)')
 
 

@@ -58,9 +58,9 @@ def verify(routine: Routine, bags: Sequence[Seen], calibration: Calibration, con
     used, shape, found, left_out = _agreeing(routine, seen, X, calibration, config, nominal)
     if found.p_error < FOREIGN and routine.target != TEETH:
         freed, _ = refit(used, X, calibration.covariance, config.noise, shape, nominal)
-        rms = float(np.sqrt((freed.distances ** 2).mean()))
-        if freed.p_error < FOREIGN and rms > tolerances.length:
-            raise NotTheArtefactError(routine.name, rms)
+        largest = float(np.abs(freed.distances).max())
+        if freed.p_error < FOREIGN and largest > tolerances.length:
+            raise NotTheArtefactError(routine.name, largest)
     quantities = (*_quantities(routine, found, shape.nominals),
                   *routine.spread(used, X, found))
     stations = _station_results(seen, used, found, left_out, tolerances)
