@@ -17,7 +17,7 @@ SMALLEST, LARGEST = 5e-5, 4e-3  # radius of a rounding (m)
 RADII = np.geomspace(SMALLEST, LARGEST, 40)[:, None]  # of roundings that are tried
 SLOPES = np.geomspace(0.6, 1.7, 8)[:, None]  # of bevels
 STEEPEST = 0.97  # sine of the slope where an arc ends that is fitted: no light comes back beyond
-ALONG_DOUBT = 0.3  # 1 sigma of where a point lies along the laser line, in columns
+ALONG_STD = 0.3  # 1 sigma of where a point lies along the laser line, in columns
 STRAY = 3.0  # sigmas beyond which a point counts ever less: near the rim most are wrong
 LOW = 2.0  # sigmas below the face line, where points tell of a bend
 STEPS = 6  # of fitting where a bend begins
@@ -100,7 +100,7 @@ def _fitted(u: Array, v: Array, pitch: float, noise: float) -> _Fits:
     for _ in range(STEPS):
         depth, slope = _shapes(u - begin)
         off = v - depth
-        variance = noise ** 2 + (ALONG_DOUBT * pitch * slope) ** 2
+        variance = noise ** 2 + (ALONG_STD * pitch * slope) ** 2
         strays = off ** 2 / (variance * STRAY ** 2)
         weights = 1 / (variance * (1 + strays))
         steep = weights * slope

@@ -17,19 +17,19 @@ from handeye_ros.profiles.segment import returned, Segment
 import numpy as np
 from numpy.typing import NDArray
 
-WALL_LEAN = 0.45  # largest |tangent| between a wall in the profile and the face's normal
+WALL_SLOPE = 0.45  # largest |tangent| between a wall in the profile and the face's normal
 SMALLEST_WALL = 1.2e-3  # of a wall in sight, from the face down (m)
 WALL_POINTS = 4
-BEND_SIGMAS = 2.0  # an end that is lower than this is bent
+ROUNDED_SIGMAS = 2.0  # an end that is lower than this is bent
 FLAT_SIGMAS = 3.0  # below the face line, up to which its points are on it
-STEEPEST_BEND = 1.5  # slope of a bent end from where it leaves the face line
-SHORTEST_BEND = 20  # points of the face before its last one that may be bent
+STEEPEST_ROUNDING = 1.5  # slope of a bent end from where it leaves the face line
+SHORTEST_ROUNDING = 20  # points of the face before its last one that may be bent
 RIM_SHARE, LARGEST_RIM = 4, 3  # of a bent end: its last points, where hardly any light comes back
-LOST_DOUBT = 0.17  # 1 sigma of what lost points do to an edge, in columns
+LOST_STD = 0.17  # 1 sigma of what lost points do to an edge, in columns
 LAST_POINTS = 3  # that tell how deep the end lies
 MOST_STRAY = 2  # points between two levels that only straddle the edge
 MOST_MIXED = 16  # points between two levels: a wider transition is a surface
-RAMP_DOUBT = 0.1  # 1 sigma of where the edge is within a wide transition, of its width
+RAMP_STD = 0.1  # 1 sigma of where the edge is within a wide transition, of its width
 
 
 def wall_edge(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
@@ -50,7 +50,7 @@ def wall_edge(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
     u, v = u[low], v[low]
     mean, spread = float(v.mean()), float(v.std())
     lean = float((v - mean) @ (u - u.mean())) / len(v) / spread ** 2
-    if abs(lean) > WALL_LEAN:
+    if abs(lean) > WALL_SLOPE:
         return None
     scatter = float((u - u.mean() - lean * (v - mean)).std()) + end.column / 12 ** 0.5
     std = scatter * np.sqrt((1 + (mean / spread) ** 2) / len(v))
@@ -83,11 +83,11 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: str
     last = max(float(u[-1]), flat)
     mixed, width = _transition(end, int(plate[-1]), ground)
     place = last + (step * (1 + mixed) / 2 if not width else pitch * width)
-    std = math.sqrt(pitch ** 2 * ((1 + min(mixed, 2)) ** 2 / 12 + LOST_DOUBT ** 2)
-                    + (RAMP_DOUBT * pitch * 2 * width) ** 2)
+    std = math.sqrt(pitch ** 2 * ((1 + min(mixed, 2)) ** 2 / 12 + LOST_STD ** 2)
+                    + (RAMP_STD * pitch * 2 * width) ** 2)
     edge = edge_point(end.frame, place, std, kind)
     lowest = sum(v[-LAST_POINTS:].tolist()) / LAST_POINTS
-    if lowest < BEND_SIGMAS * segment.noise / LAST_POINTS ** 0.5:
+    if lowest < ROUNDED_SIGMAS * segment.noise / LAST_POINTS ** 0.5:
         return edge
     return _rounded(end, edge, rows, place, last - flat)
 
@@ -95,13 +95,13 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: str
 def _rounded(end: End, edge: EdgePoint, rows: NDArray[np.intp], place: float, beyond: float
           ) -> EdgePoint:
     """Return an edge at a place, with its rounding; beyond: how far the end leads outwards."""
-    segment, before = end.segment, max(2 * len(rows), SHORTEST_BEND)
+    segment, before = end.segment, max(2 * len(rows), SHORTEST_ROUNDING)
     believed = rows[:len(rows) - min(len(rows) // RIM_SHARE, LARGEST_RIM)]
     rows = np.concatenate([segment.rows[::end.outward][-before:], believed])
     rounding = rounding_of(*end.along_and_below(rows), place,
                            end.column * math.hypot(1.0, segment.slope), segment.noise)
     # what goes down without going out is no bend, but a wall that is hardly seen
-    depth = min(rounding.depth, STEEPEST_BEND * beyond + FLAT_SIGMAS * segment.noise)
+    depth = min(rounding.depth, STEEPEST_ROUNDING * beyond + FLAT_SIGMAS * segment.noise)
     out, below = rounding.middle
     arc = (out - place) * end.frame.along + below * end.frame.below
     return replace(edge, drop=depth * end.frame.below, shapes=rounding.shapes, arc=arc,

@@ -13,7 +13,7 @@ import math
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
 from handeye_ros.profiles.continuation import continuation, End, MOST_LOST, Returns
-from handeye_ros.profiles.edges import edge_point, end_edge, std_at, wall_edge, WALL_LEAN
+from handeye_ros.profiles.edges import edge_point, end_edge, std_at, wall_edge, WALL_SLOPE
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.profiles.lines import face_line, on_line, white_std
 from handeye_ros.profiles.segment import returned, Segment, segments_among, straight_segments
@@ -150,7 +150,7 @@ def _is_bevel(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
     if math.dist(*ends.tolist()) > LARGEST_BEVEL:
         return False
     u, v = end.frame.of(ends)
-    return bool(v[1] - v[0] > 0 and abs(u[1] - u[0]) > WALL_LEAN * (v[1] - v[0]))
+    return bool(v[1] - v[0] > 0 and abs(u[1] - u[0]) > WALL_SLOPE * (v[1] - v[0]))
 
 
 def _kind(end: End, other: Segment | None, rows: NDArray[np.intp]) -> str:

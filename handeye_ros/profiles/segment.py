@@ -25,9 +25,9 @@ MOST_NOISE = 30.0  # times the configured noise: more is no surface
 STEEPEST = 4.0  # slope of a surface from which light still comes back
 MOST_JUMPS = 0.1  # of all steps from point to point, that do not yet make a profile cluttered
 NEIGHBOURS, FEWEST_NEIGHBOURS = 5, 4  # on either side of a point, and of all near its range
-BEND_POINTS = 5  # at an end, whose mean tells whether it is bent
-BEND_SIGMAS = 3.0
-LARGEST_BEND = 6  # a bent end has at most one part in so many of the points
+END_POINTS = 5  # at an end, whose mean tells whether it is bent
+ROUNDED_SIGMAS = 3.0
+LARGEST_END = 6  # a bent end has at most one part in so many of the points
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +159,7 @@ def _segment(rows: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> 
     inner = slice(margin, len(rows) - margin)
     offset, slope, residual, noise = _fit_with_noise(x, z, inner)
     noise = max(noise, least_noise)
-    first, last = _bent_end(residual, noise), _bent_end(residual[::-1], noise)
+    first, last = _rounded_end(residual, noise), _rounded_end(residual[::-1], noise)
     if max(first, last) > margin:
         inner = slice(max(margin, first), len(rows) - max(margin, last))
         offset, slope, _, noise = _fit_with_noise(x, z, inner)
@@ -182,11 +182,11 @@ def _fit_with_noise(x: Array, z: Array, inner: slice) -> tuple[float, float, Arr
     return mean_z - slope * mean_x, slope, dz, math.sqrt(own @ own / max(count - 2, 1))
 
 
-def _bent_end(residual: Array, noise: float) -> int:
+def _rounded_end(residual: Array, noise: float) -> int:
     """Return how many residuals (n,) from the first on together say that the end is bent."""
-    most, least = len(residual) // LARGEST_BEND // BEND_POINTS, BEND_SIGMAS * noise
-    if abs(sum(residual[:BEND_POINTS].tolist())) / BEND_POINTS <= least / BEND_POINTS ** 0.5:
+    most, least = len(residual) // LARGEST_END // END_POINTS, ROUNDED_SIGMAS * noise
+    if abs(sum(residual[:END_POINTS].tolist())) / END_POINTS <= least / END_POINTS ** 0.5:
         return 0  # as it is mostly
-    sums = np.add.reduce(residual[:most * BEND_POINTS].reshape(most, BEND_POINTS), axis=1)
-    off = np.abs(sums / BEND_POINTS) > least / BEND_POINTS ** 0.5
-    return BEND_POINTS * (int(off.argmin()) if not off.all() else most)
+    sums = np.add.reduce(residual[:most * END_POINTS].reshape(most, END_POINTS), axis=1)
+    off = np.abs(sums / END_POINTS) > least / END_POINTS ** 0.5
+    return END_POINTS * (int(off.argmin()) if not off.all() else most)

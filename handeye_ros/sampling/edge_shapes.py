@@ -13,11 +13,11 @@ from scipy.interpolate import CubicSpline
 FEWEST_EDGES = 3
 SHARPEST = 2.5e-5  # depth of ends that are as good as sharp (m)
 SURE = 8.0  # logarithm of odds: the most that one end says against a shape
-SHAPE_DOUBT = 0.2  # 1 sigma of a radius or of the legs of a bevel, relative: it may be an ellipse
-SLANT_DOUBT = 0.1  # the same of the radius that a laser sees that crosses at a slant
+SHAPE_STD = 0.2  # 1 sigma of a radius or of the legs of a bevel, relative: it may be an ellipse
+SLANT_STD = 0.1  # the same of the radius that a laser sees that crosses at a slant
 NOTHING = [np.zeros(len(RADII) + 1)]  # said of the shape
-OBLIQUE_DOUBT = 0.03  # the same of the radius: a laser that crosses at a slant sees an ellipse
-DEPTH_DOUBT = 1.5e-5  # 1 sigma of the depth of an end (m)
+OBLIQUE_STD = 0.03  # the same of the radius: a laser that crosses at a slant sees an ellipse
+DEPTH_STD = 1.5e-5  # 1 sigma of the depth of an end (m)
 FINER = 8  # steps from one radius that was tried to the next
 SHALLOWEST = 1e-6  # middle of an arc (m)
 
@@ -67,7 +67,7 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     order = np.argsort(depth)
     share = np.cumsum(depth[order] ** 2)
     most = depth[order][np.searchsorted(share, share[-1] / 2)]
-    return EdgeShape(float(np.median(depth[depth > most / 2])), SHAPE_DOUBT, is_round=False)
+    return EdgeShape(float(np.median(depth[depth > most / 2])), SHAPE_STD, is_round=False)
 
 
 def _blurred(shapes: Array) -> Array:
@@ -77,7 +77,7 @@ def _blurred(shapes: Array) -> Array:
     A laser that crosses at a slant sees an ellipse: other radii nearby are as likely.
     """
     logs = np.log(RADII[:, 0])
-    kernel = -0.5 * ((logs[:, None] - logs) / SLANT_DOUBT) ** 2
+    kernel = -0.5 * ((logs[:, None] - logs) / SLANT_STD) ** 2
     radii = np.logaddexp.reduce(kernel + shapes[:-1], axis=1)
     radii += shapes[:-1].max() - radii.max()
     return np.asarray(np.maximum(np.append(radii, shapes[-1]), -SURE))
@@ -91,7 +91,7 @@ def _radius(told: Array) -> tuple[float, float]:
     weights = np.exp(likely - likely.max())
     mean = float(weights @ logs / weights.sum())
     spread = float(weights @ (logs - mean) ** 2 / weights.sum()) ** 0.5
-    return float(np.exp(mean)), float(np.hypot(spread, SHAPE_DOUBT))
+    return float(np.exp(mean)), float(np.hypot(spread, SHAPE_STD))
 
 
 def _moved(feature: Feature, shape: EdgeShape) -> Feature:
@@ -115,7 +115,7 @@ def _from_arc(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
     below = edge.arc - back * edge.direction
     depth = min(max(float(np.hypot(*below)), SHALLOWEST), radius)
     out = reach(radius, depth)
-    std = np.sqrt(edge.std ** 2 + edge.arc_std ** 2 + (OBLIQUE_DOUBT * radius) ** 2)
+    std = np.sqrt(edge.std ** 2 + edge.arc_std ** 2 + (OBLIQUE_STD * radius) ** 2)
     return replace(edge, point=edge.point + (back + radius - out) * edge.direction, drop=below,
                    std=float(std), shape_std=shape.doubt * radius * (1 - depth / out))
 
@@ -126,13 +126,13 @@ def _from_end(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
 
     A bevel sends light back as a whole or not at all, and leads as far outwards as down.
     """
-    size, depth = shape.size, min(max(edge.bevel, DEPTH_DOUBT), shape.size)
+    size, depth = shape.size, min(max(edge.bevel, DEPTH_STD), shape.size)
     if shape.is_round:
         out = reach(size, depth)
-        by_depth, share = (size - depth) / out * DEPTH_DOUBT, 1 - depth / out
+        by_depth, share = (size - depth) / out * DEPTH_STD, 1 - depth / out
     else:
         share = float(np.clip(1.5 - 2 * depth / size, 0.0, 1.0))
         out, by_depth = (1 - share) * size, 0.0
-    std = np.sqrt(edge.std ** 2 + by_depth ** 2 + (OBLIQUE_DOUBT * size) ** 2)
+    std = np.sqrt(edge.std ** 2 + by_depth ** 2 + (OBLIQUE_STD * size) ** 2)
     return replace(edge, point=edge.point + (size - out) * edge.direction, std=float(std),
                    shape_std=shape.doubt * size * share)
