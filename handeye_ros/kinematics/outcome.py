@@ -181,7 +181,7 @@ def _misfit(model: Model) -> float:
     fit, J = model.fit, model.fit.jacobian[model.fit.rows]
     conditions = np.minimum(np.bincount(fit.data.block[fit.rows]), MOST_FREEDOM).sum()
     h = min(float(np.einsum('mi,mi->', J @ fit.covariance, J)) / conditions, MOST_SHARE)
-    return max(1.0, (model.left_out_rms / fit.noise_rms) ** 2 * (1 - h) / (1 + h))
+    return max(1.0, float((model.left_out_rms / fit.noise_rms) ** 2 * (1 - h) / (1 + h)))
 
 
 def _known(fit: Fit) -> Array:

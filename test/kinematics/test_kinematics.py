@@ -204,8 +204,10 @@ def wrong(cell, name):
 
 
 @pytest.mark.parametrize('words', [
-    'joint_5 seems to turn the other way', 'stated as degrees', 'counted from the horizontal',
-    'set calibration_type to eye_in_hand'])
+    'joint_5 seems to turn the other way',
+    *(pytest.param(words, marks=pytest.mark.thorough) for words in (
+        'stated as degrees', 'counted from the horizontal',
+        'set calibration_type to eye_in_hand'))])
 def test_joint_values_that_contradict_the_points_are_named(solved, words):
     with pytest.raises(Exception, match=words):
         solve_points(wrong(solved[0], words), solved[0].arm.chain, (), 1e-3)
@@ -255,6 +257,7 @@ def test_a_solve_with_the_corrected_arm_gives_the_same_transform(from_bag):
     np.testing.assert_allclose(after.T_flange_sensor, before.T_flange_sensor, atol=2e-5)
 
 
+@pytest.mark.thorough
 def test_proposed_configurations_see_the_same_in_other_postures(from_bag):
     folder, _ = from_bag
     done = handeye('kinematics', ROOT / 'bags/arm', '--urdf', ROOT / 'bags/arm/robot.urdf',
