@@ -28,7 +28,7 @@ FLOORS = (
     ('sampling', 'files', 'scanning', 'verification', 'guidance'),
     ('diagnosis',),
     ('pipeline',),
-    ('comparison', 'kinematics'),
+    ('comparison', 'kinematics', 'batch'),
     ('cli', 'ros'),
     ('__main__',),
 )

@@ -4,6 +4,7 @@ Every verb of the command `handeye`, each of which wraps one function of the lib
 One file per group of verbs; importing it here makes its verbs known.
 """
 from handeye_ros.cli import (
+    batch,
     calibrate,
     check,
     kinematics,
@@ -16,5 +17,5 @@ from handeye_ros.cli import (
 )
 from handeye_ros.cli.app import app
 
-__all__ = ['app', 'calibrate', 'check', 'kinematics', 'recordings', 'results', 'scan', 'seam',
-           'session', 'verify']
+__all__ = ['app', 'batch', 'calibrate', 'check', 'kinematics', 'recordings', 'results', 'scan',
+           'seam', 'session', 'verify']

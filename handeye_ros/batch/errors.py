@@ -1,0 +1,36 @@
+"""What a batch refuses."""
+from __future__ import annotations
+
+from handeye_ros.errors import DataError, InputError
+
+
+class NoDaskError(InputError):
+    """A batch without the libraries that distribute it."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f'batch needs {name}, which is not installed: pip install '
+                         '"handeye_ros[batch]"')
+
+
+class NoSchedulerError(InputError):
+    """A scheduler that does not answer."""
+
+    def __init__(self, address: str) -> None:
+        super().__init__(f'no Dask scheduler answers at {address}: start one with "dask '
+                         'scheduler" and workers with "dask worker ADDRESS --nthreads 1"')
+
+
+class JobListError(InputError):
+    """A list of jobs that cannot be read."""
+
+    def __init__(self, path: object, reason: str) -> None:
+        super().__init__(f'{path}: {reason}; expected a CSV or YAML list with bag and, if wanted, '
+                         'label, config, settings, args')
+
+
+class NoJobsError(DataError):
+    """Sources without a recording."""
+
+    def __init__(self, sources: object) -> None:
+        super().__init__(f'no recording in {sources}: give bags, folders of bags, or a CSV or '
+                         'YAML list of them')

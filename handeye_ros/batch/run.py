@@ -1,0 +1,84 @@
+"""Jobs on the workers of Dask: as many at once as there are, each row as it comes."""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+import csv
+from functools import partial
+from itertools import islice
+import os
+from pathlib import Path
+from typing import Any
+
+from handeye_ros.batch.errors import NoDaskError, NoSchedulerError
+from handeye_ros.batch.jobs import CRASHED, Job, Row, run, Verb
+
+AHEAD = 4  # jobs for each worker that are handed over before others are done
+
+
+@contextmanager
+def client_of(scheduler: str, dashboard: bool = False) -> Iterator[Any]:
+    """
+    Give a client of Dask: of a cluster of this machine (`local`), or of one that is there.
+
+    Raises NoDaskError, NoSchedulerError.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise NoDaskError('distributed') from error
+    if scheduler == 'local':
+        with LocalCluster(n_workers=len(os.sched_getaffinity(0)), threads_per_worker=1,
+                          dashboard_address=':8787' if dashboard else None,
+                          silence_logs=50) as cluster, Client(cluster) as client:
+            yield client
+        return
+    try:
+        client = Client(scheduler, timeout=10)
+    except (OSError, ValueError) as error:
+        raise NoSchedulerError(scheduler) from error
+    with client:
+        yield client
+
+
+def rows_of(client: Any, jobs: Sequence[Job], out: Path, verb: Verb) -> Iterator[Row]:
+    """Yield the row of each job as it is done; a worker that dies costs its job alone."""
+    from distributed import as_completed
+    waiting = iter(jobs)
+    submit: Callable[[Job], Any] = partial(_submitted, client, out, verb)
+    running = {submit(job): job for job in islice(
+        waiting, AHEAD * max(len(client.scheduler_info()['workers']), 1))}
+    done = as_completed(running)
+    for future in done:
+        job = running.pop(future)
+        error = future.exception()
+        yield future.result() if error is None else {
+            'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': CRASHED,
+            'cause': f'{type(error).__name__}: {error}', 'computed': True}
+        for following in islice(waiting, 1):
+            another = submit(following)
+            running[another] = following
+            done.add(another)
+
+
+def _submitted(client: Any, out: Path, verb: Verb, job: Job) -> Any:
+    return client.submit(run, job, out, verb, pure=False)
+
+
+def write_rows(rows: Sequence[Row], folder: Path) -> None:
+    """Write results.csv and results.parquet; raises NoDaskError."""
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError as error:
+        raise NoDaskError('pyarrow') from error
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    full = [{name: row.get(name) for name in names}
+            for row in sorted(rows, key=lambda row: str(row['label']))]
+    parquet.write_table(pyarrow.Table.from_pylist(full), folder / 'results.parquet.part')
+    with (folder / 'results.csv.part').open('w', newline='', encoding='utf-8') as stream:
+        writer = csv.DictWriter(stream, names)
+        writer.writeheader()
+        writer.writerows(full)
+    for name in ('results.csv', 'results.parquet'):
+        (folder / f'{name}.part').replace(folder / name)

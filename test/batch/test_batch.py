@@ -1,0 +1,115 @@
+"""Many recordings through one verb: rows, what is computed again, and what a lost worker costs."""
+from __future__ import annotations
+
+import csv
+import json
+import os
+from pathlib import Path
+
+from command import assert_refused, handeye
+from handeye_ros.batch.errors import JobListError, NoJobsError
+from handeye_ros.batch.jobs import CRASHED, Job, jobs_of, run
+from handeye_ros.batch.report import write_report
+from handeye_ros.batch.run import client_of, rows_of, write_rows
+import pytest
+
+pytest.importorskip('distributed')
+parquet = pytest.importorskip('pyarrow.parquet')
+
+
+def pretended(words: list[str]) -> int:
+    """Do as a verb does, by what the recording holds; counts how often it ran."""
+    bag, out = Path(words[1]), Path(words[words.index('--out') + 1])
+    text = bag.read_text()
+    with bag.with_suffix('.runs').open('a') as stream:
+        stream.write('x')
+    if text == 'kill':
+        os._exit(9)
+    if text == 'crash':
+        raise ZeroDivisionError('a fault')
+    if text == 'refuse':
+        import sys
+        print('error: no target was seen', file=sys.stderr)
+        return 3
+    (out / 'calibration.yaml').write_text(f'method: plate\nquality: {{residual_rms: {text}}}\n')
+    return 0
+
+
+@pytest.fixture(scope='module')
+def client():
+    with client_of('local') as client:
+        yield client
+
+
+def recordings(folder: Path) -> list[Path]:
+    """Return files that stand for recordings: ten good ones, and one of each that is not."""
+    texts = {f'good{k}': f'{k}.0e-05' for k in range(10)}
+    texts |= {'killing': 'kill', 'crashing': 'crash', 'refused': 'refuse'}
+    for name, text in texts.items():
+        (folder / f'{name}.mcap').write_text(text)
+    return sorted(folder.glob('*.mcap'))
+
+
+def test_each_job_costs_itself_and_is_computed_once(client, tmp_path):
+    files = recordings(tmp_path)
+    jobs = jobs_of([tmp_path], Job('', '', 'solve'))
+    assert [job.label for job in jobs] == [file.stem for file in files]
+    rows = {row['label']: row for row in rows_of(client, jobs, tmp_path / 'out', pretended)}
+    assert len(rows) == len(files)
+    assert {name: row['exit_code'] for name, row in rows.items() if row['exit_code']} == {
+        'killing': CRASHED, 'crashing': CRASHED, 'refused': 3}
+    assert rows['refused']['cause'] == 'no target was seen'
+    assert rows['crashing']['cause'] == 'ZeroDivisionError: a fault'
+    assert 'worker' in rows['killing']['cause'].lower()
+    assert rows['good7']['residual_rms'] == 7e-5
+    (tmp_path / 'good3.mcap').write_text('1.0')
+    again = {row['label']: row for row in rows_of(
+        client, [job for job in jobs if job.label != 'killing'], tmp_path / 'out', pretended)}
+    assert [name for name, row in again.items() if row['computed']] == ['good3']
+    assert again['good3']['residual_rms'] == 1.0
+    assert (tmp_path / 'good7.runs').read_text() == 'x'
+    assert not list((tmp_path / 'out').glob('.good*')), 'half results are left'
+    write_rows([*rows.values()], tmp_path / 'out')
+    write_report([*rows.values()], tmp_path / 'out' / 'report.html')
+    with (tmp_path / 'out/results.csv').open() as stream:
+        table = list(csv.DictReader(stream))
+    assert [row['label'] for row in table] == sorted(rows)
+    assert parquet.read_table(tmp_path / 'out/results.parquet').num_rows == len(files)
+    page = (tmp_path / 'out/report.html').read_text()
+    assert 'no target was seen' in page and 'good7/output.txt' in page
+
+
+def test_a_result_is_there_whole_or_not_at_all(tmp_path):
+    (tmp_path / 'a.mcap').write_text('1.0')
+    job = Job(str(tmp_path / 'a.mcap'), 'cell/a', 'solve')
+    assert run(job, tmp_path / 'out', pretended)['computed']
+    held = json.loads((tmp_path / 'out/cell/a/job.json').read_text())
+    assert held['key'] == job.key() != Job(job.bag, 'cell/a', 'solve', settings=('a=1',)).key()
+    (tmp_path / 'out/cell/a/job.json').write_text('{"key": ')  # a client that was killed
+    assert run(job, tmp_path / 'out', pretended)['computed']
+
+
+def test_lists_name_their_recordings_relative_to_them(tmp_path):
+    (tmp_path / 'jobs.csv').write_text(
+        'bag,label,settings\na,first,target.radius=0.02 name=x\nb,,\na,first,\n')
+    jobs = jobs_of([tmp_path / 'jobs.csv'], Job('', '', 'solve', config='c.yaml'))
+    assert [job.label for job in jobs] == ['first', 'b', 'first-2']
+    assert jobs[0].settings == ('target.radius=0.02', 'name=x')
+    assert jobs[0].bag == str(tmp_path / 'a') and jobs[1].config == 'c.yaml'
+    (tmp_path / 'jobs.yaml').write_text('- {bag: a, args: sphere --length 0.2}\n')
+    assert jobs_of([tmp_path / 'jobs.yaml'], Job('', '', 'verify'))[0].args == (
+        'sphere', '--length', '0.2')
+    (tmp_path / 'jobs.yaml').write_text('bag: a\n')
+    with pytest.raises(JobListError):
+        jobs_of([tmp_path / 'jobs.yaml'], Job('', '', 'solve'))
+    (tmp_path / 'empty').mkdir()
+    with pytest.raises(NoJobsError):
+        jobs_of([tmp_path / 'empty'], Job('', '', 'solve'))
+
+
+@pytest.mark.once
+def test_a_scheduler_that_is_not_there_is_said(tmp_path):
+    (tmp_path / 'a.mcap').write_text('x')
+    run_ = handeye('batch', 'a.mcap', '--out', 'out', '--scheduler', 'tcp://127.0.0.1:9',
+                   cwd=tmp_path)
+    assert_refused(run_, 2, 'no Dask scheduler answers')
