@@ -29,7 +29,7 @@ def client_of(scheduler: str, dashboard: bool = False) -> Iterator[Any]:
         raise NoDaskError('distributed') from error
     if scheduler == 'local':
         with LocalCluster(n_workers=len(os.sched_getaffinity(0)), threads_per_worker=1,
-                          dashboard_address=':8787' if dashboard else None,
+                          dashboard_address=f'127.0.0.1:{8787 if dashboard else 0}',
                           silence_logs=50) as cluster, Client(cluster) as client:
             yield client
         return
