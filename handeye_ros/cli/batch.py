@@ -11,9 +11,10 @@ VERBS = ('solve', 'verify', 'check', 'compare')
 
 def run_verb(words: list[str]) -> int:
     """Run `handeye WORDS` in this process, and return its exit code."""
-    from handeye_ros.cli.verbs import app as all_verbs
+    from importlib import import_module
+    import_module('handeye_ros.cli.verbs')  # a worker has none yet
     try:
-        all_verbs(words, prog_name='handeye')
+        app(words, prog_name='handeye')
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else int(bool(end.code))
     return 0
