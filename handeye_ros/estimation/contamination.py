@@ -17,6 +17,7 @@ from handeye_ros.estimation.quantiles import chi2_sf
 from handeye_ros.estimation.solution import Solution
 import numpy as np
 
+MANY = 200  # stations from which on this fades, to nothing at twice as many: 0.3 % of a sigma
 SLIPPED = np.repeat([1e-3, 3e-3], 3)  # by how much a wrong one is (m, rad; 1 sigma of each axis)
 WRONG = 0.05  # share of stations that are wrong
 SURE = 100.0  # times as likely as anything else is that the station is wrong which is
@@ -56,13 +57,16 @@ class Contamination:
         return np.asarray(np.tensordot(self.chance, moved, 1))
 
 
-def contamination(solution: Solution, dropped: int) -> Contamination:
+def contamination(solution: Solution, dropped: int) -> Contamination | None:
     """
-    Return which station of a solution may be wrong.
+    Return which station of a solution may be wrong, None of very many: this fades with them.
 
     dropped: how many are known to have been wrong, which makes another one likelier.
     """
     n = len(solution.problem.poses)
+    weight = min(1.0, 2 - n / MANY)
+    if weight <= 0:
+        return None
     known = evaluated(solution.problem, solution.estimate, Noise())
     white = whitening(known.problem, known.linear, known.noise)
     slips = white(known.linear.by_pose * SLIPPED)
@@ -83,7 +87,7 @@ def contamination(solution: Solution, dropped: int) -> Contamination:
         covariances[i] = to_transform @ np.linalg.solve(inside, np.swapaxes(to_transform, 1, 2))
     log_odds += np.log(WRONG + dropped / (n + dropped))
     freedom = max(known.degrees_of_freedom - len(SLIPPED), 1)
-    return Contamination(_probabilities(log_odds), shifts, covariances,
+    return Contamination(weight * _probabilities(log_odds), shifts, covariances,
                      chi2_sf(np.maximum(known.squares - explained, 0.0), freedom))
 
 
