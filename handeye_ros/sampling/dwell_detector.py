@@ -15,7 +15,7 @@ from handeye_ros.checks.frames import frame_notes
 from handeye_ros.config import Config, UNNAMED_FRAME
 from handeye_ros.data import AnyProfile, TimedPose
 from handeye_ros.errors import InputError
-from handeye_ros.sampling.dwells import Dwell, DwellFinder, FOREVER, Motion, NS
+from handeye_ros.sampling.dwells import Dwell, FOREVER, Motion, NS
 from handeye_ros.sampling.errors import (
     LatePosesError,
     MovingError,
@@ -26,7 +26,7 @@ from handeye_ros.sampling.errors import (
     SilentPosesError,
     SparsePosesError,
 )
-from handeye_ros.sampling.passes import PassFinder
+from handeye_ros.sampling.passes import finder_of
 from handeye_ros.sampling.profile_buffer import ProfileBuffer
 from handeye_ros.sampling.stops import beside, Stop, stop_of
 from handeye_ros.sampling.stream import LARGEST_STEP, Stream
@@ -46,8 +46,7 @@ class DwellDetector:
 
     def clear(self) -> None:
         """Forget all that was received."""
-        finder = PassFinder if self._config.sampling.moving else DwellFinder
-        self._finder = finder(self._config.sampling)
+        self._finder = finder_of(self._config.sampling)
         self._waiting: list[Dwell] = []
         self._profiles = ProfileBuffer()
         self._taken: set[int] = set()  # when the stops began that were given
@@ -68,9 +67,10 @@ class DwellDetector:
         return other
 
     def configure(self, config: Config) -> None:
-        """Go on with another configuration."""
-        self._config = config
-        self._finder.sampling = config.sampling
+        """Go on with another configuration; stops and passes are cut out anew from now on."""
+        if config.sampling.moving != self._config.sampling.moving:
+            self._finder = finder_of(config.sampling)
+        self._config, self._finder.sampling = config, config.sampling
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -160,7 +160,7 @@ class DwellDetector:
     def _restarted(self) -> list[Stop]:
         """Go on after a clock was set back; return the stops of the time before."""
         stops = self._rest()
-        self._finder = type(self._finder)(self._config.sampling)
+        self._finder = finder_of(self._config.sampling)
         if self._pose_stream.set_back:
             self._pose_stream.restart()
         if self._profile_stream.set_back:

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from handeye_ros import targets
-from handeye_ros.config import Config
+from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import AnyProfile, Feature, Profile, Sample, TimedPose
 from handeye_ros.errors import DataError, UnusableMessageError
 from handeye_ros.sampling.dwells import DwellFinder, interpolate, NS
@@ -30,6 +30,11 @@ class PassFinder(DwellFinder):
     def _continues(self, pose: TimedPose) -> bool:
         first, gap = self._run[0].stamp, self.sampling.max_pose_gap * NS
         return pose.stamp - first <= PASS and pose.stamp - self._latest <= gap
+
+
+def finder_of(sampling: SamplingConfig) -> DwellFinder:
+    """Return what cuts poses into stops, or into passes of a robot that moves."""
+    return (PassFinder if sampling.moving else DwellFinder)(sampling)
 
 
 def pass_sample(poses: Sequence[TimedPose], messages: Sequence[AnyProfile], config: Config

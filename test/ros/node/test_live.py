@@ -22,6 +22,7 @@ from handeye_ros.sampling import dwells
 from handeye_ros.sampling.errors import BaseFrameError, FlatCrossingError, SilentPosesError
 from handeye_ros.sampling.state import samples_message, status_message
 from handeye_ros.sampling.stream import MOST_REASONS
+from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.measuring import rendered
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.simulate.stations import lift, Stops
@@ -62,6 +63,19 @@ def test_the_answer_is_that_of_the_recording() -> None:
     state = state_of(live)
     assert state.calibration.state == 'current' and state.calibration.text == text
     assert state.calibration.translation == tuple(offline.T_flange_sensor[:3, 3])
+
+
+def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording(tmp_path: Path) -> None:
+    made = simulate(SCENARIOS['small_plate_sweep'], np.random.default_rng(3))
+    config = with_values(Config(), settings(made.scenario) | {
+        'sampling.mode': 'moving', 'output_dir': str(tmp_path)}, 'a test')
+    live = fed(config, made)
+    found, _ = live.compute()
+    offline = pipeline.calibrate(made.profiles, made.poses, config)
+    assert np.allclose(found.T_flange_sensor, offline.T_flange_sensor, atol=1e-9)
+    assert found.time_offset is not None and abs(found.time_offset.value - 0.02) < 3e-4
+    outcomes = live.streams.copied().outcomes
+    assert len(outcomes) > 10 and sum(o.sample is not None for o in outcomes) > 10
 
 
 def test_from_three_samples_on_each_has_its_residuals() -> None:
