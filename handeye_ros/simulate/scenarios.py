@@ -36,12 +36,13 @@ def _sensor(**values: Any) -> SensorModel:
 
 # Recordings that compress well: fewer profiles, numbers in steps of 2^-20 m (1 um).
 SMALL: dict[str, Any] = {'rate': 10.0, 'resolution': 2.0**-20, 'thinning': 2}
+SLOW = SMALL | {'rate': 5.0}
 SMALL_PLATE = replace(PLATE, name='small_plate', sensor=_sensor(**SMALL),
                       robot=replace(PLATE.robot, rate=50.0))
 SMALL_LINE, SMALL_PLANE = (
     replace(scenario, name=f'small_{scenario.name}', robot=SMALL_PLATE.robot,
-            sensor=_sensor(**SMALL, columns=640)) for scenario in (LINE, PLANE))
-COARSE_PLATE = replace(SMALL_PLATE, sensor=_sensor(**SMALL | {'rate': 5.0}, columns=320))
+            sensor=_sensor(**SLOW, columns=640)) for scenario in (LINE, PLANE))
+COARSE_PLATE = replace(SMALL_PLATE, sensor=_sensor(**SLOW, columns=320))
 SMALL_SPHERE = replace(SPHERE, name='small_sphere', robot=SMALL_PLATE.robot,
                        sensor=replace(WIDE, **SMALL, columns=640))
 
