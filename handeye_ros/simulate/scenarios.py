@@ -42,7 +42,7 @@ SMALL_PLATE = replace(PLATE, name='small_plate', sensor=_sensor(**SMALL),
 SMALL_LINE, SMALL_PLANE = (
     replace(scenario, name=f'small_{scenario.name}', robot=SMALL_PLATE.robot,
             sensor=_sensor(**SLOW, columns=640)) for scenario in (LINE, PLANE))
-COARSE_PLATE = replace(SMALL_PLATE, sensor=_sensor(**SLOW, columns=320))
+COARSE_PLATE = replace(SMALL_PLATE, sensor=_sensor(**SLOW, columns=256))
 SMALL_SPHERE = replace(SPHERE, name='small_sphere', robot=SMALL_PLATE.robot,
                        sensor=replace(WIDE, **SMALL, columns=640))
 

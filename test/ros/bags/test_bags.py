@@ -59,7 +59,7 @@ def test_the_reflector_of_the_tracker_is_what_its_truth_says() -> None:
 
 
 def test_the_bags_are_small_and_explained() -> None:
-    assert sum(file.stat().st_size for file in BAGS.rglob('*') if file.is_file()) < 6e6
+    assert sum(file.stat().st_size for file in BAGS.rglob('*') if file.is_file()) < 5e6
     folders = {path.name for path in BAGS.iterdir() if path.is_dir()}
     explained = (BAGS / 'README.md').read_text(encoding='utf-8')
     assert folders == {*NAMES, 'arm'} and all(f'`{name}`' in explained for name in folders)
