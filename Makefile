@@ -43,7 +43,7 @@ test-all:
 	    $(MAKE) --no-print-directory $$part || status=1; done; exit $$status
 
 test-newest:
-	@tools/environment.sh .venv ros,kinematics,test,dev
+	@tools/environment.sh .venv ros,kinematics,batch,test,dev
 	@$(MAKE) --no-print-directory tf2_msgs || true
 	.venv/bin/python $(PYTEST) -n $(WORKERS) $(PYTEST_OPTIONS)
 

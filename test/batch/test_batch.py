@@ -13,8 +13,8 @@ from handeye_ros.batch.report import write_report
 from handeye_ros.batch.run import client_of, rows_of, write_rows
 import pytest
 
-pytest.importorskip('distributed')
-parquet = pytest.importorskip('pyarrow.parquet')
+pytest.importorskip('distributed', reason='needs distributed')
+parquet = pytest.importorskip('pyarrow.parquet', reason='needs pyarrow')
 
 
 def pretended(words: list[str]) -> int:

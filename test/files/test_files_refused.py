@@ -115,7 +115,7 @@ def test_an_answer_beyond_the_limits_is_refused(handeye: Run, tmp_path: Path) ->
                          ('rotation=1e-6', 'the rotation about')):
         told = handeye(*arguments, '--set', f'limits.{limit}')
         refused(told, 3, words, 'take more points, spread over a larger volume')
-    refused(handeye(*arguments, '--set', 'limits.residual=1e-6'), 3, 'samples miss by 0.04')
+    refused(handeye(*arguments, '--set', 'limits.residual=1e-6'), 3, 'samples differ by 0.04')
 
 
 def test_what_we_refuse_others_may_answer(handeye: Run, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ import numpy as np
 import pytest
 import yaml
 
-pinocchio = pytest.importorskip('pinocchio')
+pinocchio = pytest.importorskip('pinocchio', reason='needs pinocchio')
 
 ROOT = Path(__file__).parents[2]
 spec = importlib.util.spec_from_file_location('bench_kinematics', ROOT / 'bench/kinematics.py')

@@ -21,7 +21,7 @@ Q = [0.1, -0.2, 0.3, 0.4, 0.5, -0.6]
 
 
 def test_a_pose_follows_every_joint_state(tmp_path: Path, client: Client) -> None:
-    pytest.importorskip('pinocchio')
+    pytest.importorskip('pinocchio', reason='needs pinocchio')
     urdf = arm.urdf().replace('0 0 0.75', '0.002 0 0.75')
     (tmp_path / 'arm.urdf').write_text(urdf)
     got: list[PoseStamped] = []

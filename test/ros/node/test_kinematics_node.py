@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-pytest.importorskip('pinocchio')
+pytest.importorskip('pinocchio', reason='needs pinocchio')
 
 from command import ROOT  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped  # noqa: E402
