@@ -17,6 +17,7 @@ from handeye_ros.checks.errors import (
 )
 from handeye_ros.config import load, with_values
 from handeye_ros.data import Calibration, Profile, TimedPose
+from handeye_ros.diagnosis.wrong_settings import WrongSettingError
 from handeye_ros.errors import DataError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.sampling.errors import NoPosesError, NoStationsError, TwoFramesError
@@ -233,7 +234,7 @@ def test_profiles_between_the_stops_are_no_matter() -> None:
 @pytest.mark.parametrize(('name', 'error'), [
     ('one_orientation', OneOrientationError), ('tilt_only', OneAxisError),
     ('yaw_only', OneAxisError), ('one_orientation_per_edge', OneAxisError),
-    ('no_target', (LostEdgesError, TooFewEdgesError)),
+    ('no_target', (LostEdgesError, TooFewEdgesError, WrongSettingError)),
     ('nothing_in_sight', TooFewSamplesError)])
 def test_what_carries_no_answer_is_refused(
         name: str, error: type[DataError] | tuple[type[DataError], ...]) -> None:

@@ -39,7 +39,9 @@ class WrongSettingError(NamedCauseError):
     def __init__(self, values: dict[str, str], used: int, stops: int, residual: float) -> None:
         to = ' and '.join(f'{key} to {value}' for key, value in values.items())
         super().__init__(f'the recording does not fit as it is set, but with another setting '
-                         f'{used} of {stops} stops agree within {mm(residual)} RMS: set {to}')
+                         f'{used} of {stops} stops agree within {mm(residual)} RMS: set {to}' + (
+                             '; or, if the target has edges, cross them with the laser, inside '
+                             'the field of view' if values == {'target.type': 'plane'} else ''))
 
 
 def require_settings(session: Session, config: Config) -> None:

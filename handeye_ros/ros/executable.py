@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import os
 import signal
 import sys
@@ -58,7 +58,8 @@ def ros(args: Sequence[str] | None = None, *, interruptible: bool = False) -> It
     try:
         yield
     finally:
-        rclpy.try_shutdown()
+        with suppress(RCLError):  # a signal has done it in between
+            rclpy.try_shutdown()
 
 
 def spin(executor: Executor) -> None:

@@ -124,7 +124,7 @@ def test_further_convention_errors_are_named(
 @pytest.mark.parametrize('target', ['plate', 'sphere'])
 def test_degrees_taken_for_radians_are_named(target: str) -> None:
     made = cell(target, 1)
-    with pytest.raises(ScatteredOrientationsError, match='degrees are taken for radians'):
+    with pytest.raises(ScatteredOrientationsError, match='angles in degrees are read as radians'):
         pipeline.solve(with_poses(made, simulated('degrees')), [], made.config, 'laser')
     assert not orientations_scatter(made.problem.poses)
 
