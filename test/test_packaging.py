@@ -24,7 +24,7 @@ pytestmark = pytest.mark.ros
 
 NAME = 'handeye_ros'
 ROOT = Path(__file__).parents[1]
-EXECUTABLES = {'calibrate', 'handeye', 'publish', 'replay', 'scan'}
+EXECUTABLES = {'calibrate', 'corrected_pose', 'handeye', 'publish', 'replay', 'scan'}
 
 
 def environment() -> dict[str, str]:
