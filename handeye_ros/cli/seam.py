@@ -1,5 +1,6 @@
 """The verb that finds a seam and plans the path along it."""
 from collections.abc import Callable, Sequence
+import math
 from pathlib import Path
 from typing import Annotated, Any, Optional, TYPE_CHECKING
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from handeye_ros.data import Array
     from handeye_ros.scanning.seam import Seam, ToolFrames
 
+NOWHERE = (math.nan, math.nan, math.nan)  # the typer of Jazzy knows no tuple without a value
 NO_BOX = (float('-inf'), float('inf')) * 3
 THINNED = 2e-4  # m: edge of the cubes of which a scan keeps a point
 
@@ -49,7 +51,7 @@ Line = Annotated[str, typer.Option(
     callback=_one_of('auto', 'centre', 'root', 'first', 'second'),
     help='What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
     'centre, root, first or second edge.')]
-Start = Annotated[Optional[tuple[float, float, float]], typer.Option(  # noqa: UP045 - see common.py
+Start = Annotated[tuple[float, float, float], typer.Option(
     metavar='X Y Z', help='A place near the end where the path starts (m).')]
 Programs = Annotated[Optional[list[str]], typer.Option(  # noqa: UP045 - see common.py
     '--robot', callback=_one_of('krl', 'rapid', 'ur'), help='Also write a program: krl (KUKA), '
@@ -74,7 +76,7 @@ def seam(
     travel: Travel = 0.0,
     work: Work = 0.0,
     line: Line = 'auto',
-    start: Start = None,
+    start: Start = NOWHERE,
     taught: TaughtFile = None,
     robot: Programs = None,
     bag: AsBag = False,
@@ -89,7 +91,8 @@ def seam(
     points, frame = _cloud(path, calibration, config, assignments)
     points = points[((points >= box[::2]) & (points <= box[1::2])).all(axis=1)]
     with doing('looking for the seam'):
-        found = find_seam(points, widest, towards, line, start)
+        found = find_seam(points, widest, towards, line,
+                          None if math.isnan(start[0]) else start)
         frames = tool_frames(found, pitch, towards, math.radians(travel), math.radians(work))
     distances = seam_files.against_taught(found, compared) if compared is not None else None
     seam_files.write(out, found, frames, frame, distances)
