@@ -59,7 +59,7 @@ def nothing(rng: np.random.Generator) -> tuple[Array, Array]:
 
 def profile(shape: Shape, noise: float, clutter: float, alike: int, rng: np.random.Generator
             ) -> tuple[Array, Array, Array]:
-    """Return a profile (n, 2), the rows of the feature, and its exact points."""
+    """Return points (n, 2) of a profile, the rows of the feature, and its exact points."""
     rows, exact = shape(rng)
     z = np.where(rng.random(COLUMNS) < clutter, 0.2 + DEPTH * (rng.random(COLUMNS) - 0.5), np.nan)
     error = np.convolve(rng.normal(size=len(rows) + alike), np.ones(alike) / alike ** 0.5, 'valid')

@@ -126,7 +126,7 @@ CONVENTION_ERRORS: dict[str, PoseMap] = {
     'quaternions read as w x y z': PoseMap(
         _wxyz, 'fill x, y, z, w of the message by name, not in the order w x y z'),
     'positions in millimetres': PoseMap(partial(_scaled, factor=1e-3),
-                                     'publish positions in metres'),
+                                        'publish positions in metres'),
     'positions a thousand times larger': PoseMap(
         partial(_scaled, factor=1e3), 'publish positions in metres: these were divided by 1000 '
         'once too often'),

@@ -150,7 +150,6 @@ class MovedError(DataError):
                    f'{frame} became another frame (tool or base of the robot switched); fix the '
                    'target, and take all samples with the same')
 
-
     @classmethod
     def slightly(cls, station: int, total: int, sensor: bool, frame: str, distance: float,
                  turn: float) -> MovedError:

@@ -32,6 +32,6 @@ def lost_edges(agreed: Consensus) -> str:
     shown = int(shows_essential(agreed.whole.subset(agreed.used)).sum())
     part, estimate = agreed.whole.subset(agreed.unused), agreed.solution.estimate
     where = part.method.measures.elsewhere(part.observations, points_in_base(part, estimate.X),
-                                  estimate.target, part.config)
+                                           estimate.target, part.config)
     return (f'the edges of {len(agreed.unused)} of the {shown} samples that show one lie on none '
             'of the target' + (f': {where}' if where else ''))

@@ -41,7 +41,7 @@ def _print_scenarios(wanted: bool) -> None:
 @app.command()
 def simulate(
     scenario: Annotated[str, typer.Argument(help='The name of a scenario; see --list.',
-        autocompletion=lambda: list(_scenarios()))],
+                                            autocompletion=lambda: list(_scenarios()))],
     directory: Annotated[Path, typer.Argument(
         metavar='DIR', help='The folder to make: a bag, or files of measured values.')],
     seed: Annotated[int, typer.Option(min=0, help='Of all random numbers.')] = 0,

@@ -67,7 +67,7 @@ class VerifyConfig:
                      minimum=0.0, maximum=0.1)
     flank: float = key(0.0, "Horizontal way of a tooth's flank (m); 0: a quarter of the pitch.",
                        minimum=0.0, maximum=1.0)
-    certificate: float = key(0.0, "Expanded uncertainty (k = 2) of lengths, radius and reference "
+    certificate: float = key(0.0, 'Expanded uncertainty (k = 2) of lengths, radius and reference '
                              "by the artefact's certificate (m).", minimum=0.0, maximum=0.1)
     near: tuple[float, ...] = key(
         (), 'Only what comes into this ball of the base takes part: x, y, z and radius (m); '

@@ -91,7 +91,7 @@ def _residuals(samples: Sequence[Sample], solution: Solution, config: Config) ->
     method, estimate = solution.problem.method, solution.estimate
     whole = Problem(method, mounted(samples, config), method.features.observe(samples), config)
     labelled = method.geometry.relabel(whole.observations, points_in_base(whole, estimate.X),
-                              estimate.target, config)
+                                       estimate.target, config)
     problem = Problem(method, whole.poses, labelled.select(labelled.kind != UNUSED), config)
     measured = measured_points(samples, problem)
     return _rms(measured, measured.residuals(problem, estimate), len(samples))

@@ -84,7 +84,7 @@ def _without_outliers(system: System[S], state: S, good: NDArray[np.bool_], mini
         left_out = leave_one_out(r[rows], J[rows], covariance, system.block[rows])
         statistic = (r[rows] * left_out).reshape(-1, k).mean(axis=1)
         worst = outliers(statistic / shared_scale(statistic, k), k, len(good),
-                            len(used) - minimum)
+                         len(used) - minimum)
         if not len(worst):
             variance = float(r[rows] @ r[rows] / max(rows.sum() - J.shape[1], 1))
             return Adjusted(state, used, r.reshape(-1, k), left_out.reshape(-1, k),

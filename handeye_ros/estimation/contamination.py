@@ -88,7 +88,7 @@ def contamination(solution: Solution, dropped: int) -> Contamination | None:
     log_odds += np.log(WRONG + dropped / (n + dropped))
     freedom = max(known.degrees_of_freedom - len(SLIPPED), 1)
     return Contamination(weight * _probabilities(log_odds), shifts, covariances,
-                     chi2_sf(np.maximum(known.squares - explained, 0.0), freedom))
+                         chi2_sf(np.maximum(known.squares - explained, 0.0), freedom))
 
 
 def _probabilities(log_odds: Array) -> Array:

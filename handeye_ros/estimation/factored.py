@@ -70,7 +70,7 @@ class FactoredJacobian:
                           + (self.local[:, c:] * at_station[self.station]).sum(axis=1))
 
     def change(self, x: Array, rows: NDArray[np.intp]) -> Array:
-        """Return the change (s, count) of the residuals of s stations, rows (s, count)."""
+        """Return by how much residuals (s, count) of s stations' rows change."""
         c, (local, functions) = self.single, self.blocks(rows)
         by_axes = functions @ x[c:].reshape(self.axes, self.basis.shape[1]).T
         by_own = np.concatenate([np.broadcast_to(x[:c], (len(rows), c)), by_axes], axis=1)
@@ -146,6 +146,6 @@ class FactoredJacobian:
 
 
 def products(functions: Array) -> Array:
-    """Return the products (n, k * k) of each two of k basis functions (n, k)."""
+    """Return what each two of k basis functions (n, k) give multiplied, (n, k * k)."""
     n, k = functions.shape
     return np.asarray((functions[:, :, None] * functions[:, None, :]).reshape(n, k * k))

@@ -67,7 +67,7 @@ def step_without_many(information: Array, lost: Array, gradient: Array) -> Array
 
 
 def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
-                ) -> NDArray[np.intp]:
+             ) -> NDArray[np.intp]:
     """
     Return the blocks, worst first, that are to be dropped now: the others do not explain them.
 

@@ -159,12 +159,12 @@ class _System:
 
     @property
     def variances(self) -> Array:
-        """Return the variances (d,) of the blocks over the configured ones."""
+        """Return of each block (d,) its variance over the configured one."""
         return np.array([self.noise.scales.get(d.name, 1.0) for d in self.blocks])
 
     @cached_property
     def scales(self) -> Array:
-        """Return the scales (u + q,) of the nuisance parameters, 1 of the unknowns."""
+        """Return for each parameter (u + q,) its scale: 1 for unknowns."""
         return np.append(np.ones(self.u), np.sqrt(self.variances)[self.group])
 
     @cached_property

@@ -30,7 +30,7 @@ def _steps_without_one(solution: Solution) -> Array:
     slopes = np.zeros((len(solution.problem.poses), columns.count))
     for rows in columns.rows:
         left_out = influence.leave_own_out(columns.predicted_covariance(solution.covariance, rows),
-                                      solution.white[rows])
+                                           solution.white[rows])
         slopes[station[rows[:, 0]]] = columns.gradients(left_out, rows)
     return slopes @ solution.covariance
 
@@ -41,6 +41,6 @@ def _step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
     rows = np.concatenate([some.ravel() for some in part])
     if len(rows) < columns.count:
         return influence.step_without(solution.white[rows], columns.dense_rows(rows),
-                                   solution.covariance)
+                                      solution.covariance)
     return influence.step_without_many(solution.information, columns.gram_of(part),
-                                    columns.gradient_of(solution.white, part))
+                                       columns.gradient_of(solution.white, part))

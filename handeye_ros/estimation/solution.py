@@ -100,7 +100,7 @@ class Solution:
         away = se3.difference(conservative.estimate.X, self.estimate.X)
         reported = conservative.reported.copy()
         reported[:6, :6] = covering(reported[:6, :6] + np.outer(away, away),
-                                  self._best_fit(conservative, away))
+                                    self._best_fit(conservative, away))
         if self.contamination is not None:
             reported[:6, :6] += self.contamination
         return reported
@@ -189,7 +189,7 @@ def columns_of(problem: Problem, own: Array, axes: int) -> FactoredJacobian:
     nothing = np.empty((len(problem.poses), 0))
     shared, both = (problem.smooth, problem.smooth_products) if axes else (nothing, nothing)
     return FactoredJacobian(own, shared, both, axes, [at.rows for at in problem.stations],
-                   problem.observations.station)
+                            problem.observations.station)
 
 
 def redundancy(solution: Solution) -> int:

@@ -166,7 +166,7 @@ def propose(search: Search, config: Config) -> Proposal | None:
 
 
 def judged(sigmas: Sequence[Sigma], proposal: Proposal | None, cause: Cause | None,
-            count: int) -> tuple[bool, str]:
+           count: int) -> tuple[bool, str]:
     """Return whether the samples are enough, and why."""
     std, accuracy = sigmas[-1].std, sigmas[-1].limit
     over = [s for s in sigmas[:-2] if s.std > s.limit]

@@ -167,6 +167,6 @@ def _recognised(batch: Batch) -> NDArray[np.bool_]:
     problem, estimate = batch.problem, batch.estimate
     p = points_in_base(problem, estimate.X)
     labelled = problem.method.geometry.relabel(problem.observations, p, estimate.target,
-                                     rules.stricter(problem.config))
+                                               rules.stricter(problem.config))
     same = labelled.kind == problem.observations.kind
     return np.asarray(same.reshape(len(batch), -1).all(axis=1))

@@ -69,7 +69,7 @@ class Chain:
         return tuple(dict.fromkeys(joint.follows for joint in self.joints))
 
     def values(self, given: Mapping[str, Array], source: object) -> Array:
-        """Return the values (n, joints) of all joints; raises JointNamesError."""
+        """Return what all joints are at, (n, joints); raises JointNamesError."""
         for name in self.measured:
             if name not in given:
                 raise JointNamesError.missing(source, name, list(given))

@@ -115,7 +115,7 @@ class Fit:
         q, s = self.data.unknowns, self.stds
         first = np.searchsorted(self.group, np.arange(len(self.kinds)))
         return prior_scales(self.covariance[q:, q:] / np.outer(s, s), self.values / s, first,
-                     self.weights.variances, np.full(len(first), LARGEST))
+                            self.weights.variances, np.full(len(first), LARGEST))
 
 
 def fitted(data: Data, state: State, weights: Weights, used: NDArray[np.bool_], root: Array,

@@ -56,7 +56,6 @@ class Model:
         """Return the RMS of the left-out errors of the used points (m)."""
         return float(np.sqrt((self.left_out[self.fit.used] ** 2).mean()))
 
-
     @property
     def left_out_median(self) -> float:
         """Return the median of the same (m)."""

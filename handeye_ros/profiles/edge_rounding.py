@@ -83,9 +83,9 @@ def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> E
     sine = fits.slope[best] / np.sqrt(1 + fits.slope[best] ** 2)
     middle = float(steep @ sine) / max(float(steep.sum()), TINY)
     return EndRounding(float(weights @ depths / weights.sum()), shapes - shapes.max(),
-                (float(fits.begin[best, 0]) + radius * middle,
-                 radius * (1 - (1 - middle ** 2) ** 0.5)),
-                max(float(steep.sum()), TINY) ** -0.5)
+                       (float(fits.begin[best, 0]) + radius * middle,
+                        radius * (1 - (1 - middle ** 2) ** 0.5)),
+                       max(float(steep.sum()), TINY) ** -0.5)
 
 
 def _fitted(u: Array, v: Array, pitch: float, noise: float) -> _Fits:

@@ -93,7 +93,7 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: str
 
 
 def _rounded(end: End, edge: EdgePoint, rows: NDArray[np.intp], place: float, beyond: float
-          ) -> EdgePoint:
+             ) -> EdgePoint:
     """Return an edge at a place, with its rounding; beyond: how far the end leads outwards."""
     segment, before = end.segment, max(2 * len(rows), SHORTEST_ROUNDING)
     believed = rows[:len(rows) - min(len(rows) // RIM_SHARE, LARGEST_RIM)]

@@ -47,7 +47,6 @@ SMALL_SPHERE = replace(SPHERE, name='small_sphere', robot=SMALL_PLATE.robot,
                        sensor=replace(WIDE, **SMALL, columns=640))
 
 
-
 def _swept(base: Scenario, name: str, columns: int = 640, rate: float = 50.0,
            poses: float = 250.0, **more: Any) -> Scenario:
     """Return a sweep over a target in place of stops, its profiles stamped 20 ms early."""

@@ -257,4 +257,3 @@ def smallest_moves(it: Comparison, name: str) -> tuple[Array, Array]:
     value, axes = np.linalg.eigh(I6[:3, :3])
     value = np.maximum(value, 1e-300)
     return axes.T[::-1], (sigmas / np.sqrt(value))[::-1]
-

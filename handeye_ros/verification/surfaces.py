@@ -18,7 +18,7 @@ MOST_SURFACES, MOST_PAIRS = 4, 300  # of pieces that a plane is laid through
 
 
 def ends(feature: Feature, T: Array) -> Array:
-    """Return the ends (2, 3) of what a feature shows, in the base; T: (4, 4) sensor plane."""
+    """Return the first and last point (2, 3) of a feature in the base; T: (4, 4) sensor plane."""
     if isinstance(feature, FaceLine):
         points = feature.centre + np.outer(
             [-3 ** 0.5, 3 ** 0.5], feature.spread * feature.direction)

@@ -21,7 +21,7 @@ import pytest
 
 MANY = replace(SCENARIOS['plate'], stations=(24, 24))
 ALL_BLOCKS = {key: getattr(getattr(Config(), part), name) for key in NO_DOUBTS
-            for part, name in [key.split('__')]}
+              for part, name in [key.split('__')]}
 
 
 def told(made: Cell, **factors: float) -> Cell:

@@ -167,6 +167,7 @@ def test_rviz_gets_the_layout_in_the_namespace(monkeypatch: pytest.MonkeyPatch) 
     assert dict(rviz.remappings) == {topic: topic.lstrip('/') for topic in shown}
 
 
+@pytest.mark.thorough
 @pytest.mark.ros
 def test_a_bag_is_calibrated_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
                                             ) -> None:

@@ -214,7 +214,7 @@ def test_a_cloud_that_breaks_off_is_not_there(tmp_path):
 
 def test_settings_come_with_the_calibration():
     config = config_of(calibration(**{'profile_topic': 'laser/points', 'noise.sensor': 1e-5,
-                                        'of_tomorrow': 3, 'profile.unit': 'furlong'}))
+                                      'of_tomorrow': 3, 'profile.unit': 'furlong'}))
     assert (config.profile_topic, config.noise.sensor, config.profile.unit) == (
         'laser/points', 1e-5, 'm')
 

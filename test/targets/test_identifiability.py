@@ -55,7 +55,7 @@ def singular_values(name: str, motion: str) -> np.ndarray:
     problem, estimate = made.problem, at_truth(made)
     p = points_in_base(problem, estimate.X)
     observations = problem.method.geometry.relabel(problem.observations, p, estimate.target,
-                                          problem.config)
+                                                   problem.config)
     used = observations.select(observations.kind != UNUSED)
     problem = replace(problem, observations=used)
     linear = linearise(problem, estimate)

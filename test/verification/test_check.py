@@ -167,6 +167,7 @@ def test_a_steady_trend_is_told_so(tmp_path):
         trend.trend(tmp_path / 'day_0')
 
 
+@pytest.mark.thorough
 def test_the_verb_on_recordings_and_a_folder(tmp_path):
     made = simulate(replace(SCENARIOS['small_plate'], stations=(6, 6)), np.random.default_rng(5))
     bag_write.write(tmp_path / 'today', made.profiles, made.poses)

@@ -237,6 +237,7 @@ def test_a_tolerance_below_the_uncertainty_is_undecided_and_never_a_pass():
     assert told.verdict in ('undecided', 'insensitive', 'fail')
 
 
+@pytest.mark.thorough
 def test_the_stated_std_is_that_of_many_trials():
     errors = []
     for seed in range(40):
@@ -321,6 +322,7 @@ def test_teeth_of_another_gauge_never_pass(lengths):
     assert told.verdict == 'fail'
 
 
+@pytest.mark.thorough
 def test_the_verb_on_rendered_profiles(tmp_path):
     scenario = replace(SCENARIOS['small_sphere'], stations=(10, 0))
     made = simulate(scenario, np.random.default_rng(3))

@@ -28,7 +28,7 @@ class Answer:
         self._withdrawn = ''
         self._saved: tuple[Calibration, str] | None = None  # the last one, and where it is
 
-    def set(self, calibration: Calibration, solved: frozenset[int]) -> None:
+    def replace(self, calibration: Calibration, solved: frozenset[int]) -> None:
         """Take the answer from the samples of these stamps."""
         self.calibration, self._solved, self._withdrawn = calibration, solved, ''
 

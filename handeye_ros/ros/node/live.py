@@ -192,7 +192,7 @@ class LiveSession:
         with self.streams.lock:
             if self.samples.cleared != cleared:
                 raise ClearedError
-            self.answer.set(found, stamps)
+            self.answer.replace(found, stamps)
         self.on_change()
         return found, calibration_summary(found)
 

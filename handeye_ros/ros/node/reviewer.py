@@ -118,7 +118,7 @@ class Reviewer:
         samples = sorted((o.sample for o, use in zip(outcomes, included, strict=True)
                           if use and o.sample), key=lambda sample: sample.stamp)
         advice = self._runner_for(samples).run(pipeline.advise, samples, config, self._view,
-                                                 refused)
+                                               refused)
         with self._samples.streams.lock:
             if self._samples.cleared == cleared:
                 self.advice, self._advised = advice, settings

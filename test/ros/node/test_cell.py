@@ -63,6 +63,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     yield tmp_path / 'home'
 
 
+@pytest.mark.thorough
 def test_a_button_a_kill_and_a_restart(tmp_path: Path, client: Client, home: Path) -> None:
     samples = Told(client, '/handeye/samples')
     button = client.node.create_publisher(Empty, '/handeye/take', 10)

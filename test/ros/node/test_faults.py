@@ -38,6 +38,7 @@ SPHERE = ('-p', 'target.type:=sphere', '-p', 'target.radius:=0.04', '-p',
 LISTENING = '0A'  # TCP_LISTEN of the kernel
 
 
+@pytest.mark.thorough
 def test_streams_that_fall_silent_are_told_and_heard_again(tmp_path: Path, client: Client
                                                            ) -> None:
     with running_node(tmp_path):
@@ -111,6 +112,7 @@ def test_the_discovery_server_is_lost(tmp_path: Path) -> None:
     assert run.returncode == 0, run.stdout + run.stderr
 
 
+@pytest.mark.thorough
 def test_a_simulated_clock_that_jumps_forth_and_back(tmp_path: Path, client: Client) -> None:
     clock = client.node.create_publisher(Clock, '/clock', 10)
     told: list[int] = []

@@ -18,6 +18,7 @@ pytestmark = pytest.mark.ros
 BAG = ROOT / 'bags/arm'
 
 
+@pytest.mark.thorough
 def test_the_node_corrects_the_arm(tmp_path: Path, client: Client) -> None:
     client.node.create_subscription(PoseStamped, '/flange_pose', lambda pose: None, BEST_EFFORT)
     with running_node(tmp_path, '-p', 'target.type:=sphere', '-p',

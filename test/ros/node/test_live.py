@@ -65,6 +65,7 @@ def test_the_answer_is_that_of_the_recording() -> None:
     assert state.calibration.translation == tuple(offline.T_flange_sensor[:3, 3])
 
 
+@pytest.mark.thorough
 def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording(tmp_path: Path) -> None:
     made = simulate(SCENARIOS['small_plate_sweep'], np.random.default_rng(3))
     config = with_values(Config(), settings(made.scenario) | {
