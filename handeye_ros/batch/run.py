@@ -48,17 +48,27 @@ def rows_of(client: Any, jobs: Sequence[Job], out: Path, verb: Verb) -> Iterator
     submit: Callable[[Job], Any] = partial(_submitted, client, out, verb)
     running = {submit(job): job for job in islice(
         waiting, AHEAD * max(len(client.scheduler_info()['workers']), 1))}
-    done = as_completed(running)
+    done, lost = as_completed(running), []
     for future in done:
         job = running.pop(future)
-        error = future.exception()
-        yield future.result() if error is None else {
-            'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': CRASHED,
-            'cause': f'{type(error).__name__}: {error}', 'computed': True}
+        if type(future.exception()).__name__ == 'KilledWorker':
+            lost.append(job)
+        else:
+            yield _row(job, future)
         for following in islice(waiting, 1):
             another = submit(following)
             running[another] = following
             done.add(another)
+    for job in lost:  # by itself: another job beside it may have ended the worker
+        yield _row(job, submit(job))
+
+
+def _row(job: Job, future: Any) -> Row:
+    """Return the row of a job, once it has ended."""
+    error = future.exception()
+    return future.result() if error is None else {
+        'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': CRASHED,
+        'cause': f'{type(error).__name__}: {error}', 'computed': True}
 
 
 def _submitted(client: Any, out: Path, verb: Verb, job: Job) -> Any:
