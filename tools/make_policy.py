@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes config/handeye.policy.xml from a running node: .venv/bin/python tools/make_policy.py."""
+"""Writes config/handeye.policy.xml from a running node: python tools/make_policy.py [FILE]."""
 from __future__ import annotations
 
 from pathlib import Path
@@ -48,7 +48,7 @@ def settled(observer: Any, process: subprocess.Popen[bytes]) -> dict[tuple[str, 
     return seen[-1]
 
 
-def main() -> None:
+def main(path: Path) -> None:
     """Start the node, look at it, and write the policy."""
     import rclpy
     from rclpy.node import Node
@@ -56,11 +56,11 @@ def main() -> None:
     observer = Node('observer')
     with subprocess.Popen([sys.executable, '-m', 'handeye_ros.ros.node']) as process:
         try:
-            POLICY.write_text(policy(settled(observer, process)), encoding='utf-8')
+            path.write_text(policy(settled(observer, process)), encoding='utf-8')
         finally:
             process.terminate()
     rclpy.shutdown()
 
 
 if __name__ == '__main__':
-    main()
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else POLICY)
