@@ -17,7 +17,7 @@ from handeye_ros.estimation.quantiles import chi2_sf
 from handeye_ros.estimation.solution import Solution
 import numpy as np
 
-MANY = 200  # stations from which on this fades, to nothing at twice as many: 0.3 % of a sigma
+MANY = 200  # stations from which on this fades, to nothing at twice as many: under 1 % of a sigma
 SLIPPED = np.repeat([1e-3, 3e-3], 3)  # by how much a wrong one is (m, rad; 1 sigma of each axis)
 WRONG = 0.05  # share of stations that are wrong
 SURE = 100.0  # times as likely as anything else is that the station is wrong which is

@@ -52,7 +52,6 @@ TWO_EDGES = np.array([
 ])
 PER_EDGE = 3  # stations before the other edge of a plate has its turn
 SPARE_TURN = 0.26  # rad: how much less than the largest, for who moves the robot
-PER_EDGE = 3  # stations before the other edge of a plate has its turn
 
 
 @dataclass(frozen=True, eq=False)
