@@ -30,8 +30,8 @@ from handeye_ros.simulate.measuring import rendered
 from handeye_ros.simulate.scenario import RobotModel, Scenario, SensorModel
 from handeye_ros.simulate.stations import Stops
 from handeye_ros.simulate.tooth import Pass
-from handeye_ros.verification.routine import Nominal, Routine, Seen, TEETH
-from handeye_ros.verification.routines import ROUTINES
+from handeye_ros.verification.routines import Routine, ROUTINES, TEETH
+from handeye_ros.verification.shapes import Nominal, Seen
 from handeye_ros.verification.tooth_gauge import seen_in_pass
 from handeye_ros.verification.verification import Verification
 from handeye_ros.verification.verify import seen_in, settings_for, verify

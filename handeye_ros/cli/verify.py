@@ -23,7 +23,8 @@ import typer
 if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.data import Calibration, Sample
-    from handeye_ros.verification.routine import Routine, Seen
+    from handeye_ros.verification.routines import Routine
+    from handeye_ros.verification.shapes import Seen
     from handeye_ros.verification.verification import Verification
 
 NOT_PASSED = 1  # exit code: the measurement was made, and it is no pass
@@ -119,7 +120,7 @@ def verify(
 def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
               config: 'Config') -> 'Verification':
     from handeye_ros import pipeline
-    from handeye_ros.verification.routine import TEETH
+    from handeye_ros.verification.routines import TEETH
     from handeye_ros.verification.verify import (
         nominal_of,
         seen_in,

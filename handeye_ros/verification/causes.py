@@ -29,7 +29,7 @@ from handeye_ros.verification.fixed_fit import (
     root_of,
     white,
 )
-from handeye_ros.verification.routine import Seen
+from handeye_ros.verification.shapes import Seen
 import numpy as np
 from numpy.typing import NDArray
 

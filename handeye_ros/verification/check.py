@@ -31,7 +31,7 @@ from handeye_ros.verification.causes import (
 )
 from handeye_ros.verification.errors import NoCheckError, TooFewSeenError
 from handeye_ros.verification.fixed_fit import by_calibration, points_in_base
-from handeye_ros.verification.routine import Seen
+from handeye_ros.verification.shapes import Seen
 import numpy as np
 
 FORMAT = 'handeye_ros/check/2'

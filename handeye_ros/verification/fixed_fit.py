@@ -9,24 +9,30 @@ uncertainty.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
 from handeye_ros.estimation.quantiles import chi2_sf
+from handeye_ros.estimation.solver import least_squares, White
 from handeye_ros.verification.errors import BadCovarianceError
-from handeye_ros.verification.routine import groups_of, Nominal, Seen, Shape
+from handeye_ros.verification.shapes import (
+    derivatives,
+    groups_of,
+    Nominal,
+    Seen,
+    Shape,
+    STEP,
+    system_of,
+)
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg
 
-STEP = 1e-7  # of numeric derivatives (m, rad)
-ITERATIONS = 25
 REFITS = 5  # of the calibration's error, which is linear by then
-CONVERGED = 1e-10
 FARTHEST = 0.1  # m: an error beyond it is none of a calibration
 LEAST_NOISE = 1e-8  # m of any distance
 DRAWS = 4000  # for the distribution of an RMS
@@ -93,21 +99,20 @@ def fit(seen: Seen, X: Array, C: Array, noise: NoiseConfig, shape: Shape,
     """
     obs, kind = seen.observations, seen.observations.kind
     p = points_in_base(seen, X)
-    blocks = noise_factors(seen, X, _by_point(shape, p, kind, shape.start), noise, nominal.aim)
-    q = shape.start
-    for _ in range(ITERATIONS):
-        J = _numeric(lambda at: shape.distance(p, kind, at), q)
-        step = np.linalg.lstsq(white(blocks, J), -white(
-            blocks, shape.distance(p, kind, q)[:, None])[:, 0], rcond=None)[0]
-        q = q + step
-        if np.abs(step).max() < CONVERGED:
-            break
+
+    def whitener(q: Array) -> White:
+        by_p = _by_point(shape, p, kind, q)
+        return partial(white, noise_factors(seen, X, by_p, noise, nominal.aim))
+
+    system = system_of(shape, p, kind, whitener)
+    q = least_squares(system, shape.start)
     by_p = _by_point(shape, p, kind, q)
     blocks = noise_factors(seen, X, by_p, noise, nominal.aim)
     by_X = by_calibration(seen, X)
     G = np.einsum('mi,mij->mj', by_p, by_X)
     groups = groups_of(seen)[obs.station]
-    return _result(shape, q, shape.distance(p, kind, q), J, G, C, blocks, by_X, groups,
+    at = system.rows(q)
+    return _result(shape, q, at.residuals, at.jacobian(), G, C, blocks, by_X, groups,
                    nominal.std)
 
 
@@ -127,7 +132,7 @@ def _result(shape: Shape, q: Array, distances: Array, J: Array, G: Array, C: Arr
             blocks: Blocks, by_X: Array, groups: NDArray[np.intp], nominal_std: float
             ) -> FixedFit:
     white_J, white_G = white(blocks, J), white(blocks, G)
-    white_r = white(blocks, distances[:, None])[:, 0]
+    white_r = white(blocks, distances)
     K = np.asarray(np.linalg.pinv(white_J), dtype=float)
     A = white_G - white_J @ (K @ white_G)
     rest = white_r - white_J @ (K @ white_r)
@@ -136,7 +141,7 @@ def _result(shape: Shape, q: Array, distances: Array, J: Array, G: Array, C: Arr
     statistic = rest @ rest - explained @ np.linalg.solve(
         np.eye(6) + root.T @ inner @ root, explained)
     freedom = max(len(rest) - len(q), 1)
-    F = _numeric(lambda at: shape.values(at), q)
+    F = derivatives(shape.values, q)
     by_error = F @ K @ white_G
     noise, claimed = F @ K @ K.T @ F.T, by_error @ C @ by_error.T
     known = np.array([k for k, n in enumerate(shape.nominals) if n is not None], dtype=int)
@@ -234,7 +239,7 @@ def noise_factors(seen: Seen, X: Array, by_p: Array, noise: NoiseConfig, aim: fl
 
 
 def white(blocks: Blocks, values: Array) -> Array:
-    """Return values (m, c) with unit covariance."""
+    """Return values (m, ...) with unit covariance."""
     found = np.empty_like(values)
     for rows, factor in blocks:
         found[rows] = scipy.linalg.solve_triangular(factor, values[rows], lower=True)
@@ -252,9 +257,3 @@ def by_calibration(seen: Seen, X: Array) -> Array:
 def _by_point(shape: Shape, p: Array, kind: NDArray[np.intp], q: Array) -> Array:
     return np.stack([(shape.distance(p + d, kind, q) - shape.distance(p - d, kind, q))
                      / (2 * STEP) for d in STEP * np.eye(3)], axis=1)
-
-
-def _numeric(function: Callable[[Array], Array], q: Array) -> Array:
-    """Return the derivatives (m, k) of a function at q (k,)."""
-    return np.stack([(function(q + d) - function(q - d)) / (2 * STEP)
-                     for d in STEP * np.eye(len(q))], axis=1)

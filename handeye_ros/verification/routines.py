@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 import math
 
 from handeye_ros import se3
@@ -12,11 +13,36 @@ from handeye_ros.profiles.circles import fit_circle
 from handeye_ros.targets.common import add_face, edge_noise, ObservationRows, SOURCES
 from handeye_ros.verification import shapes, tooth_gauge
 from handeye_ros.verification.fixed_fit import FixedFit, points_in_base
-from handeye_ros.verification.routine import BAGS, Nominal, Routine, Seen, Shape, TEETH
+from handeye_ros.verification.shapes import BAGS, Kinds, Nominal, Seen, Shape
 from handeye_ros.verification.verification import Quantity
 import numpy as np
 
+TEETH = 'teeth'  # the target of a routine that takes points while the robot moves
 TRIALS = 300  # pairs of edge points that an edge is looked for with
+
+
+@dataclass(frozen=True)
+class Routine:
+    """
+    A way to verify a calibration.
+
+    says: what it measures. target: the target.type whose features the stations give, or TEETH
+    where points are taken while the robot moves. bags: how many, least and most; lengths: of
+    Nominal, how many for so many bags. observe(samples, poses (n, 4, 4), X): the conditions of
+    one bag; shape(seen, points (m, 3), nominal): what is fitted, and what takes part.
+    names(count): name and unit of each value; spread(seen, X, fit): what single stations show
+    beside the fit.
+    """
+
+    name: str
+    says: str
+    target: str
+    bags: tuple[int, int]
+    observe: Callable[[Sequence[Sample], Array, Array], Observations]
+    shape: Callable[[Seen, Array, Nominal], tuple[Seen, Shape]]
+    names: Callable[[int], tuple[tuple[str, str], ...]]
+    lengths: Callable[[int], int] = lambda bags: 0
+    spread: Callable[[Seen, Array, FixedFit], tuple[Quantity, ...]] = lambda seen, X, found: ()
 
 
 def faces(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
@@ -89,7 +115,7 @@ def _common(p: Array, station: Array, line: bool) -> list[int]:
     return [int(k) for k in chosen]
 
 
-def whole(shape: Callable[[Array, shapes.Kinds, Nominal], Shape]
+def whole(shape: Callable[[Array, Kinds, Nominal], Shape]
           ) -> Callable[[Seen, Array, Nominal], tuple[Seen, Shape]]:
     """Return how a shape is fitted in which all observations take part."""
     def fitted(seen: Seen, p: Array, nominal: Nominal) -> tuple[Seen, Shape]:

@@ -13,10 +13,10 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile
 from handeye_ros.estimation.model import Observations
+from handeye_ros.estimation.solver import least_squares
 from handeye_ros.scanning.track import Track
 from handeye_ros.verification.errors import NoTeethError
-from handeye_ros.verification.routine import BAGS, Nominal, Seen, Shape
-from handeye_ros.verification.shapes import Kinds
+from handeye_ros.verification.shapes import BAGS, Kinds, Nominal, Seen, Shape, system_of
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,7 +73,7 @@ def fitted(seen: Seen, p: Array, nominal: Nominal) -> tuple[Seen, Shape]:
         if kept.mean() < LEAST_SHARE:
             break
         shape = _shape(frame, pitch, height, tooth[kept], q)
-        q = _improved(shape, p[kept], kind[kept], q)
+        q = least_squares(system_of(shape, p[kept], kind[kept]), q, iterations=1)
     top, valley, *flanks = np.bincount(kind[kept], minlength=4) / len(p)
     least = float(min(top + valley, sum(flanks)))
     if kept.mean() < LEAST_SHARE or least < LEAST_FACE:
@@ -140,14 +140,6 @@ def _shape(frame: Array, pitch: float, height: float, tooth: NDArray[np.intp], s
 
     return Shape(start, distance, lambda q: np.array([pitch + q[5], height + q[6]]),
                  (pitch, height))
-
-
-def _improved(shape: Shape, p: Array, kind: Kinds, q: Array) -> Array:
-    """Return the unknowns after a step of Gauss and Newton with equal weights."""
-    J = np.stack([(shape.distance(p, kind, q + d) - shape.distance(p, kind, q - d)) / 2e-7
-                  for d in 1e-7 * np.eye(len(q))], axis=1)
-    step = np.linalg.lstsq(J, -shape.distance(p, kind, q), rcond=1e-9)[0]
-    return np.asarray(q + step)
 
 
 def _faces(local: Array, pitch: float, height: float, q: Array

@@ -16,15 +16,8 @@ from handeye_ros.verification.errors import (
     WrongCountError,
 )
 from handeye_ros.verification.fixed_fit import fit, FixedFit, points_in_base, refit
-from handeye_ros.verification.routine import (
-    groups_of,
-    Nominal,
-    Routine,
-    Seen,
-    Shape,
-    stacked,
-    TEETH,
-)
+from handeye_ros.verification.routines import Routine, TEETH
+from handeye_ros.verification.shapes import groups_of, Nominal, Seen, Shape, stacked
 from handeye_ros.verification.verification import (
     K,
     Quantity,

@@ -26,8 +26,8 @@ from handeye_ros.verification.errors import (
     TooFewSeenError,
     WrongCountError,
 )
-from handeye_ros.verification.routine import Nominal
 from handeye_ros.verification.routines import ROUTINES
+from handeye_ros.verification.shapes import Nominal
 from handeye_ros.verification.verify import seen_in, settings_for, verify
 import numpy as np
 import pytest

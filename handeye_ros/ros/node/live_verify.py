@@ -20,13 +20,13 @@ from handeye_ros.ros.node.threads import Progress
 from handeye_ros.ros.node.worker import Runner
 from handeye_ros.sampling.stops import Outcome, Stop
 from handeye_ros.verification import verification
-from handeye_ros.verification.course import Course
 from handeye_ros.verification.errors import (
     NoAnswerError,
     NothingToVerifyError,
     NotStartedError,
     UnusableStopError,
 )
+from handeye_ros.verification.session import VerificationSession
 from handeye_ros.verification.verification import Verification
 
 ANSWERS = ('pass', 'fail')  # the verdicts that end a verification
@@ -46,7 +46,7 @@ class LiveVerification:
         """Start with none going on; runner: runs what takes long."""
         self._samples, self._answer, self._place = samples, answer, place
         self._runner, self._progress = runner, progress
-        self._course: Course | None = None
+        self._course: VerificationSession | None = None
         self.on_change: Callable[[], None] = lambda: None
 
     @property
@@ -108,7 +108,7 @@ class LiveVerification:
         self._samples.judge_all()
         course = self._course
         if course is None or course.is_full:
-            course = Course(self._config)
+            course = VerificationSession(self._config)
             self._to_verify()  # a file may have to be read, and nobody is to wait for that
         else:
             course.go_on()
@@ -143,7 +143,7 @@ class LiveVerification:
             raise NoAnswerError(found.verdict, (*found.reasons, text))
         return text
 
-    def _verified(self, course: Course) -> Verification:
+    def _verified(self, course: VerificationSession) -> Verification:
         """Return what a verification shows; other services go on meanwhile."""
         with self._progress.doing('the calibration is verified'):
             return self._runner.run(course.result, self._to_verify(), self._config, urgent=True)

@@ -13,7 +13,7 @@ from handeye_ros.ros.bags.bag import read
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.ros.node.store import Place
-from handeye_ros.verification import course as courses
+from handeye_ros.verification import session as sessions
 from handeye_ros.verification.errors import NoAnswerError
 from handeye_ros.verification.verification import FORMAT
 import numpy as np
@@ -138,10 +138,10 @@ def test_another_routine_ends_a_verification(tmp_path: Path, parts, files) -> No
 
 
 def test_of_a_long_pass_so_many_profiles_are_kept_evenly() -> None:
-    part = courses.Part()
-    for k in range(10 * courses.MOST_PROFILES):
+    part = sessions.Part()
+    for k in range(10 * sessions.MOST_PROFILES):
         part.add_profile(Profile(k, 'laser', np.zeros((2, 2))))
     kept = np.array([p.stamp for p in part.profiles])
-    assert courses.MOST_PROFILES <= len(kept) <= 2 * courses.MOST_PROFILES
+    assert sessions.MOST_PROFILES <= len(kept) <= 2 * sessions.MOST_PROFILES
     assert len(set(np.diff(kept))) == 1
-    assert kept[-1] > 9.9 * courses.MOST_PROFILES
+    assert kept[-1] > 9.9 * sessions.MOST_PROFILES

@@ -17,8 +17,8 @@ from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stops import result_of, Stop
 from handeye_ros.scanning.track import Track
 from handeye_ros.verification.errors import NoRoutineError, TooLongPassError
-from handeye_ros.verification.routine import Routine, Seen, TEETH
-from handeye_ros.verification.routines import routine_of
+from handeye_ros.verification.routines import Routine, routine_of, TEETH
+from handeye_ros.verification.shapes import Seen
 from handeye_ros.verification.tooth_gauge import seen_in_pass
 from handeye_ros.verification.verification import Verification
 from handeye_ros.verification.verify import (
@@ -72,7 +72,7 @@ class Part:
             self.poses.extend(poses)
 
 
-class Course:
+class VerificationSession:
     """A verification that goes on."""
 
     def __init__(self, config: Config) -> None:
