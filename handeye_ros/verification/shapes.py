@@ -83,7 +83,7 @@ class Shape:
 
 
 def derivatives(function: Callable[[Array], Array], q: Array) -> Array:
-    """Return the derivatives (m, k) of a function at q (k,), by central differences."""
+    """Return central differences (m, k): the derivatives of a function at q (k,)."""
     return np.stack([(function(q + d) - function(q - d)) / (2 * STEP)
                      for d in STEP * np.eye(len(q))], axis=1)
 
