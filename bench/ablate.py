@@ -27,7 +27,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation import consensus, posterior, scales, search, solution
-from handeye_ros.estimation.contamination import Contamination
+from handeye_ros.estimation.influence import Contamination
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate
 from handeye_ros.simulate.recording import Simulated

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import Consensus, fast_consensus
 from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.quantiles import chi2_isf
+from handeye_ros.estimation.outliers import chi2_isf
 import numpy as np
 
 # Twice the log of a Bayes factor. Very strong evidence is so called by Kass and Raftery; decisive

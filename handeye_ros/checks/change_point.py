@@ -28,8 +28,8 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import Consensus, fast_consensus
 from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.estimation.noise import Noise, whitening
+from handeye_ros.estimation.outliers import chi2_isf
 from handeye_ros.estimation.posterior import evaluated
-from handeye_ros.estimation.quantiles import chi2_isf
 from handeye_ros.estimation.solution import Solution
 import numpy as np
 from numpy.typing import NDArray

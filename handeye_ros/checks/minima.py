@@ -13,7 +13,7 @@ from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.consensus import Consensus, subset_starts, without_outliers
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.quantiles import chi2_isf
+from handeye_ros.estimation.outliers import chi2_isf
 from handeye_ros.estimation.search import guesses, refined
 from handeye_ros.estimation.solution import redundancy, Solution
 import numpy as np

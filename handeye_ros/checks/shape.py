@@ -15,7 +15,7 @@ from handeye_ros.estimation.blocks import ParameterBlock, tolerances
 from handeye_ros.estimation.consensus import Consensus, consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.noise import whitening
-from handeye_ros.estimation.quantiles import f_isf
+from handeye_ros.estimation.outliers import f_isf
 from handeye_ros.estimation.solution import redundancy, Solution
 import numpy as np
 

@@ -26,8 +26,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.basis import bending, box, field_motions
-from handeye_ros.estimation.best_fit import motions_by_poses, of_mount
+from handeye_ros.estimation.basis import bending, box, field_motions, motions_by_poses, of_mount
 from handeye_ros.estimation.linearise import Linear, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import TURN_LENGTH
@@ -145,8 +144,9 @@ def robot_smooth(first: Linear) -> Blocks:
     @cache
     def by_poses(linear: Linear) -> Array:
         field = box(linear.points_on_target, (-1, 0, 1))
-        motions = motions_by_poses(linear.problem, linear.estimate.X, field)
-        return np.asarray(np.einsum('xna,nk->xak', motions, linear.problem.smooth))
+        problem = linear.problem
+        motions = motions_by_poses(problem.poses, linear.estimate.X, field, problem.in_hand)
+        return np.asarray(np.einsum('xna,nk->xak', motions, problem.smooth))
 
     def at(linear: Linear) -> Iterator[ParameterBlock]:
         for name, axes, std in (('robot_position', slice(0, 3), size),

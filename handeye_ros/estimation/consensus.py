@@ -13,11 +13,11 @@ from itertools import islice
 
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation.contamination import contamination
-from handeye_ros.estimation.influence import outliers, shared_scale
+from handeye_ros.estimation.influence import contamination
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise
+from handeye_ros.estimation.outliers import outliers, shared_scale
 from handeye_ros.estimation.posterior import evaluated, map_solution
 from handeye_ros.estimation.search import (
     CONVINCING,

@@ -1,86 +1,137 @@
 """
-What blocks of whitened residuals say: each of them, and the others without it.
+What one station, or a fold of them, does to the answer, to first order.
 
-A block is what stands or falls together: a station, a point, a pair of poses.
+The answer without it, and the answer if it is wrong, (10) of estimator.md. That a station is
+wrong, by no more than a slip of its pose, and that all are right are weighed against each other
+(Box and Tiao 1968, Biometrika 55:119), with noise and blocks as configured: were these grown until
+they explain it, a wrong station would hide.
 """
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from handeye_ros.data import Array
-from handeye_ros.estimation.linalg import inverse
-from handeye_ros.estimation.quantiles import chi2_median, chi2_sf
+from handeye_ros.estimation.model import Estimate
+from handeye_ros.estimation.noise import Noise, whitening
+from handeye_ros.estimation.outliers import chi2_sf, leave_own_out, step_without, step_without_many
+from handeye_ros.estimation.posterior import evaluated
+from handeye_ros.estimation.solution import corrected_poses, retracted, Solution
 import numpy as np
 from numpy.typing import NDArray
 
-BATCH = 50  # one of so many blocks is dropped at a time
-FALSE_ALARM = 1e-3  # of good data losing one block
-REGULAR = 1e-9  # keeps what a block fixes alone from being divided by zero
+MANY = 200  # stations from which on this fades, to nothing at twice as many: under 1 % of a sigma
+SLIPPED = np.repeat([1e-3, 3e-3], 3)  # by how much a wrong one is (m, rad; 1 sigma of each axis)
+WRONG = 0.05  # share of stations that are wrong
+SURE = 100.0  # times as likely as anything else is that the station is wrong which is
+EXPLAINED = 0.2  # chance of the squares of the others, less than which more than one is wrong
 
 
-def groups(block: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
-    """Return arrays (blocks, count) of rows, one for each count of rows per block."""
-    _, first, count = np.unique(block, return_index=True, return_counts=True)
-    return tuple(first[count == c, None] + np.arange(c) for c in np.unique(count))
-
-
-def leave_one_out(white: Array, jacobian: Array, covariance: Array, block: NDArray[np.intp]
-                  ) -> Array:
+@dataclass(frozen=True, eq=False)
+class Contamination:
     """
-    Return residuals (m,), each against the answer without its block, to first order.
+    Of each station the chance (n,) that it is wrong, and by how much it then moves the transform.
 
-    white: (m,) against that of all blocks; jacobian: (m, u), covariance: (u, u).
+    moves: (n, 6), covariances: (n, 6, 6) of the transform if so, beyond that if not; rest: (n,)
+    the chance of what then remains of the squared residuals.
     """
-    left_out = np.empty_like(white)
-    for rows in groups(block):
-        J = jacobian[rows]
-        left_out[rows] = leave_own_out(J @ covariance @ np.swapaxes(J, 1, 2), white[rows])
-    return left_out
+
+    chance: Array
+    shifts: Array
+    covariances: Array
+    rest: Array
+
+    @property
+    def worst(self) -> int | None:
+        """Return the station that is surely wrong, all others being right, None if none is."""
+        worst = int(np.argmax(self.chance))
+        conclusive = self.chance[worst] > SURE * (1 - self.chance[worst])
+        return worst if conclusive and self.rest[worst] > EXPLAINED else None
+
+    @property
+    def of_any(self) -> float:
+        """Return the chance that one of the stations is wrong."""
+        return float(self.chance.sum())
+
+    @property
+    def covariance(self) -> Array:
+        """Return (6, 6) by what the covariance of the transform has to grow, (10)."""
+        moved = self.covariances + self.shifts[:, :, None] * self.shifts[:, None, :]
+        return np.asarray(np.tensordot(self.chance, moved, 1))
 
 
-def leave_own_out(predicted_covariance: Array, white: Array) -> Array:
+def contamination(solution: Solution, dropped: int) -> Contamination | None:
     """
-    Return leave-one-out residuals (s, c) of blocks, to first order, (12).
+    Return which station of a solution may be wrong, None of very many: this fades with them.
 
-    white: (s, c) against that of all; seen: (s, c, c) the covariance of what that explains.
+    dropped: how many are known to have been wrong, which makes another one likelier.
     """
-    regular = (1 + REGULAR) * np.eye(predicted_covariance.shape[1]) - predicted_covariance
-    return np.asarray(np.linalg.solve(regular, white[..., None])[..., 0])
+    n = len(solution.problem.poses)
+    weight = min(1.0, 2 - n / MANY)
+    if weight <= 0:
+        return None
+    known = evaluated(solution.problem, solution.estimate, Noise())
+    white = whitening(known.problem, known.linear, known.noise)
+    slips = white(known.linear.by_pose * SLIPPED)
+    log_odds, explained = np.empty((2, n))
+    shifts, covariances = np.empty((n, 6)), np.empty((n, 6, 6))
+    for at in known.problem.stations:
+        i = known.problem.observations.station[at.rows[:, 0]]
+        K, J = slips[at.rows], known.jacobian[at.rows]
+        across = np.swapaxes(J, 1, 2) @ K
+        moved = known.covariance @ across
+        inside = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(across, 1, 2) @ moved
+        slope = np.einsum('sci,sc->si', K, known.white[at.rows])
+        size = np.linalg.solve(inside, slope[..., None])
+        explained[i] = (slope * size[..., 0]).sum(axis=1)
+        log_odds[i] = (explained[i] - np.linalg.slogdet(inside)[1]) / 2
+        to_transform = moved[:, :6]
+        shifts[i] = (to_transform @ size)[..., 0]
+        covariances[i] = to_transform @ np.linalg.solve(inside, np.swapaxes(to_transform, 1, 2))
+    log_odds += np.log(WRONG + dropped / (n + dropped))
+    freedom = max(known.degrees_of_freedom - len(SLIPPED), 1)
+    return Contamination(weight * _probabilities(log_odds), shifts, covariances,
+                         chi2_sf(np.maximum(known.squares - explained, 0.0), freedom))
 
 
-def step_without(white: Array, jacobian: Array, covariance: Array) -> Array:
+def _probabilities(log_odds: Array) -> Array:
+    """Return the chances (n,) of what excludes each other, by the odds against none of them."""
+    most = max(0.0, float(log_odds.max()))
+    odds = np.exp(log_odds - most)
+    return np.asarray(odds / (np.exp(-most) + odds.sum()))
+
+
+def predictions(solution: Solution, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
     """
-    Return by how much the unknowns (u,) differ without some rows, to first order.
+    Return the estimates from all stations but those of a fold, for each fold, to first order.
 
-    white: (m,) of these rows, jacobian: (m, u); covariance: (u, u) from all.
+    fold: (n,) from 0, that each station is of. And the poses (n, 4, 4) of the stations without
+    the smooth error of the robot that those of the other folds show.
     """
-    to_rows = jacobian @ covariance
-    inside = (1 + REGULAR) * np.eye(len(white)) - to_rows @ jacobian.T
-    return np.asarray(to_rows.T @ np.linalg.solve(inside, white))
+    problem, estimate, u = solution.problem, solution.estimate, solution.unknowns
+    folds = np.arange(fold.max() + 1)
+    steps = _steps_without_one(solution)[np.argsort(fold)] if len(folds) == len(fold) else (
+        np.array([_step_without(solution, np.flatnonzero(fold == k)) for k in folds]))
+    return ([retracted(problem, estimate, step) for step in steps[:, :u]],
+            corrected_poses(solution, solution.nuisance + steps[fold, u:]))
 
 
-def step_without_many(information: Array, lost: Array, gradient: Array) -> Array:
-    """
-    Return the same for many rows, of which only the sums are needed.
-
-    information: (u, u) of all; lost: (u, u) that of these rows; gradient: (u,) of them.
-    """
-    return inverse(information - lost) @ gradient
-
-
-def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
-             ) -> NDArray[np.intp]:
-    """
-    Return the blocks, worst first, that are to be dropped now: the others do not explain them.
-
-    mean_squares: (n,) squared deleted residuals per degree of freedom; total: how many blocks
-    there were at first; spare: how many there are beyond what is needed.
-    """
-    probability = chi2_sf(mean_squares * freedom, freedom)
-    most = max(1, min(len(mean_squares) // BATCH, spare)) if spare > 0 else 0
-    worst = np.argsort(probability, kind='stable')[:most]
-    return np.asarray(worst[probability[worst] < FALSE_ALARM / total])
+def _steps_without_one(solution: Solution) -> Array:
+    """Return by how much the unknowns (n, u + q) differ without each of the stations."""
+    columns, station = solution.columns, solution.problem.observations.station
+    slopes = np.zeros((len(solution.problem.poses), columns.count))
+    for rows in columns.rows:
+        left_out = leave_own_out(columns.predicted_covariance(solution.covariance, rows),
+                                 solution.white[rows])
+        slopes[station[rows[:, 0]]] = columns.gradients(left_out, rows)
+    return slopes @ solution.covariance
 
 
-def shared_scale(mean_squares: Array, freedom: NDArray[np.intp] | int) -> float:
-    """Return the variance factor that most blocks share, 1 where they fit as they should."""
-    typical = chi2_median(freedom) / freedom
-    return max(1.0, float(np.median(mean_squares / typical)))
+def _step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
+    """Return by how much the unknowns (u + q,) differ without some stations."""
+    columns, part = solution.columns, solution.columns.of(stations)
+    rows = np.concatenate([some.ravel() for some in part])
+    if len(rows) < columns.count:
+        return step_without(solution.white[rows], columns.dense_rows(rows),
+                            solution.covariance)
+    return step_without_many(solution.information, columns.gram_of(part),
+                             columns.gradient_of(solution.white, part))

@@ -1,21 +1,29 @@
-"""One start, refined while stations that do not fit lose their say, and how well it does."""
+"""
+From starts to a refined estimate.
+
+Many starts go down together, each its own way, and the poor ones are given up early: plain
+residuals decide, which far from the solution say more than whitened ones. One start is then
+refined while stations that do not fit lose weight.
+"""
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import linearise, points_in_base, Problem
 from handeye_ros.estimation.model import Estimate, UNUSED
 from handeye_ros.estimation.noise import Noise
-from handeye_ros.estimation.solution import evaluate, system, Weighed, weighed
+from handeye_ros.estimation.solution import evaluate, retracted, system, Weighed, weighed
 from handeye_ros.estimation.solver import (
     ANNEALING_STEPS,
     believed,
     BELIEVED_SHARE,
     graduated,
     least_squares,
+    many_least_squares,
     NEAR,
+    States,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +34,11 @@ UNUSED_SQUARE = 8.0  # squared residual of a station whose essential observation
 SURE = 0.5  # squared residual of the believed share, in variances with all blocks, of no other
 CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good answer
 LARGEST_SQUARE = 16.0  # squared residual, in variances, that a clean recording stays below
+COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on after them
+MOST = 20  # answers that are worth looking at
+SOME_START = 1e-6  # step of the residuals that ends the way of a start among others (m)
+FEW_STATIONS, MORE_STARTS = 12, 6  # with few stations there may be several answers
+SAME = 1e-3  # m or rad: starts nearer to each other than this lead to the same answer
 LARGEST_VARIANCE = 1.0  # m^2 or rad^2: more is no answer at all
 
 
@@ -161,3 +174,39 @@ def far(problem: Problem, estimate: Estimate) -> bool:
     squares = np.bincount(station, linearise(labelled, estimate).residuals ** 2, minlength=n)
     typical = np.quantile((squares / np.maximum(count, 1))[count > 0], BELIEVED_SHARE)
     return bool(np.sqrt(typical) > max(FAR, FAR_RATIO * problem.config.limits.residual))
+
+
+def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:
+    """
+    Return the estimates that the starts lead to, best first, poor ones given up early.
+
+    more: times as many go on.
+    """
+    def linear(states: States) -> tuple[Array, Array]:
+        there = linearise(problem, Estimate(*states))
+        return there.residuals, there.jacobian[..., problem.columns]
+
+    def retract(states: States, steps: Array) -> States:
+        moved = retracted(problem, Estimate(*states), steps)
+        return moved.X, moved.target
+
+    few = len(problem.poses) <= FEW_STATIONS
+    states: States = (np.array([start.X for start in starts]),
+                      np.array([start.target for start in starts]))
+    for iterations, kept in COMPETITION:
+        kept = max(more * kept, MORE_STARTS if few else 0)
+        states, cost = many_least_squares(linear, retract, states, iterations, SOME_START)
+        order = np.argsort(cost, kind='stable')
+        # many lead to the same where there are few stations
+        best = (order[different(states[0][order])] if few else order)[:kept]
+        states = tuple(values[best] for values in states)
+    return [Estimate(X, target) for X, target in zip(*states, strict=True)][:MOST]
+
+
+def different(X: Array) -> list[int]:
+    """Return which transforms (k, 4, 4) are next to no earlier one."""
+    kept: list[int] = []
+    for i in range(len(X)):
+        if not kept or np.abs(X[kept] - X[i]).max(axis=(1, 2)).min() > SAME:
+            kept.append(i)
+    return kept

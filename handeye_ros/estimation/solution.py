@@ -6,14 +6,14 @@ from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation import influence
 from handeye_ros.estimation.blocks import best_fit_motions, ParameterBlock, pose_errors
-from handeye_ros.estimation.factored import FactoredJacobian
 from handeye_ros.estimation.linalg import covariance_of, covering
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, Whitening, whitening
+from handeye_ros.estimation.outliers import leave_own_out
 from handeye_ros.estimation.solver import least_squares, Rows, System
+from handeye_ros.estimation.stations import FactoredJacobian
 import numpy as np
 from numpy.typing import NDArray
 
@@ -220,7 +220,7 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
     for rows in solution.columns.rows:
         r = solution.white[rows]
         explained = solution.columns.predicted_covariance(solution.covariance, rows)
-        left_out = influence.leave_own_out(explained, r)
+        left_out = leave_own_out(explained, r)
         statistic[station[rows[:, 0]]] = (r * left_out).sum(axis=1)
     return statistic, np.bincount(station, minlength=n)
 

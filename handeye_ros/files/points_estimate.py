@@ -12,7 +12,7 @@ from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.adjust import adjust, Adjusted
+from handeye_ros.estimation.outliers import adjust, Adjusted
 from handeye_ros.estimation.solver import Rows, System
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.tables import Table

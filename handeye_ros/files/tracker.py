@@ -8,7 +8,7 @@ from pathlib import Path
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import BadValueError
-from handeye_ros.estimation.adjust import adjust
+from handeye_ros.estimation.outliers import adjust
 from handeye_ros.files import tracker_estimate, tracker_model
 from handeye_ros.files.errors import TableError
 from handeye_ros.files.method import Answer, FileMethod, Index, Input, ReadBag

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.adjust import adjust, Adjusted
+from handeye_ros.estimation.outliers import adjust, Adjusted
 from handeye_ros.files import tracker_model
 from handeye_ros.files.errors import DegenerateError, TableError
 from handeye_ros.files.tables import LENGTH, Table

@@ -12,9 +12,9 @@ from handeye_ros.checks.shape import contradictions, reported_blocks
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport, TimeOffset
 from handeye_ros.estimation.consensus import Consensus
+from handeye_ros.estimation.influence import predictions
 from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.predictions import predictions
 from handeye_ros.estimation.solution import corrected_poses, Solution
 import numpy as np
 from numpy.typing import NDArray

@@ -27,7 +27,7 @@ from handeye_ros.estimation.model import (
     Observations,
     UNUSED,
 )
-from handeye_ros.estimation.starts import best_of
+from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.blocks import FACES_AND_EDGES
 from handeye_ros.targets.common import (

@@ -26,7 +26,7 @@ from handeye_ros.estimation.model import (
     Observations,
     UNUSED,
 )
-from handeye_ros.estimation.starts import best_of, different, FEW_STATIONS
+from handeye_ros.estimation.search import best_of, different, FEW_STATIONS
 from handeye_ros.profiles.faces import plane_features
 from handeye_ros.targets.blocks import FACES_AND_EDGES
 from handeye_ros.targets.common import (

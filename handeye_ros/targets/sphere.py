@@ -24,7 +24,7 @@ from handeye_ros.estimation.model import (
     Method,
     Observations,
 )
-from handeye_ros.estimation.starts import best_of
+from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.arcs import arc_features, arcs_of_each
 from handeye_ros.profiles.circles import fit_circle
 from handeye_ros.targets.common import (

@@ -26,7 +26,7 @@ from handeye_ros.estimation.model import (
     Observations,
     UNUSED,
 )
-from handeye_ros.estimation.starts import best_of
+from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.corners import corner_features
 from handeye_ros.targets import line as edge_line
 from handeye_ros.targets import plane

@@ -20,7 +20,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.model import Method, UNUSED
-from handeye_ros.estimation.quantiles import chi2_sf
+from handeye_ros.estimation.outliers import chi2_sf
 from handeye_ros.targets.ends import edges_of
 from handeye_ros.verification.fixed_fit import (
     by_calibration,

@@ -16,7 +16,7 @@ from typing import TypeAlias
 from handeye_ros import se3
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
-from handeye_ros.estimation.quantiles import chi2_sf
+from handeye_ros.estimation.outliers import chi2_sf
 from handeye_ros.estimation.solver import least_squares, White
 from handeye_ros.verification.errors import BadCovarianceError
 from handeye_ros.verification.shapes import (

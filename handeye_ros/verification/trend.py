@@ -10,7 +10,7 @@ from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Calibration
-from handeye_ros.estimation.quantiles import chi2_isf, chi2_sf
+from handeye_ros.estimation.outliers import chi2_isf, chi2_sf
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.errors import CalibrationFileError
 from handeye_ros.scanning.pictures import figure, save

@@ -5,7 +5,7 @@ from collections.abc import Collection, Sequence
 
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, Sample
-from handeye_ros.estimation.quantiles import chi2_sf
+from handeye_ros.estimation.outliers import chi2_sf
 from handeye_ros.results.outcome import mounted, sensor_axes
 from handeye_ros.verification import surfaces
 from handeye_ros.verification.decision import claim_p, decide, sensitivity, Tolerances

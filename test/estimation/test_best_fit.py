@@ -5,8 +5,7 @@ from cells import cell
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
-from handeye_ros.estimation.basis import bending, box, field_motions
-from handeye_ros.estimation.best_fit import motions_by_poses
+from handeye_ros.estimation.basis import bending, box, field_motions, motions_by_poses
 from handeye_ros.estimation.linalg import covering
 from handeye_ros.simulate import FAULTS, settings, simulate_samples
 import numpy as np
@@ -42,7 +41,8 @@ def test_a_robot_that_errs_moves_what_serves_best_as_least_squares_does(scenario
     columns += [(here - se3.apply(se3.perturb(np.eye(4), step), here)).ravel() / 1e-7
                 for step in np.eye(6) * 1e-7]
     best = np.linalg.lstsq(np.array(columns).T, (goal - here).ravel(), rcond=1e-9)[0][:6]
-    moved = np.einsum('xna,na->x', motions_by_poses(problem, X, FIELD), error)
+    moved = np.einsum('xna,na->x', motions_by_poses(
+        problem.poses, X, FIELD, problem.in_hand), error)
     assert np.allclose(moved, best, atol=1e-3 * np.abs(best).max())
 
 
@@ -53,7 +53,8 @@ def test_a_mount_that_all_poses_have_wrong_is_what_serves_best() -> None:
     # the mount turns about its own origin, the flange about its own
     shift = in_flange[:3] + np.cross(in_flange[3:], -X[:3, 3])
     error = np.concatenate([R @ shift, turned], axis=1)
-    moved = np.einsum('xna,na->x', motions_by_poses(problem, X, FIELD), error)
+    moved = np.einsum('xna,na->x', motions_by_poses(
+        problem.poses, X, FIELD, problem.in_hand), error)
     assert np.allclose(moved, in_flange, atol=1e-9)
 
 

@@ -16,9 +16,9 @@ from cells import (
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import TooUncertainError
 from handeye_ros.config import with_values
+from handeye_ros.estimation.influence import predictions
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import covariances, Noise
-from handeye_ros.estimation.predictions import predictions
 from handeye_ros.estimation.solution import (
     evaluate,
     fitted,

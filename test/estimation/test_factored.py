@@ -2,9 +2,8 @@
 from __future__ import annotations
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.factored import FactoredJacobian, products
-from handeye_ros.estimation.influence import groups
 from handeye_ros.estimation.linalg import from_conditions, from_information, LARGEST_STD
+from handeye_ros.estimation.stations import FactoredJacobian, groups, products
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np

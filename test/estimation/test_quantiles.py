@@ -1,7 +1,7 @@
 """Quantiles and tails are those of scipy.stats."""
 from __future__ import annotations
 
-from handeye_ros.estimation.quantiles import chi2_isf, chi2_median, chi2_sf, f_isf
+from handeye_ros.estimation.outliers import chi2_isf, chi2_median, chi2_sf, f_isf
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np

@@ -6,14 +6,14 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.config import load
 from handeye_ros.data import Array
-from handeye_ros.estimation.adjust import adjust
-from handeye_ros.estimation.influence import (
+from handeye_ros.estimation.linalg import covariance_of
+from handeye_ros.estimation.outliers import (
+    adjust,
     leave_one_out,
     outliers,
     step_without,
     step_without_many,
 )
-from handeye_ros.estimation.linalg import covariance_of
 from handeye_ros.estimation.solver import least_squares, many_least_squares, Rows, System
 from handeye_ros.files import FILE_METHODS
 from handeye_ros.ros.bags import bag

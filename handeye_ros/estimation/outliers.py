@@ -1,0 +1,185 @@
+"""
+Leave-one-out residuals of blocks, (12) of estimator.md, and which blocks are outliers.
+
+A block is what stands or falls together: a station, a point, a pair of poses. `adjust` is the
+robust least squares of what is no profile on a flange: blocks that do not fit lose weight, then
+those that the others do not explain are left out, worst first.
+
+Quantiles of chi-squared and F: scipy.stats has them too, but it takes longer to import than the
+rest of a command to start.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from handeye_ros.data import Array
+from handeye_ros.estimation.linalg import covariance_of, inverse
+from handeye_ros.estimation.solver import (
+    ANNEALING_STEPS,
+    believed,
+    graduated,
+    least_squares,
+    NEAR,
+    System,
+)
+from handeye_ros.estimation.stations import groups
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtrc, chdtri, fdtri
+
+S = TypeVar('S')
+
+LOST = 64.0  # squared residual, over that of the believed, of a block that is not asked again
+BATCH = 50  # one of so many blocks is dropped at a time
+FALSE_ALARM = 1e-3  # of good data losing one block
+REGULAR = 1e-9  # keeps what a block fixes alone from being divided by zero
+
+
+def leave_one_out(white: Array, jacobian: Array, covariance: Array, block: NDArray[np.intp]
+                  ) -> Array:
+    """
+    Return residuals (m,), each against the answer without its block, to first order.
+
+    white: (m,) against that of all blocks; jacobian: (m, u), covariance: (u, u).
+    """
+    left_out = np.empty_like(white)
+    for rows in groups(block):
+        J = jacobian[rows]
+        left_out[rows] = leave_own_out(J @ covariance @ np.swapaxes(J, 1, 2), white[rows])
+    return left_out
+
+
+def leave_own_out(predicted_covariance: Array, white: Array) -> Array:
+    """
+    Return leave-one-out residuals (s, c) of blocks, to first order, (12).
+
+    white: (s, c) against that of all; seen: (s, c, c) the covariance of what that explains.
+    """
+    regular = (1 + REGULAR) * np.eye(predicted_covariance.shape[1]) - predicted_covariance
+    return np.asarray(np.linalg.solve(regular, white[..., None])[..., 0])
+
+
+def step_without(white: Array, jacobian: Array, covariance: Array) -> Array:
+    """
+    Return by how much the unknowns (u,) differ without some rows, to first order.
+
+    white: (m,) of these rows, jacobian: (m, u); covariance: (u, u) from all.
+    """
+    to_rows = jacobian @ covariance
+    inside = (1 + REGULAR) * np.eye(len(white)) - to_rows @ jacobian.T
+    return np.asarray(to_rows.T @ np.linalg.solve(inside, white))
+
+
+def step_without_many(information: Array, lost: Array, gradient: Array) -> Array:
+    """
+    Return the same for many rows, of which only the sums are needed.
+
+    information: (u, u) of all; lost: (u, u) that of these rows; gradient: (u,) of them.
+    """
+    return inverse(information - lost) @ gradient
+
+
+def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
+             ) -> NDArray[np.intp]:
+    """
+    Return the blocks, worst first, that are to be dropped now: the others do not explain them.
+
+    mean_squares: (n,) squared deleted residuals per degree of freedom; total: how many blocks
+    there were at first; spare: how many there are beyond what is needed.
+    """
+    probability = chi2_sf(mean_squares * freedom, freedom)
+    most = max(1, min(len(mean_squares) // BATCH, spare)) if spare > 0 else 0
+    worst = np.argsort(probability, kind='stable')[:most]
+    return np.asarray(worst[probability[worst] < FALSE_ALARM / total])
+
+
+def shared_scale(mean_squares: Array, freedom: NDArray[np.intp] | int) -> float:
+    """Return the variance factor that most blocks share, 1 where they fit as they should."""
+    typical = chi2_median(freedom) / freedom
+    return max(1.0, float(np.median(mean_squares / typical)))
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted(Generic[S]):
+    """
+    The outcome, of n blocks of k residuals.
+
+    used: indices of the blocks used, ascending; residuals (n, k): whitened, of all blocks;
+    left_out (used, k): those of the used, each against the answer without it, to first order;
+    covariance: (u, u), times the variance factor where that exceeds 1.
+    """
+
+    state: S
+    used: NDArray[np.intp]
+    residuals: Array
+    left_out: Array
+    covariance: Array
+    variance_factor: float
+
+
+def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
+    """
+    Return the adjusted state from a start in reach of it.
+
+    minimum: of the blocks that are left; all have equally many rows.
+    """
+    n = int(system.block[-1]) + 1
+
+    def squares(state: S) -> Array:
+        rows = system.rows(state)
+        return np.asarray((rows.white()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
+
+    def refit(state: S, weights: Array) -> S:
+        return least_squares(system, state, weights, ANNEALING_STEPS, NEAR)
+    state = graduated(start, squares, refit)
+    now = squares(state)
+    return _without_outliers(system, state, now <= LOST * max(1.0, believed(now)), minimum)
+
+
+def _whitened(system: System[S], state: S) -> tuple[Array, Array]:
+    """Return the residuals (m,) and their derivatives (m, u)."""
+    rows = system.rows(state)
+    white = rows.white()
+    return white(rows.residuals), white(rows.jacobian())
+
+
+def _without_outliers(system: System[S], state: S, good: NDArray[np.bool_], minimum: int
+                      ) -> Adjusted[S]:
+    """Return the adjusted state after leaving out the blocks that do not fit."""
+    while True:
+        state = least_squares(system, state, good.astype(float))
+        r, J = _whitened(system, state)
+        used, rows = np.flatnonzero(good), good[system.block]
+        k = len(r) // len(good)
+        covariance = covariance_of(J[rows])
+        left_out = leave_one_out(r[rows], J[rows], covariance, system.block[rows])
+        statistic = (r[rows] * left_out).reshape(-1, k).mean(axis=1)
+        worst = outliers(statistic / shared_scale(statistic, k), k, len(good),
+                         len(used) - minimum)
+        if not len(worst):
+            variance = float(r[rows] @ r[rows] / max(rows.sum() - J.shape[1], 1))
+            return Adjusted(state, used, r.reshape(-1, k), left_out.reshape(-1, k),
+                            covariance * max(1.0, variance), variance)
+        good = good.copy()
+        good[used[worst]] = False
+
+
+def chi2_isf(chance: ArrayLike, freedom: ArrayLike) -> Array:
+    """Return what chi-squared of so many degrees of freedom exceeds with that chance."""
+    return np.asarray(chdtri(freedom, chance))
+
+
+def chi2_sf(value: ArrayLike, freedom: ArrayLike) -> Array:
+    """Return the chance that chi-squared exceeds a value; nan without a degree of freedom."""
+    return np.where(np.asarray(freedom) > 0, chdtrc(freedom, value), np.nan)
+
+
+def chi2_median(freedom: ArrayLike) -> Array:
+    return chi2_isf(0.5, freedom)
+
+
+def f_isf(chance: float, freedom: int, freedom_below: int) -> float:
+    """Return what a ratio of variances of so many degrees of freedom exceeds with that chance."""
+    # P(F(a, b) > x) = P(F(b, a) < 1 / x), which keeps the digits of a small chance
+    return 1 / float(fdtri(freedom_below, freedom, chance))
