@@ -23,9 +23,9 @@ from handeye_ros.config import Config
 from handeye_ros.data import Calibration, Profile, Quality, TimedPose
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.ros.bags.flow import flow
+from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.cloud_files import cloud_writer
 from handeye_ros.scanning.scan import Scanner, ScanOptions
-from handeye_ros.scanning.track import Track
 import numpy as np
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
@@ -65,7 +65,7 @@ def bare(bag: Path, unpack: bool) -> int:
 def scan(bag: Path, out: Path, calibration: Calibration, options: ScanOptions) -> int:
     config = Config()
     source = flow(bag, config)
-    scanner, track = Scanner(calibration, config, options), Track(source.poses, 0.5)
+    scanner, track = Scanner(calibration, config, options), track_of(source.poses, 0.5)
     with cloud_writer(out) as writer:
         for points in scanner.scan(source.profiles(), track):
             writer.write(points)

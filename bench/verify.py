@@ -24,7 +24,7 @@ from itertools import product
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array, Calibration, Quality, Sample
-from handeye_ros.scanning.track import Track
+from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.simulate import gauges
 from handeye_ros.simulate.measuring import rendered
 from handeye_ros.simulate.scenario import RobotModel, Scenario, SensorModel
@@ -76,7 +76,7 @@ def covariance(rng: np.random.Generator) -> Array:
 
 def scanned(made: gauges.Measured, config: Config) -> list[Seen]:
     """Return what a scan in passes gives the routine of the gauge."""
-    return [seen_in_pass(part.profiles, Track(part.poses, 0.5), config) for part in made.passes]
+    return [seen_in_pass(part.profiles, track_of(part.poses, 0.5), config) for part in made.passes]
 
 
 def stops_of(routine: Routine, made: gauges.Measured, config: Config, nominal: Nominal

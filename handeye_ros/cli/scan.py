@@ -59,15 +59,15 @@ def scan(
     import math
 
     from handeye_ros.ros.bags.flow import flow
+    from handeye_ros.sampling.trajectory import track_of
     from handeye_ros.scanning.cloud_files import cloud_writer, header_of
     from handeye_ros.scanning.scan import Scanner, ScanOptions
-    from handeye_ros.scanning.track import Track
     header_of(out)
     found, settings = calibrated(calibration, config, with_kinematics(assignments, kinematics))
     scanner = Scanner(found, settings, ScanOptions(*limits, math.radians(incidence), voxel, std))
     with doing('reading the poses') as now:
         source = flow(bag, settings)
-        track = Track(source.poses, settings.sampling.max_pose_gap)
+        track = track_of(source.poses, settings.sampling.max_pose_gap)
         with cloud_writer(out, f'frame {scanner.frame}, metres') as writer:
             for points in scanner.scan(source.profiles(), track):
                 writer.write(points)

@@ -113,14 +113,14 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
     if calibration is None:
         raise NeedsCalibrationError(path)
     from handeye_ros.ros.bags.flow import flow
+    from handeye_ros.sampling.trajectory import track_of
     from handeye_ros.scanning.scan import Scanner, ScanOptions
-    from handeye_ros.scanning.track import Track
     found, settings = calibrated(calibration, config, assignments)
     scanner = Scanner(found, settings, ScanOptions(voxel=THINNED))
     with doing('scanning'):
         source = flow(path, settings)
         pieces = list(scanner.scan(source.profiles(),
-                                   Track(source.poses, settings.sampling.max_pose_gap)))
+                                   track_of(source.poses, settings.sampling.max_pose_gap)))
     scanner.require_points()
     rows = np.concatenate(pieces)
     return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame

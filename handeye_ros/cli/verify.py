@@ -150,11 +150,11 @@ def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
 def _pass(bag: Path, config: 'Config') -> 'Seen':
     """Return what was seen while the robot moved."""
     from handeye_ros.ros.bags.flow import flow
-    from handeye_ros.scanning.track import Track
+    from handeye_ros.sampling.trajectory import track_of
     from handeye_ros.verification.tooth_gauge import seen_in_pass
     with doing('reading the recording'):
         source = flow(bag, config)
-        track = Track(source.poses, config.sampling.max_pose_gap)
+        track = track_of(source.poses, config.sampling.max_pose_gap)
         seen = seen_in_pass(list(source.profiles()), track, config)
     for warning in source.warnings:
         warn(warning)

@@ -34,9 +34,9 @@ from handeye_ros.ros.bags.transforms import FlangeTracker
 from handeye_ros.ros.errors import MessageError, TopicsError
 from handeye_ros.ros.executable import exit_code, RCLError, ros
 from handeye_ros.ros.node.intake import TFMessage
+from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.cloud_files import Points
 from handeye_ros.scanning.scan import Scanner, ScanOptions
-from handeye_ros.scanning.track import Track
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -45,6 +45,7 @@ from sensor_msgs.msg import JointState, PointCloud2, PointField
 
 PERIOD = 0.05  # s between two clouds
 KEPT_POSES = 2000  # that profiles may still need: 20 s of 100 Hz
+AROUND = 1_000_000_000  # ns of poses before a profile that tell where it was
 KEPT_PROFILES = 4000  # that wait for a pose; the oldest go first
 STREAM = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -124,7 +125,9 @@ class ScanNode(Node):
         for profile in ready:
             self._profiles.remove(profile)
         try:
-            track = Track(list(self._poses), self._config.sampling.max_pose_gap)
+            since = latest - ready[0].stamp - self._offset + AROUND
+            track = track_of([pose for pose in self._poses if abs(latest - pose.stamp) <= since],
+                             self._config.sampling.max_pose_gap)
         except DataError as error:  # the clock was set back
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
             self._poses.clear()

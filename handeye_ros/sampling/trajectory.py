@@ -9,23 +9,26 @@ told by generalised cross-validation (Craven and Wahba 1979, Numer. Math. 31:377
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
+from handeye_ros.sampling.errors import TimeBackwardsError
+from handeye_ros.sampling.stream import in_order
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, make_lsq_spline
-from scipy.sparse import csc_array
+from scipy.interpolate import BSpline
 from scipy.sparse.linalg import splu
 
 DEGREE = 3
-SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025)  # of knots, that are tried (s)
+# of knots, that are tried (s)
+SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
 BETTER = 0.98  # factor of the cross-validated error that nearer knots must bring
 FEWEST = 8  # poses of a piece
+REACH = 10  # coefficients to either side that matter to the variance of the spline at a time
 GAP_PERIODS, SMALLEST_GAP = 4.0, 0.06  # periods of the poses, and time (s), across which none is
 AVERAGED = 0.004  # s, over which many poses are averaged
 GROSS = 8.0  # residual of a pose, in robust scatters, that is no pose of the robot
@@ -74,8 +77,8 @@ class Trajectory:
         return tuple(_fitted(stamps, values) for stamps, values in parts if len(stamps) >= FEWEST)
 
     def at(self, stamps: NDArray[np.int64]) -> Instants:
-        """Return where the flange was at stamps (n,); there must be a piece."""
-        T, twists = np.empty((len(stamps), 4, 4)), np.empty((len(stamps), 6))
+        """Return where the flange was at stamps (n,)."""
+        T, twists = np.tile(np.eye(4), (len(stamps), 1, 1)), np.zeros((len(stamps), 6))
         inside = np.zeros(len(stamps), dtype=bool)
         for piece, chosen in self._by_piece(stamps):
             some = stamps[chosen]
@@ -84,8 +87,8 @@ class Trajectory:
         return Instants(T, twists, inside)
 
     def std(self, stamps: NDArray[np.int64]) -> Array:
-        """Return 1 sigma of the poses at stamps (n,): (n, 2) in m and rad."""
-        std = np.empty((len(stamps), 2))
+        """Return 1 sigma of the poses at stamps (n,), each axis: (n, 2) in m and rad."""
+        std = np.full((len(stamps), 2), np.inf)
         for piece, chosen in self._by_piece(stamps):
             std[chosen] = piece.std_at(stamps[chosen])
         return std
@@ -94,8 +97,9 @@ class Trajectory:
                   ) -> Iterator[tuple[_Piece, NDArray[np.bool_]]]:
         begins = np.array([piece.first for piece in self.pieces])
         which = np.maximum(np.searchsorted(begins, stamps, side='right') - 1, 0)
-        for k in np.unique(which):
-            yield self.pieces[k], which == k
+        for k, piece in enumerate(self.pieces):
+            if (chosen := which == k).any():
+                yield piece, chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,15 +107,15 @@ class _Piece:
     """
     A spline of translation and quaternion over seconds since first.
 
-    std: (2,) of single poses; information: (k, k) of the spline's coefficients, for a pose of
-    unit variance.
+    std: (2,) of single poses; bands: (4, k) diagonals of the information of the coefficients, for
+    a pose of unit variance.
     """
 
     first: int
     last: int
     spline: Any
     std: Array
-    information: Any
+    bands: Array
 
     def _time(self, stamps: NDArray[np.int64]) -> Array:
         return np.asarray((np.clip(stamps, self.first, self.last) - self.first) * 1e-9)
@@ -130,8 +134,19 @@ class _Piece:
 
     def std_at(self, stamps: NDArray[np.int64]) -> Array:
         """Return 1 sigma of positions and rotations, (n, 2)."""
-        rows = BSpline.design_matrix(self._time(stamps), self.spline.t, DEGREE).toarray()
-        leverage = (rows * splu(self.information).solve(rows.T).T).sum(axis=1)
+        rows = BSpline.design_matrix(self._time(stamps), self.spline.t, DEGREE)
+        last, count = self.bands.shape[1] - 1, 2 * REACH + DEGREE + 1
+        there = rows.indices.reshape(-1, DEGREE + 1)[:, :1] - REACH + np.arange(count)
+        inside = (there >= 0) & (there <= last)
+        local = np.zeros((len(there), count, count))
+        for k, band in enumerate(self.bands):  # coefficients far away are taken as known
+            values = np.where(inside, band[np.clip(there, 0, last)], float(k == 0))
+            at = np.arange(count - k)
+            local[:, at, at + k] = local[:, at + k, at] = np.where(
+                inside[:, k:], values[:, :count - k], float(k == 0))
+        basis = np.zeros((len(there), count))
+        basis[:, REACH:REACH + DEGREE + 1] = rows.data.reshape(-1, DEGREE + 1)
+        leverage = (basis * np.linalg.solve(local, basis[..., None])[..., 0]).sum(axis=1)
         return np.asarray(np.sqrt(leverage)[:, None] * self.std)
 
 
@@ -148,14 +163,36 @@ def trajectory_of(poses: Sequence[TimedPose], max_gap: float) -> Trajectory:
     return Trajectory(np.array([pose.stamp for pose in poses], dtype=np.int64), values, max_gap)
 
 
+def track_of(poses: Iterable[TimedPose], max_gap: float) -> Trajectory:
+    """
+    Return the trajectory of poses in any order; those whose stamps do not fit are left out.
+
+    Raises TimeBackwardsError when two runs are mixed.
+    """
+    rows = np.fromiter(((p.stamp, (*p.translation, *p.quaternion)) for p in poses),
+                       np.dtype([('stamp', np.int64), ('pose', np.float64, 7)]))
+    fits = in_order(rows['stamp'].tolist())
+    if fits is None:
+        behind = (np.maximum.accumulate(rows['stamp']) - rows['stamp']) * 1e-9
+        first = int(np.argmax(behind > 1.0))
+        raise TimeBackwardsError('the poses', first, float(behind[first]))
+    rows = rows[np.array(fits, dtype=bool)]
+    stamps, first_of = np.unique(rows['stamp'], return_index=True)
+    return Trajectory(stamps, rows['pose'][first_of], max_gap)
+
+
 def _averaged(t: Array, values: Array) -> tuple[Array, Array]:
-    """Return the means of so many poses each, as come in a time over which speed is constant."""
+    """
+    Return the means of so many poses each, as come in a time over which speed is constant.
+
+    The first and the last stay as they are: a trajectory reaches from the one to the other.
+    """
     count = int(AVERAGED * (len(t) - 1) / max(t[-1], AVERAGED))
     if count < 2:
         return t, values
-    ends = np.arange(0, len(t), count)
-    number = np.diff([*ends, len(t)])
-    t, values = (np.add.reduceat(v, ends) / number.reshape(-1, *[1] * (v.ndim - 1))
+    begins = np.array([0, *range(1, len(t) - 1, count), len(t) - 1])
+    number = np.diff([*begins, len(t)])
+    t, values = (np.add.reduceat(v, begins) / number.reshape(-1, *[1] * (v.ndim - 1))
                  for v in (t, values))
     return t, values
 
@@ -167,35 +204,36 @@ def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
     turned = (values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0  # q and -q are one rotation
     values[1:, 3:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
     t, values = _averaged(t, values)
-    origin, t = int(stamps[0]) + round(t[0] * 1e9), t - t[0]
-    spline, best = _smoothed(t, values)
+    spline, best, bands = _smoothed(t, values)
     off = np.abs(values - spline(t)) / np.repeat([SMALLEST_GROSS, SMALLEST_GROSS_TURN / 2], [3, 4])
     usual = 1.4826 * np.median(off, axis=0)
     good = (off <= np.maximum(GROSS * usual, 1.0)).all(axis=1)
     good[[0, -1]] = True
     if not good.all() and good.mean() > MOST_GOOD:
-        t, values = t[good], values[good]
-        spline, best = _smoothed(t, values)
-    rows = csc_array(BSpline.design_matrix(t, spline.t, DEGREE))
-    return _Piece(origin, origin + round(t[-1] * 1e9), spline, best,
-                  (rows.T @ rows).tocsc())
+        spline, best, bands = _smoothed(t[good], values[good])
+    return _Piece(int(stamps[0]), int(stamps[-1]), spline, best, bands)
 
 
-def _smoothed(t: Array, values: Array) -> tuple[Any, Array]:
-    """Return the spline with the best knots, and the std (2,) of positions and rotations."""
-    chosen, std, least = None, np.zeros(2), np.inf
+def _smoothed(t: Array, values: Array) -> tuple[Any, Array, Array]:
+    """Return the spline with the best knots, the std (2,) of single poses, and its bands."""
+    least, best = np.inf, None
     for spacing in SPACINGS:
         knots = _knots(t, spacing)
         free = len(t) - (len(knots) - DEGREE - 1)
-        if chosen is not None and free < len(t) / 3:
+        if best and free < len(t) / 3:
             break
-        spline = make_lsq_spline(t, values, knots, DEGREE)
-        squares = (values - spline(t)) ** 2
+        rows = BSpline.design_matrix(t, knots, DEGREE)
+        information = (rows.T @ rows).tocsc()
+        spline = BSpline(knots, splu(information).solve(rows.T @ values), DEGREE)
+        squares = (values - rows @ spline.c) ** 2
         sums = np.array([squares[:, :3].sum() / 3, squares[:, 3:].sum() * 4 / 3]) + 1e-30
         error = float(np.log(sums / max(free, 1) ** 2).sum())
         if error < least + 2 * np.log(BETTER):
-            chosen, std, least = spline, np.sqrt(sums / max(free, 1)), error
-    return chosen, std
+            least, best = error, (spline, np.sqrt(sums / max(free, 1)), information)
+    assert best is not None
+    spline, std, information = best
+    bands = [np.append(information.diagonal(k), np.zeros(k)) for k in range(DEGREE + 1)]
+    return spline, std, np.array(bands)
 
 
 def _knots(t: Array, spacing: float) -> Array:

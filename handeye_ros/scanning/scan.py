@@ -2,8 +2,9 @@
 Profiles and poses to points in the robot's base: a scan.
 
 With eye_on_base the points are in the flange, which carries the workpiece past the sensor. The
-pose is taken at each profile's own stamp plus time_offset, between two poses; a profile without
-them gives no points. Memory does not grow with the length of a recording, but for its poses.
+pose is that of a spline through the poses, at each profile's own stamp plus time_offset; a profile
+outside of them or in a gap gives no points. Memory does not grow with the length of a recording,
+but for its poses.
 """
 from __future__ import annotations
 
@@ -13,10 +14,15 @@ from itertools import islice
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Profile
+from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.scanning.cloud_files import Points
 from handeye_ros.scanning.errors import EmptyScanError, NoPosesAroundError
-from handeye_ros.scanning.point_std import point_std, sensor_in_base, variance_polynomial
-from handeye_ros.scanning.track import Track
+from handeye_ros.scanning.point_std import (
+    point_std,
+    pose_variances,
+    sensor_in_base,
+    variance_polynomial,
+)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,25 +85,29 @@ class Scanner:
         moving = self.config.calibration_type == 'eye_on_base'
         return self.config.robot_effector_frame if moving else self.config.base_frame
 
-    def scan(self, profiles: Iterable[Profile], track: Track) -> Iterator[Points]:
+    def scan(self, profiles: Iterable[Profile], track: Trajectory) -> Iterator[Points]:
         """Yield the points of profiles, piece by piece."""
         source = iter(profiles)
         while batch := list(islice(source, BATCH)):
             yield self.points(batch, track)
 
-    def points(self, profiles: Sequence[Profile], track: Track) -> Points:
+    def points(self, profiles: Sequence[Profile], track: Trajectory) -> Points:
         """Return the points of some profiles: x, y, z in the frame (m), intensity, std."""
         offset = round(self.config.time_offset * 1e9)
         stamps = np.array([p.stamp + offset for p in profiles], dtype=np.int64)
-        T_base_flange, known = track.at(stamps)
+        flange = track.at(stamps)
         if self._intensity is None and profiles:
             self._intensity = profiles[0].intensity is not None
-        used = [p for p, is_known in zip(profiles, known, strict=True) if is_known]
+        used = [p for p, inside in zip(profiles, flange.inside, strict=True) if inside]
         self.count.profiles += len(profiles)
         self.count.without_pose += len(profiles) - len(used)
-        T = sensor_in_base(T_base_flange, self.calibration.T_flange_sensor,
+        T = sensor_in_base(flange.T_base_flange[flange.inside], self.calibration.T_flange_sensor,
                            self.config.calibration_type == 'eye_on_base')
-        parts = [self._of_profile(p, T_one) for p, T_one in zip(used, T, strict=True)]
+        variances = [self._variance] * len(used)
+        if self.options.std and used:
+            variances = self._variance + pose_variances(
+                self.calibration.T_flange_sensor, track.std(stamps[flange.inside]))
+        parts = [self._of_profile(*each) for each in zip(used, T, variances, strict=True)]
         cloud = np.concatenate([np.empty(0, self.dtype), *parts])
         if self._thinning is None:
             return cloud
@@ -121,7 +131,7 @@ class Scanner:
                  *(['std'] if self.options.std else [])]
         return np.dtype([(name, '<f4') for name in names])
 
-    def _of_profile(self, profile: Profile, T_base_sensor: Array) -> Points:
+    def _of_profile(self, profile: Profile, T_base_sensor: Array, variance: Array) -> Points:
         kept = self._kept(profile.points)
         points = profile.points[kept]
         R = T_base_sensor[:3, :3] @ _axes(profile.axes)
@@ -132,7 +142,7 @@ class Scanner:
             cloud['intensity'] = (np.nan if profile.intensity is None
                                   else profile.intensity[kept])
         if self.options.std:
-            cloud['std'] = point_std(self._variance, points @ _axes(profile.axes)[[0, 2]].T)
+            cloud['std'] = point_std(variance, points @ _axes(profile.axes)[[0, 2]].T)
         return cloud
 
     def _kept(self, points: Array) -> NDArray[np.bool_]:

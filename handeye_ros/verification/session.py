@@ -15,7 +15,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stops import result_of, Stop
-from handeye_ros.scanning.track import Track
+from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.verification.errors import NoRoutineError, TooLongPassError
 from handeye_ros.verification.routines import Routine, routine_of, TEETH
 from handeye_ros.verification.shapes import Seen
@@ -150,6 +150,6 @@ class VerificationSession:
         for profile in part.profiles:
             with suppress(UnusableMessageError):
                 profiles.append(profile.read(config.profile))
-        track = Track(part.poses, config.sampling.max_pose_gap)
+        track = track_of(part.poses, config.sampling.max_pose_gap)
         # the stamps have time_offset in them
         return seen_in_pass(profiles, track, replace(config, time_offset=0.0))

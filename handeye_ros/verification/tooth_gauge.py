@@ -14,7 +14,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile
 from handeye_ros.estimation.model import Observations
 from handeye_ros.estimation.solver import least_squares
-from handeye_ros.scanning.track import Track
+from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.verification.errors import NoTeethError
 from handeye_ros.verification.shapes import BAGS, Kinds, Nominal, Seen, Shape, system_of
 import numpy as np
@@ -31,16 +31,17 @@ LEAST_FACE = 0.01  # of the points that must be of tops and valleys, and of flan
 ROUNDS = 6
 
 
-def seen_in_pass(profiles: Sequence[Profile], track: Track, config: Config) -> Seen:
+def seen_in_pass(profiles: Sequence[Profile], track: Trajectory, config: Config) -> Seen:
     """
     Return some points of the profiles of a pass, all with their own pose.
 
     The robot's error is taken to be one for the whole pass.
     """
     offset = round(config.time_offset * 1e9)
-    T, known = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
+    flange = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
+    T = flange.T_base_flange[flange.inside]
     T = se3.inverse(T) if config.calibration_type == 'eye_on_base' else T
-    used = [p for p, is_known in zip(profiles, known, strict=True) if is_known]
+    used = [p for p, inside in zip(profiles, flange.inside, strict=True) if inside]
     chosen = np.unique(np.linspace(0, max(len(used) - 1, 0), PROFILES).astype(int))[:len(used)]
     points, station = [], []
     for k, index in enumerate(chosen):

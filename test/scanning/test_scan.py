@@ -11,11 +11,11 @@ from handeye_ros.data import Profile, TimedPose
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.results.report.evidence import config_of
 from handeye_ros.ros.bags import bag_write
+from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.cloud_files import cloud_writer, read_cloud
 from handeye_ros.scanning.errors import CloudFileError, EmptyScanError, NoPosesAroundError
 from handeye_ros.scanning.point_std import point_std, variance_polynomial
 from handeye_ros.scanning.scan import Scanner, ScanOptions
-from handeye_ros.scanning.track import Track
 from moving_scan import calibration, moving, plane_profiles, STEP, T0, true_flange
 import numpy as np
 from plyfile import PlyData, PlyElement
@@ -26,7 +26,7 @@ GAP = 0.5
 
 
 def scanned(scanner, profiles, poses):
-    return np.concatenate(list(scanner.scan(profiles, Track(poses, GAP))))
+    return np.concatenate(list(scanner.scan(profiles, track_of(poses, GAP))))
 
 
 def xyz(cloud):
@@ -51,7 +51,7 @@ def test_profiles_without_a_pose_on_both_sides_are_dropped_and_counted():
     poses = [p for p in poses if not 50 * STEP < p.stamp - T0 < 100 * STEP]
     scanner = Scanner(calibration(), Config())
     profiles = plane_profiles(240)
-    cloud = np.concatenate(list(scanner.scan(profiles, Track(poses, 0.02))))
+    cloud = np.concatenate(list(scanner.scan(profiles, track_of(poses, 0.02))))
     lost = [p for p in profiles if 50 < (p.stamp - T0) / STEP < 100
             or p.stamp > poses[-1].stamp]
     assert scanner.count.without_pose == len(lost)
@@ -136,7 +136,7 @@ def test_the_std_of_a_point_is_that_of_many_trials():
 
 def test_memory_does_not_grow_with_the_length(tmp_path):
     def peak(repeats):
-        profiles, track = plane_profiles(200, 400), Track(moving(200), GAP)
+        profiles, track = plane_profiles(200, 400), track_of(moving(200), GAP)
         scanner = Scanner(calibration(), Config(), ScanOptions(std=True))
         tracemalloc.start()
         with cloud_writer(tmp_path / 'cloud.ply') as writer:
@@ -254,3 +254,36 @@ def test_a_bag_that_was_cut_off_gives_what_can_be_read(tmp_path):
     assert run.returncode == 0, run.stderr
     assert 'cut off or damaged' in run.stderr
     assert len(read_cloud(tmp_path / 'c.pcd'))
+
+
+@pytest.mark.parametrize(('rate', 'most'), [(50, 6e-6), (4, 1e-6)])
+def test_sparse_poses_of_a_curved_way_are_interpolated_smoothly(rate, most):
+    """Poses at 20 Hz: linearly, points were off by 39 um RMS; their std tells the rest."""
+    cal = calibration()
+
+    def flange(at):
+        way = np.array([0.6 + 0.05 * np.cos(at * 2e-3), 0.05 * np.sin(at * 2e-3), 0.4])
+        return se3.transform(se3.exp_rotation(np.array([0.2 * np.sin(2e-3 * at), 0, 0])), way)
+    poses = [TimedPose(T0 + k * STEP, flange(k)[:3, 3], se3.quaternion(flange(k)))
+             for k in range(0, 4001, rate)]
+    at = np.arange(505, 3500, 10)
+    profiles = [Profile(T0 + int(k) * STEP, 'laser', np.array([[0.01, 0.2]])) for k in at]
+    cloud = scanned(Scanner(cal, Config(), ScanOptions(std=True)), profiles, poses)
+    true = np.array([se3.apply(flange(k) @ cal.T_flange_sensor, np.array([[0.01, 0, 0.2]]))[0]
+                     for k in at])
+    off = np.linalg.norm(np.column_stack([cloud[c] for c in 'xyz']) - true, axis=1)
+    assert len(cloud) == len(at) and np.sqrt((off ** 2).mean()) < most
+
+
+def test_the_std_tells_how_well_the_poses_are_known():
+    """Few poses of much noise; what was configured of the robot does not cover it."""
+    rng, cal = np.random.default_rng(2), calibration()
+    profiles, off, told = plane_profiles(2000, 1), [], []
+    for _ in range(20):
+        poses = [replace(p, translation=p.translation + rng.normal(size=3) * 2e-4)
+                 for p in moving(2000, 50)]
+        config = Config(noise=NoiseConfig(sensor=1e-9, robot_translation=0, robot_rotation=0))
+        cloud = scanned(Scanner(cal, config, ScanOptions(std=True)), profiles, poses)
+        off.append(cloud['z'] - 0.1)
+        told.append(cloud['std'])
+    assert np.std(off) * np.sqrt(3) == pytest.approx(np.sqrt(np.mean(np.square(told))), rel=0.15)
