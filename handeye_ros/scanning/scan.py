@@ -103,7 +103,7 @@ class Scanner:
         self.count.without_pose += len(profiles) - len(used)
         T = sensor_in_base(flange.T_base_flange[flange.inside], self.calibration.T_flange_sensor,
                            self.config.calibration_type == 'eye_on_base')
-        variances = [self._variance] * len(used)
+        variances = np.broadcast_to(self._variance, (len(used), 3, 3))
         if self.options.std and used:
             variances = self._variance + pose_variances(
                 self.calibration.T_flange_sensor, track.std(stamps[flange.inside]))
