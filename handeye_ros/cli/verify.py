@@ -60,6 +60,9 @@ Out = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the result as Y
 Stations = Annotated[NoPath, typer.Option(
     metavar='FILE', help='Write a table of the stops (CSV).')]
 
+Protocol = Annotated[NoPath, typer.Option(
+    metavar='FILE', help='Write a protocol for the file of an inspector (HTML; print it to PDF).')]
+
 
 def _keys(given: 'Mapping[str, str | Sequence[str] | None]', angle: float | None
           ) -> 'dict[str, object]':
@@ -93,6 +96,7 @@ def verify(
     angle_tolerance: AngleTolerance = None,
     out: Out = None,
     stations: Stations = None,
+    protocol: Protocol = None,
 ) -> None:
     """Measure something known with a calibration: exit code 0 only for a pass, 1 otherwise."""
     from handeye_ros.config import with_values
@@ -111,6 +115,9 @@ def verify(
         write_whole(out, verification.yaml_text(result))
     if stations:
         write_whole(stations, verification.stations_csv(result))
+    if protocol:
+        from handeye_ros.results.protocol import html
+        write_whole(protocol, html(verification.values(result)))
     for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
         typer.echo(sentence)
     if result.verdict != 'pass':

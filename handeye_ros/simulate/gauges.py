@@ -119,6 +119,17 @@ def step_block(rng: np.random.Generator, heights: tuple[float, ...] = (0.025, 0.
     return planes(rng, turn @ places, heights, **values)  # type: ignore[arg-type]
 
 
+def step_directions(rng: np.random.Generator, heights: Sequence[float] = (0.025, 0.05, 0.1),
+                    **values: object) -> Measured:
+    """Return a block laid along x, y and z of the base in turn: two faces each."""
+    places = np.repeat(np.eye(4)[None], 2 * len(heights), axis=0)
+    places[1::2, 2, 3] = heights
+    places[:, :3, :3] = Rotation.from_euler('zyx', np.repeat(
+        [[0, 0, 0], [0, np.pi / 2, 0], [0, 0, np.pi / 2]], 2, axis=0)).as_matrix()
+    places[:, :3, 3] = np.einsum('kij,kj->ki', places[:, :3, :3], places[:, :3, 3])
+    return planes(rng, places, tuple(heights), **values)  # type: ignore[arg-type]
+
+
 def square(rng: np.random.Generator, **values: object) -> Measured:
     """Return two faces at a right angle."""
     places = np.repeat(np.eye(4)[None], 2, axis=0)

@@ -6,6 +6,13 @@ from collections.abc import Sequence
 from handeye_ros.errors import DataError, InputError, mm
 
 
+def any_of(counts: Sequence[int]) -> str:
+    """Return which counts are right, for a person."""
+    if len(counts) > 3:
+        return f'{counts[0]} to {counts[-1]}'
+    return ' or '.join(map(str, sorted(counts)))
+
+
 class WrongCountError(InputError):
     """A routine that was not given what it needs; what: bags, or lengths."""
 

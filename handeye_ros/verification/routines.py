@@ -1,8 +1,9 @@
 """The routines that verify a calibration, by name."""
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 import math
 
 from handeye_ros import se3
@@ -28,10 +29,10 @@ class Routine:
 
     says: what it measures. target: the target.type whose features the stations give, or TEETH
     where points are taken while the robot moves. bags: how many, least and most; lengths: of
-    Nominal, how many for so many bags. observe(samples, poses (n, 4, 4), X): the conditions of
-    one bag; shape(seen, points (m, 3), nominal): what is fitted, and what takes part.
-    names(count): name and unit of each value; spread(seen, X, fit): what single stations show
-    beside the fit.
+    Nominal, how many there may be for so many bags. observe(samples, poses (n, 4, 4), X): the
+    conditions of one bag; shape(seen, points (m, 3), nominal): what is fitted, and what takes
+    part. names(bags, values): name, unit and characteristic (see Quantity) of each value;
+    spread(seen, X, fit): what single stations show beside the fit.
     """
 
     name: str
@@ -40,8 +41,8 @@ class Routine:
     bags: tuple[int, int]
     observe: Callable[[Sequence[Sample], Array, Array], Observations]
     shape: Callable[[Seen, Array, Nominal], tuple[Seen, Shape]]
-    names: Callable[[int], tuple[tuple[str, str], ...]]
-    lengths: Callable[[int], int] = lambda bags: 0
+    names: Callable[[int, int], Iterator[tuple[str, str, str]]]
+    lengths: Callable[[int], tuple[int, ...]] = lambda bags: (0,)
     spread: Callable[[Seen, Array, FixedFit], tuple[Quantity, ...]] = lambda seen, X, found: ()
 
 
@@ -131,7 +132,7 @@ def _points_spread(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...
         p[kind == k, k].std(ddof=1)), int((kind == k).sum()) - 1) for k, axis in enumerate('xyz'))
 
 
-def _centres_spread(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
+def _centres_spread(seen: Seen, X: Array) -> tuple[Quantity, ...]:
     """
     Return 1 sigma, each axis, of the centres of the arcs about that of their ball.
 
@@ -156,20 +157,23 @@ def _centres_spread(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ..
     return tuple(told)
 
 
-def _faces_spread(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
-    """Return the flatness of each face: its highest point less its lowest, noise included."""
+def _form(name: str, symbol: str, seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
+    """Return the form error of each face or ball: its highest point less its lowest."""
     bag = seen.observations.kind // BAGS
-    told = []
-    for k in range(int(bag.max()) + 1):
-        away = found.distances[bag == k]
-        told.append(_spread(f'flatness of face {k + 1}, noise included',
-                            float(away.max() - away.min()), len(away) - 1))
-    return tuple(told)
+    parts = [found.distances[bag == k] for k in range(int(bag.max()) + 1)]
+    return tuple(_spread(f'{name} {k}, noise included', float(np.ptp(away)), len(away) - 1, symbol)
+                 for k, away in enumerate(parts, 1))
 
 
-def _spread(name: str, value: float, freedom: int) -> Quantity:
+def _balls_spread(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
+    """Return form error of each ball, and how its centre scatters from stop to stop."""
+    return (*_form('form error of ball', 'PF', seen, X, found), *_centres_spread(seen, X))
+
+
+def _spread(name: str, value: float, freedom: int, symbol: str = '') -> Quantity:
     """Return a spread with its own 1 sigma, as that of a normal scatter of so many freedoms."""
-    return Quantity(name, value, value / math.sqrt(2 * max(freedom, 1)), 0.0)
+    return Quantity(name, value, value / math.sqrt(2 * max(freedom, 1)), 0.0,
+                    characteristic=symbol)
 
 
 def no_samples(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
@@ -177,42 +181,52 @@ def no_samples(samples: Sequence[Sample], poses: Array, X: Array) -> Observation
     return ObservationRows().observations()
 
 
-def _nothing(count: int) -> tuple[tuple[str, str], ...]:
-    return ()
+def _named(*names: tuple[str, str, str]) -> Callable[[int, int], Iterator[tuple[str, str, str]]]:
+    """Return the same name, unit and characteristic for each value, whatever was measured."""
+    return lambda bags, values: iter(names)
 
 
-def _heights(count: int) -> tuple[tuple[str, str], ...]:
-    return tuple((f'height of face {k + 1} over face 0', 'm') for k in range(count))
+def _heights(bags: int, values: int) -> Iterator[tuple[str, str, str]]:
+    """Yield the names of the heights of blocks that have equally many faces each."""
+    blocks = bags - values
+    for k in range(values):
+        block, face = divmod(k, values // blocks)
+        of = f' of block {block + 1}' if blocks > 1 else ''
+        yield f'height of face {face + 1} over face 0{of}', 'm', 'E'
 
 
-def _balls(count: int) -> tuple[tuple[str, str], ...]:
-    if count == 1:
-        return (('radius', 'm'),)
-    balls = (count + 1) // 2
-    return (*((f'radius of ball {k + 1}', 'm') for k in range(balls)),
-            *((f'distance of balls {k + 1} and {k + 2}', 'm') for k in range(balls - 1)))
+def _blocks(bags: int) -> tuple[int, ...]:
+    """Return how many heights so many faces may have: of one block, two or three."""
+    return tuple(bags - n for n in (1, 2, 3) if bags % n == 0 and bags > n)
+
+
+def _balls(bags: int, values: int) -> Iterator[tuple[str, str, str]]:
+    for k in range(1, bags + 1):
+        yield ('radius' if bags == 1 else f'radius of ball {k}'), 'm', 'PS'
+    for k in range(1, bags):
+        yield f'distance of balls {k} and {k + 1}', 'm', 'SD'
 
 
 ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
     Routine('line', 'distances of edge points from a straight edge', 'line', (1, 1), edge,
-            whole(shapes.line), _nothing),
+            whole(shapes.line), _named()),
     Routine('plane', 'distances of points from a flat face', 'plane', (1, 1), faces,
-            whole(shapes.free_planes), _nothing, spread=_faces_spread),
+            whole(shapes.free_planes), _named(), spread=partial(_form, 'flatness of face', 'F')),
     Routine('point', 'one point seen from everywhere: scatter, and bias of a touched one', 'line',
             (1, 1), corner, whole(shapes.point),
-            lambda count: (('x', 'm'), ('y', 'm'), ('z', 'm')), spread=_points_spread),
+            _named(('x', 'm', ''), ('y', 'm', ''), ('z', 'm', '')), spread=_points_spread),
     Routine('sphere', 'radius of a ball', 'sphere', (1, 1), arcs, whole(shapes.spheres), _balls,
-            spread=_centres_spread),
+            spread=_balls_spread),
     Routine('ball_bar', 'distance of two balls', 'sphere', (2, 2), arcs, whole(shapes.spheres),
-            _balls, lambda bags: bags - 1, _centres_spread),
-    Routine('step', 'heights of parallel faces over the first', 'plane', (2, 9), faces,
-            whole(shapes.parallel_planes), _heights, lambda bags: bags - 1),
+            _balls, lambda bags: (bags - 1,), _balls_spread),
+    Routine('step', 'heights of parallel faces over the first, of one block to three', 'plane',
+            (2, 12), faces, whole(shapes.parallel_planes), _heights, _blocks),
     Routine('square', 'angle between two faces, and their flatness', 'plane', (2, 2), faces,
-            whole(shapes.free_planes), lambda count: (('angle between the faces', 'rad'),),
-            spread=_faces_spread),
+            whole(shapes.free_planes), _named(('angle between the faces', 'rad', '')),
+            spread=partial(_form, 'flatness of face', 'F')),
     Routine('tooth', 'pitch and height of a tooth gauge, scanned in passes', TEETH, (2, 20),
-            no_samples, tooth_gauge.fitted, lambda count: (('pitch', 'm'), ('height', 'm')),
-            lambda bags: 2),
+            no_samples, tooth_gauge.fitted, _named(('pitch', 'm', 'E'), ('height', 'm', 'E')),
+            lambda bags: (2,)),
 )}
 """What `handeye verify` knows."""
 

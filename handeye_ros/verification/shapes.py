@@ -3,6 +3,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.model import Observations
@@ -133,56 +134,71 @@ def line(p: Array, kind: Kinds, nominal: Nominal) -> Shape:
     return Shape(np.zeros(4), distance, lambda q: np.empty(0), ())
 
 
-def planes(p: Array, kind: Kinds, nominal: Nominal, parallel: bool) -> Shape:
-    """
-    Return one plane of each bag: parallel, with steps between them, or each its own.
+class Planes(NamedTuple):
+    """Start and distance of a Shape; normals (b, 3) and heights along them (b,) of unknowns."""
 
-    The values are the heights over the first plane, or the angle between two.
+    start: Array
+    distance: Callable[[Array, Kinds, Array], Array]
+    normals: Callable[[Array], Array]
+    heights: Callable[[Array], Array]
+
+
+def planes(p: Array, kind: Kinds, of: Kinds) -> Planes:
     """
-    bag = kind // BAGS
-    count = int(bag.max()) + 1
-    middles = np.array([p[bag == k].mean(axis=0) for k in range(count)])
+    Return a plane for each bag.
+
+    p: (m, 3); of: (b,) of which set of parallel planes each bag is. The unknowns are two tilts of
+    each set, and one height of each plane over the middle of its points.
+    """
+    bag, sets = kind // BAGS, int(of.max()) + 1
+    middles = np.array([p[bag == k].mean(axis=0) for k in range(len(of))])
     centred = p - middles[bag]
-    parts = [centred] * count if parallel else [centred[bag == k] for k in range(count)]
-    frames = np.array([np.linalg.svd(part, full_matrices=False)[2].T for part in parts])
-    if parallel:
-        reach = (middles - middles[0]) @ frames[0][:, 2]
-        frames[:, :, 2] *= np.sign(reach[np.argmax(np.abs(reach))] or 1.0)
+    frames = np.array([np.linalg.svd(centred[of[bag] == k], full_matrices=False)[2].T
+                       for k in range(sets)])
+    for k in range(sets):  # upwards from the first of a set to the last
+        reach = (middles[of == k] - middles[of == k][0]) @ frames[k][:, 2]
+        frames[k][:, 2] *= np.sign(reach[np.argmax(np.abs(reach))] or 1.0)
 
     def normals(q: Array) -> Array:
-        tilt = q[:2 * count].reshape(count, 2)
-        tilt = np.repeat(tilt[:1], count, axis=0) if parallel else tilt
+        tilt = q[:2 * sets].reshape(sets, 2)
         n = frames[:, :, 2] + np.einsum('kij,kj->ki', frames[:, :, :2], tilt)
-        return np.asarray(n / np.linalg.norm(n, axis=1)[:, None])
-
-    size = 2 if parallel else 2 * count
+        return np.asarray((n / np.linalg.norm(n, axis=1)[:, None])[of])
 
     def distance(p: Array, kind: Kinds, q: Array) -> Array:
         k = kind // BAGS
-        n = normals(np.concatenate([q[:2], np.zeros(2 * count - 2)]) if parallel else q)
-        return np.asarray(((p - middles[k]) * n[k]).sum(axis=1) - q[size + k])
+        return np.asarray(((p - middles[k]) * normals(q)[k]).sum(axis=1) - q[2 * sets + k])
 
-    def values(q: Array) -> Array:
-        if parallel:
-            n = normals(np.concatenate([q[:2], np.zeros(2 * count - 2)]))[0]
-            height = middles @ n + q[2:]
-            return np.asarray(height[1:] - height[0])
-        n = normals(q)
-        return np.array([np.arctan2(np.linalg.norm(np.cross(n[0], n[1])), np.abs(n[0] @ n[1]))]
-                        if count == 2 else [])
+    def heights(q: Array) -> Array:
+        return np.asarray((middles * normals(q)).sum(axis=1) + q[2 * sets:])
 
-    told = nominal.lengths if parallel else (np.pi / 2,) * (count == 2)
-    return Shape(np.zeros(size + count), distance, values, tuple(told))
+    return Planes(np.zeros(2 * sets + len(of)), distance, normals, heights)
 
 
 def parallel_planes(p: Array, kind: Kinds, nominal: Nominal) -> Shape:
-    """Return parallel planes."""
-    return planes(p, kind, nominal, parallel=True)
+    """Return blocks of parallel planes: heights over the first of each block."""
+    bags = int((kind // BAGS).max()) + 1
+    of = np.arange(bags) // (bags // (bags - len(nominal.lengths)))
+    made = planes(p, kind, of)
+    first = np.searchsorted(of, of)
+
+    def values(q: Array) -> Array:
+        height = made.heights(q)
+        return np.asarray((height - height[first])[first < np.arange(bags)])
+
+    return Shape(made.start, made.distance, values, tuple(nominal.lengths))
 
 
 def free_planes(p: Array, kind: Kinds, nominal: Nominal) -> Shape:
-    """Return planes that do not depend on each other."""
-    return planes(p, kind, nominal, parallel=False)
+    """Return planes that do not depend on each other: of two, the angle between them."""
+    of = np.arange(int((kind // BAGS).max()) + 1)
+    made = planes(p, kind, of)
+
+    def values(q: Array) -> Array:
+        n = made.normals(q)
+        return np.array([np.arctan2(np.linalg.norm(np.cross(n[0], n[1])), np.abs(n[0] @ n[1]))]
+                        if len(of) == 2 else [])
+
+    return Shape(made.start, made.distance, values, (np.pi / 2,) * (len(of) == 2))
 
 
 def point(p: Array, kind: Kinds, nominal: Nominal) -> Shape:

@@ -4,7 +4,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 import csv
 from dataclasses import dataclass
-from datetime import datetime, UTC
 import io
 from pathlib import Path
 
@@ -15,11 +14,11 @@ from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.errors import CalibrationFileError
 from handeye_ros.scanning.pictures import figure, save
 from handeye_ros.verification.errors import NoTrendError
+from handeye_ros.verification.verification import time_of
 import numpy as np
 from rich.table import Table
 
 CHANGED, WARNING = 0.01, 0.05  # p of a difference: to act on, to watch
-EARLIEST = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +69,7 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
 def _recorded(calibration: Calibration) -> str:
     """Return when a calibration was recorded, by its samples; else when it was solved."""
     stamp = min((report.stamp for report in calibration.samples), default=0)
-    if stamp < EARLIEST:
-        return str(calibration.provenance.get('created', ''))
-    return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
+    return time_of(stamp) or str(calibration.provenance.get('created', ''))
 
 
 def between(a: Calibration, b: Calibration) -> tuple[Array, Array]:

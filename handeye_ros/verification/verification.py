@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import asdict, astuple, dataclass, fields
+from datetime import datetime, UTC
 import io
 import math
 from typing import Any
@@ -12,6 +13,7 @@ from handeye_ros.results.verified import COLUMNS, FORMAT, rows_of, shown, title_
 from rich.table import Table
 import yaml
 
+EARLIEST = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
 K = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
 
 
@@ -22,6 +24,7 @@ class Quantity:
 
     std: 1 sigma of the deviation by sensor and robot here, and by the nominal value; claimed: 1
     sigma that the calibration's covariance makes of it. nominal: None where there is none.
+    characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see results/protocol.py).
     """
 
     name: str
@@ -30,6 +33,7 @@ class Quantity:
     claimed: float
     nominal: float | None = None
     unit: str = 'm'
+    characteristic: str = ''
 
     @property
     def error(self) -> float | None:
@@ -95,7 +99,9 @@ class Verification:
     reasons: sentences. smallest_error: of the calibration that would have shown, in the direction
     that shows least (m). region: squared distance of all values with a nominal from it, in units
     of both covariances; freedom: how many they are; claim_p: how often it is as large where the
-    calibration's covariance is true. surface: what was taken of several in sight.
+    calibration's covariance is true. surface: what was taken of several in sight. says: what the
+    routine measures; recorded: when (ISO 8601; empty: unknown); certificate: U of the nominal
+    values (m); record: record.* of the configuration.
     """
 
     routine: str
@@ -115,13 +121,24 @@ class Verification:
     per_station: tuple[StationResult, ...] = ()
     surface: str = ''
     inputs: tuple[str, ...] = ()
+    says: str = ''
+    recorded: str = ''
+    certificate: float = 0.0
+    record: tuple[tuple[str, str], ...] = ()
+
+
+def time_of(stamp: int) -> str:
+    """Return a stamp (ns) as ISO 8601; empty where it is of no clock of the world."""
+    if stamp < EARLIEST:
+        return ''
+    return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
 
 
 def values(found: Verification) -> dict[str, Any]:
     """Return a verification as plain values, for YAML and for the report."""
     told = {'format': FORMAT, 'version': __version__, **asdict(found)}
     told['reasons'], told['inputs'] = list(found.reasons), list(found.inputs)
-    told['k'] = K
+    told['k'], told['record'] = K, dict(found.record)
     told['quantities'] = [asdict(q) for q in found.quantities]
     told['per_station'] = [asdict(s) for s in found.per_station]
     return told

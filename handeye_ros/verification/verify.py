@@ -1,7 +1,7 @@
 """From the stations of some bags and a calibration to the verdict of a routine."""
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, Sample
@@ -10,6 +10,7 @@ from handeye_ros.results.outcome import mounted, sensor_axes
 from handeye_ros.verification import surfaces
 from handeye_ros.verification.decision import claim_p, decide, sensitivity, Tolerances
 from handeye_ros.verification.errors import (
+    any_of,
     NotTheArtefactError,
     SameRecordingError,
     TooFewSeenError,
@@ -23,11 +24,13 @@ from handeye_ros.verification.verification import (
     Quantity,
     Scatter,
     StationResult,
+    time_of,
     Verification,
 )
 import numpy as np
 
 LEAST_STATIONS = 4  # of a bag
+LENGTHS = 'lengths (--length, verify.lengths)'
 OUTLIER = 0.01  # chance that any of the good stations is left out
 MOST_OUTLIERS = 0.2  # of the stations: more are no outliers, but a disagreement
 FOREIGN = 1e-6  # p of points that no error of the calibration explains
@@ -54,7 +57,7 @@ def verify(routine: Routine, bags: Sequence[Seen], calibration: Calibration, con
         largest = float(np.abs(freed.distances).max())
         if freed.p_error < FOREIGN and largest > tolerances.length:
             raise NotTheArtefactError(routine.name, largest)
-    quantities = (*_quantities(routine, found, shape.nominals),
+    quantities = (*_quantities(routine, found, shape.nominals, len(bags)),
                   *routine.spread(used, X, found))
     stations = _station_results(seen, used, found, left_out, tolerances)
     shown = sensitivity(found)
@@ -62,7 +65,9 @@ def verify(routine: Routine, bags: Sequence[Seen], calibration: Calibration, con
     return Verification(
         routine.name, calibration.name, verdict, reasons, tolerances.length, tolerances.angle,
         len(np.unique(used.observations.station)), quantities, _scatter(found), shown.size,
-        shown.direction, found.region, found.freedom, claim_p(found), stations, seen.surface)
+        shown.direction, found.region, found.freedom, claim_p(found), stations, seen.surface,
+        says=routine.says, recorded=time_of(int(seen.stamps.min())),
+        certificate=K * nominal.std, record=config.record)
 
 
 def _require_different(bags: Sequence[Seen]) -> None:
@@ -162,12 +167,10 @@ def settings_for(routine: Routine, config: Config, nominal: Nominal, bags: int) 
     """
     least, most = routine.bags
     if not least <= bags <= most:
-        needed = str(least) if least == most else f'{least} to {most}'
-        raise WrongCountError(routine.name, 'bags', bags, needed)
+        raise WrongCountError(routine.name, 'bags', bags, any_of(range(least, most + 1)))
     lengths = routine.lengths(bags)
-    if len(nominal.lengths) != lengths:
-        raise WrongCountError(routine.name, 'lengths (--length, verify.lengths)',
-                              len(nominal.lengths), str(lengths))
+    if len(nominal.lengths) not in lengths:
+        raise WrongCountError(routine.name, LENGTHS, len(nominal.lengths), any_of(lengths))
     if routine.target == TEETH:
         return config
     return with_values(config, {'target.type': routine.target, 'target.radius': nominal.radius,
@@ -177,10 +180,10 @@ def settings_for(routine: Routine, config: Config, nominal: Nominal, bags: int) 
 def parts_of(routine: Routine, nominal: Nominal) -> tuple[int, int]:
     """Return how many bags fit the lengths, least and most; raises WrongCountError."""
     least, most = routine.bags
-    fit = [n for n in range(least, most + 1) if routine.lengths(n) == len(nominal.lengths)]
+    fit = [n for n in range(least, most + 1) if len(nominal.lengths) in routine.lengths(n)]
     if not fit:
-        raise WrongCountError(routine.name, 'lengths (--length, verify.lengths)',
-                              len(nominal.lengths), str(routine.lengths(least)))
+        raise WrongCountError(routine.name, LENGTHS, len(nominal.lengths),
+                              any_of(routine.lengths(least)))
     return fit[0], fit[-1]
 
 
@@ -196,15 +199,14 @@ def tolerances_of(config: Config) -> Tolerances:
     return Tolerances(config.verify.tolerance, config.verify.angle_tolerance)
 
 
-def _quantities(routine: Routine, found: FixedFit, nominals: tuple[float | None, ...]
-                ) -> tuple[Quantity, ...]:
-    names = routine.names(len(found.values))
+def _quantities(routine: Routine, found: FixedFit, nominals: tuple[float | None, ...], bags: int
+                ) -> Iterator[Quantity]:
     std, claimed = (np.sqrt(np.maximum(np.diag(C), 0.0)) for C in (
         found.covariance, found.claimed))
-    return tuple(
-        Quantity(name, float(value), float(s), float(c), nominal, unit)
-        for (name, unit), value, s, c, nominal in zip(
-            names, found.values, std, claimed, nominals, strict=True))
+    names = routine.names(bags, len(found.values))
+    for (name, unit, symbol), value, s, c, nominal in zip(
+            names, found.values, std, claimed, nominals, strict=True):
+        yield Quantity(name, float(value), float(s), float(c), nominal, unit, symbol)
 
 
 def _scatter(found: FixedFit) -> Scatter:

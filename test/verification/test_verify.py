@@ -4,11 +4,13 @@ from __future__ import annotations
 from dataclasses import replace
 import importlib.util
 from pathlib import Path
+import re
 
 from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import FaceLine, Sample
+from handeye_ros.results import protocol
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.simulate import gauges, simulate
@@ -122,6 +124,38 @@ def test_errors_of_the_artefact_are_measured():
     made, found = measured('ball_bar')
     told = result('ball_bar', replace(made, lengths=(0.1995,)), found)
     assert told.quantities[2].error == pytest.approx(5e-4, abs=1e-4)
+
+
+def test_the_three_directions_of_a_step_block_give_one_result():
+    rng = np.random.default_rng(3)
+    made = gauges.step_directions(rng)
+    found = bench.calibration(made.T_flange_sensor, bench.covariance(rng))
+    told = result('step', made, found)
+    assert told.verdict == 'pass'
+    assert [q.name for q in told.quantities] == [
+        f'height of face 1 over face 0 of block {k}' for k in (1, 2, 3)]
+    assert max(abs(q.error) for q in told.quantities) < 5e-5
+    assert result('step', replace(made, lengths=(0.025, 0.05, 0.1005)), found).verdict == 'fail'
+    with pytest.raises(WrongCountError, match='needs 3 or 4 or 5 lengths'):
+        settings_for(ROUTINES['step'], Config(), Nominal((0.025,)), 6)
+
+
+def test_the_protocol_says_what_an_inspector_asks_for():
+    made, found = measured('ball_bar')
+    config = with_values(Config(noise=bench.NOISE), {
+        'record.operator': 'A. <Nother>', 'record.artefact_serial': 'KB-17'}, 'test')
+    nominal = Nominal(made.lengths, bench.RADIUS, std=1e-6)
+    told = verification.values(result('ball_bar', made, found, nominal, config=config))
+    page = protocol.html(yaml.safe_load(yaml.safe_dump(told)))
+    rows = re.sub(r'<[^>]+>', ' ', page)
+    for words in ('A. &lt;Nother&gt;', 'Artefact serial', 'KB-17', 'ISO 14253-1', '@media print'):
+        assert words in page
+    assert re.search(r'U of the certificate \(k = 2\)\s+0.0020 mm', rows)
+    for k, q in enumerate(q for q in told['quantities'] if q['characteristic'] == 'PS'):
+        assert re.search(rf'PS .*\s+radius of ball {k + 1}\s+{2e3 * (q["value"] - 0.02):.4f} mm',
+                         rows)
+    assert all(re.search(rf'\b{symbol}\b', rows) for symbol in ('PF', 'PS', 'SD'))
+    assert page.count('<rect') == told['stations'] and 'http' not in page
 
 
 def test_the_bias_of_a_touched_point_is_measured():
@@ -258,7 +292,7 @@ def test_too_few_stations_and_wrong_counts_are_refused():
     with pytest.raises(TooFewSeenError, match='3 usable stations'):
         result('sphere', made, found)
     routine = ROUTINES['step']
-    with pytest.raises(WrongCountError, match='2 to 9 bags'):
+    with pytest.raises(WrongCountError, match='2 to 12 bags'):
         settings_for(routine, Config(), Nominal((0.1,)), 1)
     with pytest.raises(WrongCountError, match=r'2 lengths \(--length, .*, and got 1'):
         settings_for(routine, Config(), Nominal((0.1,)), 3)

@@ -41,13 +41,18 @@ def write(calibration: Calibration, evidence: Evidence, path: Path,
 
 def html(calibration: Calibration, evidence: Evidence, verified: Sequence[Verified] = ()) -> str:
     """Return the text of the report; verified: what it was verified with."""
+    config = config_of(calibration)
+    return templates().get_template('report.html').render(
+        _values(calibration, evidence, config) | {'verified': verified, 'columns': COLUMNS})
+
+
+def templates() -> Environment:
+    """Return what finds and fills the pages in assets/."""
     pages = Environment(loader=PackageLoader('handeye_ros.results.report', 'assets'),
                         autoescape=True, undefined=StrictUndefined, trim_blocks=True,
                         lstrip_blocks=True)
     pages.globals['source'] = lambda name: Markup(pages.get_template(name).render())
-    config = config_of(calibration)
-    return pages.get_template('report.html').render(
-        _values(calibration, evidence, config) | {'verified': verified, 'columns': COLUMNS})
+    return pages
 
 
 def _values(calibration: Calibration, evidence: Evidence, config: Config) -> dict[str, Any]:
