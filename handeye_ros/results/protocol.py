@@ -58,16 +58,16 @@ def _conformity(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
 def _picture(stations: Sequence[Mapping[str, Any]], tolerance: float, k: float
              ) -> dict[str, Any]:
     """Return the bars of the stops: their largest distances from the fit, with U."""
-    used = [s for s in stations if s['used']]
-    top = 1.05 * max([tolerance, *(float(s['distance'] + k * s['std']) for s in used)])
+    reach = max((float(s['distance'] + k * s['std']) for s in stations if s['used']), default=0.0)
+    top = 1.1 * (max(reach, tolerance) if tolerance < 3 * reach else reach)
     step = (WIDTH - LEFT) / max(len(stations), 1)
 
     def height(value: float) -> float:
-        return round((HEIGHT - BOTTOM) * (1 - max(value, 0.0) / top), 1)
+        return round((HEIGHT - BOTTOM) * (1 - max(value, 0.0) / (top or 1.0)), 1)
 
     bars = [{'x': round(LEFT + (i + 0.15) * step, 1), 'width': round(0.7 * step, 1),
              'y': height(s['distance']), 'low': height(s['distance'] - k * s['std']),
              'high': height(s['distance'] + k * s['std']), 'station': s}
             for i, s in enumerate(stations)]
-    return {'bars': bars, 'tolerance': height(tolerance), 'width': WIDTH, 'height': HEIGHT,
+    return {'bars': bars, 'top': top, 'tolerance': height(tolerance), 'width': WIDTH, 'height': HEIGHT,
             'left': LEFT, 'floor': HEIGHT - BOTTOM}
