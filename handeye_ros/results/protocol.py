@@ -69,5 +69,5 @@ def _picture(stations: Sequence[Mapping[str, Any]], tolerance: float, k: float
              'y': height(s['distance']), 'low': height(s['distance'] - k * s['std']),
              'high': height(s['distance'] + k * s['std']), 'station': s}
             for i, s in enumerate(stations)]
-    return {'bars': bars, 'top': top, 'tolerance': height(tolerance), 'width': WIDTH, 'height': HEIGHT,
-            'left': LEFT, 'floor': HEIGHT - BOTTOM}
+    return {'bars': bars, 'top': top, 'tolerance': height(tolerance),
+            'width': WIDTH, 'height': HEIGHT, 'left': LEFT, 'floor': HEIGHT - BOTTOM}
