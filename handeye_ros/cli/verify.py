@@ -100,7 +100,6 @@ def verify(
 ) -> None:
     """Measure something known with a calibration: exit code 0 only for a pass, 1 otherwise."""
     from handeye_ros.config import with_values
-    from handeye_ros.results.calibration_file import write_whole
     from handeye_ros.verification import verification
     from handeye_ros.verification.routines import routine_of
     routine = routine_of(name)
@@ -111,17 +110,24 @@ def verify(
     settings = with_values(settings, _keys(given, angle_tolerance), 'the options')
     result = _verified(routine, bags, found, settings)
     show(verification.table(result))
+    _write(result, out, stations, protocol)
+    for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
+        typer.echo(sentence)
+    if result.verdict != 'pass':
+        raise typer.Exit(NOT_PASSED)
+
+
+def _write(result: 'Verification', out: Path | None, stations: Path | None,
+           protocol: Path | None) -> None:
+    from handeye_ros.results.calibration_file import write_whole
+    from handeye_ros.results.protocol import html
+    from handeye_ros.verification import verification
     if out:
         write_whole(out, verification.yaml_text(result))
     if stations:
         write_whole(stations, verification.stations_csv(result))
     if protocol:
-        from handeye_ros.results.protocol import html
         write_whole(protocol, html(verification.values(result)))
-    for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
-        typer.echo(sentence)
-    if result.verdict != 'pass':
-        raise typer.Exit(NOT_PASSED)
 
 
 def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
