@@ -13,7 +13,7 @@ from handeye_ros.errors import HandeyeError
 from handeye_ros.files.tables import Table
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.truth_file import true_transform
-from handeye_ros.ros.bags import bag, flow
+from handeye_ros.ros.bags import bag
 from handeye_ros.ros.sessions.reading import read_session
 import numpy as np
 
@@ -30,7 +30,7 @@ def bag_case(name: str) -> Case:
             for profile in recording.profiles[:3]:
                 with contextlib.suppress(HandeyeError):
                     profile.read()
-        for _ in zip(flow.flow(file, Config()).profiles(), range(3), strict=False):
+        for _ in zip(bag.flow(file, Config()).profiles(), range(3), strict=False):
             pass
     return case
 

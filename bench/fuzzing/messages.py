@@ -10,12 +10,11 @@ from fuzzing.damage import Case, damaged, size
 from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.data import Profile, TimedPose
 from handeye_ros.errors import HandeyeError
-from handeye_ros.ros.bags import bag_write, cdr
-from handeye_ros.ros.bags.batches import split
-from handeye_ros.ros.bags.messages import pose_from_cdr, returns_from_cloud
-from handeye_ros.ros.bags.profile_reader import ProfileReader
-from handeye_ros.ros.bags.transforms import FlangeTracker
-from handeye_ros.ros.bags.tree import Transforms
+from handeye_ros.ros.bags import bag_write
+from handeye_ros.ros.bags.contents import CLOUD
+from handeye_ros.ros.bags.messages import deserialised, pose_from_cdr, returns_from_cloud
+from handeye_ros.ros.bags.profile_reader import ProfileReader, split
+from handeye_ros.ros.bags.transforms import FlangeTracker, Transforms
 from handeye_ros.sampling.session import Session
 import numpy as np
 
@@ -70,7 +69,7 @@ def check_cloud(data: bytes, config: ProfileConfig) -> None:
             lost = np.isnan(points).any(axis=1)
             assert points.ndim == 2 and points.shape[1] == 2
             assert (np.abs(points[~lost]) <= 10.0).all()
-    returns_from_cloud(cdr.cloud(data), config)
+    returns_from_cloud(deserialised(data, CLOUD), config)
 
 
 def pose_case(rng: np.random.Generator, folder: Path) -> None:

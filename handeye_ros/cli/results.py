@@ -47,7 +47,7 @@ def report(
     from handeye_ros.results.calibration_file import file_of, read_calibration
     from handeye_ros.results.report import page
     from handeye_ros.results.verified import read
-    from handeye_ros.ros.bags.evidence import evidence
+    from handeye_ros.ros.bags.bag import evidence
     file, verified = file_of(path), [read(one) for one in verification]
     calibration = read_calibration(file)
     with doing('finding the stops'):

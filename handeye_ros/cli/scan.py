@@ -58,7 +58,7 @@ def scan(
     """Put the profiles of a recording into the robot's base: a cloud of points."""
     import math
 
-    from handeye_ros.ros.bags.flow import flow
+    from handeye_ros.ros.bags.bag import flow
     from handeye_ros.sampling.trajectory import track_of
     from handeye_ros.scanning.cloud_files import cloud_writer, header_of
     from handeye_ros.scanning.scan import Scanner, ScanOptions

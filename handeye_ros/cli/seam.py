@@ -112,7 +112,7 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
         return read_cloud(path), 'base'
     if calibration is None:
         raise NeedsCalibrationError(path)
-    from handeye_ros.ros.bags.flow import flow
+    from handeye_ros.ros.bags.bag import flow
     from handeye_ros.sampling.trajectory import track_of
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     found, settings = calibrated(calibration, config, assignments)
@@ -136,7 +136,7 @@ def _more(found: 'Seam', frames: 'ToolFrames', frame: str, out: Path, robots: Se
     if bag:
         import time
 
-        from handeye_ros.ros.bags.path_write import write_path
+        from handeye_ros.ros.bags.bag_write import write_path
         write_path(out / 'path', frames.T_base_tool, frame, time.time_ns(), force=True)
     if picture:
         from handeye_ros.scanning.seam_picture import draw

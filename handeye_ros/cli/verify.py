@@ -162,7 +162,7 @@ def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
 
 def _pass(bag: Path, config: 'Config') -> 'Seen':
     """Return what was seen while the robot moved."""
-    from handeye_ros.ros.bags.flow import flow
+    from handeye_ros.ros.bags.bag import flow
     from handeye_ros.sampling.trajectory import track_of
     from handeye_ros.verification.tooth_gauge import seen_in_pass
     with doing('reading the recording'):

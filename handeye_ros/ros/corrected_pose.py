@@ -19,7 +19,7 @@ from handeye_ros.data import TimedPose
 from handeye_ros.kinematics.answer import read_arm
 from handeye_ros.kinematics.chain import chain_of, read_urdf
 from handeye_ros.kinematics.model import Arm
-from handeye_ros.ros.bags.joints import pose_from_joints
+from handeye_ros.ros.bags.poses import pose_from_joints
 from handeye_ros.ros.errors import MessageError, TopicsError
 from handeye_ros.ros.executable import exit_code, RCLError, ros, spin
 from handeye_ros.ros.node.intake import STREAM, TFMessage, THROTTLE

@@ -27,9 +27,9 @@ from handeye_ros.kinematics.answer import read_arm
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.results.calibration_file import file_of, read_calibration
 from handeye_ros.results.report.evidence import use_config
-from handeye_ros.ros.bags.flow import returns_of
-from handeye_ros.ros.bags.joints import pose_from_joints
 from handeye_ros.ros.bags.messages import pose_from_stamped
+from handeye_ros.ros.bags.poses import pose_from_joints
+from handeye_ros.ros.bags.profile_reader import returns_of
 from handeye_ros.ros.bags.transforms import FlangeTracker
 from handeye_ros.ros.errors import MessageError, TopicsError
 from handeye_ros.ros.executable import exit_code, RCLError, ros

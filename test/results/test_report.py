@@ -15,7 +15,7 @@ from handeye_ros.results import calibration_file
 from handeye_ros.results.report import page as pages
 from handeye_ros.results.report.evidence import Evidence
 from handeye_ros.results.report.verdict import mapped_std, verdict
-from handeye_ros.ros.bags.evidence import evidence
+from handeye_ros.ros.bags.bag import evidence
 import numpy as np
 import pytest
 

@@ -7,29 +7,33 @@ read again from where it lies.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from handeye_ros import files, pipeline
 from handeye_ros.config import Config
-from handeye_ros.data import RawProfile, TimedPose
+from handeye_ros.data import Calibration, Profile, RawProfile, TimedPose
 from handeye_ros.errors import HandeyeError
 from handeye_ros.kinematics.answer import read_arm
 from handeye_ros.kinematics.chain import Chain
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.samples import JointRecording
 from handeye_ros.results.calibration_file import input_values
-from handeye_ros.ros.bags.contents import CLOUD, Contents, JOINTS, POSE
-from handeye_ros.ros.bags.held import Poses, Profiles
-from handeye_ros.ros.bags.joints import JointPoses, JointTable
-from handeye_ros.ros.bags.profile_reader import ProfileReader
-from handeye_ros.ros.bags.storage import pieces, Progress
-from handeye_ros.ros.bags.topic import Topic
-from handeye_ros.ros.bags.tree import Tree
+from handeye_ros.results.report.evidence import config_of, Evidence, recording_of
+from handeye_ros.ros.bags.contents import CLOUD, Contents, full_name, JOINTS, POSE
+from handeye_ros.ros.bags.poses import JointPoses, Poses, PoseTable
+from handeye_ros.ros.bags.profile_reader import returns_of
+from handeye_ros.ros.bags.storage import messages, pieces, Progress
+from handeye_ros.ros.bags.topic import Profiles, require_topic, Topic
+from handeye_ros.ros.bags.transforms import Tree
+from handeye_ros.ros.errors import AllMalformedError, MessageError
 from handeye_ros.sampling.errors import ClocksApartError, TwoFramesError
 from handeye_ros.sampling.stream import FEW, FEW_SHARE
+
+MOST_MALFORMED = 0.5  # of the messages of a scan, which are left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +70,7 @@ def read(path: Path, config: Config, progress: Progress = lambda share: None,
     """
     contents, source = Contents(), PoseSource(config, arm)
     clouds = Topic('profile_topic', config.profile_topic, CLOUD,
-                   Profiles(ProfileReader(config.profile).take))
+                   Profiles(config.profile))
     _take_all(path, contents, (clouds, *source.topics), progress)
     profiles = tuple(clouds.items(path, contents))
     poses = source.poses(path, contents)
@@ -144,10 +148,73 @@ def read_with_joints(path: Path, config: Config, chain: Chain, progress: Progres
     """Return a bag with the poses that an arm has at its joint values; raises as read does."""
     recording = read(path, config, progress, Arm(chain))
     poses = recording.poses
-    assert isinstance(poses, JointTable)
+    assert isinstance(poses, PoseTable) and poses.joints is not None
     try:
         reported, _ = read_poses(path, replace(config, kinematics=''))
     except HandeyeError:
         reported = ()
     return JointRecording(recording.profiles, poses, poses.joints, reported, recording.warnings,
                           recording.inputs)
+
+
+@dataclass
+class Flow:
+    """
+    The profiles of a bag, read when they are asked for, and its poses.
+
+    warnings: what was left out, complete when all was asked for. Raises InputError when asked
+    for what is not there.
+    """
+
+    path: Path
+    config: Config
+    poses: Sequence[TimedPose] = ()
+    warnings: list[str] = field(default_factory=list)
+
+    def profiles(self) -> Iterator[Profile]:
+        """Yield the profiles in the order of recording: returns alone, with intensity."""
+        topic = full_name(self.config.profile_topic)
+        reasons: Counter[str] = Counter()
+        count, contents = 0, Contents()
+        for raw in messages(self.path, contents, (topic,)):
+            count += 1
+            try:
+                yield from returns_of(raw.data, self.config.profile)
+            except MessageError as error:
+                reasons[str(error)] += 1
+        self.warnings += [w for w in contents.warnings if w not in self.warnings]
+        lost = reasons.total()
+        if lost and lost > MOST_MALFORMED * count:
+            raise AllMalformedError(topic, lost, count, reasons.most_common(1)[0][0])
+        if lost:
+            self.warnings.append(f'{lost} of {count} messages on {topic} were left out; the '
+                                 f'most frequent reason: {reasons.most_common(1)[0][0]}')
+
+
+def flow(path: Path, config: Config) -> Flow:
+    """
+    Return the stream of a bag, its poses read.
+
+    Raises BagError, NoTopicError, TopicTypeError, and what the reader of the poses raises.
+    """
+    poses, contents = read_poses(path, config)
+    require_topic(path, contents, 'profile_topic', full_name(config.profile_topic), CLOUD)
+    return Flow(path, config, poses, contents.warnings)
+
+
+def evidence(calibration: Calibration, bag: Path | None) -> Evidence:
+    """
+    Return what a recording shows; bag: None for the one that the calibration names.
+
+    Where there is none, its `missing` says why. Raises InputError for a bag that cannot be read.
+    """
+    config = config_of(calibration)
+    if files.of(config):
+        return Evidence(missing='stops are shown of recordings; this was solved from files')
+    missing = ''
+    if bag is None:
+        bag, missing = recording_of(calibration)
+    if bag is None:
+        return Evidence(missing=missing)
+    recording = read(bag, config)
+    return pipeline.evidence(recording.profiles, recording.poses, config)

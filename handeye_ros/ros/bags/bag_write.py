@@ -1,22 +1,21 @@
-"""Writes profiles and poses as a rosbag2 folder (mcap), as a driver and a robot would."""
+"""Writes rosbag2 folders (mcap): profiles and poses as drivers send them, and paths."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, TimedPose
-from handeye_ros.results import folder
-from handeye_ros.results import truth_file as truth_file
+from handeye_ros.results import folder, truth_file
 from handeye_ros.ros.bags.contents import CLOUD, full_name, JOINTS, POSE
-from handeye_ros.ros.bags.messages import DATATYPES, UNITS
+from handeye_ros.ros.bags.messages import DATATYPES, typestore, UNITS
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import get_typestore, Stores
 
-TYPES = get_typestore(Stores.ROS2_JAZZY)
+PATH, POSE_ARRAY = 'nav_msgs/msg/Path', 'geometry_msgs/msg/PoseArray'
 
 # The points of real drivers: dtypes with the fields x, y and z.
 LAYOUTS: dict[str, np.dtype[Any]] = {
@@ -54,77 +53,92 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
 def _write_messages(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
                     config: Config, dtype: np.dtype[Any], joints: Sequence[tuple[int, Array]]
                     ) -> None:
+    items: list[Profile | TimedPose] = sorted([*profiles, *poses], key=lambda item: item.stamp)
+    messages = chain(
+        ((full_name(config.profile_topic if isinstance(item, Profile) else config.pose_topic),
+          item.stamp, serialised(item, dtype, config.profile.unit)) for item in items),
+        ((full_name(config.joint_topic), stamp, _joint_state(stamp, values))
+         for stamp, values in joints))
+    kinds = {config.profile_topic: CLOUD, config.pose_topic: POSE,
+             **({config.joint_topic: JOINTS} if joints else {})}
+    _write_bag(path, {full_name(topic): kind for topic, kind in kinds.items()}, messages, True)
+
+
+def _write_bag(path: Path, kinds: Mapping[str, str], messages: Iterable[tuple[str, int, bytes]],
+               compressed: bool) -> None:
+    """Write messages (topic, stamp, data); kinds: the types of the topics."""
     writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    if compressed:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     with writer:
-        clouds = writer.add_connection(full_name(config.profile_topic), CLOUD,
-                                       typestore=TYPES)
-        stamped = writer.add_connection(full_name(config.pose_topic), POSE, typestore=TYPES)
-        items: list[Profile | TimedPose] = [*profiles, *poses]
-        for item in sorted(items, key=lambda item: item.stamp):
-            writer.write(clouds if isinstance(item, Profile) else stamped, item.stamp,
-                         serialised(item, dtype, config.profile.unit))
-        if joints:
-            _write_joints(writer, full_name(config.joint_topic), joints)
-
-
-def _write_joints(writer: Writer, topic: str, joints: Sequence[tuple[int, Array]]) -> None:
-    connection = writer.add_connection(topic, JOINTS, typestore=TYPES)
-    state, nothing = TYPES.types[JOINTS], np.zeros(0)
-    for stamp, values in joints:
-        names = [f'joint_{k}' for k in range(1, len(values) + 1)]
-        message = state(_header(TYPES, stamp, ''), names, values, nothing, nothing)
-        writer.write(connection, stamp, bytes(TYPES.serialize_cdr(message, JOINTS)))
+        connections = {topic: writer.add_connection(topic, kind, typestore=typestore())
+                       for topic, kind in kinds.items()}
+        for topic, stamp, data in messages:
+            writer.write(connections[topic], stamp, data)
 
 
 def serialised(item: Profile | TimedPose, dtype: np.dtype[Any], unit: str) -> bytes:
     """Return the message of a profile, its points laid out and in a unit, or of a pose."""
     if isinstance(item, Profile):
-        return bytes(TYPES.serialize_cdr(_cloud(TYPES, item, dtype, unit), CLOUD))
-    return bytes(TYPES.serialize_cdr(_pose_stamped(TYPES, item), POSE))
+        return _bytes(_cloud(item, dtype, unit))
+    header = _header(item.stamp, item.parent_frame)
+    return _bytes(_new(POSE, header, _pose(item.translation, item.quaternion)))
 
 
 def cloud_cdr(profile: Profile, config: Config) -> bytes:
     """Return a profile as a serialised sensor_msgs/PointCloud2, with no digit lost."""
-    types = _types()
-    cloud = _cloud(types, profile, LAYOUTS['double'], config.profile.unit)
-    return bytes(types.serialize_cdr(cloud, 'sensor_msgs/msg/PointCloud2'))
+    return serialised(profile, LAYOUTS['double'], config.profile.unit)
 
 
-@cache
-def _types() -> Any:
-    return get_typestore(Stores.ROS2_JAZZY)
+def _new(kind: str, *values: Any) -> Any:
+    """Return a message of a type."""
+    return typestore().types[kind](*values)
 
 
-def _header(types: Any, stamp: int, frame_id: str) -> Any:
-    time = types.types['builtin_interfaces/msg/Time'](*divmod(stamp, 1_000_000_000))
-    return types.types['std_msgs/msg/Header'](time, frame_id)
+def _bytes(message: Any) -> bytes:
+    return bytes(typestore().serialize_cdr(message, message.__msgtype__))
 
 
-def _cloud(types: Any, profile: Profile, dtype: np.dtype[Any], unit: str) -> Any:
-    points = np.zeros(len(profile.points), dtype)
-    for axis, column in zip(profile.axes, _columns(profile, unit), strict=True):
-        points[axis[-1]] = column
-    point_field = types.types['sensor_msgs/msg/PointField']
-    codes = {name: code for code, name in DATATYPES.items()}
-    fields = [point_field(name, offset, codes[kind.str[1:]], 1)
-              for name, (kind, offset, *_) in (dtype.fields or {}).items()]
-    size = dtype.itemsize * len(points)
-    return types.types['sensor_msgs/msg/PointCloud2'](
-        _header(types, profile.stamp, profile.frame_id), 1, len(points), fields,
-        dtype['x'].byteorder == '>', dtype.itemsize, size, points.view(np.uint8).ravel(),
-        bool(np.isfinite(profile.points).all()))
+def _header(stamp: int, frame_id: str) -> Any:
+    time = _new('builtin_interfaces/msg/Time', *divmod(stamp, 1_000_000_000))
+    return _new('std_msgs/msg/Header', time, frame_id)
 
 
-def _columns(profile: Profile, unit: str) -> Array:
-    """Return the coordinates (2, n) along the unsigned axes of the message, in its unit."""
+def _joint_state(stamp: int, values: Array) -> bytes:
+    names, none = [f'joint_{k}' for k in range(1, len(values) + 1)], np.zeros(0)
+    return _bytes(_new(JOINTS, _header(stamp, ''), names, values, none, none))
+
+
+def _cloud(profile: Profile, dtype: np.dtype[Any], unit: str) -> Any:
     signs = np.array([-1.0 if axis[0] == '-' else 1.0 for axis in profile.axes])
-    return np.asarray((profile.points * signs).T / UNITS[unit])
+    points = np.zeros(len(profile.points), dtype)
+    for axis, column in zip(profile.axes, (profile.points * signs).T / UNITS[unit], strict=True):
+        points[axis[-1]] = column
+    codes = {name: code for code, name in DATATYPES.items()}
+    fields = [_new('sensor_msgs/msg/PointField', name, offset, codes[kind.str[1:]], 1)
+              for name, (kind, offset, *_) in (dtype.fields or {}).items()]
+    return _new(CLOUD, _header(profile.stamp, profile.frame_id), 1, len(points), fields,
+                dtype['x'].byteorder == '>', dtype.itemsize, dtype.itemsize * len(points),
+                points.view(np.uint8).ravel(), bool(np.isfinite(profile.points).all()))
 
 
-def _pose_stamped(types: Any, pose: TimedPose) -> Any:
-    point = types.types['geometry_msgs/msg/Point'](*map(float, pose.translation))
-    quaternion = types.types['geometry_msgs/msg/Quaternion'](*map(float, pose.quaternion))
-    return types.types['geometry_msgs/msg/PoseStamped'](
-        _header(types, pose.stamp, pose.parent_frame),
-        types.types['geometry_msgs/msg/Pose'](point, quaternion))
+def _pose(translation: Array, quaternion: Array) -> Any:
+    return _new('geometry_msgs/msg/Pose',
+                _new('geometry_msgs/msg/Point', *map(float, translation)),
+                _new('geometry_msgs/msg/Quaternion', *map(float, quaternion)))
+
+
+def write_path(path: Path, T: Array, frame_id: str, stamp: int, name: str = 'seam',
+               force: bool = False) -> None:
+    """
+    Write poses (n, 4, 4) on the topics NAME/path and NAME/poses.
+
+    stamp: of the messages (ns). Raises BagError when there is something at path, UnwritableError.
+    """
+    header = _header(stamp, frame_id)
+    poses = [_pose(*pair) for pair in zip(T[:, :3, 3], se3.quaternion(T), strict=True)]
+    sent = {full_name(f'{name}/path'): _new(PATH, header, [_new(POSE, header, p) for p in poses]),
+            full_name(f'{name}/poses'): _new(POSE_ARRAY, header, poses)}
+    folder.write(path, {}, lambda made: _write_bag(
+        made, {topic: message.__msgtype__ for topic, message in sent.items()},
+        [(topic, stamp, _bytes(message)) for topic, message in sent.items()], False), force)

@@ -1,10 +1,15 @@
-"""What a bag holds, before anything is made of it."""
+"""
+What a bag holds: its topics, and its messages in blocks.
+
+Thousands of messages come a second: what is done once for a block costs little for each.
+"""
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import zstandard
 
@@ -15,6 +20,7 @@ TF = 'tf2_msgs/msg/TFMessage'
 
 ZSTD = b'\x28\xb5\x2f\xfd'
 LARGEST = 1 << 28  # bytes of one record or message, packed or not: no recorder writes more
+BLOCK = 1 << 20  # bytes of single messages that are gathered to blocks
 
 
 class Raw(NamedTuple):
@@ -23,10 +29,6 @@ class Raw(NamedTuple):
     topic: str
     log_time: int
     data: bytes
-
-
-# A message, and what reads it again from where it lies: nothing, where that is lost meanwhile.
-Given: TypeAlias = tuple[Raw, Callable[[], bytes]]
 
 
 @dataclass
@@ -44,6 +46,67 @@ class Contents:
     warnings: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
     at: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """
+    Messages of one topic, in the order of recording.
+
+    data: what they lie in, each from one of starts to the same of ends, as stored; log_times:
+    ns. reread: returns a message by its position in the file, so that it need not be kept; empty
+    where the file has changed.
+    """
+
+    topic: str
+    data: bytes | memoryview
+    starts: Sequence[int]
+    ends: Sequence[int]
+    log_times: Sequence[int]
+    positions: Sequence[Any]
+    reread: Callable[[Any], bytes]
+
+    def __len__(self) -> int:
+        """Return how many messages there are."""
+        return len(self.starts)
+
+    def message(self, index: int) -> bytes:
+        """Return a message."""
+        return message_of(bytes(self.data[self.starts[index]:self.ends[index]]))
+
+
+def block_of(topic: str, log_times: Sequence[int], messages: Sequence[bytes],
+             positions: Sequence[Any], reread: Callable[[Any], bytes]) -> Block:
+    """Return messages as a block."""
+    ends = list(accumulate(map(len, messages)))
+    return Block(topic, b''.join(messages), [0, *ends[:-1]], ends, log_times, positions, reread)
+
+
+class Gathered:
+    """Single messages, gathered to blocks."""
+
+    def __init__(self, reread: Callable[[Any], bytes]) -> None:
+        """Start with none; reread: see Block."""
+        self._reread = reread
+        self._rows: dict[str, list[tuple[int, bytes, Any]]] = {}
+        self._bytes = 0
+
+    @property
+    def is_full(self) -> bool:
+        """Return whether there are enough for blocks."""
+        return self._bytes >= BLOCK
+
+    def add(self, topic: str, log_time: int, data: bytes, position: Any) -> None:
+        """Take the next message."""
+        self._rows.setdefault(topic, []).append((log_time, data, position))
+        self._bytes += len(data)
+
+    def take_blocks(self) -> list[Block]:
+        """Return what was gathered, and start with none again."""
+        columns = {topic: list(zip(*rows, strict=True)) for topic, rows in self._rows.items()}
+        self._rows, self._bytes = {}, 0
+        return [block_of(topic, log_times, messages, positions, self._reread)
+                for topic, (log_times, messages, positions) in columns.items()]
 
 
 def full_name(topic: str) -> str:

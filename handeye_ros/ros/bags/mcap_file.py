@@ -1,8 +1,12 @@
 """
 The messages of an .mcap file, in its order, as far as they can be read.
 
-rosbags and mcap read whole files only; a recording that was cut off (power, full disk) is
-common, so the framing is read here, up to the damage, and says what was lost.
+Records and chunks are framed here, by lengths alone: mcap.stream_reader makes objects of all of
+them and takes 2.3 times as long for the messages of a bag (104 ms against 46 ms for 31,800), and
+3.6 times as long for its chunks alone (24 ms against 7 ms). What describes the messages is read
+by mcap. A recording that was cut off (power, full disk) is read up to the cut, in a chunk too.
+No length that a file claims is believed: nothing larger than LARGEST is ever held. Source: the
+MCAP format specification (mcap.dev/spec).
 """
 from __future__ import annotations
 
@@ -12,27 +16,75 @@ from functools import lru_cache, partial
 import io
 from pathlib import Path
 import struct
-from typing import Any, BinaryIO
+from typing import BinaryIO, TypeAlias
 import zlib
 
-from handeye_ros.ros.bags.blocks import Block, Gathered, unpacked_block
-from handeye_ros.ros.bags.contents import Contents, full_name, message_of, type_of
-from handeye_ros.ros.bags.mcap_records import (
-    Bytes,
-    chunk,
-    DamagedError,
-    FOOTER,
-    frames,
-    IN_CHUNK,
-    MAGIC,
-    MESSAGE,
-    RECORD,
-    record,
+from handeye_ros.ros.bags.contents import (
+    Block,
+    Contents,
+    full_name,
+    Gathered,
+    LARGEST,
+    message_of,
+    type_of,
+    unpacked,
 )
+import lz4.frame  # type: ignore[import-untyped]
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 from mcap.records import Channel, Schema
 
+RECORD = struct.Struct('<BQ')  # opcode, length
+MESSAGE = struct.Struct('<HIQQ')  # channel, sequence, log time, publish time
+MESSAGE_RECORD = struct.Struct('<BQHIQQ')
+CHUNK = struct.Struct('<QQQII')  # first and last time, size, crc, length of the compression
+SIZE = struct.Struct('<Q')
+MAGIC = 8  # bytes at either end
+READ = (Opcode.MESSAGE, Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL)
 CHUNKS = 4  # that are kept unpacked: profiles of a stop lie close together
+
+Bytes: TypeAlias = bytes | memoryview
+Found: TypeAlias = dict[str, tuple[list[int], list[int], list[int]]]  # starts, ends, log times
+
+
+class DamagedError(Exception):
+    """A record is not what it says it is."""
+
+
+def frames(stream: BinaryIO) -> Iterator[tuple[int, bytes, bool, int]]:
+    """
+    Yield the opcode and body of each record, whether it is whole, and where its body begins.
+
+    Opcode 0, and a length that no recorder writes, is damage.
+    """
+    while len(head := stream.read(RECORD.size)) == RECORD.size:
+        opcode, length = RECORD.unpack(head)
+        position = stream.tell()
+        if opcode == 0 or length > LARGEST:
+            return
+        if opcode in READ:
+            body = stream.read(length)
+            yield opcode, body, len(body) == length, position
+        else:
+            stream.seek(position + length)
+            yield opcode, b'', True, position
+
+
+def chunk(body: bytes) -> tuple[Bytes, int, int]:
+    """Return the records of a chunk, or of its beginning, their size and crc; DamagedError."""
+    try:
+        *_, size, crc, length = CHUNK.unpack_from(body)
+        begin = CHUNK.size + length + SIZE.size
+        claimed, = SIZE.unpack_from(body, begin - SIZE.size)
+        data = memoryview(body)[begin:begin + claimed]
+        packing = body[CHUNK.size:CHUNK.size + length]
+        if packing == b'lz4':
+            decompressor = lz4.frame.LZ4FrameDecompressor()
+            return bytes(decompressor.decompress(data, max_length=LARGEST)), size, crc
+        return {b'': lambda packed: packed, b'zstd': unpacked}[packing](data), size, crc
+    except Exception as error:  # damaged bytes lead decompressors to errors of all kinds
+        raise DamagedError from error
 
 
 class McapFile:
@@ -47,14 +99,13 @@ class McapFile:
         self._wanted = wanted
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, str] = {}  # those that are wanted
-        self._known: set[int] = set()
         self._bad_chunks = 0
         self._count = 0
         self._chunk = lru_cache(CHUNKS)(self._unpacked_at)
 
     def pieces(self) -> Iterator[list[Block]]:
         """Yield the messages in the order of recording: pieces with a block for each topic."""
-        complete, loose = False, Gathered(self._at)
+        complete, single = False, Gathered(self._at)
         with suppress(DamagedError), self._path.open('rb') as stream:
             self._take_summary(stream)
             stream.seek(MAGIC)
@@ -63,18 +114,15 @@ class McapFile:
                 complete |= opcode in (Opcode.DATA_END, Opcode.FOOTER)
                 if opcode == Opcode.FOOTER:
                     break
-                if opcode == Opcode.CHUNK or loose.is_full:
-                    yield loose.blocks()
+                if opcode == Opcode.CHUNK or single.is_full:
+                    yield single.take_blocks()
                 if opcode == Opcode.CHUNK:
                     yield self._of_chunk(body, whole, position)
                 elif whole and opcode != Opcode.MESSAGE:
                     self._take(opcode, body)
                 elif whole:
-                    self._take_loose(body, position, loose)
-        yield loose.blocks()
-        self._tell(complete)
-
-    def _tell(self, complete: bool) -> None:
+                    self._take_single(body, position, single)
+        yield single.take_blocks()
         if self._bad_chunks:
             self._contents.warnings.append(
                 f'{self._name} is damaged: {self._bad_chunks} chunk(s) of it were left out')
@@ -84,24 +132,15 @@ class McapFile:
 
     def _take_summary(self, stream: BinaryIO) -> None:
         """Take the channels that the end of a whole file repeats, in case its chunks are not."""
-        try:
-            size = stream.seek(0, io.SEEK_END)
-            stream.seek(max(0, size - MAGIC - RECORD.size - FOOTER.size))
-            opcode, _ = RECORD.unpack(stream.read(RECORD.size))
-            start, *_ = FOOTER.unpack(stream.read(FOOTER.size))
-            if opcode != Opcode.FOOTER or not 0 < start < size:
-                return
-            stream.seek(start)
-            for opcode, body, whole, _ in frames(stream):
-                if not whole or opcode == Opcode.FOOTER:
-                    return
-                self._take(opcode, body)
-        except (struct.error, DamagedError):
-            return
+        with suppress(Exception):  # damaged bytes lead parsers to errors of all kinds
+            if summary := SeekingReader(stream, record_size_limit=LARGEST).get_summary():
+                self._schemas |= {key: schema.name for key, schema in summary.schemas.items()}
+                for channel in summary.channels.values():
+                    self._take_channel(channel)
 
     def _of_chunk(self, body: bytes, whole: bool, position: int) -> list[Block]:
         """Return the messages of a chunk, or of its beginning where the file is cut in it."""
-        found: dict[str, tuple[list[int], list[int], list[int]]] = {}
+        found: Found = {}
         data: Bytes = b''
         try:
             data, size, crc = chunk(body)
@@ -110,15 +149,13 @@ class McapFile:
             self._find(data, found)
         except DamagedError:
             self._bad_chunks += 1
-        again = partial(self._in_chunk, position, len(body))
-        return [unpacked_block(Block(topic, data, starts, ends, times,
-                                     list(zip(starts, ends, strict=True)), again))
-                for topic, (starts, ends, times) in found.items()]
+        reread = partial(self._in_chunk, position, len(body))
+        return [Block(topic, data, starts, ends, times, list(zip(starts, ends, strict=True)),
+                      reread) for topic, (starts, ends, times) in found.items()]
 
-    def _find(self, data: Bytes, found: dict[str, tuple[list[int], list[int], list[int]]]
-              ) -> None:
+    def _find(self, data: Bytes, found: Found) -> None:
         """Note starts, ends and log times of the messages in an unpacked chunk, by topic."""
-        place, end, unpack, channels = 0, len(data), IN_CHUNK.unpack_from, self._channels
+        place, end, unpack, channels = 0, len(data), MESSAGE_RECORD.unpack_from, self._channels
         head, skipped, message = RECORD.size, MESSAGE.size, int(Opcode.MESSAGE)
         while place + head <= end:
             if place + head + skipped <= end:
@@ -143,25 +180,28 @@ class McapFile:
                 ends.append(place)
                 log_times.append(log_time)
 
-    def _take_loose(self, body: bytes, position: int, loose: Gathered) -> None:
+    def _take_single(self, body: bytes, position: int, single: Gathered) -> None:
         """Take a message that lies in no chunk."""
         if len(body) < MESSAGE.size:
             raise DamagedError
         channel, _, log_time, _ = MESSAGE.unpack_from(body)
         self._count += 1
         if channel in self._channels:
-            loose.add(self._channels[channel], log_time, body[MESSAGE.size:],
-                      (position + MESSAGE.size, len(body) - MESSAGE.size))
+            single.add(self._channels[channel], log_time, body[MESSAGE.size:],
+                       (position + MESSAGE.size, len(body) - MESSAGE.size))
 
     def _take(self, opcode: int, body: bytes) -> None:
         """Take a record that describes the messages."""
-        if opcode == Opcode.SCHEMA:
-            schema = record(Schema, body)
-            self._schemas[schema.id] = schema.name
-        elif opcode == Opcode.CHANNEL:
-            self._take_channel(record(Channel, body))
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(ReadDataStream(io.BytesIO(body)))
+                self._schemas[schema.id] = schema.name
+            elif opcode == Opcode.CHANNEL:
+                self._take_channel(Channel.read(ReadDataStream(io.BytesIO(body))))
+        except Exception as error:  # damaged bytes lead parsers to errors of all kinds
+            raise DamagedError from error
 
-    def _take_channel(self, channel: Any) -> None:
+    def _take_channel(self, channel: Channel) -> None:
         topic = full_name(channel.topic)
         kind = self._schemas.get(channel.schema_id, 'of unknown type')
         self._contents.topics[topic] = type_of(kind, channel.message_encoding)
@@ -170,14 +210,13 @@ class McapFile:
         else:
             self._channels.pop(channel.id, None)
 
-    # what gives a message again
+    def _at(self, position: tuple[int, int]) -> bytes:
+        """Return a message that lies in no chunk."""
+        return message_of(self._bytes(*position))
 
-    def _at(self, place: tuple[int, int]) -> bytes:
-        return message_of(self._bytes(*place))
-
-    def _in_chunk(self, position: int, size: int, place: tuple[int, int]) -> bytes:
-        start, end = place
-        return message_of(bytes(self._chunk(position, size)[start:end]))
+    def _in_chunk(self, position: int, size: int, span: tuple[int, int]) -> bytes:
+        """Return a message by the body of its chunk in the file, and its span in that."""
+        return message_of(bytes(self._chunk(position, size)[slice(*span)]))
 
     def _unpacked_at(self, position: int, size: int) -> Bytes:
         try:

@@ -2,19 +2,20 @@
 ROS messages to profiles and poses: the one home of message conversion.
 
 Nothing here imports ROS: the functions take the messages of rclpy and those that rosbags
-deserialises alike. What comes in may be malformed in any way a message can be; every such
-message raises MessageError and nothing else.
+deserialises alike. What comes in may be malformed in any way; every such message raises
+MessageError and nothing else.
 """
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 import math
 import sys
 from typing import Any
 
 from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Array, Profile, TimedPose
-from handeye_ros.ros.bags import cdr
+from handeye_ros.ros.bags.contents import CLOUD, POSE
 from handeye_ros.ros.bags.points import (
     along_the_line,
     chosen,
@@ -26,6 +27,7 @@ from handeye_ros.ros.bags.points import (
 )
 from handeye_ros.ros.errors import MessageError
 import numpy as np
+from numpy.typing import NDArray
 
 # sensor_msgs/PointField: datatype -> numpy
 DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
@@ -38,11 +40,39 @@ LARGEST_POSITION = 1e6  # m; a robot in mm stays below, so that the solver can n
 LENGTH_TOLERANCE = 1e-2  # of a quaternion's length
 
 
+@cache
+def typestore() -> Any:
+    """Return the types of messages of ROS 2 Jazzy; their import takes long."""
+    from rosbags.typesys import get_typestore, Stores
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def deserialised(data: bytes, kind: str) -> Any:
+    """Return a serialised message of a type, its arrays views of the bytes; MessageError."""
+    try:
+        return typestore().deserialize_cdr(memoryview(data), kind)
+    except Exception as error:  # damaged bytes lead the parser to errors of all kinds
+        raise MessageError(kind.rpartition('/')[2], f'damaged message: {error}') from error
+
+
 def stamp_of(header: Any) -> int:
     """Return the stamp of a std_msgs/Header in nanoseconds."""
-    if isinstance(header.stamp, int):
-        return header.stamp
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def profile_from_cdr(data: bytes, config: ProfileConfig, row: int | None = None) -> Profile:
+    """Return the profile in a serialised PointCloud2, or in a row of it; raises MessageError."""
+    cloud = deserialised(data, CLOUD)
+    return profile_from_cloud(cloud if row is None else row_of(cloud, row), config)
+
+
+def row_of(cloud: Any, index: int) -> Any:
+    """Return a row of a deserialised cloud as a cloud; raises MessageError."""
+    size = cloud.width * cloud.point_step
+    begin = index * (cloud.row_step or size)
+    if index >= cloud.height or begin + size > len(cloud.data):
+        raise MessageError('PointCloud2', f'damaged message: it has no row {index}')
+    return replace(cloud, height=1, row_step=size, data=cloud.data[begin:begin + size])
 
 
 def profile_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
@@ -54,20 +84,10 @@ def profile_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
     without returns. Raises MessageError.
 
     """
-    along, across = config.axes
-    profile = Profile(stamp_of(msg.header), frame_name(msg.header.frame_id), np.empty((0, 2)),
-                      (along, across))
     if int(msg.width) * int(msg.height) == 0:
-        return profile
-    columns = np.stack((_column(msg, along), _ranges(msg, config), _beside(msg, config)))
-    points = (columns if config.unit == 'm' else columns * UNITS[config.unit]).T
-    good = returns(points)
-    seen = chosen(points, good)
-    if not surely_of_unit(points, seen):
-        require_unit(points, config.unit)
-    plain = (along[-1], across[-1], _third(config))
-    require_one_plane(seen, plain)
-    return replace(profile, points=along_the_line(points, good, seen, plain),
+        return _empty(msg, config)
+    points, good, seen = _points(msg, config)
+    return replace(_empty(msg, config), points=along_the_line(points, good, seen, _plane(config)),
                    beside=middle(seen[:, 2]))
 
 
@@ -79,23 +99,33 @@ def returns_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
     their order along the line, which is most of the work. Raises MessageError.
 
     """
-    along, across = config.axes
-    profile = Profile(stamp_of(msg.header), frame_name(msg.header.frame_id), np.empty((0, 2)),
-                      (along, across))
     if int(msg.width) * int(msg.height) == 0:
-        return profile
-    names = {str(field.name) for field in msg.fields}
-    columns = [_column(msg, along), _ranges(msg, config),
-               *([_column(msg, _third(config))] if _third(config) in names else [])]
-    points = (np.stack(columns) * UNITS[config.unit]).T
-    kept = returns(points)
-    seen = chosen(points, kept)
+        return _empty(msg, config)
+    _, good, seen = _points(msg, config)
+    intensity = (_column(msg, INTENSITY)[good]
+                 if INTENSITY in {str(field.name) for field in msg.fields} else None)
+    return replace(_empty(msg, config), points=seen[:, :2], intensity=intensity)
+
+
+def _empty(msg: Any, config: ProfileConfig) -> Profile:
+    return Profile(stamp_of(msg.header), frame_name(msg.header.frame_id), np.empty((0, 2)),
+                   (config.axes[0], config.axes[1]))
+
+
+def _points(msg: Any, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_], Array]:
+    """
+    Return the points (n, 3) of a cloud in metres, which of them are returns (n,), and those.
+
+    Columns: along the line, range, across the plane. Raises MessageError.
+    """
+    columns = np.stack((_column(msg, config.axes[0]), _ranges(msg, config), _beside(msg, config)))
+    points = (columns * UNITS[config.unit]).T
+    good = returns(points)
+    seen = chosen(points, good)
     if not surely_of_unit(points, seen):
         require_unit(points, config.unit)
-    if len(columns) > 2:
-        require_one_plane(seen, (along[-1], across[-1], _third(config)))
-    intensity = _column(msg, INTENSITY)[kept] if INTENSITY in names else None
-    return replace(profile, points=seen[:, :2], intensity=intensity)
+    require_one_plane(seen, _plane(config))
+    return points, good, seen
 
 
 def require_layout(msg: Any, config: ProfileConfig) -> None:
@@ -110,15 +140,16 @@ def frame_name(frame_id: str) -> str:
     return sys.intern(str(frame_id).removeprefix('/'))  # it comes thousands of times
 
 
-def _third(config: ProfileConfig) -> str:
-    """Return the axis that is not in the sensor plane."""
-    return ({'x', 'y', 'z'} - {axis[-1] for axis in config.axes}).pop()
+def _plane(config: ProfileConfig) -> tuple[str, str, str]:
+    """Return the axes along the line, of the range and across the plane, without signs."""
+    along, across = (axis[-1] for axis in config.axes)
+    return along, across, ({'x', 'y', 'z'} - {along, across}).pop()
 
 
 def _beside(msg: Any, config: ProfileConfig) -> Array:
     """Return the coordinates across the sensor plane (n,), NaN where the message has none."""
     try:
-        return _column(msg, _third(config))
+        return _column(msg, _plane(config)[2])
     except MessageError:
         return np.full(int(msg.width) * int(msg.height), np.nan)
 
@@ -191,19 +222,7 @@ def _layout(msg: Any, height: int, width: int) -> tuple[int, int, Any]:
 
 def pose_from_cdr(data: bytes) -> TimedPose:
     """Return the pose in a serialised geometry_msgs/PoseStamped; raises MessageError."""
-    stamp, frame, numbers = pose_numbers(data)
-    return TimedPose(stamp, np.array(numbers[:3]), np.array(numbers[3:]), frame)
-
-
-def pose_numbers(data: bytes) -> tuple[int, str, tuple[float, ...]]:
-    """
-    Return stamp, frame and x y z, qx qy qz qw of a serialised geometry_msgs/PoseStamped.
-
-    The quaternion is of unit length, with qw >= 0. Raises MessageError.
-
-    """
-    head, numbers = cdr.pose(data)
-    return head.stamp, frame_name(head.frame_id), _checked('PoseStamped', numbers)
+    return pose_from_stamped(deserialised(data, POSE))
 
 
 def pose_from_stamped(msg: Any) -> TimedPose:

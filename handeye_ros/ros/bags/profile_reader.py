@@ -1,27 +1,37 @@
 """
-Profiles as they are received: enough is read of each to tell what it is, of a few all.
+Profiles as they are received: enough is read of each to check it, of a few all.
 
 A sensor sends thousands while the robot moves, and a station uses a few hundred: the points of
-the others are never needed. Whether its bytes make a cloud is seen of every message; what only
-the points themselves show (a wrong unit or axis) is seen of a few a second, and of all from one
-that cannot be used to the next one that can.
+the others are never needed. Whether its bytes make a cloud is checked of every message; what only
+the points themselves show (a wrong unit or axis) is checked of a few a second, and of all from
+one that cannot be used to the next one that can.
+
+Several profiles in one message: with a period the stamps of its rows are known. Without one it
+is only known that they were taken within the time from one message to the next: such a profile
+counts where the robot stood still during all of it.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+import struct
+from typing import Any, NamedTuple
 
 from handeye_ros.config import ProfileConfig
-from handeye_ros.data import Profile, RawProfile
-from handeye_ros.ros.bags import cdr
-from handeye_ros.ros.bags.batches import rows_of
+from handeye_ros.data import Array, Profile, RawProfile
+from handeye_ros.ros.bags.contents import CLOUD
 from handeye_ros.ros.bags.messages import (
+    deserialised,
     frame_name,
-    profile_from_cloud,
+    profile_from_cdr,
     require_layout,
+    returns_from_cloud,
+    row_of,
     stamp_of,
+    view_of,
 )
+from handeye_ros.ros.errors import MessageError
 import numpy as np
 
 PROBE = 200_000_000  # ns of the stamps between two profiles that are read at once
@@ -29,41 +39,36 @@ MOST_LAYOUTS = 1000  # that are remembered: one for each number of points
 LONGEST_LAYOUT = 4000  # bytes of one
 OVERHEAD = 600  # bytes of what is held beside a message
 
+SHARED = 0.5  # of the line that rows share which are profiles
+FEWEST_COLUMNS = 10  # of rows that are compared
+# the fraction of the time of a message that lies before its stamp
+BEFORE = {'first': 0.0, 'middle': 0.5, 'last': 1.0}
 
-def profile_from_cdr(data: bytes, config: ProfileConfig) -> Profile:
-    """Return the profile in a serialised sensor_msgs/PointCloud2; raises MessageError."""
-    return profile_from_cloud(cdr.cloud(data), config)
+STAMPED = 12  # where the stamp of a serialised message ends
+STAMPS = (struct.Struct('>4xiI'), struct.Struct('<4xiI'))  # by the second byte of a message
 
 
-class Like(NamedTuple):
-    """
-    What messages have in common that are laid out alike, all but the stamp.
+class Layout(NamedTuple):
+    """What clouds have in common that are alike but for stamp and data; size: of one at least."""
 
-    encoding: their first two bytes; end: where their data begins; described: the bytes up to
-    there; size: of a whole one at least.
-    """
-
-    encoding: bytes
-    end: int
-    described: bytes
     size: int
     frame: str
     rows: int
 
 
-NOTHING = Like(b'none', 0, b'', 0, '', 0)
-
-
 class ProfileReader:
-    """Takes the serialised clouds of one topic in the order in which they come."""
+    """
+    Takes the serialised clouds of one topic in the order in which they come.
+
+    Drivers describe the same all the time: 5,300 clouds of a bag take 54 ms so, and 154 ms where
+    each is deserialised.
+    """
 
     def __init__(self, config: ProfileConfig) -> None:
         """Start with none; config: how the clouds are to be read."""
         self.config = config
-        # the size of what follows, and the rows of profiles, by what tells them
-        self._layouts: dict[bytes, tuple[int, int]] = {}
-        self._described = 0  # bytes that the last message took to describe its data
-        self._like = NOTHING  # the last message
+        self._layouts: dict[bytes, Layout] = {}  # by the bytes that describe the data
+        self._data_start = STAMPED  # in the last message that was deserialised
         self._probed = -PROBE
         self._trusted = False
 
@@ -73,44 +78,100 @@ class ProfileReader:
 
         fetch: gives the message again; without it, it is kept. Raises MessageError.
         """
-        like = self._like
-        if (data[:2] == like.encoding and data[cdr.STAMPED:like.end] == like.described
-                and len(data) >= like.size):
-            stamp, frame, rows = cdr.stamp_of(data), like.frame, like.rows
-        else:
-            head, end = cdr.header(data, 'PointCloud2')
-            stamp, frame = stamp_of(head), frame_name(head.frame_id)
-            rows = self._rows(data, end, frame)
-        profile = RawProfile(stamp, frame, fetch or partial(bytes, data), profile_from_cdr,
-                             self.config, 0 if fetch else len(data) + OVERHEAD, rows)
+        layout = self._layouts.get(data[:2] + data[STAMPED:self._data_start])
+        if layout is None or len(data) < layout.size:
+            layout = self._read_layout(data)
+        seconds, nanoseconds = STAMPS[data[1]].unpack_from(data)
+        stamp = seconds * 1_000_000_000 + nanoseconds
+        profile = RawProfile(stamp, layout.frame, fetch or partial(bytes, data), profile_from_cdr,
+                             self.config, 0 if fetch else len(data) + OVERHEAD, layout.rows)
         if not self._trusted or abs(stamp - self._probed) >= PROBE:
-            self._probe(data if rows == 1 else cdr.row(data, 0, stamp), stamp)
+            self._probe(data, layout.rows, stamp)
         return profile
 
-    def _rows(self, data: bytes, end: int, frame: str) -> int:
-        """
-        Return how many profiles a message holds; raises MessageError for what is no cloud.
-
-        end: of the header, frame: in it. Drivers describe the same all the time.
-        """
-        size, rows = self._layouts.get(data[:2] + data[end:end + self._described], (0, 0))
-        if rows and size <= len(data) - end:
-            data_start = end + self._described
-            self._like = Like(data[:2], data_start, data[cdr.STAMPED:data_start], end + size,
-                              frame, rows)
-            return rows
-        cloud = cdr.cloud(data)
+    def _read_layout(self, data: bytes) -> Layout:
+        """Return what a message describes; raises MessageError for what is no cloud."""
+        cloud = deserialised(data, CLOUD)
         require_layout(cloud, self.config)
-        self._described = cloud.data_start - end
-        rows = rows_of(cloud, self.config)
-        told = cloud.height == 1 or self.config.rows != 'auto'  # else by what the points are
-        if told and len(self._layouts) < MOST_LAYOUTS and self._described < LONGEST_LAYOUT:
-            key = data[:2] + data[end:cloud.data_start]
-            self._layouts[key] = self._described + len(cloud.data), rows
-        return rows
+        start = cloud.data.ctypes.data - np.frombuffer(data, np.uint8).ctypes.data
+        layout = Layout(start + len(cloud.data) + 1, frame_name(cloud.header.frame_id),
+                        rows_of(cloud, self.config))
+        described = cloud.height == 1 or self.config.rows != 'auto'  # else the points decide
+        if described and len(self._layouts) < MOST_LAYOUTS and start < LONGEST_LAYOUT:
+            self._data_start = start
+            self._layouts[data[:2] + data[STAMPED:start]] = layout
+        return layout
 
-    def _probe(self, data: bytes, stamp: int) -> None:
+    def _probe(self, data: bytes, rows: int, stamp: int) -> None:
         """Refuse points that cannot be those of a profile."""
         self._trusted = False
-        points = profile_from_cdr(data, self.config).points
+        points = profile_from_cdr(data, self.config, None if rows == 1 else 0).points
         self._trusted, self._probed = bool(np.isfinite(points[:, 1]).any()), stamp
+
+
+def rows_of(msg: Any, config: ProfileConfig) -> int:
+    """
+    Return how many profiles the rows of a sensor_msgs/PointCloud2 are, 1 where they are points.
+
+    Rows that run along the same part of the line are profiles. Raises MessageError.
+
+    """
+    height, width = int(msg.height), int(msg.width)
+    if config.rows == 'points' or height * width == 0 or height == 1:
+        return 1
+    if config.rows == 'profiles':
+        return height
+    if width < FEWEST_COLUMNS:
+        return 1
+    along = view_of(msg, config.axes[0][-1])
+    first, last = (_span(along[index].astype(np.float64)) for index in (0, -1))
+    shared = min(first[1], last[1]) - max(first[0], last[0])
+    longer = max(first[1] - first[0], last[1] - last[0])
+    return height if shared > SHARED * longer else 1
+
+
+def _span(values: Array) -> tuple[float, float]:
+    """Return the smallest and the largest of the values that are finite, NaN without any."""
+    finite = values[np.isfinite(values)]
+    return (float(finite.min()), float(finite.max())) if len(finite) else (np.nan, np.nan)
+
+
+def split(raw: RawProfile, before: int | None, config: ProfileConfig) -> list[RawProfile]:
+    """
+    Return the profiles of a message, in the order of their stamps.
+
+    before: the stamp of the message before, None for the first; where there is no period the
+    first message is left out, as nobody knows how long it took.
+    """
+    if raw.rows == 1:
+        return [raw]
+    part, reach, step = BEFORE[config.stamp], (0, 0), config.period * 1e9
+    if not step:
+        if before is None or before >= raw.stamp:
+            return []
+        took, step = raw.stamp - before, 1.0  # single nanoseconds keep their order
+        reach = (round(part * took), round((1.0 - part) * took))
+    first = raw.stamp - round(part * (raw.rows - 1) * step)
+    return [replace(raw, stamp=first + round(index * step), rows=1, held=raw.held // raw.rows,
+                    convert=partial(profile_from_cdr, row=index), reach=reach)
+            for index in range(raw.rows)]
+
+
+def returns_of(data: bytes, config: ProfileConfig) -> Iterator[Profile]:
+    """
+    Yield the profiles of one serialised message: returns alone, with intensity.
+
+    Where there are several, the robot may move meanwhile. Raises MessageError.
+    """
+    cloud = deserialised(data, CLOUD)
+    rows = rows_of(cloud, config)
+    if rows == 1:
+        yield returns_from_cloud(cloud, config)
+        return
+    if not config.period:
+        raise MessageError('PointCloud2', f'it holds {rows} profiles, and nobody knows when each '
+                           'was taken: set profile.period')
+    whole = RawProfile(stamp_of(cloud.header), '', partial(bytes, data), profile_from_cdr, config,
+                       rows=rows)
+    for index, one in enumerate(split(whole, None, config)):
+        yield replace(returns_from_cloud(row_of(cloud, index), config), stamp=one.stamp)

@@ -2,21 +2,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
+from contextlib import closing, suppress
 from pathlib import Path
 import re
+import shutil
+import sqlite3
 import tempfile
 import weakref
 
 from handeye_ros.config import yaml_content
 from handeye_ros.errors import BagError
-from handeye_ros.ros.bags.blocks import Block, in_recorded_order
-from handeye_ros.ros.bags.contents import Contents, full_name, Given, Raw, ZSTD
+from handeye_ros.ros.bags.contents import (
+    Block,
+    Contents,
+    full_name,
+    Gathered,
+    message_of,
+    Raw,
+    type_of,
+    ZSTD,
+)
 from handeye_ros.ros.bags.mcap_file import McapFile
-from handeye_ros.ros.bags.sqlite_file import SqliteFile
 import yaml
 import zstandard
-
-__all__ = ['Contents', 'messages', 'pieces', 'Raw', 'scan']
 
 Progress = Callable[[float], None]
 
@@ -24,28 +32,25 @@ MCAP = b'\x89MCAP0\r\n'
 SQLITE = b'SQLite format 3\0'
 ROS1 = b'#ROSBAG V'
 
-PIECE = 1 << 24  # bytes that are unpacked at a time
-
 SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 
 
 def scan(path: Path, topics: Collection[str] | None = None) -> Contents:
-    """
-    Return what a rosbag2 folder or an .mcap or .db3 file holds (of these topics only), at once.
-
-    Raises BagError when there is nothing to read.
-
-    """
+    """Return what a bag holds, and its messages (of these topics only); raises as pieces."""
     contents = Contents()
-    contents.messages += [raw for raw, _ in messages(path, contents, topics)]
+    contents.messages += messages(path, contents, topics)
     return contents
 
 
-def messages(path: Path, contents: Contents, topics: Collection[str] | None = None,
-             progress: Progress = lambda share: None) -> Iterator[Given]:
-    """Yield the messages of a bag one by one, each with what gives it again; see pieces."""
-    for blocks in pieces(path, contents, topics, progress):
-        yield from in_recorded_order(blocks)
+def messages(path: Path, contents: Contents, topics: Collection[str] | None = None
+             ) -> Iterator[Raw]:
+    """Yield the messages of a bag one by one; see pieces."""
+    for blocks in pieces(path, contents, topics):
+        order = sorted((position, number, index) for number, block in enumerate(blocks)
+                       for index, position in enumerate(block.positions))
+        for _, number, index in order:
+            block = blocks[number]
+            yield Raw(block.topic, block.log_times[index], block.message(index))
 
 
 def pieces(path: Path, contents: Contents, topics: Collection[str] | None = None,
@@ -136,13 +141,8 @@ def _magic(path: Path) -> bytes:
 def _unpacked(packed: Path, folder: Path) -> Path:
     """Return what a file that was packed as a whole holds, up to where it is damaged."""
     target = folder / packed.with_suffix('').name
-    with packed.open('rb') as stream, target.open('wb') as file:
-        reader = zstandard.ZstdDecompressor().stream_reader(stream)
-        try:
-            while piece := reader.read(PIECE):
-                file.write(piece)
-        except zstandard.ZstdError:
-            pass
+    with packed.open('rb') as stream, target.open('wb') as file, suppress(zstandard.ZstdError):
+        zstandard.ZstdDecompressor().copy_stream(stream, file)
     return target
 
 
@@ -152,3 +152,81 @@ def _not_a_bag(magic: bytes) -> str:
     if magic == ROS1[:len(magic)]:
         return 'is a ROS 1 bag: convert it with rosbags-convert'
     return 'is not a bag; expected a rosbag2 folder, or an .mcap or .db3 file'
+
+
+class SqliteFile:
+    """
+    Reads one database.
+
+    In the order of recording: by time, a bag of two runs would look like one. SQLite refuses
+    a file that is cut off, and rightly: what lies behind the cut would be read as zeros.
+    """
+
+    def __init__(self, path: Path, name: str, contents: Contents, wanted: set[str] | None
+                 ) -> None:
+        """name: for the warnings; wanted: the topics whose messages are given, None: all."""
+        self._name = name
+        self._contents = contents
+        self._wanted = wanted
+        self._path = self._with_its_log(path)
+
+    def _with_its_log(self, path: Path) -> Path:
+        """
+        Return a database that holds what a recorder that was killed left in its write-ahead log.
+
+        SQLite would put it into the file itself, but a recording is not ours to change.
+        """
+        log = path.with_name(f'{path.name}-wal')
+        if not (log.exists() and log.stat().st_size):
+            return path
+        folder = tempfile.TemporaryDirectory(prefix='handeye-')
+        weakref.finalize(self, folder.cleanup)  # until then messages may be asked for again
+        copy = Path(folder.name) / path.name
+        for file in (path, log):
+            shutil.copyfile(file, copy.with_name(file.name))
+        with suppress(sqlite3.DatabaseError), closing(sqlite3.connect(copy)) as connection:
+            connection.execute('PRAGMA wal_checkpoint(TRUNCATE)')
+        return copy
+
+    def pieces(self) -> Iterator[list[Block]]:
+        """Yield the messages in the order of recording: pieces with a block for each topic."""
+        count, rows = 0, Gathered(self._message)
+        try:
+            with closing(self._connected()) as connection:
+                names = self._topics(connection)
+                places = ', '.join('?' * len(names))
+                for key, topic, time, data in connection.execute(
+                        'SELECT id, topic_id, timestamp, data FROM messages '
+                        f'WHERE topic_id IN ({places}) ORDER BY id', list(names)):
+                    rows.add(names[topic], int(time), bytes(data), key)
+                    count += 1
+                    self._contents.at += len(data)
+                    if rows.is_full:
+                        yield rows.take_blocks()
+        except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
+            self._contents.warnings.append(f'{self._name} is cut off or damaged ({error}): read '
+                                           f'{count} messages up to there')
+        yield rows.take_blocks()
+
+    def _connected(self) -> sqlite3.Connection:
+        return sqlite3.connect(f'{self._path.absolute().as_uri()}?immutable=1', uri=True)
+
+    def _topics(self, connection: sqlite3.Connection) -> dict[int, str]:
+        """Return the topics that are wanted, by their key in the database."""
+        names = {}
+        self._contents.at = 0
+        for key, name, kind, encoding in connection.execute(
+                'SELECT id, name, type, serialization_format FROM topics'):
+            topic = full_name(str(name))
+            self._contents.topics[topic] = type_of(str(kind), str(encoding))
+            if self._wanted is None or topic in self._wanted:
+                names[key] = topic
+        return names
+
+    def _message(self, key: int) -> bytes:
+        try:
+            with closing(self._connected()) as connection:
+                (data,), = connection.execute('SELECT data FROM messages WHERE id = ?', (key,))
+        except (sqlite3.Error, ValueError):
+            return b''  # which is no message of any type
+        return message_of(bytes(data))

@@ -1,22 +1,88 @@
-"""The messages of one topic of a bag: which can be used, and in which order they belong."""
+"""
+The messages of one topic of a bag: which can be used, and in which order they belong.
+
+As little of them is kept as can be, so that hours fit: of a profile its stamp and where it lies.
+"""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from itertools import accumulate
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
+from handeye_ros.config import ProfileConfig
+from handeye_ros.data import RawProfile
 from handeye_ros.errors import BagError
-from handeye_ros.ros.bags.blocks import Block
-from handeye_ros.ros.bags.contents import Contents, full_name
-from handeye_ros.ros.bags.held import Store
-from handeye_ros.ros.errors import AllMalformedError, NoTopicError, TopicTypeError
+from handeye_ros.ros.bags.contents import Block, Contents, full_name
+from handeye_ros.ros.bags.profile_reader import ProfileReader, split
+from handeye_ros.ros.errors import AllMalformedError, MessageError, NoTopicError, TopicTypeError
 from handeye_ros.sampling.errors import TimeBackwardsError
 from handeye_ros.sampling.stream import in_order, LARGEST_STEP, never_falls
 
 LAST = 2 ** 63 - 1  # ns; no stamp lies behind
 
-Item = TypeVar('Item')
+Item = TypeVar('Item', covariant=True)
+
+
+class Added(NamedTuple):
+    """What a block gave: stamps of its messages that can be used, which, and why not others."""
+
+    stamps: list[int]
+    used: Sequence[int]
+    reason: str = ''
+
+
+class Store(Protocol[Item]):
+    """Where the items of a topic are held; each can be had with another stamp."""
+
+    def add(self, block: Block) -> Added:
+        """Take the next messages."""
+
+    def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> Sequence[Item]:
+        """Return items in an order, with stamps."""
+
+
+def one_by_one(block: Block, take: Callable[[int], int]) -> Added:
+    """Return what a block gives; take: a message by its index, gives its stamp; MessageError."""
+    stamps, used, reason = [], [], ''
+    for index in range(len(block)):
+        try:
+            stamps.append(take(index))
+        except MessageError as error:
+            reason = reason or str(error)
+        else:
+            used.append(index)
+    return Added(stamps, used, reason)
+
+
+class Profiles:
+    """Profiles, to be read where they are used."""
+
+    def __init__(self, config: ProfileConfig) -> None:
+        """Start with none; config: how they are to be read."""
+        self._reader = ProfileReader(config)
+        self._items: list[RawProfile] = []
+
+    def add(self, block: Block) -> Added:
+        """Take the next messages."""
+        def one(index: int) -> int:
+            item = self._reader.take(block.message(index),
+                                     partial(block.reread, block.positions[index]))
+            self._items.append(item)
+            return item.stamp
+
+        return one_by_one(block, one)
+
+    def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> tuple[RawProfile, ...]:
+        """Return profiles in an order, with stamps: one for each row of their messages."""
+        profiles: list[RawProfile] = []
+        for index, stamp, before in zip(order, stamps, (None, *stamps), strict=False):
+            item = self._items[index]
+            profiles += split(item if item.stamp == stamp else replace(item, stamp=stamp), before,
+                              item.config)
+        return tuple(profiles)
 
 
 class Topic(Generic[Item]):
@@ -59,11 +125,7 @@ class Topic(Generic[Item]):
 
     def require(self, path: Path, contents: Contents, may_be_empty: bool = False) -> None:
         """Refuse a topic that is not there, or most of whose messages cannot be used."""
-        topics = contents.topics
-        if self.name not in topics:
-            raise NoTopicError(path, self._key, self.name, self._kind, topics)
-        if topics[self.name] != self._kind:
-            raise TopicTypeError(self._key, self.name, self._kind, topics)
+        require_topic(path, contents, self._key, self.name, self._kind)
         good, bad = len(self._stamps), self._malformed
         if not good + bad and not may_be_empty:
             raise BagError(path, f'no messages on {self.name} ({self._kind}): check that it was '
@@ -104,6 +166,14 @@ class Topic(Generic[Item]):
         contents.warnings.append(f'the messages on {self.name} have no stamps; the times at '
                                  'which they were recorded are used')
         return self._log_times, order
+
+
+def require_topic(path: Path, contents: Contents, key: str, name: str, kind: str) -> None:
+    """Refuse a bag without a topic of this name and type; key: the one that names it."""
+    if name not in contents.topics:
+        raise NoTopicError(path, key, name, kind, contents.topics)
+    if contents.topics[name] != kind:
+        raise TopicTypeError(key, name, kind, contents.topics)
 
 
 def in_their_order(topic: str, stamped: Sequence[tuple[int, Item]], contents: Contents

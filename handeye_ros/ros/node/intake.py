@@ -16,11 +16,10 @@ from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError, INSTALL_TF2
 from handeye_ros.kinematics.answer import read_arm
 from handeye_ros.kinematics.model import Arm
-from handeye_ros.ros.bags.batches import split
 from handeye_ros.ros.bags.contents import CLOUD, JOINTS, POSE
-from handeye_ros.ros.bags.joints import pose_from_joints
 from handeye_ros.ros.bags.messages import pose_from_cdr
-from handeye_ros.ros.bags.profile_reader import ProfileReader
+from handeye_ros.ros.bags.poses import pose_from_joints
+from handeye_ros.ros.bags.profile_reader import ProfileReader, split
 from handeye_ros.ros.bags.transforms import FlangeTracker
 from handeye_ros.ros.errors import MessageError
 from handeye_ros.ros.executable import InvalidHandle

@@ -13,7 +13,7 @@ from handeye_ros.kinematics.chain import chain_of, read_urdf
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.samples import solve_samples
 from handeye_ros.kinematics.screen import sentence
-from handeye_ros.ros.bags.joints import joints_and_pose
+from handeye_ros.ros.bags.poses import joints_and_pose
 from handeye_ros.ros.node.live import LiveSession
 import numpy as np
 

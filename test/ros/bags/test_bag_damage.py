@@ -6,8 +6,8 @@ import sqlite3
 
 from handeye_ros.errors import BagError, DataError, InputError
 from handeye_ros.ros.bags import bag, bag_write, contents, storage
-from handeye_ros.ros.bags.blocks import block_of
-from handeye_ros.ros.bags.held import Poses
+from handeye_ros.ros.bags.contents import block_of
+from handeye_ros.ros.bags.poses import Poses
 from handeye_ros.ros.bags.topic import Topic
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -21,7 +21,6 @@ from recordings import (
     rewrite,
     rosbags_copy,
     split,
-    TYPES,
     with_messages,
 )
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
@@ -187,10 +186,10 @@ def test_malformed_messages_are_counted_and_left_out(good_bag, tmp_path):
 @settings(max_examples=200, deadline=None)
 @given(junk=st.binary(max_size=80), keep=st.integers(0, 60))
 def test_any_bytes_as_a_message_are_counted(junk, keep):
-    message = TYPES.serialize_cdr(bag_write._pose_stamped(TYPES, POSES[0]), POSE)
+    message = bag_write.serialised(POSES[0], bag_write.LAYOUTS['xyz'], 'm')
     topic = Topic('pose_topic', 'flange_pose', POSE, Poses())
-    data = (bytes(message[:keep]) + junk, bytes(message), bytes(message))
-    topic.take(block_of('/flange_pose', [1, 2, 3], data, [1, 2, 3], lambda place: b''))
+    data = (message[:keep] + junk, message, message)
+    topic.take(block_of('/flange_pose', [1, 2, 3], data, [1, 2, 3], lambda position: b''))
     bag_contents = contents.Contents({'/flange_pose': POSE})
     decoded = topic.items('x', bag_contents)
     assert len(decoded) + len(bag_contents.warnings) >= 3

@@ -106,7 +106,7 @@ def test_a_unit_that_most_messages_contradict_is_named(tmp_path):
 def transform(stamp, parent, child, translation, quaternion=(0.0, 0.0, 0.0, 1.0)):
     types = TYPES.types
     return types['geometry_msgs/msg/TransformStamped'](
-        bag_write._header(TYPES, stamp, parent), child,
+        bag_write._header(stamp, parent), child,
         types['geometry_msgs/msg/Transform'](types['geometry_msgs/msg/Vector3'](*translation),
                                              types['geometry_msgs/msg/Quaternion'](*quaternion)))
 

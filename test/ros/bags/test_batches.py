@@ -3,17 +3,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from handeye_ros.config import Config, ProfileConfig, SamplingConfig, with_values
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import BadValueError
-from handeye_ros.ros.bags import bag, cdr, flow
+from handeye_ros.ros.bags import bag
 from handeye_ros.ros.bags.bag_write import LAYOUTS, serialised
-from handeye_ros.ros.bags.batches import rows_of, split
 from handeye_ros.ros.bags.contents import CLOUD, POSE, Raw
 from handeye_ros.ros.bags.messages import profile_from_cloud
-from handeye_ros.ros.bags.profile_reader import ProfileReader
-from handeye_ros.ros.errors import AllMalformedError
+from handeye_ros.ros.bags.profile_reader import ProfileReader, rows_of, split
+from handeye_ros.ros.errors import AllMalformedError, MessageError
 from handeye_ros.sampling.session import Session
 from mcap.writer import Writer
 import numpy as np
@@ -128,15 +128,14 @@ def test_ranges_that_mean_no_return() -> None:
     assert np.isnan(profile_from_cloud(made, flipped).points[:, 1]).sum() == 21
 
 
-def test_a_row_is_a_message_of_its_own() -> None:
+def test_a_message_without_its_last_row_is_refused() -> None:
     data = batch(START, 5)
-    for index in range(5):
-        row = cdr.row(data, index, START + index)
-        same = STORE.deserialize_cdr(row, CLOUD)
-        assert (same.height, same.width, len(same.data)) == (1, 60, 720)
-        got = ProfileReader(ProfileConfig()).take(row)
-        assert (got.stamp, got.rows) == (START + index, 1)
-        np.testing.assert_allclose(got.read().points[:, 1], 0.2 + 1e-5 * index, rtol=1e-6)
+    last = split(ProfileReader(ProfileConfig(period=1e-3)).take(data), None,
+                 ProfileConfig(period=1e-3))[-1]
+    assert last.read().points.shape == (60, 2)
+    for other in (batch(START, 4), data[:-1], b''):
+        with pytest.raises(MessageError, match='PointCloud2 message not used: damaged message'):
+            replace(last, fetch=partial(bytes, other)).read()
 
 
 def test_a_bag_of_batches(tmp_path) -> None:
@@ -151,10 +150,10 @@ def test_a_bag_of_batches(tmp_path) -> None:
     assert [p.stamp for p in recording.profiles] == [START + i * 10 * MS for i in range(100)]
     np.testing.assert_allclose([p.read().points[0, 1] for p in recording.profiles],
                                0.2 + 1e-5 * np.arange(100), rtol=1e-6)
-    scanned = list(flow.flow(file, config).profiles())
+    scanned = list(bag.flow(file, config).profiles())
     assert [p.stamp for p in scanned] == [p.stamp for p in recording.profiles]
     with pytest.raises(AllMalformedError, match='it holds 5 profiles, .*: set profile.period'):
-        list(flow.flow(file, Config()).profiles())
+        list(bag.flow(file, Config()).profiles())
 
 
 def write(path, raws):

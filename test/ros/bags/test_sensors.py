@@ -8,8 +8,8 @@ from command import ROOT
 from handeye_ros import config as configs
 from handeye_ros.data import EdgePoint
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.ros.bags.batches import rows_of
 from handeye_ros.ros.bags.messages import profile_from_cloud
+from handeye_ros.ros.bags.profile_reader import rows_of
 import numpy as np
 import pytest
 from ros_clouds import cloud
