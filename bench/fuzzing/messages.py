@@ -88,7 +88,7 @@ def tf_case(rng: np.random.Generator, folder: Path) -> None:
         numbers = rng.normal(size=7) * rng.choice([1.0, 1e200, np.nan], p=[0.9, 0.05, 0.05])
         numbers[3:] /= np.linalg.norm(numbers[3:])
         msg = SimpleNamespace(
-            header=SimpleNamespace(stamp=any_stamp(rng), frame_id=str(rng.choice(FRAMES))),
+            header=SimpleNamespace(stamp=any_time(rng), frame_id=str(rng.choice(FRAMES))),
             child_frame_id=str(rng.choice(FRAMES)), transform=SimpleNamespace(
                 translation=SimpleNamespace(**dict(zip('xyz', numbers[:3], strict=True))),
                 rotation=SimpleNamespace(**dict(zip('xyzw', numbers[3:], strict=True)))))
@@ -97,6 +97,12 @@ def tf_case(rng: np.random.Generator, folder: Path) -> None:
                 assert np.isfinite(pose.translation).all()
     tracker.missing()
     Transforms().take(damaged(GOOD_POSE, rng))
+
+
+def any_time(rng: np.random.Generator) -> SimpleNamespace:
+    """Return a stamp as it is in a header."""
+    sec, nanosec = divmod(any_stamp(rng), 10 ** 9)
+    return SimpleNamespace(sec=sec, nanosec=nanosec)
 
 
 def any_stamp(rng: np.random.Generator) -> int:

@@ -10,8 +10,8 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.results import folder, truth_file
-from handeye_ros.ros.bags.contents import CLOUD, full_name, JOINTS, POSE
-from handeye_ros.ros.bags.messages import DATATYPES, typestore, UNITS
+from handeye_ros.ros.bags.contents import CLOUD, full_name, JOINTS, POSE, STRING
+from handeye_ros.ros.bags.messages import DATATYPES, to_cdr, typestore, UNITS
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
@@ -80,9 +80,19 @@ def _write_bag(path: Path, kinds: Mapping[str, str], messages: Iterable[tuple[st
 def serialised(item: Profile | TimedPose, dtype: np.dtype[Any], unit: str) -> bytes:
     """Return the message of a profile, its points laid out and in a unit, or of a pose."""
     if isinstance(item, Profile):
-        return _bytes(_cloud(item, dtype, unit))
-    header = _header(item.stamp, item.parent_frame)
-    return _bytes(_new(POSE, header, _pose(item.translation, item.quaternion)))
+        return to_cdr(_cloud(item, dtype, unit))
+    return pose_cdr(item)
+
+
+def pose_cdr(pose: TimedPose) -> bytes:
+    """Return a pose as a serialised geometry_msgs/PoseStamped."""
+    header = _header(pose.stamp, pose.parent_frame)
+    return to_cdr(_new(POSE, header, _pose(pose.translation, pose.quaternion)))
+
+
+def string_cdr(text: str) -> bytes:
+    """Return a text as a serialised std_msgs/String."""
+    return to_cdr(_new(STRING, text))
 
 
 def cloud_cdr(profile: Profile, config: Config) -> bytes:
@@ -95,10 +105,6 @@ def _new(kind: str, *values: Any) -> Any:
     return typestore().types[kind](*values)
 
 
-def _bytes(message: Any) -> bytes:
-    return bytes(typestore().serialize_cdr(message, message.__msgtype__))
-
-
 def _header(stamp: int, frame_id: str) -> Any:
     time = _new('builtin_interfaces/msg/Time', *divmod(stamp, 1_000_000_000))
     return _new('std_msgs/msg/Header', time, frame_id)
@@ -106,7 +112,7 @@ def _header(stamp: int, frame_id: str) -> Any:
 
 def _joint_state(stamp: int, values: Array) -> bytes:
     names, none = [f'joint_{k}' for k in range(1, len(values) + 1)], np.zeros(0)
-    return _bytes(_new(JOINTS, _header(stamp, ''), names, values, none, none))
+    return to_cdr(_new(JOINTS, _header(stamp, ''), names, values, none, none))
 
 
 def _cloud(profile: Profile, dtype: np.dtype[Any], unit: str) -> Any:
@@ -141,4 +147,4 @@ def write_path(path: Path, T: Array, frame_id: str, stamp: int, name: str = 'sea
             full_name(f'{name}/poses'): _new(POSE_ARRAY, header, poses)}
     folder.write(path, {}, lambda made: _write_bag(
         made, {topic: message.__msgtype__ for topic, message in sent.items()},
-        [(topic, stamp, _bytes(message)) for topic, message in sent.items()], False), force)
+        [(topic, stamp, to_cdr(message)) for topic, message in sent.items()], False), force)

@@ -17,6 +17,7 @@ CLOUD = 'sensor_msgs/msg/PointCloud2'
 POSE = 'geometry_msgs/msg/PoseStamped'
 JOINTS = 'sensor_msgs/msg/JointState'
 TF = 'tf2_msgs/msg/TFMessage'
+STRING = 'std_msgs/msg/String'
 
 ZSTD = b'\x28\xb5\x2f\xfd'
 LARGEST = 1 << 28  # bytes of one record or message, packed or not: no recorder writes more

@@ -60,10 +60,14 @@ def stamp_of(header: Any) -> int:
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
-def profile_from_cdr(data: bytes, config: ProfileConfig, row: int | None = None) -> Profile:
-    """Return the profile in a serialised PointCloud2, or in a row of it; raises MessageError."""
-    cloud = deserialised(data, CLOUD)
-    return profile_from_cloud(cloud if row is None else row_of(cloud, row), config)
+def to_cdr(message: Any) -> bytes:
+    """Return a message of the typestore as it is serialised."""
+    return bytes(typestore().serialize_cdr(message, message.__msgtype__))
+
+
+def profile_from_cdr(data: bytes, config: ProfileConfig) -> Profile:
+    """Return the profile in a serialised sensor_msgs/PointCloud2; raises MessageError."""
+    return profile_from_cloud(deserialised(data, CLOUD), config)
 
 
 def row_of(cloud: Any, index: int) -> Any:
@@ -237,22 +241,17 @@ def pose_from_transform(msg: Any) -> TimedPose:
 
 
 def _pose(kind: str, header: Any, position: Any, rotation: Any) -> TimedPose:
-    numbers = _checked(kind, (*(float(getattr(position, name)) for name in 'xyz'),
-                              *(float(getattr(rotation, name)) for name in 'xyzw')))
-    return TimedPose(stamp_of(header), np.array(numbers[:3]), np.array(numbers[3:]),
-                     frame_name(header.frame_id))
-
-
-def _checked(kind: str, numbers: tuple[float, ...]) -> tuple[float, ...]:
-    """Return x y z, qx qy qz qw with a quaternion of unit length, or raise MessageError."""
-    x, y, z, qx, qy, qz, qw = numbers
-    norm = math.hypot(qx, qy, qz, qw)
-    farthest = max(abs(x), abs(y), abs(z))
+    """Return a pose with a quaternion of unit length and qw >= 0; raises MessageError."""
+    x, y, z = translation = [float(getattr(position, name)) for name in 'xyz']
+    quaternion = [float(getattr(rotation, name)) for name in 'xyzw']
+    norm = math.hypot(*quaternion)
+    farthest = max(map(abs, translation))
     if not math.isfinite(norm + farthest + x + y + z):
         raise MessageError(kind, 'the pose holds values that are not finite')
     if farthest > LARGEST_POSITION:
         raise MessageError(kind, f'the position reaches {farthest:.3g} m')
     if abs(norm - 1.0) > LENGTH_TOLERANCE:
         raise MessageError(kind, f'quaternion of length {norm:.4g}, expected 1')
-    scale = (-1.0 if qw < 0 else 1.0) / norm
-    return x, y, z, qx * scale, qy * scale, qz * scale, qw * scale
+    scale = (-1.0 if quaternion[3] < 0 else 1.0) / norm
+    return TimedPose(stamp_of(header), np.array(translation), np.array(quaternion) * scale,
+                     frame_name(header.frame_id))

@@ -25,10 +25,12 @@ from handeye_ros.ros.bags.messages import (
     deserialised,
     frame_name,
     profile_from_cdr,
+    profile_from_cloud,
     require_layout,
     returns_from_cloud,
     row_of,
     stamp_of,
+    to_cdr,
     view_of,
 )
 from handeye_ros.ros.errors import MessageError
@@ -105,7 +107,8 @@ class ProfileReader:
     def _probe(self, data: bytes, rows: int, stamp: int) -> None:
         """Refuse points that cannot be those of a profile."""
         self._trusted = False
-        points = profile_from_cdr(data, self.config, None if rows == 1 else 0).points
+        cloud = deserialised(data, CLOUD)
+        points = profile_from_cloud(cloud if rows == 1 else row_of(cloud, 0), self.config).points
         self._trusted, self._probed = bool(np.isfinite(points[:, 1]).any()), stamp
 
 
@@ -152,9 +155,18 @@ def split(raw: RawProfile, before: int | None, config: ProfileConfig) -> list[Ra
         took, step = raw.stamp - before, 1.0  # single nanoseconds keep their order
         reach = (round(part * took), round((1.0 - part) * took))
     first = raw.stamp - round(part * (raw.rows - 1) * step)
-    return [replace(raw, stamp=first + round(index * step), rows=1, held=raw.held // raw.rows,
-                    convert=partial(profile_from_cdr, row=index), reach=reach)
-            for index in range(raw.rows)]
+    stamps = [first + round(index * step) for index in range(raw.rows)]
+    return [replace(raw, stamp=stamp, rows=1, held=raw.held // raw.rows,
+                    fetch=partial(_row_message, raw.fetch, index, stamp), reach=reach)
+            for index, stamp in enumerate(stamps)]
+
+
+def _row_message(fetch: Callable[[], bytes], index: int, stamp: int) -> bytes:
+    """Return a row of a message as a message with a stamp; raises MessageError."""
+    row = row_of(deserialised(fetch(), CLOUD), index)
+    sec, nanosec = divmod(stamp, 1_000_000_000)
+    header = replace(row.header, stamp=replace(row.header.stamp, sec=sec, nanosec=nanosec))
+    return to_cdr(replace(row, header=header))
 
 
 def returns_of(data: bytes, config: ProfileConfig) -> Iterator[Profile]:

@@ -21,9 +21,9 @@ from typing import Any
 
 from handeye_ros.errors import BagError
 from handeye_ros.ros.bags.contents import Raw
+from handeye_ros.ros.bags.messages import typestore
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-from rosbags.typesys import get_typestore, Stores
 
 SUFFIX = '.mcap'
 METADATA = 'metadata.yaml'
@@ -141,17 +141,12 @@ def _described(name: str, messages: Iterable[Raw]) -> BagFile:
     return BagFile(name, min(times, default=0), max(times, default=0), counts)
 
 
-@cache
-def _definitions() -> Any:
-    return get_typestore(Stores.ROS2_JAZZY)
-
-
 def _write_messages(stream: Any, messages: Sequence[Raw], types: dict[str, str]) -> None:
     writer = Writer(stream, CHUNK, CompressionType.ZSTD)
     writer.start('ros2', 'handeye_ros')
     channels = {}
     for topic, kind in types.items():
-        text, _ = _definitions().generate_msgdef(kind, ros_version=2)
+        text, _ = typestore().generate_msgdef(kind, ros_version=2)
         schema = writer.register_schema(kind, 'ros2msg', text.encode())
         channels[topic] = writer.register_channel(topic, 'cdr', schema,
                                                   {'offered_qos_profiles': ''})
@@ -191,7 +186,7 @@ def _metadata(files: Sequence[BagFile], types: dict[str, str]) -> str:
 @cache
 def _hash(kind: str) -> str:
     """Return what tells the definition of a type from others."""
-    return str(_definitions().hash_rihs01(kind))
+    return str(typestore().hash_rihs01(kind))
 
 
 def sync_folder(folder: Path) -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 from handeye_ros.config import Config
 from handeye_ros.data import Reject
 from handeye_ros.errors import BagError
-from handeye_ros.ros.bags.contents import CLOUD, POSE, Raw
-from handeye_ros.ros.bags.messages import pose_from_cdr
+from handeye_ros.ros.bags.contents import CLOUD, POSE, Raw, STRING
+from handeye_ros.ros.bags.messages import deserialised, pose_from_cdr
 from handeye_ros.ros.bags.profile_reader import ProfileReader
 from handeye_ros.ros.errors import MessageError, SessionError
 from handeye_ros.ros.sessions.bag_files import BagFile, files_of, read_file
@@ -22,7 +22,6 @@ from handeye_ros.ros.sessions.records import (
     OUTCOME,
     REMOVED,
     STOP,
-    string_of,
 )
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import judged, Outcome, Seen, Stop
@@ -99,7 +98,7 @@ def read_session(path: Path) -> Stored:
 
 
 def _event(messages: Sequence[Raw], file: Path) -> Event:
-    texts = {raw.topic: string_of(raw.data) for raw in messages
+    texts = {raw.topic: deserialised(raw.data, STRING).data for raw in messages
              if raw.topic in (CONFIGURATION, OUTCOME)}
     if len(texts) < 2:
         raise SessionError(file, 'does not say what happened')

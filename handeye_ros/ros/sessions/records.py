@@ -4,11 +4,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 import json
-import struct
 from typing import Any
 
 from handeye_ros.config import Config, flatten, with_values
-from handeye_ros.data import Feature, TimedPose
+from handeye_ros.data import Feature
 from handeye_ros.ros.errors import SessionError
 from handeye_ros.sampling.stops import Outcome
 import numpy as np
@@ -16,7 +15,6 @@ import numpy as np
 FORMAT = 'handeye_ros/session/'
 NEWEST = 1
 
-STRING = 'std_msgs/msg/String'
 CONFIGURATION = '/handeye_ros/session/configuration'
 OUTCOME = '/handeye_ros/session/outcome'
 FEATURES = '/handeye_ros/session/features'
@@ -98,26 +96,3 @@ def _content(text: str, path: object) -> Mapping[str, Any]:
         raise SessionError(path, f'is of the format {form}, newer than this version of '
                            'handeye_ros knows: update the package')
     return dict(content)
-
-
-def string_cdr(text: str) -> bytes:
-    """Return a std_msgs/String as it is serialised."""
-    data = text.encode() + b'\0'
-    return struct.pack('<4sI', b'\0\1\0\0', len(data)) + data
-
-
-def string_of(data: bytes) -> str:
-    """Return the text of a serialised std_msgs/String."""
-    if len(data) < 8:
-        return ''
-    (length,) = struct.unpack_from('<I', data, 4)
-    return data[8:8 + length - 1].decode(errors='replace')
-
-
-def pose_cdr(pose: TimedPose) -> bytes:
-    """Return a geometry_msgs/PoseStamped as it is serialised (plain CDR, little endian)."""
-    sec, nanosec = divmod(pose.stamp, 1_000_000_000)
-    frame = pose.parent_frame.encode() + b'\0'
-    head = struct.pack('<iII', sec, nanosec, len(frame)) + frame
-    numbers = struct.pack('<7d', *pose.translation, *pose.quaternion)
-    return b'\0\1\0\0' + head + b'\0' * (-len(head) % 8) + numbers

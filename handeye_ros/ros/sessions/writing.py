@@ -16,8 +16,8 @@ from typing import Any
 from handeye_ros.config import Config
 from handeye_ros.data import Profile
 from handeye_ros.errors import UnwritableError
-from handeye_ros.ros.bags.bag_write import cloud_cdr
-from handeye_ros.ros.bags.contents import CLOUD, full_name, POSE, Raw
+from handeye_ros.ros.bags.bag_write import cloud_cdr, pose_cdr, string_cdr
+from handeye_ros.ros.bags.contents import CLOUD, full_name, POSE, Raw, STRING
 from handeye_ros.ros.errors import SessionError
 from handeye_ros.ros.node.store import Store
 from handeye_ros.ros.sessions.bag_files import (
@@ -35,11 +35,8 @@ from handeye_ros.ros.sessions.records import (
     Event,
     FEATURES,
     OUTCOME,
-    pose_cdr,
     REMOVED,
     STOP,
-    STRING,
-    string_cdr,
     texts_of,
 )
 from handeye_ros.sampling.stops import Outcome, Stop

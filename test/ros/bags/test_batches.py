@@ -128,14 +128,19 @@ def test_ranges_that_mean_no_return() -> None:
     assert np.isnan(profile_from_cloud(made, flipped).points[:, 1]).sum() == 21
 
 
-def test_a_message_without_its_last_row_is_refused() -> None:
-    data = batch(START, 5)
-    last = split(ProfileReader(ProfileConfig(period=1e-3)).take(data), None,
-                 ProfileConfig(period=1e-3))[-1]
-    assert last.read().points.shape == (60, 2)
-    for other in (batch(START, 4), data[:-1], b''):
+def test_a_row_is_a_message_of_its_own() -> None:
+    config = ProfileConfig(period=1e-3)
+    for index, one in enumerate(split(ProfileReader(config).take(batch(START, 5)), None, config)):
+        same = STORE.deserialize_cdr(one.fetch(), CLOUD)
+        assert (same.height, same.width, len(same.data)) == (1, 60, 720)
+        got = ProfileReader(config).take(one.fetch())
+        assert (got.stamp, got.rows) == (one.stamp, 1)
+        np.testing.assert_allclose(got.read().points[:, 1], 0.2 + 1e-5 * index, rtol=1e-6)
+    for other in (batch(START, 4), batch(START, 5)[:-1], b''):  # the file has changed
+        lost = replace(one, fetch=partial(one.fetch.func, partial(bytes, other),
+                                          *one.fetch.args[1:]))
         with pytest.raises(MessageError, match='PointCloud2 message not used: damaged message'):
-            replace(last, fetch=partial(bytes, other)).read()
+            lost.read()
 
 
 def test_a_bag_of_batches(tmp_path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 from handeye_ros.config import ProfileConfig
-from handeye_ros.ros.bags import profile_reader
+from handeye_ros.ros.bags import messages
 from handeye_ros.ros.bags.messages import (
     deserialised,
     pose_from_cdr,
@@ -13,6 +13,7 @@ from handeye_ros.ros.bags.messages import (
     profile_from_cloud,
     stamp_of,
 )
+from handeye_ros.ros.bags.points import returns
 from handeye_ros.ros.bags.profile_reader import PROBE, ProfileReader
 from handeye_ros.ros.errors import MessageError
 from hypothesis import given, settings
@@ -92,8 +93,7 @@ def test_any_bytes_are_a_message_or_refused(junk: bytes, keep: int, known: bool)
 
 def test_most_profiles_are_not_read_until_they_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
     reader, read = ProfileReader(METRES), []
-    monkeypatch.setattr(profile_reader, 'profile_from_cdr', lambda *given: (
-        read.append(1) or profile_from_cdr(*given)))
+    monkeypatch.setattr(messages, 'returns', lambda points: read.append(1) or returns(points))
     stamps = [10**18 + i * 1_000_000 for i in range(1000)]
     raws = [reader.take(serialised(message(stamp=stamp))) for stamp in stamps]
     assert [raw.stamp for raw in raws] == stamps
