@@ -34,3 +34,11 @@ class NoJobsError(DataError):
     def __init__(self, sources: object) -> None:
         super().__init__(f'no recording in {sources}: give bags, folders of bags, or a CSV or '
                          'YAML list of them')
+
+
+class RemoteError(InputError):
+    """A URL that cannot be read."""
+
+    def __init__(self, url: str, reason: str) -> None:
+        super().__init__(f'{url} cannot be read ({reason}): check the URL, its credentials, and '
+                         'that the library of its file system (such as s3fs) is installed')

@@ -1,44 +1,77 @@
-"""One page for a batch: what became of the jobs, refusals by cause, the worst to open."""
+"""One page for a batch: what became of the jobs, each cell through time, the worst to open."""
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from pathlib import Path
+import re
 
+from handeye_ros.batch.cells import Cell
 from handeye_ros.batch.jobs import Row
 from handeye_ros.results.calibration_file import write_whole
 from jinja2 import Environment
 
 WORST = 10
-FIGURES = ('residual_rms', 'holdout_rms', 'weakest_std', 'seconds')
+FIGURES = ('residual_rms', 'holdout_rms', 'weakest_std', 'rms', 'points_off', 'smallest_error',
+           'seconds')
 PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>handeye batch</title>
 <style>body{font:14px sans-serif;margin:2em;max-width:70em}td,th{padding:.2em .8em;text-align:left}
-table{border-collapse:collapse;margin-bottom:2em}tr:nth-child(even){background:#8882}</style>
+table{border-collapse:collapse;margin-bottom:2em}tr:nth-child(even){background:#8882}
+img{max-width:100%}</style>
+{% macro link(row) %}<a href="{{ (page(row))|urlencode }}">{{ row.label }}</a>{% endmacro %}
+{% macro table(rows) %}<table><tr><th>recording<th>result{% for name in figures %}<th>{{ name }}
+{% endfor %}<th>cause{% for row in rows %}<tr><td>{{ link(row) }}<td>{{ result(row) }}
+{% for name in figures %}<td>{{ shown(row.get(name)) }}{% endfor %}
+<td>{{ row.get('cause') or '' }}{% endfor %}</table>{% endmacro %}
 <h1>{{ rows|length }} recordings</h1>
 <table>{% for name, count in counts %}<tr><td>{{ name }}<td>{{ count }}{% endfor %}</table>
-{% if causes %}<h2>Refused, by cause</h2>
-<table>{% for cause, count in causes %}<tr><td>{{ count }}<td>{{ cause }}{% endfor %}</table>
-{% endif %}<h2>The worst first</h2>
-<table><tr><th>recording<th>result{% for name in figures %}<th>{{ name }}{% endfor %}<th>cause
-{% for row in rows %}<tr><td><a href="{{ row.label|urlencode }}/output.txt">{{ row.label }}</a>
-<td>{{ result(row) }}{% for name in figures %}<td>{{ shown(row.get(name)) }}{% endfor %}
-<td>{{ row.get('cause') or '' }}{% endfor %}</table></html>
+{% if causes %}<h2>Without an answer, by cause</h2>
+<table>{% for cause, found in causes %}<tr><td>{{ found|length }}<td>{{ cause }}<td>
+{% for row in found[:most] %}{{ link(row) }} {% endfor %}{% endfor %}</table>
+{% endif %}<h2>The worst answers</h2>
+{{ table(answers[:most]) }}
+{% if cells %}<h2>Cells</h2><table>{% for cell in cells %}<tr><td><a href="#c{{ loop.index }}">
+{{ cell.name or 'all' }}</a><td>{{ cell.count }}<td>{{ cell.sentence }}{% endfor %}</table>
+{% for cell in cells if cell.picture %}<h3 id="c{{ loop.index }}">{{ cell.name or 'all' }}</h3>
+<p>{{ cell.sentence }}<br><img loading="lazy" alt="" src="{{ cell.picture|urlencode }}">
+{% endfor %}{% endif %}<details><summary>All recordings, the worst first</summary>
+{{ table(rows) }}</details></html>
 """
 
 
 def result_of(row: Row) -> str:
     """Return what became of a job, in a word."""
     if row['exit_code'] == 0:
-        return 'answer, with warnings' if row.get('warnings') else 'answer'
+        return 'warning' if row.get('warnings') else 'pass'
     return {1: 'failed or changed', 2: 'unreadable', 3: 'refused'}.get(row['exit_code'], 'crashed')
 
 
-def write_report(rows: Sequence[Row], path: Path) -> None:
-    """Write the page."""
-    worst = sorted(rows, key=lambda row: (-row['exit_code'], -(row.get('residual_rms') or 0.0)))
-    causes = Counter(row['cause'][:100] for row in rows if row.get('cause'))
+def worst_first(rows: Sequence[Row]) -> list[Row]:
+    """Return rows without an answer, then those with one by their residuals."""
+    return sorted(rows, key=lambda row: (
+        -row['exit_code'], -(row.get('residual_rms') or row.get('rms') or 0.0)))
+
+
+def worst_answers(rows: Sequence[Row]) -> list[Row]:
+    """Return the answers that a person should open first."""
+    return worst_first([row for row in rows if row['exit_code'] in (0, 1)])[:WORST]
+
+
+def write_report(rows: Sequence[Row], cells: Sequence[Cell], path: Path) -> None:
+    """Write the page; a calibration links to its own report.html where there is one."""
+    causes: dict[str, list[Row]] = defaultdict(list)
+    for row in rows:
+        if row.get('cause'):
+            causes[re.sub(r'-?\d[\d.e+-]*', '#', row['cause'])[:200]].append(row)
+    own = {row['label'] for row in worst_answers(rows)
+           if (path.parent / row['label'] / 'report.html').exists()}
     environment = Environment(autoescape=True)
     write_whole(path, environment.from_string(PAGE).render(
-        rows=worst, figures=FIGURES, result=result_of, causes=causes.most_common(),
+        rows=worst_first(rows), answers=worst_answers(rows), cells=cells, figures=[
+            name for name in FIGURES if any(row.get(name) is not None for row in rows)],
+        result=result_of, most=WORST,
+        causes=sorted(causes.items(), key=lambda item: -len(item[1])),
         counts=Counter(map(result_of, rows)).most_common(),
+        page=lambda row: f'{row["label"]}/' + (
+            'report.html' if row['label'] in own else 'output.txt'),
         shown=lambda value: '' if value is None else f'{value:.3g}'))

@@ -14,27 +14,33 @@ from handeye_ros.batch.errors import NoDaskError, NoSchedulerError
 from handeye_ros.batch.jobs import CRASHED, Job, Row, run, Verb
 
 AHEAD = 4  # jobs for each worker that are handed over before others are done
+ATTEMPTS = 2  # workers of this machine that a job may end before it is tried by itself
 
 
 @contextmanager
-def client_of(scheduler: str, dashboard: bool = False) -> Iterator[Any]:
+def client_of(scheduler: str, *, workers: int = 0, memory: str = 'auto', dashboard: bool = False
+              ) -> Iterator[Any]:
     """
     Give a client of Dask: of a cluster of this machine (`local`), or of one that is there.
 
+    workers, memory: of this machine, 0: one for each core; the memory that each may use.
     Raises NoDaskError, NoSchedulerError.
     """
     try:
+        import dask
         from distributed import Client, LocalCluster
     except ImportError as error:
         raise NoDaskError('distributed') from error
     if scheduler == 'local':
-        with LocalCluster(n_workers=len(os.sched_getaffinity(0)), threads_per_worker=1,
-                          dashboard_address=f'127.0.0.1:{8787 if dashboard else 0}',
-                          silence_logs=50) as cluster, Client(cluster) as client:
+        with dask.config.set({'distributed.scheduler.allowed-failures': ATTEMPTS - 1}), \
+                LocalCluster(n_workers=workers or len(os.sched_getaffinity(0)),
+                             threads_per_worker=1, memory_limit=memory, silence_logs=50,
+                             dashboard_address=f'127.0.0.1:{8787 if dashboard else 0}'
+                             ) as cluster, Client(cluster) as client:
             yield client
         return
     try:
-        client = Client(scheduler, timeout=10)
+        client = Client(scheduler, timeout=5)
     except (OSError, ValueError) as error:
         raise NoSchedulerError(scheduler) from error
     with client:
@@ -46,19 +52,25 @@ def rows_of(client: Any, jobs: Sequence[Job], out: Path, verb: Verb) -> Iterator
     from distributed import as_completed
     waiting = iter(jobs)
     submit: Callable[[Job], Any] = partial(_submitted, client, out, verb)
-    running = {submit(job): job for job in islice(
-        waiting, AHEAD * max(len(client.scheduler_info()['workers']), 1))}
-    done, lost = as_completed(running), []
-    for future in done:
-        job = running.pop(future)
-        if type(future.exception()).__name__ == 'KilledWorker':
-            lost.append(job)
-        else:
-            yield _row(job, future)
-        for following in islice(waiting, 1):
-            another = submit(following)
-            running[another] = following
-            done.add(another)
+    running: dict[Any, Job] = {}
+    done, lost = as_completed(), []
+
+    def fill() -> None:
+        most = AHEAD * max(len(client.nthreads()), 1)  # workers come and go
+        for job in islice(waiting, max(most - len(running), 0)):
+            future = submit(job)
+            running[future] = job
+            done.add(future)
+
+    fill()
+    for batch in done.batches():
+        for future in batch:
+            job = running.pop(future)
+            if type(future.exception()).__name__ == 'KilledWorker':
+                lost.append(job)
+            else:
+                yield _row(job, future)
+        fill()
     for job in lost:  # by itself: another job beside it may have ended the worker
         yield _row(job, submit(job))
 

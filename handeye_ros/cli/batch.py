@@ -1,10 +1,18 @@
 """The verb that takes many recordings through another verb."""
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+import io
 from pathlib import Path
-from typing import Annotated
+import sys
+from typing import Annotated, Any, TYPE_CHECKING
 
 from handeye_ros.cli.app import app
-from handeye_ros.cli.common import advancing, Assignments, ConfigFile
+from handeye_ros.cli.common import Assignments, ConfigFile
 import typer
+
+if TYPE_CHECKING:
+    from handeye_ros.batch.jobs import Row
 
 VERBS = ('solve', 'verify', 'check', 'compare')
 
@@ -20,11 +28,59 @@ def run_verb(words: list[str]) -> int:
     return 0
 
 
+@contextmanager
+def _watched(total: int) -> Iterator[Callable[['Row'], None]]:
+    """Show on a terminal the results so far and the time left; what it yields takes each row."""
+    if not sys.stderr.isatty():
+        yield lambda row: None
+        return
+    from collections import deque
+
+    from handeye_ros.batch.report import result_of
+    from rich.console import Console, Group
+    from rich.live import Live
+    from rich.progress import MofNCompleteColumn, Progress
+    from rich.table import Table
+    progress = Progress(*Progress.get_default_columns(), MofNCompleteColumn())
+    task, counts, latest = progress.add_task('jobs', total=total), Counter[str](), deque['Row'](
+        maxlen=8)
+    with Live(progress, console=Console(stderr=True), transient=True) as live:
+        def take(row: 'Row') -> None:
+            latest.append(row)
+            counts[result_of(row)] += 1
+            table = Table('recording', 'result', 's', 'cause')
+            for one in latest:
+                table.add_row(one['label'], result_of(one), str(one.get('seconds', '')),
+                              one.get('cause', '')[:80])
+            progress.advance(task)
+            live.update(Group(table, ', '.join(f'{n} {name}' for name, n in counts.items()),
+                              progress))
+        yield take
+
+
+def _run_quietly(words: list[str]) -> int:
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        return run_verb(words)
+
+
+def _reported(client: Any, rows: 'list[Row]', out: Path) -> None:
+    """Write the page, with the trend of each cell and the reports of the worst calibrations."""
+    from handeye_ros.batch.cells import cell_of, cells_of
+    from handeye_ros.batch.report import worst_answers, write_report
+    cells = cells_of(rows)
+    trends = client.map(cell_of, [*cells], [*cells.values()], out=out, pure=False)
+    pages = client.map(_run_quietly, [
+        ['report', str(out / row['label'])] for row in worst_answers(rows)
+        if row['verb'] == 'solve'], pure=False)
+    client.gather(pages, errors='skip')
+    write_report(rows, client.gather(trends, errors='skip'), out / 'report.html')
+
+
 @app.command()
 def batch(
-    sources: Annotated[list[Path], typer.Argument(
-        metavar='SOURCE...', help='Bags, folders of bags, or CSV or YAML lists of them (bag, '
-        'label, config, settings, args).')],
+    sources: Annotated[list[str], typer.Argument(
+        metavar='SOURCE...', help='Bags, folders of bags (paths, or URLs that fsspec opens), '
+        'or CSV or YAML lists of them (bag, label, config, settings, args).')],
     out: Annotated[Path, typer.Option(metavar='FOLDER', help='Where the results are put.')],
     verb: Annotated[str, typer.Option(help='solve, verify, check or compare.')] = 'solve',
     args: Annotated[str, typer.Option(
@@ -34,29 +90,33 @@ def batch(
     scheduler: Annotated[str, typer.Option(
         help='local: one process for each core of this machine; or the address of a Dask '
         'scheduler, such as tcp://host:8786.')] = 'local',
+    memory: Annotated[str, typer.Option(
+        help='What each local worker may use, such as 2GB; auto: its part of this machine.'
+        )] = 'auto',
     dashboard: Annotated[bool, typer.Option(
         '--dashboard', help='Show the page of Dask at port 8787 (local).')] = False,
 ) -> None:
     """Take many recordings through one verb, in parallel; again: only what is new or changed."""
-    import shlex
-
-    from handeye_ros.batch.jobs import Job, jobs_of
-    from handeye_ros.batch.report import result_of, write_report
+    from handeye_ros.batch.jobs import Job
+    from handeye_ros.batch.report import result_of
     from handeye_ros.batch.run import client_of, rows_of, write_rows
+    from handeye_ros.batch.sources import jobs_of, words_of
     if verb not in VERBS:
         raise typer.BadParameter(f'{verb!r} is not one of {", ".join(VERBS)}', param_hint='--verb')
-    jobs = jobs_of(sources, Job('', '', verb, tuple(shlex.split(args)),
+    jobs = jobs_of(sources, Job('', '', verb, words_of(args, Path()),
                                 str(config.absolute()) if config else '', tuple(assignments)))
     out = out.absolute()
     out.mkdir(parents=True, exist_ok=True)
-    rows = []
-    with client_of(scheduler, dashboard) as client, advancing(f'{len(jobs)} jobs') as progress:
-        for row in rows_of(client, jobs, out, run_verb):
-            rows.append(row)
-            progress(len(rows) / len(jobs))
-    write_rows(rows, out)
-    write_report(rows, out / 'report.html')
-    results = [result_of(row) for row in rows]
-    told = ', '.join(f'{results.count(name)} {name}' for name in dict.fromkeys(results))
-    typer.echo(f'{len(rows)} recordings: {told}; {sum(row["computed"] for row in rows)} computed, '
+    with client_of(scheduler, memory=memory, dashboard=dashboard) as client:
+        rows = []
+        with _watched(len(jobs)) as watched:
+            for row in rows_of(client, jobs, out, run_verb):
+                rows.append(row)
+                watched(row)
+        write_rows(rows, out)
+        _reported(client, rows, out)
+    counts = Counter(map(result_of, rows))
+    typer.echo(f'{len(rows)} recordings: '
+               f'{", ".join(f"{count} {name}" for name, count in counts.items())}; '
+               f'{sum(row["computed"] for row in rows)} computed, '
                f'the others unchanged; wrote {out}')

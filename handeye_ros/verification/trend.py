@@ -1,11 +1,12 @@
 """How the calibrations of a folder went through time: each against the first and the last one."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 import csv
 from dataclasses import dataclass
 import io
 from pathlib import Path
+from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Calibration
@@ -28,7 +29,8 @@ class Entry:
 
     recorded: when its first sample was taken, or its file written where that is not known.
     difference: (6,) to the first, std: (6,) of it, by both covariances; p_first, p_before: how
-    often chance alone makes such a difference to the first, and to the one before.
+    often chance alone makes such a difference to the first, and to the one before. residual: RMS
+    (m).
     """
 
     path: Path
@@ -37,16 +39,19 @@ class Entry:
     std: Array
     p_first: float
     p_before: float
+    residual: float
 
 
-def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], list[str]]:
+def trend(folder: Path, first: Calibration | None = None, files: Iterable[Path] | None = None
+          ) -> tuple[list[Entry], list[str]]:
     """
     Return the calibrations below a folder by time, and a warning for each file left out.
 
-    first: what they are compared with, the oldest if not given. Raises NoTrendError.
+    first: what they are compared with, the oldest if not given. files: which of the folder, all
+    calibration.yaml if not given. Raises NoTrendError.
     """
     found, warnings = [], []
-    for path in sorted(folder.rglob('calibration.yaml')):
+    for path in sorted(folder.rglob('calibration.yaml') if files is None else files):
         try:
             calibration = read_calibration(path)
         except CalibrationFileError as error:
@@ -61,7 +66,8 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
     for recorded, path, calibration in found:
         difference, C = between(calibration, reference)
         entries.append(Entry(path, recorded, difference, np.sqrt(np.diag(C)),
-                             _p(difference, C), _p(*between(calibration, before))))
+                             _p(difference, C), _p(*between(calibration, before)),
+                             calibration.quality.residual_rms))
         before = calibration
     return entries, warnings
 
@@ -105,13 +111,37 @@ def since_when(entries: Sequence[Entry]) -> str:
     return 'no calibration differs from the one before by more than their uncertainties explain'
 
 
+def control_limits(values: Array) -> tuple[float, float, float]:
+    """
+    Return the centre of an individuals chart and its limits, by the mean moving range.
+
+    Montgomery, Introduction to Statistical Quality Control, 6.4: 3 sigma, sigma = range / 1.128.
+    """
+    reach = 3 / 1.128 * float(np.abs(np.diff(values)).mean()) if len(values) > 1 else np.nan
+    centre = float(values.mean())
+    return centre, centre - reach, centre + reach
+
+
+def draw_chart(ax: Any, values: Array, name: str) -> None:
+    """Draw values in the order of time with their control limits; those beyond them in red."""
+    centre, low, high = control_limits(values)
+    ax.plot(values, 'o-', markersize=4)
+    beyond = np.flatnonzero((values < low) | (values > high))
+    ax.plot(beyond, values[beyond], 'o', color='tab:red')
+    ax.axhline(centre, color='0.7', linewidth=0.8)
+    for limit in (low, high):
+        ax.axhline(limit, color='tab:red', linestyle='--', linewidth=0.8)
+    ax.set_ylabel(name)
+
+
 def draw(entries: Sequence[Entry], path: Path) -> None:
     """
     Write a picture of the trend; raises NoMatplotlibError, UnwritableError.
 
-    The bars reach as far as a joint test of all six differences takes for chance, once in 20.
+    The bars reach as far as a joint test of all six differences takes for chance, once in 20;
+    the residuals have the limits of a control chart.
     """
-    drawing, axes = figure(2, 1)
+    drawing, axes = figure(3, 1)
     at = np.arange(len(entries))
     difference = np.array([e.difference for e in entries])
     reach = float(np.sqrt(chi2_isf(WARNING, 6))) * np.array([e.std for e in entries])
@@ -128,7 +158,8 @@ def draw(entries: Sequence[Entry], path: Path) -> None:
             ax.annotate('changed', (place, 1), xycoords=('data', 'axes fraction'), fontsize=8,
                         color='tab:red', va='bottom', ha='center')
         ax.legend(fontsize=8)
-    axes[1].set_xticks(at, [e.recorded[:16] or e.path.parent.name for e in entries],
+    draw_chart(axes[2], 1e3 * np.array([e.residual for e in entries]), 'residual RMS [mm]')
+    axes[2].set_xticks(at, [e.recorded[:16] or e.path.parent.name for e in entries],
                        rotation=20, ha='right', fontsize=8)
     save(drawing, path)
 
@@ -139,7 +170,8 @@ def csv_text(entries: Sequence[Entry]) -> str:
     made = csv.writer(lines, lineterminator='\n')
     axes = ('x', 'y', 'z', 'rx', 'ry', 'rz')
     made.writerow(('recorded', 'path', *axes, *(f'{axis}_std' for axis in axes), 'p_first',
-                   'p_before'))
+                   'p_before', 'residual'))
     for e in entries:
-        made.writerow((e.recorded, e.path, *e.difference, *e.std, e.p_first, e.p_before))
+        made.writerow((e.recorded, e.path, *e.difference, *e.std, e.p_first, e.p_before,
+                       e.residual))
     return lines.getvalue()

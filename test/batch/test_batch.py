@@ -3,14 +3,17 @@ from __future__ import annotations
 
 import csv
 import json
+import multiprocessing
 import os
 from pathlib import Path
+import time
 
 from command import assert_refused, handeye
 from handeye_ros.batch.errors import JobListError, NoJobsError
-from handeye_ros.batch.jobs import CRASHED, Job, jobs_of, run
+from handeye_ros.batch.jobs import CRASHED, Job, run
 from handeye_ros.batch.report import write_report
 from handeye_ros.batch.run import client_of, rows_of, write_rows
+from handeye_ros.batch.sources import jobs_of
 import pytest
 
 pytest.importorskip('distributed', reason='needs distributed')
@@ -25,6 +28,14 @@ def pretended(words: list[str]) -> int:
         stream.write('x')
     if text == 'kill':
         os._exit(9)
+    if text == 'memory':
+        held = []
+        while True:  # a step each 10 ms: what ends it is the limit of the worker
+            held.append(bytearray(8_000_000))
+            time.sleep(0.01)
+    if text == 'slow':
+        time.sleep(0.3)  # long enough for another to come
+        text = '1.0'
     if text == 'crash':
         raise ZeroDivisionError('a fault')
     if text == 'refuse':
@@ -37,14 +48,14 @@ def pretended(words: list[str]) -> int:
 
 @pytest.fixture(scope='module')
 def client():
-    with client_of('local') as client:
+    with client_of('local', workers=2, memory='500MB') as client:
         yield client
 
 
 def recordings(folder: Path) -> list[Path]:
     """Return files that stand for recordings: ten good ones, and one of each that is not."""
     texts = {f'good{k}': f'{k}.0e-05' for k in range(10)}
-    texts |= {'killing': 'kill', 'crashing': 'crash', 'refused': 'refuse'}
+    texts |= {'killing': 'kill', 'memory': 'memory', 'crashing': 'crash', 'refused': 'refuse'}
     for name, text in texts.items():
         (folder / f'{name}.mcap').write_text(text)
     return sorted(folder.glob('*.mcap'))
@@ -52,25 +63,26 @@ def recordings(folder: Path) -> list[Path]:
 
 def test_each_job_costs_itself_and_is_computed_once(client, tmp_path):
     files = recordings(tmp_path)
-    jobs = jobs_of([tmp_path], Job('', '', 'solve'))
+    jobs = jobs_of([str(tmp_path)], Job('', '', 'solve'))
     assert [job.label for job in jobs] == [file.stem for file in files]
     rows = {row['label']: row for row in rows_of(client, jobs, tmp_path / 'out', pretended)}
     assert len(rows) == len(files)
     assert {name: row['exit_code'] for name, row in rows.items() if row['exit_code']} == {
-        'killing': CRASHED, 'crashing': CRASHED, 'refused': 3}
+        'killing': CRASHED, 'memory': CRASHED, 'crashing': CRASHED, 'refused': 3}
     assert rows['refused']['cause'] == 'no target was seen'
     assert rows['crashing']['cause'] == 'ZeroDivisionError: a fault'
-    assert 'worker' in rows['killing']['cause'].lower()
+    assert all('worker' in rows[name]['cause'].lower() for name in ('killing', 'memory'))
     assert rows['good7']['residual_rms'] == 7e-5
     (tmp_path / 'good3.mcap').write_text('1.0')
     again = {row['label']: row for row in rows_of(
-        client, [job for job in jobs if job.label != 'killing'], tmp_path / 'out', pretended)}
+        client, [job for job in jobs if job.label not in ('killing', 'memory')],
+        tmp_path / 'out', pretended)}
     assert [name for name, row in again.items() if row['computed']] == ['good3']
     assert again['good3']['residual_rms'] == 1.0
     assert (tmp_path / 'good7.runs').read_text() == 'x'
     assert not list((tmp_path / 'out').glob('.good*')), 'half results are left'
     write_rows([*rows.values()], tmp_path / 'out')
-    write_report([*rows.values()], tmp_path / 'out' / 'report.html')
+    write_report([*rows.values()], [], tmp_path / 'out' / 'report.html')
     with (tmp_path / 'out/results.csv').open() as stream:
         table = list(csv.DictReader(stream))
     assert [row['label'] for row in table] == sorted(rows)
@@ -89,22 +101,51 @@ def test_a_result_is_there_whole_or_not_at_all(tmp_path):
     assert run(job, tmp_path / 'out', pretended)['computed']
 
 
+def test_two_workers_at_one_job_compute_it_once(tmp_path):
+    (tmp_path / 'a.mcap').write_text('slow')
+    job = Job(str(tmp_path / 'a.mcap'), 'a', 'solve')
+    others = [multiprocessing.get_context('fork').Process(
+        target=run, args=(job, tmp_path / 'out', pretended)) for _ in range(2)]
+    for other in others:
+        other.start()
+    for other in others:
+        other.join()
+    assert not run(job, tmp_path / 'out', pretended)['computed']
+    assert (tmp_path / 'a.runs').read_text() == 'x'
+
+
+def test_recordings_are_taken_by_url(tmp_path):
+    from fsspec.implementations.memory import MemoryFileSystem
+    system = MemoryFileSystem()
+    system.pipe({'/nights/cell/a.mcap': b'1.0', '/nights/cell/b/metadata.yaml': b'',
+                 '/nights/cell/b/b.mcap': b'2.0'})
+    jobs = jobs_of(['memory://nights'], Job('', '', 'solve'))
+    assert [job.label for job in jobs] == ['cell/a', 'cell/b']
+    row = run(jobs[0], tmp_path / 'out', pretended)
+    assert row['residual_rms'] == 1.0 and row['bag'] == 'memory://nights/cell/a.mcap'
+    assert not run(jobs[0], tmp_path / 'out', pretended)['computed']
+    system.pipe('/nights/cell/a.mcap', b'3.0')
+    assert run(jobs[0], tmp_path / 'out', pretended)['residual_rms'] == 3.0
+    missing = run(Job('memory://nights/none.mcap', 'none', 'solve'), tmp_path / 'out', pretended)
+    assert missing['exit_code'] == 2 and 'memory://nights/none.mcap' in missing['cause']
+
+
 def test_lists_name_their_recordings_relative_to_them(tmp_path):
     (tmp_path / 'jobs.csv').write_text(
         'bag,label,settings\na,first,target.radius=0.02 name=x\nb,,\na,first,\n')
-    jobs = jobs_of([tmp_path / 'jobs.csv'], Job('', '', 'solve', config='c.yaml'))
+    jobs = jobs_of([str(tmp_path / 'jobs.csv')], Job('', '', 'solve', config='c.yaml'))
     assert [job.label for job in jobs] == ['first', 'b', 'first-2']
     assert jobs[0].settings == ('target.radius=0.02', 'name=x')
     assert jobs[0].bag == str(tmp_path / 'a') and jobs[1].config == 'c.yaml'
     (tmp_path / 'jobs.yaml').write_text('- {bag: a, args: sphere --length 0.2}\n')
-    assert jobs_of([tmp_path / 'jobs.yaml'], Job('', '', 'verify'))[0].args == (
+    assert jobs_of([str(tmp_path / 'jobs.yaml')], Job('', '', 'verify'))[0].args == (
         'sphere', '--length', '0.2')
     (tmp_path / 'jobs.yaml').write_text('bag: a\n')
     with pytest.raises(JobListError):
-        jobs_of([tmp_path / 'jobs.yaml'], Job('', '', 'solve'))
+        jobs_of([str(tmp_path / 'jobs.yaml')], Job('', '', 'solve'))
     (tmp_path / 'empty').mkdir()
     with pytest.raises(NoJobsError):
-        jobs_of([tmp_path / 'empty'], Job('', '', 'solve'))
+        jobs_of([str(tmp_path / 'empty')], Job('', '', 'solve'))
 
 
 @pytest.mark.once
