@@ -28,7 +28,8 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
         if source.endswith(LISTS) and Path(source).is_file():
             jobs += _listed(Path(source), base)
         else:
-            jobs += [replace(base, bag=bag, label=label) for bag, label in _bags_in(source)]
+            jobs += [replace(base, bag=bag, label=label)
+                     for bag, label in _bags_in(source, several=len(sources) > 1)]
     if not jobs:
         raise NoJobsError(' '.join(sources))
     seen: dict[str, int] = {}
@@ -40,8 +41,8 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
     return unique
 
 
-def _bags_in(source: str) -> Iterator[tuple[str, str]]:
-    """Yield the bags that a path or a URL is or holds, and their names."""
+def _bags_in(source: str, several: bool) -> Iterator[tuple[str, str]]:
+    """Yield the bags that a path or a URL is or holds, and their names; several: of folders."""
     below = files_below(source)
     if below is None or 'metadata.yaml' in below:
         yield _absolute(source), PurePosixPath(source).stem
@@ -50,7 +51,9 @@ def _bags_in(source: str) -> Iterator[tuple[str, str]]:
     folders = {file.parent for file in files if file.name == 'metadata.yaml'}
     single = {file for file in files if file.suffix in BAGS and file.parent not in folders}
     for bag in sorted(folders | single):
-        yield f'{_absolute(source).rstrip("/")}/{bag}', str(bag.with_suffix(''))
+        name = bag.with_suffix('')
+        yield (f'{_absolute(source).rstrip("/")}/{bag}',
+               str(PurePosixPath(source).name / name if several else name))
 
 
 def words_of(text: str, folder: Path) -> tuple[str, ...]:

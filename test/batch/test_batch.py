@@ -121,6 +121,8 @@ def test_recordings_are_taken_by_url(tmp_path):
                  '/nights/cell/b/b.mcap': b'2.0'})
     jobs = jobs_of(['memory://nights'], Job('', '', 'solve'))
     assert [job.label for job in jobs] == ['cell/a', 'cell/b']
+    assert [job.label for job in jobs_of(['memory://nights/cell', str(tmp_path / 'c.mcap')],
+                                         jobs[0])] == ['cell/a', 'cell/b', 'c']
     row = run(jobs[0], tmp_path / 'out', pretended)
     assert row['residual_rms'] == 1.0 and row['bag'] == 'memory://nights/cell/a.mcap'
     assert not run(jobs[0], tmp_path / 'out', pretended)['computed']
