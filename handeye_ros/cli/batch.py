@@ -12,7 +12,7 @@ from handeye_ros.cli.common import Assignments, ConfigFile
 import typer
 
 if TYPE_CHECKING:
-    from handeye_ros.batch.jobs import Row
+    from handeye_ros.batch.jobs import Job, Row
 
 VERBS = ('solve', 'verify', 'check', 'compare')
 
@@ -76,6 +76,22 @@ def _reported(client: Any, rows: 'list[Row]', out: Path) -> None:
     write_report(rows, client.gather(trends, errors='skip'), out / 'report.html')
 
 
+def _run_all(client: Any, jobs: 'list[Job]', out: Path) -> str:
+    """Run the jobs, write the table and the page, and return what became of them."""
+    from handeye_ros.batch.report import result_of
+    from handeye_ros.batch.run import rows_of, write_rows
+    rows = []
+    with _watched(len(jobs)) as watched:
+        for row in rows_of(client, jobs, out, run_verb):
+            rows.append(row)
+            watched(row)
+    write_rows(rows, out)
+    _reported(client, rows, out)
+    counts = Counter(map(result_of, rows)).items()
+    return (f'{len(rows)} recordings: {", ".join(f"{count} {name}" for name, count in counts)}; '
+            f'{sum(row["computed"] for row in rows)} computed, the others unchanged; wrote {out}')
+
+
 @app.command()
 def batch(
     sources: Annotated[list[str], typer.Argument(
@@ -98,8 +114,7 @@ def batch(
 ) -> None:
     """Take many recordings through one verb, in parallel; again: only what is new or changed."""
     from handeye_ros.batch.jobs import Job
-    from handeye_ros.batch.report import result_of
-    from handeye_ros.batch.run import client_of, rows_of, write_rows
+    from handeye_ros.batch.run import client_of
     from handeye_ros.batch.sources import jobs_of, words_of
     if verb not in VERBS:
         raise typer.BadParameter(f'{verb!r} is not one of {", ".join(VERBS)}', param_hint='--verb')
@@ -108,15 +123,4 @@ def batch(
     out = out.absolute()
     out.mkdir(parents=True, exist_ok=True)
     with client_of(scheduler, memory=memory, dashboard=dashboard) as client:
-        rows = []
-        with _watched(len(jobs)) as watched:
-            for row in rows_of(client, jobs, out, run_verb):
-                rows.append(row)
-                watched(row)
-        write_rows(rows, out)
-        _reported(client, rows, out)
-    counts = Counter(map(result_of, rows))
-    typer.echo(f'{len(rows)} recordings: '
-               f'{", ".join(f"{count} {name}" for name, count in counts.items())}; '
-               f'{sum(row["computed"] for row in rows)} computed, '
-               f'the others unchanged; wrote {out}')
+        typer.echo(_run_all(client, jobs, out))
