@@ -176,9 +176,9 @@ class Sample:
 
     Or one profile of a robot that moves. stamp: of the first profile used; T_base_flange: (4, 4).
     flipped: what its first profile would show if the range were counted the other way, to tell a
-    wrong setting. motion: of a robot that moves (sampling.trajectory); offset: by how much later
-    than the stamp its pose is (s). single: of a pass, the samples of its profiles; its own is the
-    middle one.
+    wrong setting. motion: of a robot that moves (sampling.trajectory); offsets: by how much later
+    than the stamp its pose is, and the rotation than the position (s). single: of a pass, the
+    samples of its profiles; its own is the middle one.
     """
 
     stamp: int
@@ -187,7 +187,7 @@ class Sample:
     profiles: int = 1
     flipped: tuple[Feature, ...] = ()
     motion: Any = None
-    offset: float = 0.0
+    offsets: tuple[float, ...] = (0.0,)
     single: tuple[Sample, ...] = ()
 
 

@@ -29,6 +29,8 @@ class ProfileConfig:
     period: float = key(
         0.0, 'Time between the profiles of one message (s); 0: unknown, and only those messages '
         'are used during which the robot stood still.', minimum=0.0, maximum=60.0)
+    exposure: float = key(0.0, 'Time that one profile averages over (s), of a robot that moves '
+                          '(sampling.mode moving).', minimum=0.0, maximum=0.1)
     stamp: str = key('first', 'Which profile of a message its stamp belongs to.',
                      choices=('first', 'middle', 'last'))
     invalid: tuple[float, ...] = key(

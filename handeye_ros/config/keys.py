@@ -63,6 +63,10 @@ class Config:
     time_offset_std: float = key(
         0.05, 'How well time_offset is known (s, 1 sigma), where it is estimated '
         '(sampling.mode moving).', minimum=1e-6, maximum=1.0)
+    rotation_lag_std: float = key(
+        1e-3, 'By how much later than its position the robot may report its rotation (s, 1 '
+        'sigma), where it is estimated (sampling.mode moving); 0: not at all.', minimum=0.0,
+        maximum=0.1)
     profile: ProfileConfig = field(default_factory=ProfileConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     method: str = key('auto', 'The estimator; auto: the one of the target.')

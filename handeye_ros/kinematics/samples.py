@@ -113,7 +113,7 @@ def outcome_of(samples: Sequence[Sample], stamps: NDArray[np.int64], joints: Arr
         raise TooFewConfigurationsError(len(samples), MINIMUM)
     ordered, _ = consistent_edges(sorted(samples, key=lambda sample: sample.stamp))
     ordered = synchronised(ordered, config).samples
-    q = at_stamps([sample.stamp + round(sample.offset * 1e9) for sample in ordered], stamps,
+    q = at_stamps([sample.stamp + round(sample.offsets[0] * 1e9) for sample in ordered], stamps,
                   joints)
     method, arm = targets.method_for(config), Arm(chain)
     problem = Problem(method, in_mount(arm.forward(q), config),

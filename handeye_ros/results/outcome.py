@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST_POINTS = 200_000
-TIME_OFFSET = 'time_offset'  # the block of it
+TIME_OFFSET, ROTATION_LAG = 'time_offset', 'rotation_lag'  # the blocks of them
 LARGEST_SCALE_STD = 0.1  # of a scale worth telling
 MOST_FOLDS = 20  # of the left-out check
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '

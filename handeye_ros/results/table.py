@@ -145,6 +145,9 @@ def _target_values(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield name, _millimetres(values) + _sigma(std, 1e3, 3)
         elif key.endswith(ANGLES):
             yield name, f'{math.degrees(value):.4f} degrees' + _sigma(std, math.degrees(1))
+        elif key == 'rotation_lag':
+            told = f'{value * 1e3:.3f} ms later than the position' + _sigma(std, 1e3, 3)
+            yield 'robot, rotation', told
         elif key == 'scale':
             yield 'lengths', f'of the robot {value:.5f} times those of the sensor' + _sigma(
                 std, 1, 5)

@@ -2,14 +2,15 @@
 The time offset of profiles of a robot that moves: found from nothing, together with the rest.
 
 A profile of stamp t has the pose T(t + dt). The derivative of a condition by dt is that by the
-flange's pose times its twist, one more column. Far from the truth a fit with this column is made
-from several offsets, on some of the samples, until one explains them.
+flange's pose times its twist, one more column. A robot may report its rotation later than its
+position: T has the position of t + dt and the rotation of t + dt + lag. Far from the truth a fit
+with these columns is made from several offsets, on some of the samples, until one explains them.
 """
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from itertools import islice
 
 from handeye_ros import targets
@@ -31,7 +32,7 @@ from handeye_ros.estimation.solver import (
     Rows,
     System,
 )
-from handeye_ros.results.outcome import mounted, TIME_OFFSET
+from handeye_ros.results.outcome import mounted, ROTATION_LAG, TIME_OFFSET
 from handeye_ros.sampling.trajectory import Instants, Trajectory
 import numpy as np
 from numpy.typing import NDArray
@@ -79,19 +80,32 @@ class Pairing:
                    np.array([sample.motion is not None for sample in samples]),
                    next(s.motion for s in samples if isinstance(s.motion, Trajectory)))
 
-    def at(self, offset: float) -> Instants:
-        """Return where the flange was at each sample with an offset (s)."""
-        n, found = len(self.stamps), self.motion.at(
-            self.stamps[self.moving] + round(offset * 1e9))
+    def at(self, offset: float, lag: float = 0.0) -> Instants:
+        """Return where the flange was at each sample, with an offset and a lag (s)."""
+        stamps = self.stamps[self.moving] + round(offset * 1e9)
+        found = self.motion.at(stamps)
+        if lag:
+            late = self.motion.at(stamps + round(lag * 1e9))
+            found.T_base_flange[:, :3, :3] = late.T_base_flange[:, :3, :3]
+            found.twists[:, 3:] = late.twists[:, 3:]
+            found = replace(found, inside=found.inside & late.inside)
+        n = len(self.stamps)
         every = Instants(self.T_base_flange.copy(), np.zeros((n, 6)), np.ones(n, dtype=bool))
         for name in ('T_base_flange', 'twists', 'inside'):
             getattr(every, name)[self.moving] = getattr(found, name)
         return every
 
     def poses_and_twists(self, values: Array) -> tuple[Array, Array]:
-        """Return poses (n, 4, 4) and twists (n, 6, 1) of an offset (1,), for a PoseModel."""
-        there = self.at(float(values[0]))
-        return there.T_base_flange, there.twists[:, :, None]
+        """Return poses (n, 4, 4) and twists (n, 6, k) of an offset and a lag, for a PoseModel."""
+        return _evaluated(self, tuple(values.tolist()))
+
+
+@lru_cache(maxsize=8)  # of a step the poses are asked for first, the twists later
+def _evaluated(pairing: Pairing, values: tuple[float, ...]) -> tuple[Array, Array]:
+    there = pairing.at(*values)
+    twists = np.stack([there.twists] * len(values), axis=2)
+    twists[:, :3, 1:] = 0.0
+    return there.T_base_flange, twists
 
 
 def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
@@ -101,14 +115,17 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
     if not any(sample.motion for sample in samples):
         return problem
     pairing = Pairing.of(samples)
-    model = PoseModel(pairing.poses_and_twists, (TIME_OFFSET,), (1,), (config.time_offset_std,),
-                      least=1.0, blocks=partial(robot_tracking, pairing.stamps))
-    offset = next(sample.offset for sample in samples if sample.motion)
-    return replace(problem, pose_model=model, pose_values=np.array([offset]))
+    stds = np.array([config.time_offset_std, config.rotation_lag_std])
+    stds = stds[stds > 0]
+    model = PoseModel(pairing.poses_and_twists, (TIME_OFFSET, ROTATION_LAG)[:len(stds)],
+                      (1,) * len(stds), tuple(stds.tolist()), least=1.0,
+                      blocks=partial(errors_in_motion, pairing.stamps))
+    values = np.array([*next(s.offsets for s in samples if s.motion), 0.0])[:len(stds)]
+    return replace(problem, pose_model=model, pose_values=values)
 
 
-def robot_tracking(stamps: NDArray[np.int64], first: Linear) -> Blocks:
-    """Return the blocks of the errors of a robot that moves, which vary smoothly with time."""
+def errors_in_motion(stamps: NDArray[np.int64], first: Linear) -> Blocks:
+    """Return the blocks of the errors of a robot that moves, smooth in time, and of exposure."""
     size, model = first.problem.config.noise.robot_smooth, first.problem.pose_model
     assert model is not None
     here = stamps if model.stations is None else stamps[model.stations]
@@ -121,7 +138,23 @@ def robot_tracking(stamps: NDArray[np.int64], first: Linear) -> Blocks:
             twists = twists.reshape(len(functions), 6, -1)
             yield ParameterBlock(name, by_twists(linear, twists) * std, std, twists=twists,
                                  report=f'{name}_error')
+        if linear.problem.config.profile.exposure and linear.problem.method.nuisances:
+            yield _exposure(linear)
     return at
+
+
+def _exposure(linear: Linear) -> ParameterBlock:
+    """
+    Return the block of how much sooner a face seems to end during an exposure.
+
+    What a profile averages over is of the face only as long as the face is seen: the end moves by
+    up to half the exposure times the velocity at which the edge passes, always the same way.
+    """
+    problem, std = linear.problem, linear.problem.config.profile.exposure / 2
+    assert problem.pose_model is not None and problem.method.nuisances is not None
+    twists = problem.pose_model.at(problem.pose_values)[1][:, :, :1]
+    inwards = np.sign(problem.method.nuisances.feature_errors(linear))
+    return ParameterBlock('exposure', inwards * np.abs(by_twists(linear, twists)) * std, std)
 
 
 def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
@@ -136,11 +169,11 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
     problem = problem_of(samples, config)
     found = _searched(problem.subset(evenly_chosen(len(samples), SOME)),
                       np.random.default_rng(SEED))
-    found = _refined(problem.with_pose_values(np.array([found.offset])), found.estimate)
-    there, paired, rejects = Pairing.of(samples).at(found.offset), [], []
+    found = _refined(problem.with_pose_values(found.values), found.estimate)
+    there, paired, rejects = Pairing.of(samples).at(*found.values), [], []
     for sample, T, inside in zip(samples, there.T_base_flange, there.inside, strict=True):
         if inside:
-            paired.append(replace(sample, T_base_flange=T, offset=found.offset))
+            paired.append(replace(sample, T_base_flange=T, offsets=tuple(found.values)))
         else:
             rejects.append(Reject(sample.stamp, NO_POSES))
     return Synchronised(paired, rejects, found.estimate)
@@ -150,7 +183,9 @@ def _searched(problem: Problem, rng: np.random.Generator) -> _At:
     """Return the best fit from several offsets, the most likely first, or one that convinces."""
     best: _At | None = None
     for offset in sorted(np.arange(-REACH, REACH + 1, STEP), key=abs):
-        there = problem.with_pose_values(np.array([offset * problem.config.time_offset_std]))
+        values = np.zeros(len(problem.pose_values))
+        values[0] = offset * problem.config.time_offset_std
+        there = problem.with_pose_values(values)
         for start in islice(guesses(there, rng), STARTS):
             found = _refined(there, start)
             best = found if best is None or found.loss < best.loss else best
@@ -176,14 +211,19 @@ def _refined(problem: Problem, start: Estimate) -> _At:
 
 @dataclass(frozen=True, eq=False)
 class _At:
-    """A problem with the labels that fit an estimate, and the time offset in its pose values."""
+    """A problem with the labels that fit an estimate; offset and lag are its pose values."""
 
     problem: Problem
     estimate: Estimate
 
     @property
-    def offset(self) -> float:
-        return float(self.problem.pose_values[0])
+    def values(self) -> Array:
+        return self.problem.pose_values
+
+    @property
+    def prior_stds(self) -> Array:
+        assert self.problem.pose_model is not None
+        return np.array(self.problem.pose_model.stds)
 
     @cached_property
     def linear(self) -> Linear:
@@ -206,30 +246,32 @@ class _At:
 
     @property
     def blocks(self) -> NDArray[np.intp]:
-        """Return the block of each row: its sample, and one of the prior of the offset."""
-        return np.append(self.problem.observations.station, len(self.problem.poses))
+        """Return the block of each row: its sample, and one of the priors."""
+        stations = np.full(len(self.values), len(self.problem.poses))
+        return np.append(self.problem.observations.station, stations)
 
     def rows(self) -> Rows:
-        """Return the residuals, the last that of the prior of the offset."""
-        prior = self.offset / self.problem.config.time_offset_std
-        return Rows(np.append(self.linear.residuals, prior), self._jacobian,
-                    lambda: self._whitened)
+        """Return the residuals, the last those of the priors."""
+        return Rows(np.append(self.linear.residuals, self.values / self.prior_stds),
+                    self._jacobian, lambda: self._whitened)
 
     def _jacobian(self) -> Array:
         linear, problem, model = self.linear, self.problem, self.problem.pose_model
         assert model is not None
-        twists = model.at(problem.pose_values)[1]
-        J = np.hstack([linear.jacobian[:, problem.columns], by_twists(linear, twists)])
-        prior = np.append(np.zeros(J.shape[1] - 1), 1 / problem.config.time_offset_std)
-        return np.vstack([J, prior])
+        J = np.hstack([linear.jacobian[:, problem.columns],
+                       by_twists(linear, model.at(self.values)[1])])
+        priors = np.eye(J.shape[1])[-len(self.values):] / self.prior_stds[:, None]
+        return np.vstack([J, priors])
 
     def _whitened(self, values: Array) -> Array:
-        return np.concatenate([self.white(values[:-1]), values[-1:]])
+        k = len(self.values)
+        return np.concatenate([self.white(values[:-k]), values[-k:]])
 
     def moved(self, step: Array) -> _At:
-        """Return the same moved by a step of all unknowns, the offset the last of them."""
-        estimate = retracted(self.problem, self.estimate, step[:-1])
-        return _At(self.problem.with_pose_values(self.problem.pose_values + step[-1:]), estimate)
+        """Return the same moved by a step of all unknowns, offset and lag the last of them."""
+        k = len(self.values)
+        estimate = retracted(self.problem, self.estimate, step[:-k])
+        return _At(self.problem.with_pose_values(self.values + step[-k:]), estimate)
 
 
 def evenly_chosen(n: int, most: int) -> NDArray[np.intp]:

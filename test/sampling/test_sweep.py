@@ -84,3 +84,15 @@ def test_a_sweep_gives_transform_and_time_offset(target: str, offset: float, kin
     assert found.time_offset is not None
     off = found.time_offset.value - offset
     assert abs(off) < 2e-4 and abs(off) < 4 * found.time_offset.std < 1e-3
+
+
+def test_a_rotation_that_is_reported_late_and_an_exposure_are_part_of_the_model() -> None:
+    scenario = sweep('plate', 0.02, rotation_lag=0.01, exposure=2e-3)
+    made = simulate(scenario, np.random.default_rng(4))
+    config = with_values(config_of(scenario), {'profile.exposure': 2e-3}, 'a test')
+    found = pipeline.calibrate(made.profiles, made.poses, config)
+    errors = errors_against(found.T_flange_sensor, made.truth.T_flange_sensor)
+    assert errors.mapped_points < 8e-5
+    assert found.time_offset is not None and abs(found.time_offset.value - 0.02) < 2e-4
+    lag, std = (found.target[key] for key in ('rotation_lag', 'rotation_lag_std'))
+    assert abs(lag - 0.01) < 4 * std < 1e-3
