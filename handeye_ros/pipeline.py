@@ -37,8 +37,9 @@ from handeye_ros.guidance import advice
 from handeye_ros.results.outcome import describe_calibration, mounted
 from handeye_ros.results.report.evidence import Evidence, judged
 from handeye_ros.sampling.edge_shapes import consistent_edges
+from handeye_ros.sampling.passes import problem_of
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.time_offset import problem_of, synchronised
+from handeye_ros.sampling.time_offset import synchronised
 from handeye_ros.threads import single_threaded
 import numpy as np
 

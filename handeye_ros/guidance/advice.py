@@ -11,6 +11,7 @@ from handeye_ros.checks.motion import (
     worst_rotation,
     worst_translation,
 )
+from handeye_ros.checks.time_offset import offset_notes
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution
@@ -35,6 +36,8 @@ REMEDIES = {'noise.robot_smooth': 'robot, or a better statement of its accuracy,
             'noise.robot_scale': 'robot, or a better statement of its scale,',
             'noise.distortion': 'sensor', 'noise.flatness': 'target',
             'target.setback_std': 'target'}
+SWEEP = ('go on sweeping over the {}: to and fro across it, with tilts about all axes, near and '
+         'far, with changes of speed')
 SEED = 0  # the same samples give the same advice
 
 
@@ -102,10 +105,14 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
     view = learn_view(samples, seen)
     known = None if solution is None else mapping(solution.estimate.X, view)
     if solution is None or known is None or known.std(_stated(solution)) > ROUGHLY_KNOWN:
+        if config.sampling.moving:
+            return _unguided(SWEEP.format(noun(method)), None, trouble)
         move = next_move(len(samples), method, config, view)
         return _unguided(move.text, move, trouble)
     limits = limits_of(mounted(samples, config)[0], config)
     sigmas = sigma_table(solution, known, config)
+    if config.sampling.moving:
+        return _of_sweep(solution, sigmas, missing(solution, view, limits)[:TOLD], trouble)
     search = Search(solution, view, limits, known, visited(samples, refused, config))
     proposal = propose(search, config) or propose(replace(  # where there is no room for a margin
         search, visited=visited(samples, refused, config, margin=(0.0, 0.0))), config)
@@ -123,6 +130,14 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
 def _unguided(text: str, move: Move | None, trouble: str) -> Advice:
     why = trouble or 'there is no answer yet'
     return Advice(tuple(filter(None, [text, trouble])), None, move, (), False, why)
+
+
+def _of_sweep(solution: Solution, sigmas: tuple[Sigma, ...], lacking: Sequence[str], trouble: str
+              ) -> Advice:
+    """Return the advice during a sweep: what it lacks, and no pose to go to."""
+    enough, why = judged(sigmas, None, None, len(solution.problem.poses))
+    told = [trouble, why, *offset_notes(solution), *(() if enough else lacking)]
+    return Advice(tuple(filter(None, told)), None, None, sigmas, enough and not trouble, why)
 
 
 def _stated(solution: Solution) -> Array:

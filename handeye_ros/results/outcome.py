@@ -9,8 +9,9 @@ from handeye_ros import __version__, se3
 from handeye_ros.checks.explained import lost_edges
 from handeye_ros.checks.motion import mount_frame, weakest
 from handeye_ros.checks.shape import contradictions, reported_blocks
+from handeye_ros.checks.time_offset import offset_notes, TIME_OFFSET, time_offset_of
 from handeye_ros.config import Config, flatten
-from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport, TimeOffset
+from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.influence import predictions
 from handeye_ros.estimation.linearise import points_in_base, Problem
@@ -20,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST_POINTS = 200_000
-TIME_OFFSET, ROTATION_LAG = 'time_offset', 'rotation_lag'  # the blocks of them
 LARGEST_SCALE_STD = 0.1  # of a scale worth telling
 MOST_FOLDS = 20  # of the left-out check
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
@@ -77,28 +77,7 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
         solution.reported[:6, :6],
         describe_target(agreed, config), quality,
         tuple(sorted(reports, key=lambda report: report.stamp)),
-        {'version': __version__, 'config': flatten(config)}, _time_offset(solution))
-
-
-def _time_offset(solution: Solution) -> TimeOffset | None:
-    """Return the time offset of the stamps as received, None where the robot only stood."""
-    found = [_parameter(s, TIME_OFFSET) for s in (solution, solution.conservative) if s]
-    if not found or found[0] is None or found[-1] is None:
-        return None
-    (value, _), (other, std) = found[0], found[-1]
-    return TimeOffset(solution.problem.config.time_offset + value,
-                      float(np.hypot(std, other - value)))
-
-
-def _parameter(solution: Solution, name: str) -> tuple[float, float] | None:
-    """Return the value and 1 sigma of a block of one parameter, None where there is none."""
-    first = 0
-    for block in solution.blocks:
-        if block.name == name:
-            std = float(np.diag(solution.covariance)[solution.unknowns + first]) ** 0.5
-            return float(solution.nuisance[first]) * block.std, std * block.std
-        first += block.count
-    return None
+        {'version': __version__, 'config': flatten(config)}, time_offset_of(solution))
 
 
 def describe_target(agreed: Consensus, config: Config) -> dict[str, Any]:
@@ -107,7 +86,7 @@ def describe_target(agreed: Consensus, config: Config) -> dict[str, Any]:
     told = solution.problem.method.measures.describe(solution.estimate.target, solution.target_std)
     told |= reported_blocks(solution) | {'joint': _joint(solution)}
     told = {key: value for key, value in told.items() if not key.startswith(TIME_OFFSET)}
-    notes = [shape.note for shape in contradictions(solution, config)]
+    notes = [*offset_notes(solution), *(shape.note for shape in contradictions(solution, config))]
     notes += [lost] if (lost := lost_edges(agreed)) else []
     notes += [beside] if (beside := other_surfaces(agreed)) else []
     return told | ({'note': '; '.join(notes)} if notes else {})

@@ -1,23 +1,33 @@
 """
-Samples of a robot that moves: each a single profile, with the pose of its own time.
+Samples of a robot that moves, each a single profile with the pose of its own time; their problem.
 
 A recording is cut into passes, two seconds of motion each. A pass is kept, numbered and left out
-as a stop is.
+as a stop is. The poses depend on the time offset, which is unknown.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 
 from handeye_ros import targets
+from handeye_ros.checks.time_offset import ROTATION_LAG, TIME_OFFSET
 from handeye_ros.config import Config, SamplingConfig
-from handeye_ros.data import AnyProfile, Feature, Profile, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Array, Feature, Profile, Sample, TimedPose
 from handeye_ros.errors import DataError, UnusableMessageError
+from handeye_ros.estimation.basis import process_in_time
+from handeye_ros.estimation.blocks import Blocks, by_twists, ParameterBlock
+from handeye_ros.estimation.linearise import Linear, Problem
+from handeye_ros.estimation.model import PoseModel
+from handeye_ros.estimation.noise import TURN_LENGTH
+from handeye_ros.results.outcome import mounted
 from handeye_ros.sampling.dwells import DwellFinder, interpolate, NS
 from handeye_ros.sampling.errors import NoProfilesError
 from handeye_ros.sampling.station_features import evenly, features_of_each, flipped_features
-from handeye_ros.sampling.trajectory import joined, Trajectory, trajectory_of
+from handeye_ros.sampling.trajectory import Instants, joined, Trajectory, trajectory_of
+import numpy as np
+from numpy.typing import NDArray
 
 PASS = 2 * NS  # of motion
 MOST_SINGLE = 32  # profiles of a pass that are looked at, twice as many where few show the target
@@ -78,3 +88,101 @@ def single_samples(samples: Sequence[Sample]) -> tuple[Sample, ...]:
     motion = joined([s.motion for s in passes if isinstance(s.motion, Trajectory)])
     return tuple(replace(one, motion=motion) if sample.single else one
                  for sample in samples for one in sample.single or (sample,))
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """
+    The poses of n samples as a function of the time offset, those of a robot at rest as they are.
+
+    T_base_flange: (n, 4, 4) with the stamps as they are; moving: (n,) whether the robot moved.
+    """
+
+    T_base_flange: Array
+    stamps: NDArray[np.int64]
+    moving: NDArray[np.bool_]
+    motion: Trajectory
+
+    @classmethod
+    def of(cls, samples: Sequence[Sample]) -> Pairing:
+        """Return that of samples, of which some must be of a robot that moves."""
+        return cls(np.array([sample.T_base_flange for sample in samples]),
+                   np.array([sample.stamp for sample in samples]),
+                   np.array([sample.motion is not None for sample in samples]),
+                   next(s.motion for s in samples if isinstance(s.motion, Trajectory)))
+
+    def at(self, offset: float, lag: float = 0.0) -> Instants:
+        """Return where the flange was at each sample, with an offset and a lag (s)."""
+        stamps = self.stamps[self.moving] + round(offset * 1e9)
+        found = self.motion.at(stamps)
+        if lag:
+            late = self.motion.at(stamps + round(lag * 1e9))
+            found.T_base_flange[:, :3, :3] = late.T_base_flange[:, :3, :3]
+            found.twists[:, 3:] = late.twists[:, 3:]
+            found = replace(found, inside=found.inside & late.inside)
+        n = len(self.stamps)
+        every = Instants(self.T_base_flange.copy(), np.zeros((n, 6)), np.ones(n, dtype=bool))
+        for name in ('T_base_flange', 'twists', 'inside'):
+            getattr(every, name)[self.moving] = getattr(found, name)
+        return every
+
+    def poses_and_twists(self, values: Array) -> tuple[Array, Array]:
+        """Return poses (n, 4, 4) and twists (n, 6, k) of an offset and a lag, for a PoseModel."""
+        return _evaluated(self, tuple(values.tolist()))
+
+
+@lru_cache(maxsize=8)  # of a step the poses are asked for first, the twists later
+def _evaluated(pairing: Pairing, values: tuple[float, ...]) -> tuple[Array, Array]:
+    there = pairing.at(*values)
+    twists = np.stack([there.twists] * len(values), axis=2)
+    twists[:, :3, 1:] = 0.0
+    return there.T_base_flange, twists
+
+
+def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
+    """Return the problem of samples; that of a robot that moves with the time offset in it."""
+    method = targets.method_for(config)
+    problem = Problem(method, mounted(samples, config), method.features.observe(samples), config)
+    if not any(sample.motion for sample in samples):
+        return problem
+    pairing = Pairing.of(samples)
+    stds = np.array([config.time_offset_std, config.rotation_lag_std])
+    stds = stds[stds > 0]
+    model = PoseModel(pairing.poses_and_twists, (TIME_OFFSET, ROTATION_LAG)[:len(stds)],
+                      (1,) * len(stds), tuple(stds.tolist()), least=1.0,
+                      blocks=partial(errors_in_motion, pairing.stamps))
+    values = np.array([*next(s.offsets for s in samples if s.motion), 0.0])[:len(stds)]
+    return replace(problem, pose_model=model, pose_values=values)
+
+
+def errors_in_motion(stamps: NDArray[np.int64], first: Linear) -> Blocks:
+    """Return the blocks of the errors of a robot that moves, smooth in time, and of exposure."""
+    size, model = first.problem.config.noise.robot_smooth, first.problem.pose_model
+    assert model is not None
+    here = stamps if model.stations is None else stamps[model.stations]
+    functions = process_in_time((here - stamps[0]) * 1e-9)
+
+    def at(linear: Linear) -> Iterator[ParameterBlock]:
+        for name, axes, std in (('tracking_position', slice(0, 3), size),
+                                ('tracking_rotation', slice(3, 6), size / TURN_LENGTH)):
+            twists = np.einsum('xa,nk->nxak', np.eye(6)[:, axes], functions)
+            twists = twists.reshape(len(functions), 6, -1)
+            yield ParameterBlock(name, by_twists(linear, twists) * std, std, twists=twists,
+                                 report=f'{name}_error')
+        if linear.problem.config.profile.exposure and linear.problem.method.nuisances:
+            yield _exposure(linear)
+    return at
+
+
+def _exposure(linear: Linear) -> ParameterBlock:
+    """
+    Return the block of how much sooner a face seems to end during an exposure.
+
+    What a profile averages over is of the face only as long as the face is seen: the end moves by
+    up to half the exposure times the velocity at which the edge passes, always the same way.
+    """
+    problem, std = linear.problem, linear.problem.config.profile.exposure / 2
+    assert problem.pose_model is not None and problem.method.nuisances is not None
+    twists = problem.pose_model.at(problem.pose_values)[1][:, :, :1]
+    inwards = np.sign(problem.method.nuisances.feature_errors(linear))
+    return ParameterBlock('exposure', inwards * np.abs(by_twists(linear, twists)) * std, std)

@@ -7,6 +7,7 @@ import math
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, TimedPose
+from handeye_ros.errors import HandeyeError
 from handeye_ros.results.truth_errors import errors_against
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate
@@ -65,7 +66,7 @@ def sweep(target: str, offset: float, **more: object) -> Scenario:
     two = base.scene == 'plate'
     return replace(base, stations=(8, 8) if two else (16, 0), tilt=math.radians(20),
                    sensor=replace(base.sensor, columns=320, delay=-offset, rim_bias=0.0),
-                   sweep=Sweep(1.2, **more))  # type: ignore[arg-type]
+                   sweep=Sweep(**{'knot': 1.2} | more))  # type: ignore[arg-type]
 
 
 def config_of(scenario: Scenario) -> Config:
@@ -96,3 +97,24 @@ def test_a_rotation_that_is_reported_late_and_an_exposure_are_part_of_the_model(
     assert found.time_offset is not None and abs(found.time_offset.value - 0.02) < 2e-4
     lag, std = (found.target[key] for key in ('rotation_lag', 'rotation_lag_std'))
     assert abs(lag - 0.01) < 4 * std < 1e-3
+
+
+def test_a_slow_sweep_is_told_to_be_faster_once() -> None:
+    scenario = sweep('sphere', 0.02, knot=60.0)
+    scenario = replace(scenario, sensor=replace(scenario.sensor, rate=0.5),
+                       robot=replace(scenario.robot, rate=20.0))
+    made = simulate(scenario, np.random.default_rng(4))
+    config = with_values(config_of(scenario), {'guidance.accuracy': 1e-6}, 'a test')
+    session = pipeline.gather(made.profiles, made.poses, config)
+    advice = pipeline.advise(session.samples, config)
+    assert advice.next is None and advice.sigmas
+    print(advice.text)
+    assert 'sweep faster once: the time offset is known to' in advice.text.lower()
+    assert 'turn about the viewing direction' in advice.text.lower()
+
+
+def test_a_sweep_of_one_orientation_is_refused_with_the_missing_motion() -> None:
+    scenario = replace(sweep('plate', 0.02), motion='one_orientation')
+    made = simulate(scenario, np.random.default_rng(4))
+    with pytest.raises(HandeyeError, match='share one orientation'):
+        pipeline.calibrate(made.profiles, made.poses, config_of(scenario))
