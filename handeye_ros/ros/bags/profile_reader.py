@@ -95,11 +95,12 @@ class ProfileReader:
         """Return what a message describes; raises MessageError for what is no cloud."""
         cloud = deserialised(data, CLOUD)
         require_layout(cloud, self.config)
-        start = cloud.data.ctypes.data - np.frombuffer(data, np.uint8).ctypes.data
-        layout = Layout(start + len(cloud.data) + 1, frame_name(cloud.header.frame_id),
-                        rows_of(cloud, self.config))
+        size = len(to_cdr(cloud))
+        start = size - 1 - len(cloud.data)  # of the data: one byte follows them
+        layout = Layout(size, frame_name(cloud.header.frame_id), rows_of(cloud, self.config))
         described = cloud.height == 1 or self.config.rows != 'auto'  # else the points decide
-        if described and len(self._layouts) < MOST_LAYOUTS and start < LONGEST_LAYOUT:
+        if (described and len(self._layouts) < MOST_LAYOUTS and start < LONGEST_LAYOUT
+                and data[start:size - 1] == cloud.data.tobytes()):
             self._data_start = start
             self._layouts[data[:2] + data[STAMPED:start]] = layout
         return layout
