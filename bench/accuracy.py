@@ -2,13 +2,13 @@
 """
 How near the estimator comes to the Cramer-Rao bound, and how honest its covariance is.
 
-usage: python bench/accuracy.py [--trials N] [--seed S] [--only TEXT]
+usage: python bench/accuracy.py [--trials N] [--seed S] [--only TEXT] [--workers W]
 
 Simulates features with exactly known noise (no profiles) and solves each trial from nothing.
 A row per case: RMSE over the bound for translation, rotation and mapped points (over x within
 +-20 mm, range 160-190 mm), the last again over the bound of one who has the settings' doubts;
 the share of trials whose 95 % region holds the truth; the mean
-squared Mahalanobis error over 6; median time of a solve.
+squared Mahalanobis error over 6; median CPU time of a solve.
 """
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from handeye_ros.estimation.solution import Solution
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
 import numpy as np
 from scipy.stats import chi2
+import trials
 
 NO_DOUBTS = dict.fromkeys((
     'noise.distortion', 'noise.flatness', 'noise.robot_smooth', 'noise.robot_scale',
@@ -106,7 +107,8 @@ def bounds(case: Case, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     The first of one who knows that nothing else is wrong, the second of one who has the priors
     of the doubts in the settings.
     """
-    noise = Noise(sensor=case.sensor_factor ** -2, edge=case.sensor_factor ** -2)
+    factor = case.sensor_factor ** -2
+    noise = Noise(factor, factor)
     found = []
     for doubts in (False, case.doubts):
         problem = replace(solution.problem, config=configured(replace(case, doubts=doubts), 1.0))
@@ -114,14 +116,15 @@ def bounds(case: Case, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     return found[0], found[1]
 
 
-def trial(case: Case, seed: int) -> np.ndarray:
+def trial(job: tuple[Case, int]) -> np.ndarray:
     """Return squared errors, their bounds, mapped's with doubts, Mahalanobis, and the time."""
+    case, seed = job
     samples, truth = simulate_samples(case.scenario, np.random.default_rng(seed))
     samples = tuple(misjudged(sample, case.sensor_factor) for sample in samples)
     config = configured(case, case.robot_factor)
-    start = time.perf_counter()
+    start = time.process_time()
     _, solution = pipeline.estimate(samples, (), config)
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     X, X_true = solution.estimate.X, truth.T_flange_sensor
     delta = se3.difference(X, X_true)
     points = field_of_view()
@@ -140,14 +143,16 @@ def main() -> None:
     parser.add_argument('--trials', type=int, default=500)
     parser.add_argument('--seed', type=int, default=0)
     parser.add_argument('--only', default='', help='cases whose name holds this text')
+    trials.add_option(parser)
     arguments = parser.parse_args()
+    chosen = [case for case in cases() if arguments.only in case.name]
+    seeds = range(arguments.seed, arguments.seed + arguments.trials)
+    outcomes = trials.results(trial, [(case, seed) for case in chosen for seed in seeds],
+                              arguments.workers)
     print(f'{"case":32} {"transl.":>8} {"rotation":>8} {"mapped":>8} {"doubting":>8} '
           f'{"in 95 %":>8} {"Mahal.":>8} {"mapped, mm":>10} {"ms":>6}')
-    for case in cases():
-        if arguments.only not in case.name:
-            continue
-        seeds = range(arguments.seed, arguments.seed + arguments.trials)
-        rows = np.array([trial(case, seed) for seed in seeds])
+    for case in chosen:
+        rows = np.array([next(outcomes) for _ in seeds])
         ratios = np.sqrt(rows[:, :3].mean(axis=0) / rows[:, 3:6].mean(axis=0))
         doubting = np.sqrt(rows[:, 2].mean() / rows[:, 6].mean())
         print(f'{case.name:32} {ratios[0]:8.3f} {ratios[1]:8.3f} {ratios[2]:8.3f} '

@@ -2,7 +2,7 @@
 """
 What the faults of real cells do to the answer: simulated profiles through the whole pipeline.
 
-usage: python bench/physics.py [--seeds N] [--first S] [--only TEXT] [--jobs J] [--samples]
+usage: python bench/physics.py [--seeds N] [--first S] [--only TEXT] [--workers W] [--samples]
 
 A row per cell of handeye_ros/simulate/faults.py; its name says all that is wrong with it, and
 the settings do not know of it. Over N recordings of each:
@@ -29,7 +29,6 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from dataclasses import dataclass
-import multiprocessing
 import time
 
 from handeye_ros import pipeline, se3
@@ -48,6 +47,7 @@ from handeye_ros.simulate import (
 from handeye_ros.simulate.layout import FRAMES
 import numpy as np
 from scipy.stats import chi2
+import trials
 
 LIMIT = chi2.ppf(0.95, 6)
 HEADER = (f'{"cell":32} {"answered":>9} {"TRE, mm":>7} {"90 %":>7} {"NEES":>7} {"median":>7} '
@@ -142,7 +142,7 @@ def main() -> None:
     parser.add_argument('--seeds', type=int, default=20)
     parser.add_argument('--first', type=int, default=0, help='the first seed')
     parser.add_argument('--only', default='', help='cells whose name holds this text')
-    parser.add_argument('--jobs', type=int, default=1)
+    trials.add_option(parser)
     parser.add_argument('--refusals', action='store_true', help='print every refusal')
     parser.add_argument('--samples', action='store_true', help='make features, no profiles')
     parser.add_argument('--faces', action='store_true', help='the face lines alone, too')
@@ -152,14 +152,13 @@ def main() -> None:
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     jobs = [(name, seed, arguments.samples, arguments.faces) for name in names for seed in seeds]
     print(HEADER.replace('worst', 'worst   faces') if arguments.faces else HEADER, flush=True)
-    with multiprocessing.Pool(arguments.jobs) as pool:
-        outcomes = pool.imap(trial, jobs)
-        for name in names:
-            found = [next(outcomes) for _ in seeds]
-            print(row(name, found), flush=True)
-            for seed, outcome in zip(seeds, found, strict=True):
-                if outcome.refusal and arguments.refusals:
-                    print(f'    seed {seed}: {outcome.refusal}')
+    outcomes = trials.results(trial, jobs, arguments.workers)
+    for name in names:
+        found = [next(outcomes) for _ in seeds]
+        print(row(name, found), flush=True)
+        for seed, outcome in zip(seeds, found, strict=True):
+            if outcome.refusal and arguments.refusals:
+                print(f'    seed {seed}: {outcome.refusal}')
 
 
 if __name__ == '__main__':

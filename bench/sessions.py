@@ -2,7 +2,7 @@
 """
 Bad sessions must not be answered, good ones must not be refused.
 
-usage: python bench/sessions.py [--trials N] [--seed S] [--only TEXT]
+usage: python bench/sessions.py [--trials N] [--seed S] [--only TEXT] [--workers W]
 
 Simulates N bad and N good sessions (features with known noise, no profiles), spread evenly over
 the kinds below, and prints a row per kind: how many were answered, how many of the answers were
@@ -25,6 +25,7 @@ from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
 from handeye_ros.simulate.convention_errors import CONVENTION_ERRORS
 from handeye_ros.simulate.settings import settings
 import numpy as np
+import trials
 
 Damage = Callable[[list[Sample], np.random.Generator], list[Sample]]
 
@@ -109,9 +110,9 @@ def kinds() -> dict[str, Kind]:
     return found
 
 
-def session(kind: Kind, seed: int) -> tuple[str, bool]:
+def session(job: tuple[str, int]) -> tuple[str, bool]:
     """Return why a session was refused, '' for an answer, and whether the answer is wrong."""
-    rng = np.random.default_rng(seed)
+    kind, rng = kinds()[job[0]], np.random.default_rng(job[1])
     samples, truth = simulate_samples(kind.scenario, rng)
     values = settings(kind.scenario) | {'noise.distortion': 0.0}
     config = configs.with_values(Config(), values, 'the scenario')
@@ -131,14 +132,19 @@ def main() -> None:
     parser.add_argument('--trials', type=int, default=1000)
     parser.add_argument('--seed', type=int, default=0)
     parser.add_argument('--only', default='', help='kinds whose name holds this text')
+    trials.add_option(parser)
     arguments = parser.parse_args()
     chosen = {name: kind for name, kind in kinds().items() if arguments.only in name}
     totals = Counter(kind.good for kind in chosen.values())
+    counts = {name: max(1, arguments.trials // totals[kind.good]) for name, kind in chosen.items()}
+    outcomes = trials.results(session, [
+        (name, arguments.seed + k) for name in chosen for k in range(counts[name])],
+        arguments.workers)
     answered = Counter[bool]()
     print(f'{"session":28} {"trials":>6} {"answered":>8} {"wrong":>6}  refusals')
     for name, kind in chosen.items():
-        count = max(1, arguments.trials // totals[kind.good])
-        results = [session(kind, arguments.seed + k) for k in range(count)]
+        count = counts[name]
+        results = [next(outcomes) for _ in range(count)]
         reasons = Counter(reason for reason, _ in results if reason)
         answers = count - reasons.total()
         answered[kind.good] += answers

@@ -2,7 +2,7 @@
 """
 How well a robot that moves is calibrated: simulated sweeps through the whole pipeline.
 
-usage: python bench/sweep.py [--seeds N] [--first S] [--only TEXT] [--jobs J]
+usage: python bench/sweep.py [--seeds N] [--first S] [--only TEXT] [--workers W]
 
 Sweeps of 30 s: a knot of a smooth curve every 1.6 s, tilts within 24 degrees, poses at 250 Hz with
 a white error of 0.02 mm and 0.004 degrees each, profiles of 640 points at 50 Hz, noise 0.03 mm;
@@ -22,7 +22,6 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
-import multiprocessing
 import time
 
 from handeye_ros import pipeline, se3
@@ -33,6 +32,7 @@ from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate
 from handeye_ros.simulate.sweep_model import Sweep
 import numpy as np
 from scipy.stats import chi2
+import trials
 
 DURATION = 30.0  # s
 LIMITS = chi2.ppf(0.95, 6), chi2.ppf(0.95, 1)
@@ -147,14 +147,15 @@ def main() -> None:
     parser.add_argument('--seeds', type=int, default=20)
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('--only', default='')
-    parser.add_argument('--jobs', type=int, default=1)
+    trials.add_option(parser)
     args = parser.parse_args()
     print(HEADER)
-    with multiprocessing.Pool(args.jobs) as pool:
-        for name, _ in cases():
-            if args.only in name:
-                jobs = [(name, args.first + k) for k in range(args.seeds)]
-                print(row(name, pool.map(trial, jobs)), flush=True)
+    names = [name for name, _ in cases() if args.only in name]
+    seeds = range(args.first, args.first + args.seeds)
+    outcomes = trials.results(trial, [(name, seed) for name in names for seed in seeds],
+                              args.workers)
+    for name in names:
+        print(row(name, [next(outcomes) for _ in seeds]), flush=True)
 
 
 if __name__ == '__main__':
