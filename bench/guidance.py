@@ -2,7 +2,7 @@
 How many stations the advice saves, against poses at random within the same limits.
 
 usage: python bench/guidance.py [--seeds N] [--first S] [--targets plate,line,sphere] [--robot R]
-           [--doubts none|shipped] [--wanted METRES] [--stations N]
+           [--doubts none|shipped] [--wanted METRES] [--stations N] [--refused]
 
 Per seed a new cell: rendered profiles (4 a stop), a robot whose repeatability is that of --robot
 (common: 0.05 mm and 0.02 degrees; fine: 0.02 mm and 0.004 degrees), and nothing systematic in
@@ -20,6 +20,11 @@ luck long before anybody could know: for the first time counts this luck, from t
 ratio: of the medians; paired: the median of the ratios of each seed.
 Counts go to stderr as they come. Each solution starts from the one before, and no other answers
 are looked for, which takes most of the time of `handeye solve`.
+
+With --refused, sessions with the shipped settings go to every proposal, exactly and off by as much
+as above (1 sigma), until the node says that it is enough or for --stations stops: how many stops
+gave no sample and why, how many sessions reached enough and at which sample, and the median of the
+stated 1 sigma and of the true error of mapped points then (mm), and the worst error.
 """
 from __future__ import annotations
 
@@ -273,28 +278,42 @@ def session(cell: World, operator: str, stations: int) -> np.ndarray:
         count = len(cell.samples)
         solution = solved(cell)
         if solution is not None:
-            X, (low, high) = solution.estimate.X, (cell.view.low, cell.view.high)
-            found[count - 1] = (
-                mapped_point_error(X, cell.T_flange_sensor, (low[0], high[0]), (low[1], high[1])),
-                mapping(X, cell.view).std(solution.reported[:6, :6]))
+            sigma = mapping(solution.estimate.X, cell.view).std(solution.reported[:6, :6])
+            found[count - 1] = error_of(solution, cell), sigma
         if count == stations:
             return found
         insist(cell, advised(cell, solution) if operator == 'advice' else lambda: anywhere(cell))
 
 
-def followed(cell: World, away: float, stations: int) -> tuple[list[str], float]:
+@dataclass(frozen=True)
+class Followed:
     """
-    Go to each pose that is proposed, off by so much; return why stops gave no sample.
+    A session that goes where the advice says: stops at proposals, and why some gave no sample.
 
-    stations: stops after which the session ends, also without enough. Also returns the stated
-    1 sigma of mapped points at the end. Nothing is tried again: what is refused counts.
+    enough: the samples at which the node says that they are enough, 0: never; std, error: stated
+    1 sigma and true error (m) of points mapped over the field of view at the end.
     """
-    why: list[str] = []
+
+    stops: int
+    why: tuple[str, ...]
+    enough: int
+    std: float
+    error: float
+
+
+def followed(cell: World, away: float, stations: int) -> Followed:
+    """
+    Go to each pose that is proposed, off by so much, until enough or for so many stops.
+
+    Nothing is tried again: what is refused counts.
+    """
+    why, enough = list[str](), 0
     for _ in range(stations):
         cell.solution = solved(cell)
         advice = advise(cell.samples, cell.config, cell.solution, seen=cell.seen,
                         refused=cell.refused)
         if advice.enough:
+            enough = len(cell.samples)
             break
         if advice.next is None:
             insist(cell, lambda move=advice.move: moved(cell, move, 1.0))
@@ -306,26 +325,34 @@ def followed(cell: World, away: float, stations: int) -> tuple[list[str], float]
             why.append(str(error))
             cell.refused.append(T)
     known = solved(cell)
-    std = math.inf if known is None else mapping(known.estimate.X, cell.view).std(
-        known.reported[:6, :6])
-    return why, std
+    std, off = (math.inf, math.inf) if known is None else (
+        mapping(known.estimate.X, cell.view).std(known.reported[:6, :6]), error_of(known, cell))
+    return Followed(len(cell.samples) - 1 + len(why), tuple(why), enough, std, off)
+
+
+def error_of(solution: Solution, cell: World) -> float:
+    """Return the RMS error (m) of points mapped over the field of view."""
+    (x0, z0), (x1, z1) = cell.view.low, cell.view.high
+    return mapped_point_error(solution.estimate.X, cell.T_flange_sensor, (x0, x1), (z0, z1))
 
 
 def tell_refused(targets_: list[str], seeds: range, stations: int) -> None:
-    """Print a row per target and operator: how many stops at proposed poses gave no sample."""
-    print(f'{"target":8} {"operator":10} {"stops":>6} {"refused":>8} {"sigma":>8}  reasons')
+    """Print a row per target and operator; see --refused."""
+    print(f'{"target":8} {"operator":10} {"stops":>6} {"refused":>8} {"enough":>8} {"at":>9} '
+          f'{"sigma":>8} {"error":>8} {"worst":>8}  reasons')
     for target in targets_:
         for operator, away in (('exact', 0.0), ('2 deg 3 mm', 1.0)):
-            stops, reasons, stds = 0, Counter(), []
-            for seed in seeds:
-                cell = world(target, ROBOTS['common'], seed, {})
-                why, std = followed(cell, away, stations)
-                stops += len(cell.samples) + len(why) - 1
-                reasons.update(re.sub(r'-?[0-9.]+', '#', text) for text in why)
-                stds.append(std)
+            made = [followed(world(target, ROBOTS['common'], seed, {}), away, stations)
+                    for seed in seeds]
+            reasons = Counter(re.sub(r'-?[0-9.]+', '#', why) for one in made for why in one.why)
+            at = sorted(one.enough for one in made if one.enough) or [0]
+            stds, errors = 1e3 * np.array([(one.std, one.error) for one in made]).T
             told = '; '.join(f'{n} x {text}' for text, n in reasons.most_common(3))
-            print(f'{target:8} {operator:10} {stops:6} {sum(reasons.values()):8} '
-                  f'{1e3 * np.median(stds):8.3f}  {told}', flush=True)
+            print(f'{target:8} {operator:10} {sum(one.stops for one in made):6} '
+                  f'{sum(reasons.values()):8} {sum(one.enough > 0 for one in made):4}'
+                  f'/{len(made):<3} {at[len(at) // 2]:3} ({at[0]}-{at[-1]}) '
+                  f'{np.median(stds):8.3f} {np.median(errors):8.3f} {errors.max():8.3f}  {told}',
+                  flush=True)
 
 
 def readings(found: np.ndarray, wanted: float) -> list[int]:

@@ -66,6 +66,7 @@ CASES = {
     'none': Case(error=0.0), 'beside': Case(on_flange=False),
     'eccentric': Case(more=('eccentricity',)),
     'eccentric_sag': Case(more=('eccentricity', 'sag')),
+    'gear': Case(more=('gear',)), 'all': Case(more=('gear', 'eccentricity', 'sag')),
 }
 
 
@@ -192,11 +193,11 @@ def judged(cell: Cell, case: Case, outcome: Outcome, held: Points) -> tuple[floa
     return before, after, nees, float(inside.mean()) if len(off) else 1.0
 
 
-def seen_by_profiles(name: str, seed: int, eccentric: bool) -> tuple[float, ...]:
+def seen_by_profiles(name: str, seed: int, more: tuple[str, ...]) -> tuple[float, ...]:
     """
     Return before and after (mm), NEES over 6, of stops at a target; of 3 in 4 stops.
 
-    before, after: RMS of the residuals of the other stops.
+    before, after: RMS of the residuals of the other stops; more: kinds beside the geometry.
     """
     rng = np.random.default_rng(seed)
     scenario = SCENARIOS[name]
@@ -206,7 +207,7 @@ def seen_by_profiles(name: str, seed: int, eccentric: bool) -> tuple[float, ...]
     stops = scene.stops(scenario, rng)
     stops = stops.ordered(rng.permutation(len(stops.labels)))
     cell = cells.draw(scenario, stops, anywhere(scenario), rng)
-    errors = cell.arm if eccentric else replace(cell.arm, eccentricity=np.zeros(6))
+    errors = cell.arm
     T = cells.perturbed(cell.T_base_flange, cells.robot_error(scenario.robot, cell.T_base_flange,
                                                               rng))
     T = cells.perturbed(T, arm.reported_error(T, errors))
@@ -218,10 +219,10 @@ def seen_by_profiles(name: str, seed: int, eccentric: bool) -> tuple[float, ...]
     q = arm.inverse(T)
     problem = Problem(method_for(config), chain.forward(q),
                       method_for(config).features.observe(samples), config)
-    data, state = profiles_of(problem, q, Arm(chain))
+    data, state = profiles_of([problem], [q], Arm(chain))
     fit = fit_of(data, state)
     used = first[data.number]
-    outcome = solve(adjusted(replace(fit, used=used)), (), LIMIT, str)
+    outcome = solve(adjusted(replace(fit, used=used)), more, LIMIT, str)
     before, after = (float(np.sqrt((data.distances(m.fit.state)[~used] ** 2).mean())) * 1e3
                      for m in (outcome.models[0], outcome.chosen))
     # the flange that counts is the one that the last axis carries: what lies behind it is the
@@ -245,7 +246,8 @@ def main() -> None:
           f'{"95 %":>5} {"joints":>6} {"time":>6}')
     for name in given.cases:
         if name in PROFILES:
-            rows = np.array([seen_by_profiles(name, seed, True) for seed in range(given.seeds)])
+            rows = np.array([seen_by_profiles(name, seed, tuple(given.more))
+                             for seed in range(given.seeds)])
             before, after, nees = rows.T
             print(f'{name:14} {np.median(before):7.3f} {np.median(after):7.3f} {"":7} {"":6} '
                   f'{nees.mean():6.2f} {(6 * nees < chi2.ppf(0.95, 6)).mean():5.2f}', flush=True)

@@ -1,25 +1,35 @@
 """The verb that finds the robot's own error."""
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
 from handeye_ros.cli.app import app
-from handeye_ros.cli.common import Assignments, ConfigFile, configuration, doing, show, warn
+from handeye_ros.cli.common import (
+    advancing,
+    Assignments,
+    ConfigFile,
+    configuration,
+    doing,
+    show,
+    stored_session,
+    warn,
+)
 import typer
 
 if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.kinematics.answer import Answer
     from handeye_ros.kinematics.chain import Chain
+    from handeye_ros.kinematics.samples import Source
 
 TABLES = ('.csv', '.yaml', '.yml')
 
 
 @app.command()
 def kinematics(
-    source: Annotated[Path, typer.Argument(metavar='SOURCE', help=(
-        'A bag with profiles and joint values, or a table of joint values and measured points '
-        '(CSV or YAML).'))],
+    sources: Annotated[list[Path], typer.Argument(metavar='SOURCE...', help=(
+        'A bag with profiles and joint values, a session, or a table of joint values and measured '
+        'points (CSV or YAML). Several bags or sessions, each with a target at another place, are '
+        'solved together.'))],
     urdf: Annotated[Path, typer.Option(metavar='FILE', help='The URDF of the robot.')],
     base: Annotated[str, typer.Option(help='The link that the arm stands on; default: the root '
                                            'of the URDF.')] = '',
@@ -40,19 +50,28 @@ def kinematics(
     """Find the errors of the robot's joints and axes, together with the hand-eye transform."""
     settings = configuration(config, assignments)
     _require_kinds(parameters)
-    from handeye_ros.kinematics.answer import save
     from handeye_ros.kinematics.chain import chain_of, read_urdf
-    from handeye_ros.kinematics.screen import table
     text = read_urdf(urdf)
     chain = chain_of(text, base, flange, urdf)
-    solve = _solve_table if source.suffix in TABLES and source.is_file() else _solve_bag
-    found = solve(source, urdf, chain, parameters, settings)
+    tables = [source for source in sources if source.suffix in TABLES and source.is_file()]
+    if tables and len(sources) > 1:
+        raise typer.BadParameter('a table is solved by itself: several points are told apart by '
+                                 'its column "target"')
+    found = (_solve_table(tables[0], urdf, chain, parameters, settings) if tables else
+             _solve_profiles(sources, urdf, chain, parameters, config, assignments))
     for warning in found.warnings:
         warn(warning)
-    show(table(found))
-    typer.echo(save(found, text, out, settings.save.formats))
+    _write(found, text, out, settings)
     if propose:
         typer.echo(_proposed(found, propose, out))
+
+
+def _write(found: 'Answer', urdf: str, out: Path, settings: 'Config') -> None:
+    from handeye_ros.kinematics.answer import save
+    from handeye_ros.kinematics.report import table, write_page
+    show(table(found))
+    typer.echo(save(found, urdf, out, settings.save.formats))
+    write_page(found, out)
 
 
 def _require_kinds(kinds: list[str]) -> None:
@@ -65,9 +84,10 @@ def _require_kinds(kinds: list[str]) -> None:
 
 def _solve_table(source: Path, urdf: Path, chain: 'Chain', more: list[str], settings: 'Config'
                  ) -> 'Answer':
-    from handeye_ros.kinematics.outcome import answer_of, calibration_of, solve_points
+    from handeye_ros.kinematics.answer import Answer, calibration_of
+    from handeye_ros.kinematics.outcome import solve_points
+    from handeye_ros.kinematics.points import read_table
     from handeye_ros.kinematics.samples import compared
-    from handeye_ros.kinematics.table import read_table
     from handeye_ros.results.calibration_file import input_values
     data, odd = read_table(source, chain, settings.calibration_type == 'eye_in_hand')
     with doing('solving'):
@@ -75,29 +95,42 @@ def _solve_table(source: Path, urdf: Path, chain: 'Chain', more: list[str], sett
     calibration = calibration_of(outcome, data, settings)
     told = (*odd, *([] if data.reported is None else [
         compared(data.reported, chain.forward(data.q))]))
-    return answer_of(outcome, calibration, [input_values(source), input_values(urdf)], told)
+    return Answer.of(outcome, calibration, [input_values(source), input_values(urdf)], told)
 
 
-def _solve_bag(source: Path, urdf: Path, chain: 'Chain', more: list[str], settings: 'Config'
-               ) -> 'Answer':
-    from handeye_ros.cli.common import advancing
-    from handeye_ros.kinematics.samples import solve_recording
+def _solve_profiles(paths: list[Path], urdf: Path, chain: 'Chain', more: list[str],
+                    config: Path | None, assignments: list[str]) -> 'Answer':
+    from handeye_ros.kinematics.samples import solve_sources
     from handeye_ros.results.calibration_file import input_values
-    from handeye_ros.ros.bags.bag import read_with_joints
-    with advancing('reading the recording') as progress:
-        recording = read_with_joints(source, settings, chain, progress)
-    inputs = [*recording.inputs, input_values(urdf)]
+    sources = [_source(path, chain, config, assignments) for path in paths]
     with doing('solving'):
-        return solve_recording(replace(recording, inputs=inputs), chain, more, settings)
+        return solve_sources(sources, chain, more, [input_values(urdf)])
+
+
+def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[str]) -> 'Source':
+    """Return the samples of a bag, or of a session, whose settings hold where none are given."""
+    from handeye_ros.kinematics.samples import source_of
+    from handeye_ros.ros.bags.bag import read_with_joints
+    from handeye_ros.ros.sessions.joints import source_of_session
+    stored = stored_session(path)
+    settings = configuration(config, assignments, stored.config if stored else None)
+    if stored:
+        return source_of_session(stored, settings, chain)
+    with advancing('reading the recording') as progress:
+        recording = read_with_joints(path, settings, chain, progress)
+    with doing('finding the stops'):
+        return source_of(recording, chain, settings)
 
 
 def _proposed(found: 'Answer', count: int, out: Path) -> str:
     """Write the configurations that help most next; return what they promise."""
     from handeye_ros.kinematics.programme import as_csv, as_trajectory, programme
     from handeye_ros.results.calibration_file import write_whole
-    made, chain = programme(found.fit, count), found.arm.chain
+    made, chain = programme(found.outcome.models[-1].fit, count), found.arm.chain
     write_whole(out / 'programme.csv', as_csv(chain, made.q))
     write_whole(out / 'programme.yaml', as_trajectory(chain, made.q))
+    now, then = (f'{error * 1e3:.3f} mm' for error in made.errors[[0, -1]])
+    enough = f'{made.enough} are enough' if made.enough <= len(made.q) else 'propose more'
     return (f'wrote programme.csv and programme.yaml: {len(made.q)} configurations; with them '
-            f'points in other postures are predicted to {made.after * 1e3:.3f} mm (1 sigma), '
-            f'now {made.before * 1e3:.3f} mm')
+            f'points in other postures are predicted to {then} (1 sigma), now {now}; {enough} to '
+            'get below the residual of the points')

@@ -113,9 +113,10 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
     sigmas = sigma_table(solution, known, config)
     if config.sampling.moving:
         return _of_sweep(solution, sigmas, missing(solution, view, limits)[:TOLD], trouble)
-    search = Search(solution, view, limits, known, visited(samples, refused, config))
+    surely = view.shrunk(known.std(_stated(solution)))  # seen there, wherever the sensor is
+    search = Search(solution, surely, limits, known, visited(samples, refused, config))
     proposal = propose(search, config) or propose(replace(  # where there is no room for a margin
-        search, visited=visited(samples, refused, config, margin=(0.0, 0.0))), config)
+        search, view=view, visited=visited(samples, refused, config, margin=(0.0, 0.0))), config)
     enough, why = judged(sigmas, proposal, largest_cause(solution, known), len(samples))
     told = [why, *missing(solution, view, limits)[:TOLD * (not enough)]]
     if proposal and not enough:

@@ -30,6 +30,11 @@ class View:
         """Return width and depth, (2,)."""
         return np.asarray(self.high - self.low)
 
+    def shrunk(self, border: float) -> View:
+        """Return the view without a border of so much (m), nowhere less than half of it."""
+        border = min(border, float(self.size.min()) / 4)
+        return View(self.normals, self.offsets - border, self.low + border, self.high - border)
+
     def inner(self) -> View:
         """Return the view that leaves room for who moves the robot."""
         middle = (self.low + self.high) / 2

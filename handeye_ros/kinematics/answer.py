@@ -10,12 +10,14 @@ from typing import Any
 from xml.etree import ElementTree
 
 from handeye_ros import __version__, se3
-from handeye_ros.config import yaml_content
-from handeye_ros.data import Array, Calibration
+from handeye_ros.checks.motion import mount_frame, name_direction, worst_translation
+from handeye_ros.config import Config, flatten, yaml_content
+from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.kinematics.chain import Chain, Joint, motion, REVOLUTE
 from handeye_ros.kinematics.errors import UrdfError
-from handeye_ros.kinematics.estimate import Fit
 from handeye_ros.kinematics.model import Arm, COUNTS, OFFSET, ON_DEMAND, Parameter, PRIORS
+from handeye_ros.kinematics.outcome import Outcome
+from handeye_ros.kinematics.points import Points
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import transform_from, transform_values, write_whole
 import numpy as np
@@ -31,78 +33,84 @@ HEADER = """\
 """
 
 
-@dataclass(frozen=True)
-class ModelErrors:
-    """A model of the arm: its kinds of parameters, and by how much it misses points (m, RMS)."""
-
-    kinds: tuple[str, ...]
-    residual: float
-    left_out: float
-    left_out_median: float
-
-    @property
-    def words(self) -> str:
-        """Return the kinds in words."""
-        return ', '.join(self.kinds) or 'URDF as it is'
-
-
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """
-    The corrected arm.
+    """The corrected arm, and the hand-eye transform that belongs to it; warnings: sentences."""
 
-    stds, known: (k,) 1 sigma of its parameters, and that over the prior one; models: from the
-    simplest, of which chosen is the answer; smooth: RMS of what is left of the robot's error, each
-    axis (m); calibration: the hand-eye transform that belongs to it; fit: what it comes from.
-    """
-
-    arm: Arm
-    stds: Array
-    known: Array
-    models: tuple[ModelErrors, ...]
-    chosen: int
-    smooth: float
+    outcome: Outcome
     calibration: Calibration
     warnings: tuple[str, ...]
-    fit: Fit
+
+    @classmethod
+    def of(cls, outcome: Outcome, calibration: Calibration, inputs: Sequence[dict[str, str]],
+           warnings: Sequence[str]) -> Answer:
+        """Return the answer; inputs: path and sha256 of all files; warnings: of the reading."""
+        provenance = {**calibration.provenance, 'inputs': list(inputs)}
+        return cls(outcome, replace(calibration, provenance=provenance),
+                   (*warnings, *outcome.warnings))
+
+    @property
+    def arm(self) -> Arm:
+        """Return the arm with its errors."""
+        return self.outcome.arm
+
+
+def calibration_of(outcome: Outcome, data: Points, config: Config) -> Calibration:
+    """Return the hand-eye transform found from points, as calibration.yaml tells it."""
+    fit, chain = outcome.chosen.fit, outcome.arm.chain
+    config = replace(config, robot_base_frame=chain.base, robot_effector_frame=chain.flange)
+    std, direction = worst_translation(outcome.covariance[:6, :6])
+    parent, used = mount_frame(config), fit.used
+    quality = Quality(int(used.sum()), int((~used).sum()), fit.noise_rms,
+                      outcome.chosen.left_out_rms,
+                      f'position along {name_direction(direction, parent)} (m)', std)
+    samples = tuple(SampleReport(int(number), bool(good), data.names[target], float(distance),
+                                 '' if good else 'contradicts the others')
+                    for number, good, target, distance in zip(
+                        data.number, used, data.target, data.distances(fit.state), strict=True))
+    target = {f'point_{name}': dict(zip('xyz', map(float, centre), strict=True))
+              for name, centre in zip(data.names, fit.state.targets, strict=True)}
+    return Calibration(
+        config.name or 'kinematics', 'kinematics', parent, config.sensor_frame, fit.state.X,
+        outcome.covariance[:6, :6], {**target, 'robot_position_error': outcome.smooth}, quality,
+        samples, {'version': __version__, 'config': flatten(config)})
 
 
 def text(answer: Answer) -> str:
     """Return what is in kinematics.yaml."""
-    arm, calibration = answer.arm, answer.calibration
+    outcome, arm, calibration = answer.outcome, answer.arm, answer.calibration
     provenance = {'version': __version__,
                   'created': datetime.now(UTC).isoformat(timespec='seconds'),
                   **calibration.provenance, 'warnings': list(answer.warnings)}
     content = {
         'format': FORMAT, 'name': calibration.name, 'base': arm.chain.base,
-        'flange': arm.chain.flange, 'joints': _joints(answer),
+        'flange': arm.chain.flange, 'joints': _joints(outcome),
         'end': transform_values(arm.chain.end),
         'zero_offsets_degrees': {
             j.name: round(math.degrees(float(arm.of(i, OFFSET)[0])), 5)
             for i, j in enumerate(arm.chain.joints) if j.kind == REVOLUTE},
         'transform': transform_values(calibration.T_flange_sensor),
         'models': [{'parameters': list(m.kinds), 'residual_rms': m.residual,
-                    'left_out_rms': m.left_out, 'left_out_median': m.left_out_median,
-                    'chosen': i == answer.chosen} for i, m in enumerate(answer.models)],
-        'robot_smooth_error': answer.smooth,
+                    'left_out_rms': m.left_out_rms, 'left_out_median': m.left_out_median,
+                    'chosen': m is outcome.chosen} for m in outcome.models],
+        'robot_smooth_error': outcome.smooth,
         'provenance': provenance}
     return HEADER.format(limit=UNKNOWN) + str(yaml.safe_dump(
         content, sort_keys=False, width=100, default_flow_style=None, allow_unicode=True))
 
 
-def _joints(answer: Answer) -> list[dict[str, Any]]:
-    found = []
-    for i, joint in enumerate(answer.arm.chain.joints):
+def _joints(outcome: Outcome) -> list[dict[str, Any]]:
+    arm, found = outcome.arm, []
+    columns = {'value': arm.values, 'std': outcome.stds, 'known': outcome.known}
+    for i, joint in enumerate(arm.chain.joints):
         values: dict[str, Any] = {
             'name': joint.name, 'type': joint.kind, 'origin': transform_values(joint.origin),
             'axis': joint.axis.tolist(), 'follows': joint.follows, 'factor': joint.factor,
             'shift': joint.shift, 'lower': joint.lower, 'upper': joint.upper}
-        for k, parameter in enumerate(answer.arm.parameters):
-            if parameter.joint == i:
-                own = values.setdefault(parameter.kind, {'value': [], 'std': [], 'known': []})
-                for key, array in (('value', answer.arm.values), ('std', answer.stds),
-                                   ('known', answer.known)):
-                    own[key].append(float(array[k]))
+        for kind in dict.fromkeys(p.kind for p in arm.parameters):
+            own = [k for k, p in enumerate(arm.parameters) if (p.joint, p.kind) == (i, kind)]
+            if own:
+                values[kind] = {key: array[own].tolist() for key, array in columns.items()}
         found.append(values)
     return found
 
@@ -181,6 +189,6 @@ def save(answer: Answer, urdf: str, folder: Path, formats: Sequence[str]) -> str
     saved = exports.save_all(calibration, folder, formats)
     write_whole(folder / NAME, text(answer))
     write_whole(folder / URDF, corrected_urdf(urdf, answer.arm))
-    lost = [kind for kind in ON_DEMAND if kind in answer.models[answer.chosen].kinds]
+    lost = [kind for kind in ON_DEMAND if kind in answer.outcome.chosen.kinds]
     without = f' (without {" and ".join(lost)}, which no URDF can hold)' if lost else ''
     return f'{saved}, {NAME}, {URDF}{without}'

@@ -75,6 +75,11 @@ class Chain:
                 raise JointNamesError.missing(source, name, list(given))
         return np.stack([j.factor * given[j.follows] + j.shift for j in self.joints], axis=-1)
 
+    def given(self, q: Array) -> dict[str, Array]:
+        """Return the values (n,) by the names of measured, of what all joints are at."""
+        return {j.follows: (value - j.shift) / j.factor
+                for j, value in zip(self.joints, q.T, strict=True)}
+
     def forward(self, q: Array) -> Array:
         """Return T_base_flange (n, 4, 4) of joint values (n, joints), without any error."""
         T = np.tile(np.eye(4), (len(q), 1, 1))

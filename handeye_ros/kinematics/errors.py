@@ -68,8 +68,33 @@ class ContradictionError(DataError):
                          f'inaccurate: {cause or DEFAULT_CAUSE}')
 
 
+class NoJointValuesError(InputError):
+    """Samples at a time of which no joint values are known."""
+
+    def __init__(self, without: int, count: int) -> None:
+        super().__init__(f'{without} of {count} samples have no joint values of their time: joint '
+                         'values and profiles must be recorded together, with clocks that agree')
+
+
+class TargetsApartError(DataError):
+    """Several targets that see the sensor at different places."""
+
+    def __init__(self, distance: float) -> None:
+        super().__init__(f'two recordings place the sensor {mm(distance)} apart: give only '
+                         'recordings of one sensor in one mount, on one robot')
+
+
 DEFAULT_CAUSE = ('check that the URDF is of this robot, the unit and the sign of each joint, '
                  'calibration_type, and that the target did not move')
+
+
+class OtherRobotError(DataError):
+    """An axis so far from where the URDF has it that the URDF is of another robot."""
+
+    def __init__(self, joint: str, kind: str, off: float) -> None:
+        size = mm(off) if kind == 'position' else f'{math.degrees(off):.2g} degrees'
+        super().__init__(f'the axis of {joint} would be {size} off the URDF, more than any arm is '
+                         'inaccurate: the URDF is of another robot, or of another variant of it')
 
 
 class NoPostureError(DataError):

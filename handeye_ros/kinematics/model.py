@@ -28,6 +28,7 @@ PRIORS = {OFFSET: (1e-3, 5e-4), DIRECTION: (5e-4, 5e-4), POSITION: (5e-4, 0.0),
           GEAR: (2e-4, 2e-4), ECCENTRICITY: (2e-4, 0.0), SAG: (3e-4, 0.0)}
 COUNTS = {OFFSET: 1, DIRECTION: 2, POSITION: 2, GEAR: 1, ECCENTRICITY: 2, SAG: 1}
 SAGGING = (1, 2)  # joints 2 and 3: they carry the arm
+WAY = 15  # configurations on the way from one to another
 DOWN = np.array([0.0, 0.0, -1.0])  # in the base, which stands upright
 
 
@@ -143,10 +144,15 @@ def _levers(chain: Chain, q: Array) -> dict[int, Array]:
 
 
 def one_configuration(arm: Arm, q: Array) -> bool:
-    """Tell whether a six-axis arm stays on one side of all its singular configurations."""
-    chain = arm.chain
+    """
+    Tell whether a six-axis arm stays on one side of all its singular configurations.
+
+    That is: no straight way in joint space from the first to another one passes through one.
+    """
+    chain, ways = arm.chain, np.linspace(0.0, 1.0, WAY)[:, None, None]
     if len(chain.joints) != 6 or any(joint.kind != REVOLUTE for joint in chain.joints):
         return False
     own = parameters(chain, (OFFSET,))
-    _, J = Arm(chain, own, np.zeros(6)).with_twists(q)
+    between = (q[0] + ways * (q - q[0])).reshape(-1, 6)
+    _, J = Arm(chain, own, np.zeros(6)).with_twists(between)
     return len(np.unique(np.sign(np.linalg.det(J)))) == 1

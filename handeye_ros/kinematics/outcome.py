@@ -9,16 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from handeye_ros import __version__
-from handeye_ros.checks.motion import mount_frame, name_direction, worst_translation
-from handeye_ros.config import Config, flatten
-from handeye_ros.data import Array, Calibration, Quality, SampleReport
-from handeye_ros.kinematics.answer import Answer, ModelErrors
-from handeye_ros.kinematics.causes import cause_of
+from handeye_ros.data import Array
 from handeye_ros.kinematics.chain import Chain
 from handeye_ros.kinematics.errors import (
     ContradictionError,
     DegenerateConfigurationsError,
+    OtherRobotError,
 )
 from handeye_ros.kinematics.estimate import (
     adjusted,
@@ -27,9 +23,17 @@ from handeye_ros.kinematics.estimate import (
     with_arm,
     without_outliers,
 )
-from handeye_ros.kinematics.model import Arm, GEOMETRY, OFFSET, one_configuration, parameters
+from handeye_ros.kinematics.model import (
+    Arm,
+    DIRECTION,
+    GEOMETRY,
+    OFFSET,
+    one_configuration,
+    parameters,
+    POSITION,
+)
 from handeye_ros.kinematics.points import Points
-from handeye_ros.kinematics.starts import first_fit
+from handeye_ros.kinematics.starts import cause_of_points, first_fit
 from handeye_ros.threads import single_threaded
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +43,9 @@ FEWEST_OF_REGION = 3
 FOLD_ROUNDS = 2
 MOST_FREEDOM = 6  # conditions of a stop that are independent: a pose has no more
 MOST_SHARE = 0.8  # of the conditions that a fit takes
+AGREEING = 0.5  # of the configurations at least, or joint values and points contradict each other
 HOPELESS = 20.0  # times the limit of a corrected arm: no arm is so inaccurate
+LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis of the robot of a URDF (rad, m)
 LARGEST_TURN, LARGEST_SHIFT = 0.02, 0.01  # 1 sigma of the sensor's place (rad, m)
 
 
@@ -50,6 +56,16 @@ class Model:
     kinds: tuple[str, ...]
     fit: Fit
     left_out: Array
+
+    @property
+    def words(self) -> str:
+        """Return the kinds in words."""
+        return ', '.join(self.kinds) or 'URDF as it is'
+
+    @property
+    def residual(self) -> float:
+        """Return the RMS by which the used points are missed (m)."""
+        return self.fit.noise_rms
 
     @property
     def left_out_rms(self) -> float:
@@ -95,7 +111,7 @@ def solve_points(data: Points, chain: Chain, more: Sequence[str], limit: float) 
     start = first_fit(data, Arm(chain))
 
     def cause() -> str:
-        return cause_of(data, start.noise_rms, chain)
+        return cause_of_points(data, chain)
     return solve(start, more, limit, cause)
 
 
@@ -113,8 +129,9 @@ def solve(start: Fit, more: Sequence[str], limit: float, cause: Callable[[], str
         raise ContradictionError(start.noise_rms, HOPELESS * limit, cause())
     ladder = [(OFFSET,), GEOMETRY, *([(*GEOMETRY, *more)] if more else [])]
     richest = _fit(start, chain, ladder[-1])
-    if richest.noise_rms > limit:
-        raise ContradictionError(richest.noise_rms, limit, cause())
+    if richest.noise_rms > limit or richest.used.mean() < AGREEING:
+        missed = float(np.median(start.data.distances(start.state)))
+        raise ContradictionError(max(missed, richest.noise_rms), limit, cause())
     _require_mount(richest)
     fold = regions(start.data.q)
     start = adjusted(replace(start, used=richest.used))
@@ -125,6 +142,7 @@ def solve(start: Fit, more: Sequence[str], limit: float, cause: Callable[[], str
     chosen = models[0]
     for model in models[1:]:
         chosen = model if _better(model, chosen) else chosen
+    _require_same_robot(chosen.fit.state.arm)
     wide, covariance = stated_covariance(richest, chosen.fit.state)
     covariance = covariance * _misfit(models[-1])
     return Outcome(models, chosen, covariance, _known(chosen.fit), wide.smooth_rms,
@@ -200,6 +218,14 @@ def _require_mount(fit: Fit) -> None:
             raise DegenerateConfigurationsError(f'the {what} of the sensor')
 
 
+def _require_same_robot(arm: Arm) -> None:
+    for kind, largest in LARGEST_ERROR.items():
+        for i, joint in enumerate(arm.chain.joints):
+            off = float(np.linalg.norm(arm.of(i, kind)))
+            if off > largest:
+                raise OtherRobotError(joint.name, kind, off)
+
+
 def _warnings(models: Sequence[Model], chosen: Model) -> list[str]:
     told, last = [], models[-1]
     lost = int((~last.fit.used).sum())
@@ -215,41 +241,3 @@ def _warnings(models: Sequence[Model], chosen: Model) -> list[str]:
         told.append('all poses are of one configuration of elbow and wrist: others make more of '
                     'the joints known')
     return told
-
-
-def answer_of(outcome: Outcome, calibration: Calibration, inputs: Sequence[dict[str, str]],
-              warnings: Sequence[str]) -> Answer:
-    """
-    Return what is told of an outcome.
-
-    calibration: the hand-eye transform of it; inputs: path and sha256 of all files; warnings: of
-    what was read.
-    """
-    calibration = replace(calibration, provenance={**calibration.provenance,
-                                                   'inputs': list(inputs)})
-    told = tuple(ModelErrors(m.kinds, m.fit.noise_rms, m.left_out_rms, m.left_out_median)
-                 for m in outcome.models)
-    return Answer(outcome.arm, outcome.stds, outcome.known, told,
-                  outcome.models.index(outcome.chosen), outcome.smooth, calibration,
-                  (*warnings, *outcome.warnings), outcome.models[-1].fit)
-
-
-def calibration_of(outcome: Outcome, data: Points, config: Config) -> Calibration:
-    """Return the hand-eye transform found from points, as calibration.yaml tells it."""
-    fit, chain = outcome.chosen.fit, outcome.arm.chain
-    config = replace(config, robot_base_frame=chain.base, robot_effector_frame=chain.flange)
-    std, direction = worst_translation(outcome.covariance[:6, :6])
-    parent, used = mount_frame(config), fit.used
-    quality = Quality(int(used.sum()), int((~used).sum()), fit.noise_rms,
-                      outcome.chosen.left_out_rms,
-                      f'position along {name_direction(direction, parent)} (m)', std)
-    samples = tuple(SampleReport(int(number), bool(good), data.names[target], float(distance),
-                                 '' if good else 'contradicts the others')
-                    for number, good, target, distance in zip(
-                        data.number, used, data.target, data.distances(fit.state), strict=True))
-    target = {f'point_{name}': dict(zip('xyz', map(float, centre), strict=True))
-              for name, centre in zip(data.names, fit.state.targets, strict=True)}
-    return Calibration(
-        config.name or 'kinematics', 'kinematics', parent, config.sensor_frame, fit.state.X,
-        outcome.covariance[:6, :6], {**target, 'robot_position_error': outcome.smooth}, quality,
-        samples, {'version': __version__, 'config': flatten(config)})

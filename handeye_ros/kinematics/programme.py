@@ -33,11 +33,16 @@ SEED = 0
 
 @dataclass(frozen=True, eq=False)
 class Programme:
-    """Configurations q (n, joints), and the error (m) of predicted points before and after."""
+    """
+    Configurations q (n, joints), the best first.
+
+    errors: (n + 1,) 1 sigma (m) of points predicted in other postures, after each of them, the
+    first without any; enough: after how many they are known to the noise of the points.
+    """
 
     q: Array
-    before: float
-    after: float
+    errors: Array
+    enough: int
 
 
 def programme(fit: Fit, count: int) -> Programme:
@@ -51,7 +56,7 @@ def programme(fit: Fit, count: int) -> Programme:
     J = J / fit.weights.noise[seen.component][:, None]
     rows = [np.flatnonzero(seen.block == k) for k in range(len(q))]
     covariance, left, chosen = fit.covariance, list(range(len(q))), list[int]()
-    before = _spread(J, covariance, fit, rows)
+    errors = [_spread(J, covariance, fit, rows)]
     while left and len(chosen) < count:
         gains = [np.linalg.slogdet(np.eye(len(A)) + A @ covariance @ A.T)[1]
                  for A in (J[rows[k]] for k in left)]
@@ -60,7 +65,9 @@ def programme(fit: Fit, count: int) -> Programme:
         A = J[rows[best]] @ covariance
         covariance = covariance - A.T @ np.linalg.solve(
             np.eye(len(A)) + A @ J[rows[best]].T, A)
-    return Programme(q[chosen], before, _spread(J, covariance, fit, rows))
+        errors.append(_spread(J, covariance, fit, rows))
+    known = np.append(np.array(errors) < fit.noise_rms, True)
+    return Programme(q[chosen], np.array(errors), int(np.argmax(known)))
 
 
 def _spread(J: Array, covariance: Array, fit: Fit, rows: Sequence[NDArray[np.intp]]) -> float:

@@ -1,8 +1,17 @@
-"""The hand-eye transform from points with nothing given: where an estimate starts."""
+"""
+The hand-eye transform from points with nothing given: where an estimate starts.
+
+And what makes them fit after all where they contradict the joint values: usual mistakes.
+"""
 from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+import math
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.solver import (
     ANNEALING_STEPS,
     graduated,
@@ -11,6 +20,7 @@ from handeye_ros.estimation.solver import (
     Rows,
     System,
 )
+from handeye_ros.kinematics.chain import Chain, REVOLUTE
 from handeye_ros.kinematics.errors import TooFewConfigurationsError
 from handeye_ros.kinematics.estimate import adjusted, Fit, fitted, MINIMUM, Weights
 from handeye_ros.kinematics.model import Arm
@@ -23,6 +33,9 @@ APART = 0.2  # starts are turned by more than this against each other (rad)
 STARTS = 8  # that are refined
 ROUGH = 1e-3  # residuals (m) of a start, whose robot is only inaccurate
 SEED = 0  # of the search: the same points give the same answer
+FEW = 2  # starts: a cause is seen by any of them
+BETTER = 0.2  # of the residual: what explains so much is the cause
+OTHER_SIDE = {'eye_in_hand': 'eye_on_base', 'eye_on_base': 'eye_in_hand'}
 
 
 def first_fit(data: Points, arm: Arm, most: int = STARTS) -> Fit:
@@ -90,3 +103,74 @@ def starts(data: Points, arm: Arm, most: int, rng: np.random.Generator) -> list[
         if len(found) == most:
             break
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """
+    What may be wrong, in words, and how it is put right.
+
+    joints: (n, n) what the joint values are multiplied by; other_side: of calibration_type; unit:
+    a factor on the points of the sensor.
+    """
+
+    words: str
+    joints: Array
+    other_side: bool = False
+    unit: float = 1.0
+
+
+def cause_of(chain: Chain, q: Array, on_flange: bool, refit: Callable[[Change], float]) -> str:
+    """
+    Return what makes joint values and measurements agree after all, empty where nothing does.
+
+    q: (n, joints); refit: gives the residual with a change.
+    """
+    as_stated, *changes = _changes(chain, on_flange, float(np.median(np.abs(q).max(axis=0))))
+    best, found = BETTER * refit(as_stated), ''
+    for change in changes:
+        try:
+            rms = refit(change)
+        except (DataError, np.linalg.LinAlgError):
+            continue
+        if rms < best:
+            best, found = rms, change.words
+    still = [joint.name for joint, moves in zip(chain.joints, np.ptp(q, axis=0) > 0, strict=True)
+             if not moves]
+    return found or (f'{still[0]} has the same value throughout: check where its values come from'
+                     if still else '')
+
+
+def cause_of_points(data: Points, chain: Chain) -> str:
+    """Return the same of points that a sensor measured."""
+    def refit(change: Change) -> float:
+        changed = replace(data, q=data.q @ change.joints.T, points=data.points * change.unit,
+                          on_flange=data.on_flange != change.other_side)
+        return first_fit(changed, Arm(chain), FEW).noise_rms
+    return cause_of(chain, data.q, data.on_flange, refit)
+
+
+def _changes(chain: Chain, on_flange: bool, largest: float) -> Iterator[Change]:
+    """Yield what may be wrong; largest: the values of half of the joints. The first is none."""
+    same = np.eye(len(chain.joints))
+    turning = np.array([joint.kind == REVOLUTE for joint in chain.joints])
+    yield Change('', same)
+    for factor, words, possible in (
+            (math.radians(1), 'degrees that are stated as radians', largest > 2 * math.pi),
+            (math.degrees(1), 'radians that are stated as degrees', largest < math.radians(10))):
+        if possible:
+            yield Change(f'the joint values seem to be {words}', np.diag(
+                np.where(turning, factor, 1.0)))
+    for joint, one in zip(chain.joints, same, strict=True):
+        yield Change(f'{joint.name} seems to turn the other way than in the URDF',
+                     np.diag(1 - 2 * one))
+    if len(chain.joints) >= 3:
+        coupled = same.copy()
+        coupled[2, 1] = 1.0
+        yield Change(
+            f'{chain.joints[2].name} seems to be counted from the horizontal, as some controllers '
+            f'do: add {chain.joints[1].name} to it', coupled)
+    other = OTHER_SIDE['eye_in_hand' if on_flange else 'eye_on_base']
+    yield Change(f'set calibration_type to {other}', same, other_side=True)
+    for unit in (1e-3, 1e3):
+        yield Change('the unit of what the sensor measures seems to be wrong', same, unit=unit)

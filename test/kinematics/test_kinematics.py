@@ -9,14 +9,22 @@ import sys
 from command import handeye
 from handeye_ros import se3
 from handeye_ros.config import Config, TargetConfig
+from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.files.tables import Table
 from handeye_ros.kinematics import profiles
 from handeye_ros.kinematics.answer import corrected_urdf, read_arm
-from handeye_ros.kinematics.chain import chain_of
-from handeye_ros.kinematics.model import Arm, GEOMETRY, ON_DEMAND, parameters
+from handeye_ros.kinematics.chain import chain_of, read_urdf
+from handeye_ros.kinematics.model import (
+    Arm,
+    GEOMETRY,
+    ON_DEMAND,
+    one_configuration,
+    parameters,
+)
 from handeye_ros.kinematics.outcome import solve_points
 from handeye_ros.kinematics.points import State
+from handeye_ros.kinematics.samples import outcome_of, source_of
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.outcome import in_mount
 from handeye_ros.ros.bags import bag
@@ -172,6 +180,13 @@ def test_nothing_is_invented_of_a_robot_without_error():
     assert after < 1.05 * before and nees < 2
 
 
+def test_another_elbow_and_wrist_at_once_is_another_configuration():
+    arm = Arm(chain_of(bench.urdf(bench.SIX)))
+    q = np.array([[0.0, 0.1, 0.3, 0.0, 1.0, 0.0], [0.1, 0.2, 0.4, 0.2, 0.8, 0.3]])
+    flipped = [0.0, 0.9, -2.2, 0.0, -1.0, 0.0]
+    assert one_configuration(arm, q) and not one_configuration(arm, np.vstack([q, flipped]))
+
+
 REFUSED = {
     'another name': (lambda t: t.replace('joint_4', 'jiont_4'), 'no values of the joint joint_4'),
     'radians': (lambda t: t.replace('degrees', 'rad'), 'degrees that are stated as radians'),
@@ -257,6 +272,48 @@ def test_a_solve_with_the_corrected_arm_gives_the_same_transform(from_bag):
     np.testing.assert_allclose(after.T_flange_sensor, before.T_flange_sensor, atol=2e-5)
 
 
+@pytest.fixture(scope='module')
+def source():
+    """Return the chain and the samples of the recording in bags/."""
+    chain = chain_of(read_urdf(ROOT / 'bags/arm/robot.urdf'))
+    config = Config(target=TargetConfig(type='sphere'))
+    recording = bag.read_with_joints(ROOT / 'bags/arm', config, chain, lambda share: None)
+    return chain, source_of(recording, chain, config)
+
+
+def test_two_recordings_give_one_answer(source):
+    chain, whole = source
+    parts = [replace(whole, samples=whole.samples[k::2], recording=None) for k in (0, 1)]
+    both = outcome_of(parts, chain, ())
+    assert both.chosen.kinds == GEOMETRY and both.chosen.left_out_rms < 6e-5
+    one = outcome_of([whole], chain, ())
+    away = se3.difference(both.chosen.fit.state.X, one.chosen.fit.state.X)
+    assert away @ np.linalg.solve(both.covariance[:6, :6], away) < 6
+
+
+@pytest.mark.parametrize(('words', 'change'), [
+    ('joint_5 seems to turn the other way', lambda s: replace(
+        s, joints=s.joints * [1, 1, 1, 1, -1, 1])),
+    pytest.param('set calibration_type to eye_in_hand', lambda s: replace(
+        s, config=replace(s.config, calibration_type='eye_on_base')), marks=pytest.mark.thorough),
+    ('11 of 30 samples have no joint values', lambda s: replace(
+        s, stamps=s.stamps[:len(s.stamps) * 6 // 10], joints=s.joints[:len(s.stamps) * 6 // 10])),
+])
+def test_joint_values_that_contradict_profiles_are_named(source, words, change):
+    chain, whole = source
+    with pytest.raises(HandeyeError, match=words):
+        outcome_of([change(whole)], chain, ())
+
+
+def test_a_urdf_of_another_robot_is_refused(source):
+    chain, whole = source
+    longer = replace(chain, joints=tuple(replace(
+        joint, origin=se3.transform(joint.origin[:3, :3], 1.1 * joint.origin[:3, 3]))
+        for joint in chain.joints))
+    with pytest.raises(HandeyeError, match='the URDF is of another robot'):
+        outcome_of([whole], longer, ())
+
+
 @pytest.mark.thorough
 def test_proposed_configurations_see_the_same_in_other_postures(from_bag):
     folder, _ = from_bag
@@ -293,10 +350,10 @@ def test_residuals_of_profiles_have_their_derivatives(monkeypatch, name):
     T = Arm(chain).forward(q)
     method = method_for(config)
     problem = Problem(method, in_mount(T, config), method.features.observe(samples), config)
-    data = profiles.Profiles(q, problem, np.arange(len(q)))
-    state = State(np.eye(4), np.append([0.1, 0.2, 0.3], 0.02),
+    data = profiles.Profiles(np.vstack([q, q]), (problem, problem), (4, 4), np.arange(2 * len(q)))
+    state = State(np.eye(4), np.array([0.1, 0.2, 0.3, 0.02, 0.2, -0.1, 0.4, 0.02]),
                   Arm(chain, own, np.zeros(len(own))), np.zeros((1, 3)))
-    root = rng.normal(size=(len(q), 1))
+    root = rng.normal(size=(len(data), 1))
     J = data.linearised(state, root)[1]
     for k, step in enumerate(1e-6 * np.eye(J.shape[1])):
         r = [data.linearised(data.moved(state, s * step), root)[0] for s in (1, -1)]

@@ -95,9 +95,10 @@ def _of_one_frame(profiles: tuple[RawProfile, ...], contents: Contents) -> tuple
     return tuple(profile for profile in profiles if profile.frame_id == frame)
 
 
-def read_poses(path: Path, config: Config) -> tuple[Sequence[TimedPose], Contents]:
-    """Return the flange poses of a bag alone, and what else it holds; raises as read does."""
-    contents, source = Contents(), PoseSource(config)
+def read_poses(path: Path, config: Config, arm: Arm | None = None
+               ) -> tuple[Sequence[TimedPose], Contents]:
+    """Return the flange poses of a bag alone, and what else it holds; see read."""
+    contents, source = Contents(), PoseSource(config, arm)
     _take_all(path, contents, source.topics, lambda share: None)
     return source.poses(path, contents), contents
 

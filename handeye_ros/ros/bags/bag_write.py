@@ -57,7 +57,7 @@ def _write_messages(path: Path, profiles: Iterable[Profile], poses: Iterable[Tim
     messages = chain(
         ((full_name(config.profile_topic if isinstance(item, Profile) else config.pose_topic),
           item.stamp, serialised(item, dtype, config.profile.unit)) for item in items),
-        ((full_name(config.joint_topic), stamp, _joint_state(stamp, values))
+        ((full_name(config.joint_topic), stamp, joints_cdr(stamp, values))
          for stamp, values in joints))
     kinds = {config.profile_topic: CLOUD, config.pose_topic: POSE,
              **({config.joint_topic: JOINTS} if joints else {})}
@@ -110,8 +110,9 @@ def _header(stamp: int, frame_id: str) -> Any:
     return _new('std_msgs/msg/Header', time, frame_id)
 
 
-def _joint_state(stamp: int, values: Array) -> bytes:
-    names, none = [f'joint_{k}' for k in range(1, len(values) + 1)], np.zeros(0)
+def joints_cdr(stamp: int, values: Array, names: Sequence[str] = ()) -> bytes:
+    """Return a JointState as it is serialised; names: joint_1, joint_2, ... if not given."""
+    names, none = names or [f'joint_{k}' for k in range(1, len(values) + 1)], np.zeros(0)
     return to_cdr(_new(JOINTS, _header(stamp, ''), names, values, none, none))
 
 

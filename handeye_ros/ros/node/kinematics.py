@@ -2,20 +2,26 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterator
 from pathlib import Path
 from threading import Lock
 
 from handeye_ros.config import Config
-from handeye_ros.data import TimedPose
+from handeye_ros.data import Array, TimedPose
+from handeye_ros.diagnosis.clocks import require_same_clock
 from handeye_ros.errors import InputError
 from handeye_ros.kinematics.answer import save
 from handeye_ros.kinematics.chain import chain_of, read_urdf
+from handeye_ros.kinematics.errors import ContradictionError, TooFewConfigurationsError
 from handeye_ros.kinematics.model import Arm
-from handeye_ros.kinematics.samples import solve_samples
-from handeye_ros.kinematics.screen import sentence
+from handeye_ros.kinematics.report import sentence
+from handeye_ros.kinematics.samples import configured, solve_sources, Source
+from handeye_ros.ros.bags.bag_write import joints_cdr
 from handeye_ros.ros.bags.poses import joints_and_pose
 from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.ros.sessions.joints import joints_of
 import numpy as np
+from numpy.typing import NDArray
 
 FOLDER = 'kinematics'  # below that of the session's results
 MOST = 1_000_000  # joint values that are held: hours of a driver at 100 Hz
@@ -34,6 +40,10 @@ class LiveKinematics:
         self._arm = Arm(chain_of(self._urdf, config.robot_base_frame,
                                  config.robot_effector_frame, path))
         self._stamps, self._joints = array('q'), array('d')
+        if live.samples.store.path:  # a session that goes on
+            known = joints_of(Path(live.samples.store.path), config, self._arm.chain)
+            self._stamps.extend(known[0].tolist())
+            self._joints.extend(known[1].ravel().tolist())
 
     def pose(self, data: bytes) -> TimedPose:
         """Return the flange pose at a serialised JointState, which is held; MessageError."""
@@ -45,6 +55,19 @@ class LiveKinematics:
                 del self._stamps[:MOST // 2], self._joints[:MOST // 2 * len(q)]
         return pose
 
+    def _heard(self) -> tuple[NDArray[np.int64], Array]:
+        with self._lock:
+            stamps = np.array(self._stamps, dtype=np.int64)
+            return stamps, np.array(self._joints).reshape(len(stamps), len(self._arm.chain.joints))
+
+    def between(self, first: int, last: int) -> Iterator[tuple[int, bytes]]:
+        """Yield the messages that were heard between two stamps, to be stored."""
+        stamps, q = self._heard()
+        rows = np.flatnonzero((stamps >= first) & (stamps <= last))
+        given = self._arm.chain.given(q[rows])
+        for stamp, values in zip(stamps[rows], np.column_stack(list(given.values())), strict=True):
+            yield int(stamp), joints_cdr(int(stamp), values, list(given))
+
     def compute(self) -> str:
         """Find and write the corrected arm; return what to say. Raises HandeyeError."""
         live = self._live
@@ -54,13 +77,16 @@ class LiveKinematics:
             session, config = live.copied(), live.config
         live.streams.wake.set()
         session.require_stations()
-        with self._lock:
-            stamps = np.array(self._stamps, dtype=np.int64)
-            joints = np.array(self._joints).reshape(len(stamps), -1)
+        chain = self._arm.chain
+        source = Source(session.samples, session.rejects, session.frame_id,
+                        configured(config, chain), *self._heard(),
+                        inputs=[{'topic': config.profile_topic}, {'topic': config.joint_topic}])
         with live.progress.doing(COMPUTED):
-            answer = live.solver.run(
-                solve_samples, session.samples, session.rejects, session.frame_id, stamps, joints,
-                self._arm.chain, config, urgent=True)
+            try:
+                answer = live.solver.run(solve_sources, [source], chain, (), urgent=True)
+            except (ContradictionError, TooFewConfigurationsError):
+                require_same_clock(session, source.config)
+                raise
         folder = live.place.folder(config) / FOLDER
         told = (sentence(answer), save(answer, self._urdf, folder, config.save.formats))
         return '; '.join([*told, *answer.warnings])

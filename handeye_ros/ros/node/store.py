@@ -1,6 +1,7 @@
 """Where a running node keeps its sessions and results, and what it asks of a store of samples."""
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 import os
 from pathlib import Path
@@ -43,8 +44,11 @@ class Store:
     """
     Keeps what a session is made of: this one in memory alone, sessions/writing.py on the disk.
 
-    All calls but sync return when it is on the disk, or raise UnwritableError.
+    All calls but sync return when it is on the disk, or raise UnwritableError. joints: gives the
+    serialised joint values that were heard between two stamps, with their stamps.
     """
+
+    joints: Callable[[int, int], Iterable[tuple[int, bytes]]] | None = None
 
     @property
     def path(self) -> str:

@@ -17,7 +17,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Profile
 from handeye_ros.errors import UnwritableError
 from handeye_ros.ros.bags.bag_write import cloud_cdr, pose_cdr, string_cdr
-from handeye_ros.ros.bags.contents import CLOUD, full_name, POSE, Raw, STRING
+from handeye_ros.ros.bags.contents import CLOUD, full_name, JOINTS, POSE, Raw, STRING
 from handeye_ros.ros.errors import SessionError
 from handeye_ros.ros.node.store import Store
 from handeye_ros.ros.sessions.bag_files import (
@@ -169,6 +169,11 @@ class SessionStore(Store):
             messages += [Raw(profiles, profile.stamp - offset, _cloud(profile, config))
                          for profile in seen.profiles]
             now = seen.poses[-1].stamp
+            if self.joints:
+                joints = full_name(config.joint_topic)
+                types[joints] = JOINTS
+                messages += [Raw(joints, stamp, data)
+                             for stamp, data in self.joints(seen.poses[0].stamp, now)]
         messages += [Raw(topic, now, string_cdr(text))
                      for topic, text in texts_of(event, outcome).items()]
         return types, messages

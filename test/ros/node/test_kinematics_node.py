@@ -8,10 +8,11 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('pinocchio', reason='needs pinocchio')
 
-from command import ROOT  # noqa: E402, I100
+from command import handeye, ROOT  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped  # noqa: E402
 from handeye_ros.kinematics.answer import read_arm  # noqa: E402
 from handeye_ros.results.calibration_file import read_calibration  # noqa: E402
+import numpy as np  # noqa: E402
 from ros_helpers import BEST_EFFORT, Client, replay, running_node  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -31,6 +32,17 @@ def test_the_node_corrects_the_arm(tmp_path: Path, client: Client) -> None:
     folder = tmp_path / 'sphere/kinematics'
     assert len(read_arm(folder).parameters) == 30
     assert read_calibration(folder / 'calibration.yaml').quality.holdout_rms < 6e-5
+    session = next(path for path in (tmp_path / 'sphere').iterdir() if path.name != 'kinematics')
+    out = tmp_path / 'again'
+    again = handeye('kinematics', session, '--urdf', BAG / 'robot.urdf', '--out', out,
+                    cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    np.testing.assert_allclose(read_arm(out).values, read_arm(folder).values, atol=1e-7)
+    with running_node(tmp_path, '-p', 'target.type:=sphere', '-p', f'session:={session}', '-p',
+                      f'robot_description:={BAG / "robot.urdf"}'):
+        resumed = client.call('compute_kinematics')
+    assert resumed.success, resumed.message
+    assert resumed.message.split(';')[0] == done.message.split(';')[0]
 
 
 def test_without_a_urdf_it_says_what_is_needed(tmp_path: Path, client: Client) -> None:

@@ -1,0 +1,123 @@
+"""The corrected arm for a person, on the screen and as a page: degrees and mm, with 1 sigma."""
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from io import BytesIO
+import math
+from pathlib import Path
+
+from handeye_ros.kinematics.answer import Answer, UNKNOWN
+from handeye_ros.kinematics.chain import REVOLUTE
+from handeye_ros.kinematics.model import DIRECTION, OFFSET, POSITION
+from handeye_ros.results.calibration_file import write_whole
+from handeye_ros.results.report.figures import style
+from jinja2 import Environment
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+NAME = 'kinematics.html'
+JOINT_COLUMNS = ('joint', 'zero offset', 'axis direction', 'axis position', 'not known')
+MODEL_COLUMNS = ('model', 'residual RMS', 'left out RMS', 'left out median', '')
+VIEWS = (('from above', 0, 1), ('from the side', 0, 2))
+PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{{ title }}</title>
+<style>body{font:14px sans-serif;margin:2em;max-width:70em}td,th{padding:.2em .8em;text-align:left}
+table{border-collapse:collapse;margin-bottom:2em}tr:nth-child(even){background:#8882}
+img{max-width:100%}</style><h1>{{ title }}</h1><p>{{ sentence }}.</p>
+{% for warning in warnings %}<p>Warning: {{ warning }}.</p>{% endfor %}
+<h2>Error over the workspace</h2><p>Each dot is the flange of the uncorrected arm at one
+configuration. Its colour is the error of what the sensor sees there, predicted from the other
+regions of the joint space. Crosses contradict the others and are left out.</p>
+<img src="data:image/svg+xml;base64,{{ picture }}" alt="error over the workspace">
+{% for rows in tables %}<table>{% for row in rows %}<tr>{% for cell in row %}
+<td>{{ cell }}{% endfor %}{% endfor %}</table>
+{% endfor %}<p>Zero offset: add it to the reading of the joint.</p></html>
+"""
+
+
+def table(answer: Answer) -> RenderableType:
+    """Return the joints with their errors, and how well each model predicts left-out points."""
+    shown = []
+    for header, *rows in (_joint_rows(answer), _model_rows(answer)):
+        shown.append(Table(*header, box=box.SIMPLE_HEAD, pad_edge=False))
+        for row in rows:
+            shown[-1].add_row(*row)
+    return Group(Text('Zero offset: add it to the reading of the joint.'), *shown,
+                 Text(sentence(answer)))
+
+
+def _joint_rows(answer: Answer) -> Iterator[tuple[str, ...]]:
+    yield JOINT_COLUMNS
+    for i, joint in enumerate(answer.arm.chain.joints):
+        zero = (math.degrees(1), 4, 'deg') if joint.kind == REVOLUTE else (1e3, 3, 'mm')
+        yield (joint.name, _cell(answer, i, OFFSET, *zero),
+               _cell(answer, i, DIRECTION, math.degrees(1), 4, 'deg'),
+               _cell(answer, i, POSITION, 1e3, 3, 'mm'), ', '.join(unknown(answer, i)))
+
+
+def _model_rows(answer: Answer) -> Iterator[tuple[str, ...]]:
+    yield MODEL_COLUMNS
+    for model in answer.outcome.models:
+        yield (model.words, *(f'{v * 1e3:.3f} mm' for v in (
+            model.residual, model.left_out_rms, model.left_out_median)),
+            'the answer' if model is answer.outcome.chosen else '')
+
+
+def sentence(answer: Answer) -> str:
+    """Return what is gained, and what is left."""
+    before, after = answer.outcome.models[0], answer.outcome.chosen
+    return (f'points that were left out: {before.left_out_rms * 1e3:.2f} mm RMS before, '
+            f'{after.left_out_rms * 1e3:.2f} mm after; what is left of the error of the robot: '
+            f'{answer.outcome.smooth * 1e3:.2f} mm (RMS, each axis)')
+
+
+def unknown(answer: Answer, joint: int) -> Iterator[str]:
+    """Yield the kinds of errors of a joint of which the data tell next to nothing."""
+    found: dict[str, list[bool]] = {}
+    for p, ratio in zip(answer.arm.parameters, answer.outcome.known, strict=True):
+        if p.joint == joint:
+            found.setdefault(p.kind, []).append(ratio > UNKNOWN)
+    yield from (kind for kind, each in found.items() if all(each))
+
+
+def _cell(answer: Answer, joint: int, kind: str, factor: float, digits: int, unit: str) -> str:
+    values = [(value, std) for p, value, std in zip(
+        answer.arm.parameters, answer.arm.values, answer.outcome.stds, strict=True)
+        if (p.joint, p.kind) == (joint, kind)]
+    cells = [f'{value * factor:+.{digits}f} ± {std * factor:.{digits}f}' for value, std in values]
+    return f'{", ".join(cells)} {unit}' if cells else '-'
+
+
+def write_page(answer: Answer, folder: Path) -> None:
+    """Write the page with the error over the workspace; raises UnwritableError."""
+    write_whole(folder / NAME, Environment(autoescape=True).from_string(PAGE).render(
+        title=f'Corrected arm: {answer.calibration.name}', sentence=sentence(answer),
+        warnings=answer.warnings, picture=base64.b64encode(_picture(answer)).decode(),
+        tables=[list(_joint_rows(answer)), list(_model_rows(answer))]))
+
+
+def _picture(answer: Answer) -> bytes:
+    """Return the left-out errors over the workspace, before and after, as SVG."""
+    models = (answer.outcome.models[0], answer.outcome.chosen)
+    used, fit = models[0].fit.used, models[0].fit
+    place = answer.arm.chain.forward(fit.data.q)[:, :3, 3]
+    largest = 1e3 * float(max(model.left_out[used].max() for model in models))
+    with style():
+        figure = Figure(figsize=(9, 6.4), layout='constrained')
+        FigureCanvasSVG(figure)
+        axes = figure.subplots(2, 2, squeeze=False)
+        for row, model, when in zip(axes, models, ('before', 'after'), strict=True):
+            for ax, (view, i, j) in zip(row, VIEWS, strict=True):
+                dots = ax.scatter(*place[used][:, [i, j]].T, c=1e3 * model.left_out[used],
+                                  vmin=0, vmax=largest, cmap='viridis_r', s=28)
+                ax.plot(*place[~used][:, [i, j]].T, 'x', color='#c62828')
+                ax.set(xlabel='x (m)', ylabel=f'{"xyz"[j]} (m)', aspect='equal',
+                       title=f'{when}, {view}: {1e3 * model.left_out_rms:.2f} mm RMS')
+        figure.colorbar(dots, ax=axes, label='error of left-out points (mm)')
+        stream = BytesIO()
+        figure.savefig(stream, format='svg', metadata={'Date': None, 'Creator': None})
+    return stream.getvalue()
