@@ -4,11 +4,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 import math
+import re
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import RECORD
-from handeye_ros.data import Array, Calibration, SampleReport
+from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.results.truth_errors import Errors
 import numpy as np
 from rich import box
@@ -29,6 +30,10 @@ FOUND = {
     'distortion_error': ('sensor, bent field', 1e3, 'mm'),
     'flatness_error': ('target, flatness', 1e3, 'mm'),
 }
+
+# What the profile shows behind an edge, by the kind of its end.
+BEHIND = {'step': 'surface below in sight', 'shadow': 'surface below hidden',
+          'roof': 'side wall in sight', 'gap': 'nothing behind', 'open': 'end not classified'}
 
 
 def table(calibration: Calibration) -> RenderableType:
@@ -81,7 +86,7 @@ def rpy_std(T: Array, covariance: Array) -> Array:
 
 def _facts_table(calibration: Calibration) -> Table:
     columns = Table(box=None, show_header=False, pad_edge=False)
-    for name, fact in facts(calibration):
+    for name, fact in (*facts(calibration), *details(calibration.target)):
         columns.add_row(name, Text(fact))
     return columns
 
@@ -95,14 +100,13 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
     yield 'residual', f'{quality.residual_rms * 1e3:.3f} mm RMS'
     yield 'left out', f'{quality.holdout_rms * 1e3:.3f} mm RMS (each sample predicted from ' \
                       'the others)'
-    yield 'weakest', _weakest(quality.weakest_direction, quality.weakest_std)
+    yield 'weakest', weakest(quality)
     yield 'samples', f'{quality.samples_used} used, {quality.samples_rejected} rejected'
     for reason, count in _reasons(calibration.samples).items():
         yield '', f'{count} rejected: {reason}'
     if offset := calibration.time_offset:
         yield 'time offset', (f'{offset.value * 1e3:.3f} ms, 1 sigma {offset.std * 1e3:.3f} '
                               '(to be added to the stamps of the profiles)')
-    yield from _target_values(calibration.target)
     yield from records(calibration)
 
 
@@ -120,17 +124,18 @@ def _reasons(samples: tuple[SampleReport, ...]) -> Counter[str]:
     return Counter((s.reason or 'no reason given').split(':')[0] for s in samples if not s.used)
 
 
-def _weakest(direction: str, std: float) -> str:
+def weakest(quality: Quality) -> str:
     """Return the weakest direction, whose sentence says whether std is in metres or radians."""
+    direction, std = quality.weakest_direction, quality.weakest_std
     if direction.endswith(' (m)'):
         return f'{direction[:-4]}: {std * 1e3:.3f} mm (1 sigma)'
     return f'{direction.removesuffix(" (rad)")}: {math.degrees(std):.4f} degrees (1 sigma)'
 
 
-def _target_values(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield what else was estimated, in the units of a person."""
+def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield what else was estimated, of target, sensor and robot, in the units of a person."""
     for key, value in target.items():
-        name = f'target {key.replace("_", " ")}'
+        name = _name(key)
         std = target.get(f'{key}_std')
         if key == 'pose':
             yield f'{name}, x y z', _millimetres(value['translation'].values())
@@ -155,6 +160,15 @@ def _target_values(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield name, ' '.join(f'{v:.6f}' for v in value)
         elif not key.endswith('_std') and key != 'joint':
             yield name, str(value)
+
+
+def _name(key: str) -> str:
+    """Return the words for a key of the target."""
+    setback = re.fullmatch(r'setback(?:_([pq]))?_(\w+)', key)
+    if not setback:
+        return f'target {key.replace("_", " ")}'
+    edge, kind = setback.groups()
+    return f'set-back of edge{f" {edge}" if edge else ""}, {BEHIND.get(kind, kind)}'
 
 
 def _sigma(std: float | None, factor: float, digits: int = 4) -> str:

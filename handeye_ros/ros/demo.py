@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 import os
 from pathlib import Path
 import subprocess
@@ -18,12 +19,14 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from handeye_ros import config as configuration
+from handeye_ros.data import Calibration
 from handeye_ros.errors import InputError, UnwritableError
 from handeye_ros.results import calibration_file, exports, table
 from handeye_ros.results.report import page
 from handeye_ros.results.truth_errors import errors_against
 from handeye_ros.results.truth_file import true_transform
 from handeye_ros.ros.bags.bag import evidence
+from handeye_ros.ros.bags.storage import scan
 from handeye_ros.ros.errors import NodeError, RefusedError
 from handeye_ros.ros.executable import exit_code, ros
 import rclpy
@@ -49,7 +52,8 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
     with _scratch(out) as saved, ros([], interruptible=True):
         _through_the_node(bag, rate, out / 'node.log',
                           ['--params-file', str(config), '-p', f'output_dir:={saved}'])
-        calibration = calibration_file.read_calibration(next(saved.glob('*/calibration.yaml')))
+        calibration = _of_bag(
+            calibration_file.read_calibration(next(saved.glob('*/calibration.yaml'))), bag, out)
     written = exports.save_all(calibration, out)
     terminal = sys.stdout.isatty()
     Console(width=None if terminal else 160).print(table.table(calibration))
@@ -57,6 +61,15 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
         print(table.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
     report_file = page.write(calibration, evidence(calibration, bag), out / page.NAME)
     print(f'{written}\nwrote {report_file}: open it in a browser')
+
+
+def _of_bag(calibration: Calibration, bag: Path, out: Path) -> Calibration:
+    """Return the calibration with the bag that was replayed in place of the node's session."""
+    provenance = dict(calibration.provenance)
+    topics = [item for item in provenance['inputs'] if 'topic' in item]
+    provenance['inputs'] = [*topics, *map(calibration_file.input_values, scan(bag).files)]
+    provenance['config'] = {**provenance['config'], 'output_dir': str(out)}
+    return replace(calibration, provenance=provenance)
 
 
 def _through_the_node(bag: Path, rate: float, log: Path, options: Sequence[str]) -> None:

@@ -110,10 +110,60 @@ def test_the_scene_is_drawn_and_turns(page: Any) -> None:
     assert float(text_of(page, 'factor')) >= 1
 
 
+def test_a_zoomed_scene_stays_in_view_and_can_be_reset(page: Any) -> None:
+    canvas, reset = page.find_element('id', 'scene'), page.find_element('id', 'reset')
+    reset.click()
+    _, _, first = page.execute_script(PAINTED)
+    from selenium.webdriver import ActionChains
+    for _ in range(4):  # on a corner of what is drawn, not on the middle of the picture
+        page.execute_script(
+            "arguments[0].dispatchEvent(new WheelEvent('wheel', {deltaY: -800, clientX: "
+            'arguments[0].getBoundingClientRect().left + 300, clientY: '
+            'arguments[0].getBoundingClientRect().top + 340}))', canvas)
+    for right, down in ((150, 0), (0, 90), (-80, -60)):
+        ActionChains(page).move_to_element(canvas).click_and_hold().move_by_offset(
+            right, down).release().perform()
+        painted, _, zoomed = page.execute_script(PAINTED)
+        assert painted > 800 and zoomed != first  # more than the axes in the corner
+    reset.click()
+    assert page.execute_script(PAINTED)[2] == first
+
+
+def test_keys_turn_the_scene(page: Any) -> None:
+    canvas = page.find_element('id', 'scene')
+    page.find_element('id', 'reset').click()
+    first = page.execute_script(PAINTED)[2]
+    canvas.send_keys('\ue014+')  # arrow right
+    assert page.execute_script(PAINTED)[2] != first
+    canvas.send_keys('0')
+    assert page.execute_script(PAINTED)[2] == first
+
+
+def test_it_is_dark_where_that_is_preferred_but_not_in_print(solved: Path) -> None:
+    with chromium() as browser:
+        for media, scheme, dark in (('screen', 'light', False), ('screen', 'dark', True),
+                                    ('print', 'dark', False)):
+            browser.execute_cdp_cmd('Emulation.setEmulatedMedia', {
+                'media': media, 'features': [{'name': 'prefers-color-scheme', 'value': scheme}]})
+            browser.get((solved / 'report.html').as_uri())
+            color = browser.find_element('tag name', 'body').value_of_css_property(
+                'background-color')
+            assert (int(re.findall(r'\d+', color)[0]) < 60) is dark, (media, scheme, color)
+
+
+def test_details_say_in_words_what_a_setback_is_of(page: Any, calibration: Calibration) -> None:
+    keys = [key for key in calibration.target if re.fullmatch(r'setback_[pq]_\w+(?<!_std)', key)]
+    rows = re.findall(r'set-back of edge [pq], [a-z ]+', text_of(page, 'details'))
+    assert len(rows) == len(keys) > 0
+    assert 'setback' not in text_of(page, 'facts')
+    weakest = f'{calibration.quality.weakest_std * 1e3:.3f} mm'
+    assert weakest in text_of(page, 'explained')
+
+
 def test_every_picture_is_there(page: Any, calibration: Calibration) -> None:
     sizes = page.execute_script(
-        'return Promise.all([...document.images].map((i) => { i.loading = "eager"; '
-        'return i.decode().then(() => [i.naturalWidth, i.alt]); }))')
+        'return Promise.all([...document.images].map((i) => '
+        'i.decode().then(() => [i.naturalWidth, i.alt])))')
     assert len(sizes) == 3 + len(calibration.samples)
     assert all(width > 100 and alt for width, alt in sizes)
 

@@ -37,7 +37,11 @@ def test_the_demo_leaves_the_calibration_and_tells_its_error(tmp_path: Path) -> 
     assert 'error against truth.yaml: translation 0.0' in run.stdout
     T_true = true_transform(bag)
     assert T_true is not None
-    assert mapped_point_error(read_calibration(path).T_flange_sensor, T_true) < 9e-5
+    saved = read_calibration(path)
+    assert mapped_point_error(saved.T_flange_sensor, T_true) < 9e-5
+    assert [set(item) for item in saved.provenance['inputs']] == [
+        {'topic'}, {'topic'}, {'path', 'sha256'}]
+    assert saved.provenance['config']['output_dir'] == str(tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {
         'calibration.yaml', 'history', 'node.log', 'report.html'}
 

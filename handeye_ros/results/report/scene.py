@@ -13,11 +13,9 @@ from handeye_ros.results.report.verdict import in_plane
 from handeye_ros.results.target_shape import enlargement, half_axes, rings, shape
 import numpy as np
 
-AXES = ('#c62828', '#2e7d32', '#1565c0')  # x, y, z
 FLANGE, SENSOR, LASER, UNUSED = '#555555', '#6a1b9a', '#e53935', '#bdbdbd'
 TARGET, EDGES, BALL, SEEN = '#2e7d32', '#00695c', '#f9a825', '#e07b00'
 AXIS = 0.03  # m, of a frame at a stop
-BASE_AXIS = 0.1
 ELLIPSOID = 0.02  # m, the half axis as it is drawn
 MOST_POINTS = 60  # of a laser line
 
@@ -29,9 +27,7 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
     T_sensors = [T @ calibration.T_flange_sensor for T in T_mounts]
     target, near = _target(calibration, stops, config)
     factor = enlargement(_largest(calibration), ELLIPSOID)
-    frame = _frame_name(config)
     parts = [
-        *_axes(np.eye(4), BASE_AXIS, f'axes of {frame}', AXES),
         *(part for T in T_mounts for part in _axes(T, AXIS, 'flange at each stop', [FLANGE] * 3)),
         *(_line('sensor at each stop', SENSOR, np.array([M[:3, 3], T[:3, 3]]))
           for M, T in zip(T_mounts, T_sensors, strict=True)),
@@ -43,7 +39,7 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
         *(_line(f'1 sigma of the sensor position, enlarged {factor:g} times', BALL, ring)
           for ring in _ellipsoid(calibration, T_mounts[0], factor))]
     return {'parts': [part for part in parts if len(part.get('line') or part['points'])],
-            'factor': factor, 'frame': frame}
+            'factor': factor, 'frame': _frame_name(config)}
 
 
 def _frame_name(config: Config) -> str:

@@ -208,6 +208,8 @@ class LiveSession:
                 session, config, partial(self.solver.run, pipeline.solve, urgent=True))
         inputs = [{'topic': config.profile_topic},
                   {'topic': config.pose_topic if config.pose_source == 'topic' else '/tf'}]
+        if self.samples.store.path:
+            inputs.append({'session': self.samples.store.path})
         return (replace(found, provenance={**found.provenance, 'inputs': inputs}),
                 stamps_of(session))
 

@@ -96,7 +96,9 @@ def test_a_bag_through_the_node_gives_the_offline_result(
         replace(s, residual=0.0) for s in offline.samples]
     np.testing.assert_allclose([s.residual for s in online.samples if s.used],
                                [s.residual for s in offline.samples if s.used], rtol=1e-9)
-    assert online.provenance['inputs'] == [{'topic': '/profile'}, {'topic': '/flange_pose'}]
+    *topics, session = online.provenance['inputs']
+    assert topics == [{'topic': '/profile'}, {'topic': '/flange_pose'}]
+    assert Path(session['session']).parent == path.parent
     assert len(features) == offline.quality.samples_used + offline.quality.samples_rejected
     assert {f.header.frame_id for f in features} == {'laser'}
     transform = late[0].transform.translation

@@ -6,8 +6,15 @@
   const pen = canvas.getContext('2d');
   const all = scene.parts.flatMap((part) => part.line || part.points);
   const [low, high] = bounds(all);
-  const middle = low.map((v, k) => (v + high[k]) / 2);
-  let turn = -0.9, tilt = 0.45, zoom = 1;
+  const FIRST = {turn: -0.9, tilt: 0.45, zoom: 1};
+  const AXES = [['x', '#c62828'], ['y', '#2e7d32'], ['z', '#1565c0']];
+  let turn, tilt, zoom, middle;  // middle: what it turns about, in the middle of the picture
+
+  function reset() {
+    ({turn, tilt, zoom} = FIRST);
+    middle = low.map((v, k) => (v + high[k]) / 2);
+  }
+  reset();
 
   function bounds(points) {
     const axes = points[0].map((_, k) => points.map((p) => p[k]));
@@ -27,6 +34,36 @@
   const [left, right] = bounds(all.map((p) => project(p)));
   const fit = (width, height) => 0.45 * Math.min(
     width / Math.max(-left[0], right[0], 1e-9), height / Math.max(-left[1], right[1], 1e-9));
+
+  // Zoom on the point nearest to a place of the picture: that is what it turns about from then on.
+  function zoomAt(factor, x, y) {
+    const width = canvas.clientWidth, height = canvas.clientHeight;
+    const next = Math.max(0.3, Math.min(60, zoom * factor));
+    const scale = zoom * fit(width, height);
+    const nearest = all.map((p) => {
+      const [right, down] = project(p, scale, width, height);
+      return [Math.hypot(right - x, down - y), p];
+    }).reduce((a, b) => (b[0] < a[0] ? b : a))[1];
+    const share = Math.max(0, 1 - zoom / next);
+    middle = middle.map((v, k) => v + share * (nearest[k] - v));
+    zoom = next;
+    draw();
+  }
+
+  function drawAxes(height) {
+    const [left, bottom] = project(middle, 1, 80, 2 * height - 80);
+    pen.lineWidth = 2;
+    pen.font = '12px system-ui, sans-serif';
+    AXES.forEach(([name, color], k) => {
+      const tip = project(middle.map((v, i) => v + (i === k)), 28, 80, 2 * height - 80);
+      pen.strokeStyle = pen.fillStyle = color;
+      pen.beginPath();
+      pen.moveTo(left, bottom);
+      pen.lineTo(tip[0], tip[1]);
+      pen.stroke();
+      pen.fillText(name, tip[0] + 3, tip[1] + 4);
+    });
+  }
 
   function draw() {
     const ratio = window.devicePixelRatio || 1;
@@ -61,7 +98,14 @@
         pen.fillRect(a[0] - part.width / 2, a[1] - part.width / 2, part.width, part.width);
       }
     }
+    drawAxes(height);
     canvas.dataset.drawn = pieces.length;
+  }
+
+  function rotate(right, down) {
+    turn -= right * 0.01;
+    tilt = Math.max(-1.57, Math.min(1.57, tilt + down * 0.01));
+    draw();
   }
 
   const fingers = new Map();
@@ -79,21 +123,37 @@
     const span = fingers.size === 2 ? apart() : 0;
     fingers.set(event.pointerId, [event.clientX, event.clientY]);
     if (span) {
-      zoom *= apart() / span;
+      const box = canvas.getBoundingClientRect();
+      const [x, y] = [0, 1].map((k) => [...fingers.values()].reduce((sum, f) => sum + f[k], 0) / 2);
+      zoomAt(apart() / span, x - box.left, y - box.top);
     } else {
-      turn -= (event.clientX - before[0]) * 0.01;
-      tilt = Math.max(-1.57, Math.min(1.57, tilt + (event.clientY - before[1]) * 0.01));
+      rotate(event.clientX - before[0], event.clientY - before[1]);
     }
-    draw();
   });
   for (const end of ['pointerup', 'pointercancel']) {
     canvas.addEventListener(end, (event) => fingers.delete(event.pointerId));
   }
   canvas.addEventListener('wheel', (event) => {
     event.preventDefault();
-    zoom *= Math.exp(-event.deltaY * 0.001);
-    draw();
+    zoomAt(Math.exp(-event.deltaY * 0.001), event.offsetX, event.offsetY);
   }, {passive: false});
+  const again = () => {
+    reset();
+    draw();
+  };
+  const enlarge = (factor) => zoomAt(factor, canvas.clientWidth / 2, canvas.clientHeight / 2);
+  const keys = {
+    ArrowLeft: () => rotate(-10, 0), ArrowRight: () => rotate(10, 0),
+    ArrowUp: () => rotate(0, -10), ArrowDown: () => rotate(0, 10),
+    '+': () => enlarge(1.2), '-': () => enlarge(1 / 1.2), '0': again,
+  };
+  canvas.addEventListener('keydown', (event) => {
+    if (!keys[event.key] || event.ctrlKey || event.metaKey) return;
+    event.preventDefault();
+    keys[event.key]();
+  });
+  canvas.addEventListener('dblclick', again);
+  document.getElementById('reset').addEventListener('click', again);
   window.addEventListener('resize', draw);
   window.addEventListener('beforeprint', draw);
   draw();
