@@ -8,6 +8,7 @@ from handeye_ros.cli import (
     calibrate,
     check,
     kinematics,
+    plan,
     recordings,
     results,
     scan,
@@ -17,5 +18,5 @@ from handeye_ros.cli import (
 )
 from handeye_ros.cli.app import app
 
-__all__ = ['app', 'batch', 'calibrate', 'check', 'kinematics', 'recordings', 'results', 'scan',
-           'seam', 'session', 'verify']
+__all__ = ['app', 'batch', 'calibrate', 'check', 'kinematics', 'plan', 'recordings', 'results',
+           'scan', 'seam', 'session', 'verify']

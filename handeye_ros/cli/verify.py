@@ -64,8 +64,8 @@ Protocol = Annotated[NoPath, typer.Option(
     metavar='FILE', help='Write a protocol for the file of an inspector (HTML; print it to PDF).')]
 
 
-def _keys(given: 'Mapping[str, str | Sequence[str] | None]', angle: float | None
-          ) -> 'dict[str, object]':
+def keys(given: 'Mapping[str, str | Sequence[str] | None]', angle: float | None
+         ) -> 'dict[str, object]':
     """Return the keys of the configuration that were given, in metres and radians."""
     found: dict[str, object] = {}
     for name, text in given.items():
@@ -107,7 +107,7 @@ def verify(
     given = {'lengths': length, 'radius': radius, 'reference': reference if reference[0] else (),
              'aim': aim, 'flank': flank, 'certificate': certificate, 'tolerance': tolerance,
              'near': near if near[0] else ()}
-    settings = with_values(settings, _keys(given, angle_tolerance), 'the options')
+    settings = with_values(settings, keys(given, angle_tolerance), 'the options')
     result = _verified(routine, bags, found, settings)
     show(verification.table(result))
     _write(result, out, stations, protocol)
@@ -120,13 +120,13 @@ def verify(
 def _write(result: 'Verification', out: Path | None, stations: Path | None,
            protocol: Path | None) -> None:
     from handeye_ros.results.calibration_file import write_whole
-    from handeye_ros.results.protocol import html
     from handeye_ros.verification import verification
     if out:
         write_whole(out, verification.yaml_text(result))
     if stations:
         write_whole(stations, verification.stations_csv(result))
     if protocol:
+        from handeye_ros.results.protocol import html
         write_whole(protocol, html(verification.values(result)))
 
 

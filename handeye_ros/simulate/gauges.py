@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.data import Array, EdgePoint, FaceLine, Sample
@@ -34,6 +34,8 @@ PLAIN = SensorModel(columns=320, rate=5.0, rim_bias=0.0, mixed=0.0, lost=0.0, lo
 AIM = 5e-5  # m: how exactly the laser is put to a point
 INTO_CORNER = np.array([[1, 1, 0], [1, -1, 0], [0, 0, -2 ** 0.5]]).T / 2 ** 0.5  # T_target_sensor
 
+Mounted: TypeAlias = tuple[Array, Array]
+"""T_flange_sensor and T_base_target, (4, 4)."""
 Taken: TypeAlias = tuple[Sample, ...] | Pass
 Take: TypeAlias = Callable[[Scenario, Array, Array, Stops, np.random.Generator], Taken]
 
@@ -83,68 +85,72 @@ def measured(taken: Sequence[Taken], T_flange_sensor: Array, lengths: tuple[floa
                     reference, tuple(t for t in taken if isinstance(t, Pass)))
 
 
-def line(rng: np.random.Generator, count: int = 14, robot: RobotModel | None = None,
-         take: Take = stations) -> Measured:
+def cell_of(name: str, rng: np.random.Generator, count: int, mounted: Mounted | None,
+            **changes: Any) -> tuple[Scenario, Array, Array]:
+    """Return scenario, T_flange_sensor and T_base_target, which are drawn where not given."""
+    scenario = replace(SCENARIOS[name], stations=(count, 0), **{'robot': RobotModel()} | changes)
+    return scenario, *(mounted or (sensor_on_flange(rng), somewhere(rng)))
+
+
+def line(rng: np.random.Generator, count: int = 14, take: Take = stations,
+         mounted: Mounted | None = None, **changes: Any) -> Measured:
     """Return a straight edge."""
-    scenario = replace(SCENARIOS['line'], stations=(count, 0), robot=robot or RobotModel())
-    X, T = sensor_on_flange(rng), somewhere(rng)
+    scenario, X, T = cell_of('line', rng, count, mounted, **changes)
     return measured([take(scenario, X, T, SCENES['line'].stops(scenario, rng), rng)], X)
 
 
 def planes(rng: np.random.Generator, places: Array, lengths: tuple[float, ...] = (),
-           count: int = 20, robot: RobotModel | None = None, take: Take = stations,
-           tilt: float = TILT) -> Measured:
+           count: int = 20, take: Take = stations, mounted: Mounted | None = None,
+           **changes: Any) -> Measured:
     """Return planes at places (k, 4, 4) in the artefact, each in a bag."""
-    target = PlateTarget((0.2, 0.15), table=None, clutter=None)
-    scenario = replace(SCENARIOS['plane'], target=target, stations=(count, 0), tilt=tilt,
-                       robot=robot or RobotModel())
-    X, T = sensor_on_flange(rng), somewhere(rng)
+    face = PlateTarget((0.2, 0.15), table=None, clutter=None)
+    scenario, X, T = cell_of('plane', rng, count, mounted, **{
+        'target': face, 'tilt': TILT} | changes)
     return measured([take(scenario, X, T @ place, SCENES['plane'].stops(scenario, rng), rng)
                      for place in places], X, lengths)
 
 
-def plane(rng: np.random.Generator, **values: object) -> Measured:
+def plane(rng: np.random.Generator, **values: Any) -> Measured:
     """Return a flat face."""
-    return planes(rng, np.eye(4)[None], **values)  # type: ignore[arg-type]
+    return planes(rng, np.eye(4)[None], **values)
 
 
 def step_block(rng: np.random.Generator, heights: tuple[float, ...] = (0.025, 0.05, 0.1),
-               **values: object) -> Measured:
+               **values: Any) -> Measured:
     """Return parallel faces above each other, square to x, y or z of the base."""
     places = np.repeat(np.eye(4)[None], 1 + len(heights), axis=0)
     places[1:, 2, 3] = heights
     turn = np.eye(4)
     turn[:3, :3] = Rotation.from_euler('zyx', [[0, 0, 0], [0, np.pi / 2, 0], [0, 0, np.pi / 2]][
         int(rng.integers(3))]).as_matrix()
-    return planes(rng, turn @ places, heights, **values)  # type: ignore[arg-type]
+    return planes(rng, turn @ places, heights, **values)
 
 
 def step_directions(rng: np.random.Generator, heights: Sequence[float] = (0.025, 0.05, 0.1),
-                    **values: object) -> Measured:
+                    **values: Any) -> Measured:
     """Return a block laid along x, y and z of the base in turn: two faces each."""
     places = np.repeat(np.eye(4)[None], 2 * len(heights), axis=0)
     places[1::2, 2, 3] = heights
     places[:, :3, :3] = Rotation.from_euler('zyx', np.repeat(
         [[0, 0, 0], [0, np.pi / 2, 0], [0, 0, np.pi / 2]], 2, axis=0)).as_matrix()
     places[:, :3, 3] = np.einsum('kij,kj->ki', places[:, :3, :3], places[:, :3, 3])
-    return planes(rng, places, tuple(heights), **values)  # type: ignore[arg-type]
+    return planes(rng, places, tuple(heights), **values)
 
 
-def square(rng: np.random.Generator, **values: object) -> Measured:
+def square(rng: np.random.Generator, **values: Any) -> Measured:
     """Return two faces at a right angle."""
     places = np.repeat(np.eye(4)[None], 2, axis=0)
     places[1, :3, :3] = Rotation.from_euler('x', np.pi / 2).as_matrix()
     places[1, :3, 3] = [0, 0.15, 0]
-    return planes(rng, places, **values)  # type: ignore[arg-type]
+    return planes(rng, places, **values)
 
 
 def ball_bar(rng: np.random.Generator, balls: int = 2, length: float = 0.2, radius: float = 0.02,
-             count: int = 14, robot: RobotModel | None = None, take: Take = stations) -> Measured:
+             count: int = 14, take: Take = stations, mounted: Mounted | None = None,
+             **changes: Any) -> Measured:
     """Return balls in a row (one: a sphere)."""
-    scenario = replace(SCENARIOS['sphere'], target=SphereTarget(radius, table=None,
-                                                                clutter=False),
-                       stations=(count, 0), robot=robot or RobotModel())
-    X, T = sensor_on_flange(rng), somewhere(rng)
+    ball = SphereTarget(radius, table=None, clutter=False)
+    scenario, X, T = cell_of('sphere', rng, count, mounted, target=ball, **changes)
     taken = []
     for k in range(balls):
         place = np.eye(4)
@@ -154,9 +160,9 @@ def ball_bar(rng: np.random.Generator, balls: int = 2, length: float = 0.2, radi
     return measured(taken, X, (length,) * (balls - 1))
 
 
-def sphere(rng: np.random.Generator, **values: object) -> Measured:
+def sphere(rng: np.random.Generator, **values: Any) -> Measured:
     """Return one ball."""
-    return ball_bar(rng, balls=1, **values)  # type: ignore[arg-type]
+    return ball_bar(rng, balls=1, **values)
 
 
 def at_corner(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
@@ -175,11 +181,11 @@ def at_corner(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, 
 
 
 def fixed_point(rng: np.random.Generator, count: int = 12, aim: float = AIM,
-                robot: RobotModel | None = None, take: Take = at_corner) -> Measured:
+                take: Take = at_corner, mounted: Mounted | None = None, **changes: Any
+                ) -> Measured:
     """Return the corner of a plate, which the laser is put to with some error, over the face."""
-    scenario = replace(SCENARIOS['line'], stations=(count, 0), robot=robot or RobotModel(),
-                       target=PlateTarget(clutter=None))
-    X, T = sensor_on_flange(rng), somewhere(rng)
+    scenario, X, T = cell_of('line', rng, count, mounted, target=PlateTarget(clutter=None),
+                             **changes)
     points = SCENES['line'].stops(scenario, rng).points
     R = INTO_CORNER @ tilts(scenario, rng, (count,))
     off = aim * rng.normal(size=(count, 3))

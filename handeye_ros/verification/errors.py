@@ -20,6 +20,14 @@ class WrongCountError(InputError):
         super().__init__(f'{routine} needs {needed} {what}, and got {given}')
 
 
+class NoPlanError(InputError):
+    """A routine whose stops are not planned."""
+
+    def __init__(self, routine: str, known: Sequence[str]) -> None:
+        super().__init__(f'stops are planned for {", ".join(known)}, not for "{routine}": see '
+                         'docs/measure.md for its passes')
+
+
 class TooFewSeenError(DataError):
     """Too few stations for a verification."""
 
