@@ -9,8 +9,6 @@ from handeye_ros.cli.common import (
     KinematicsFile,
     NoPath,
     read_bag,
-    show,
-    warn,
     with_kinematics,
 )
 from handeye_ros.cli.scan import calibrated, MeasureConfig
@@ -52,7 +50,8 @@ def check(
     changed = (_check_bags(bags, against, config, assignments, out) if bags and against
                else False)
     if folder:
-        _tell_trend(folder, against, picture, csv)
+        from handeye_ros.cli.trend import tell_trend
+        tell_trend(folder, against, picture, csv)
     if changed:
         raise typer.Exit(CHANGED)
 
@@ -81,19 +80,3 @@ def _check_bags(bags: list[Path], against: Path, config: Path | None, assignment
     if out:
         write_whole(out, yaml.safe_dump(checking.values(checks, str(against)), sort_keys=False))
     return bool(changed)
-
-
-def _tell_trend(folder: Path, against: Path | None, picture: Path | None, csv: Path | None
-                ) -> None:
-    from handeye_ros.results.calibration_file import read_calibration, write_whole
-    from handeye_ros.verification import trend
-    entries, warnings = trend.trend(folder, read_calibration(against) if against else None)
-    for warning in warnings:
-        warn(warning)
-    show(trend.table(entries))
-    typer.echo(trend.since_when(entries))
-    if csv:
-        write_whole(csv, trend.csv_text(entries))
-    if picture:
-        trend.draw(entries, picture)
-        typer.echo(f'wrote {picture.absolute()}')

@@ -14,9 +14,10 @@ from handeye_ros.cli import (
     scan,
     seam,
     session,
+    trend,
     verify,
 )
 from handeye_ros.cli.app import app
 
 __all__ = ['app', 'batch', 'calibrate', 'check', 'kinematics', 'plan', 'recordings', 'results',
-           'scan', 'seam', 'session', 'verify']
+           'scan', 'seam', 'session', 'trend', 'verify']

@@ -141,5 +141,6 @@ class NoTrendError(DataError):
     """A folder with too few calibrations to compare."""
 
     def __init__(self, folder: object, count: int) -> None:
-        super().__init__(f'{folder} holds {count} readable calibration.yaml, and a trend needs '
-                         'two (one with --against)')
+        super().__init__(f'{folder} holds {count} readable calibration.yaml, and no two files of '
+                         'the same verification or check: a trend needs two of a kind (one '
+                         'calibration with --against)')

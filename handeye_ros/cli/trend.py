@@ -1,0 +1,57 @@
+"""The verb that tells how calibrations, verifications and checks went through time."""
+from pathlib import Path
+from typing import Annotated
+
+from handeye_ros.cli.app import app
+from handeye_ros.cli.common import NoPath, show, warn
+import typer
+
+Folder = Annotated[Path, typer.Argument(
+    metavar='DIR', help='The folder below which all calibration.yaml, and the YAML files of '
+    'verify and check (--out), are taken.')]
+Against = Annotated[NoPath, typer.Option(
+    metavar='FILE', help='The calibration that the others are compared with; default: the '
+    'oldest.')]
+Picture = Annotated[NoPath, typer.Option(metavar='FILE', help='Draw it (needs matplotlib).')]
+Csv = Annotated[NoPath, typer.Option(
+    metavar='FILE', help='Write the calibrations as CSV, and what was measured beside it '
+    '(FILE_measured).')]
+
+
+@app.command()
+def trend(folder: Folder, against: Against = None, picture: Picture = None, csv: Csv = None
+          ) -> None:
+    """Tell how the calibrations, verifications and checks below a folder went through time."""
+    tell_trend(folder, against, picture, csv)
+
+
+def tell_trend(folder: Path, against: Path | None, picture: Path | None, csv: Path | None
+               ) -> None:
+    """Print the trends of a folder, and write what is asked for."""
+    from handeye_ros.results.calibration_file import read_calibration, write_whole
+    from handeye_ros.verification import charts, trend
+    from handeye_ros.verification.errors import NoTrendError
+    measured, bad = charts.charts(folder)
+    try:
+        entries, warnings = trend.trend(folder, read_calibration(against) if against else None)
+    except NoTrendError:
+        if not measured:
+            raise
+        entries, warnings = [], []
+    for warning in (*warnings, *bad):
+        warn(warning)
+    if entries:
+        show(trend.table(entries))
+        typer.echo(trend.since_when(entries))
+    if measured:
+        show(charts.charts_table(measured))
+    files = {csv: trend.csv_text(entries) if entries else ''} if csv else {}
+    if csv and measured:
+        files[csv.with_stem(f'{csv.stem}_measured')] = charts.charts_csv(measured)
+    for file, text in files.items():
+        if text:
+            write_whole(file, text)
+            typer.echo(f'wrote {file.absolute()}')
+    if picture:
+        charts.draw(entries, measured, picture)
+        typer.echo(f'wrote {picture.absolute()}')
