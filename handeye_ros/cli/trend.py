@@ -28,6 +28,8 @@ def trend(folder: Folder, against: Against = None, picture: Picture = None, csv:
 def tell_trend(folder: Path, against: Path | None, picture: Path | None, csv: Path | None
                ) -> None:
     """Print the trends of a folder, and write what is asked for."""
+    from functools import partial
+
     from handeye_ros.results.calibration_file import read_calibration, write_whole
     from handeye_ros.verification import charts, trend
     from handeye_ros.verification.errors import NoTrendError
@@ -53,5 +55,5 @@ def tell_trend(folder: Path, against: Path | None, picture: Path | None, csv: Pa
             write_whole(file, text)
             typer.echo(f'wrote {file.absolute()}')
     if picture:
-        charts.draw(entries, measured, picture)
+        trend.draw(entries, picture, [partial(charts.draw_chart, one) for one in measured])
         typer.echo(f'wrote {picture.absolute()}')

@@ -15,12 +15,9 @@ from typing import Any
 
 from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
-from handeye_ros.estimation.outliers import chi2_isf
 from handeye_ros.results.verified import FORMAT as VERIFICATION
 from handeye_ros.results.verified import shown
-from handeye_ros.scanning.pictures import figure, save
 from handeye_ros.verification.check import FORMAT as CHECK
-from handeye_ros.verification.trend import CHANGED, draw_chart, Entry, WARNING
 from handeye_ros.verification.verification import time_of
 import numpy as np
 from rich.table import Table
@@ -144,46 +141,8 @@ def charts_csv(found: Sequence[Chart]) -> str:
     return lines.getvalue()
 
 
-def draw(entries: Sequence[Entry], found: Sequence[Chart], path: Path) -> None:
-    """Write a picture of the trends; raises NoMatplotlibError, UnwritableError."""
-    drawing, axes = figure(3 * bool(entries) + len(found), 1)
-    axes = np.atleast_1d(axes)
-    if entries:
-        _draw_calibrations(entries, axes[:3])
-    for ax, chart in zip(axes[3 * bool(entries):], found, strict=True):
-        _draw_chart(chart, ax)
-    save(drawing, path)
-
-
-def _draw_calibrations(entries: Sequence[Entry], axes: Array) -> None:
-    """
-    Draw the differences of calibrations from the first.
-
-    The bars reach as far as a joint test of all six differences takes for chance, once in 20;
-    the residuals have the limits of an individuals chart.
-    """
-    at = np.arange(len(entries))
-    difference = np.array([e.difference for e in entries])
-    reach = float(np.sqrt(chi2_isf(WARNING, 6))) * np.array([e.std for e in entries])
-    for ax, part, scale, unit in ((axes[0], slice(0, 3), 1e3, 'mm'),
-                                  (axes[1], slice(3, 6), 180 / np.pi, 'degrees')):
-        for k, name in enumerate('xyz'):
-            ax.errorbar(at + 0.05 * (k - 1), scale * difference[:, part][:, k],
-                        scale * reach[:, part][:, k], fmt='o-', capsize=3,
-                        label=name if unit == 'mm' else f'about {name}')
-        ax.set_ylabel(f'difference [{unit}], joint 95 %')
-        ax.axhline(0, color='0.7', linewidth=0.8)
-        for place in np.flatnonzero([e.p_before < CHANGED for e in entries]) - 0.5:
-            ax.axvline(place, color='tab:red', linestyle='--', linewidth=1)
-            ax.annotate('changed', (place, 1), xycoords=('data', 'axes fraction'), fontsize=8,
-                        color='tab:red', va='bottom', ha='center')
-        ax.legend(fontsize=8)
-    draw_chart(axes[2], 1e3 * np.array([e.residual for e in entries]), 'residual RMS [mm]')
-    axes[2].set_xticks(at, [e.recorded[:16] or e.path.parent.name for e in entries],
-                       rotation=20, ha='right', fontsize=8)
-
-
-def _draw_chart(chart: Chart, ax: Any) -> None:
+def draw_chart(chart: Chart, ax: Any) -> None:
+    """Draw a chart with its limits; values beyond them in their colours."""
     at, scale = np.arange(len(chart.points)), {'m': 1e3, 'rad': 180 / np.pi}.get(chart.unit, 1.0)
     states = np.array(chart.states)
     ax.errorbar(at, [scale * p.value for p in chart.points],

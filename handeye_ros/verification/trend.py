@@ -1,7 +1,7 @@
 """How the calibrations of a folder went through time: each against the first and the last one."""
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 import csv
 from dataclasses import dataclass
 import io
@@ -131,6 +131,51 @@ def draw_chart(ax: Any, values: Array, name: str) -> None:
     for limit in (low, high):
         ax.axhline(limit, color='tab:red', linestyle='--', linewidth=0.8)
     ax.set_ylabel(name)
+
+
+def draw(entries: Sequence[Entry], path: Path, more: Sequence[Callable[[Any], None]] = ()
+         ) -> None:
+    """
+    Write a picture of the trend; raises NoMatplotlibError, UnwritableError.
+
+    more: each draws on axes of its own, below.
+    """
+    own = 3 * bool(entries)
+    drawing, axes = figure(own + len(more), 1)
+    axes = np.atleast_1d(axes)
+    if entries:
+        _draw_calibrations(entries, axes)
+    for ax, draws in zip(axes[own:], more, strict=True):
+        draws(ax)
+    save(drawing, path)
+
+
+def _draw_calibrations(entries: Sequence[Entry], axes: Array) -> None:
+    """
+    Draw the differences of calibrations from the first.
+
+    The bars reach as far as a joint test of all six differences takes for chance, once in 20;
+    the residuals have the limits of an individuals chart.
+    """
+    at = np.arange(len(entries))
+    difference = np.array([e.difference for e in entries])
+    reach = float(np.sqrt(chi2_isf(WARNING, 6))) * np.array([e.std for e in entries])
+    for ax, part, scale, unit in ((axes[0], slice(0, 3), 1e3, 'mm'),
+                                  (axes[1], slice(3, 6), 180 / np.pi, 'degrees')):
+        for k, name in enumerate('xyz'):
+            ax.errorbar(at + 0.05 * (k - 1), scale * difference[:, part][:, k],
+                        scale * reach[:, part][:, k], fmt='o-', capsize=3,
+                        label=name if unit == 'mm' else f'about {name}')
+        ax.set_ylabel(f'difference [{unit}], joint 95 %')
+        ax.axhline(0, color='0.7', linewidth=0.8)
+        for place in np.flatnonzero([e.p_before < CHANGED for e in entries]) - 0.5:
+            ax.axvline(place, color='tab:red', linestyle='--', linewidth=1)
+            ax.annotate('changed', (place, 1), xycoords=('data', 'axes fraction'), fontsize=8,
+                        color='tab:red', va='bottom', ha='center')
+        ax.legend(fontsize=8)
+    draw_chart(axes[2], 1e3 * np.array([e.residual for e in entries]), 'residual RMS [mm]')
+    axes[2].set_xticks(at, [e.recorded[:16] or e.path.parent.name for e in entries],
+                       rotation=20, ha='right', fontsize=8)
 
 
 def csv_text(entries: Sequence[Entry]) -> str:
