@@ -32,12 +32,6 @@ class JointNamesError(InputError):
                    f'the joints with values are {", ".join(found) or "none"}; name them as the '
                    'URDF does')
 
-    @classmethod
-    def unknown(cls, source: object, joint: str, known: Sequence[str]) -> JointNamesError:
-        """Return the error for values of a joint that the URDF does not have."""
-        return cls(f'{source}: the joint {joint} is not in the URDF{nearest(joint, known)}; its '
-                   f'joints are {", ".join(known)}')
-
 
 class JointRangeError(DataError):
     """Joint values beyond what the joint can reach."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
+from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import pose_features, process_root
 from handeye_ros.estimation.linalg import covariance_of
@@ -200,14 +201,15 @@ def stated_covariance(fit: Fit, chosen: State) -> tuple[Fit, Array]:
     """
     Return a fit with the errors as large as they may be, and the covariance of a chosen estimate.
 
-    (u, u), of X, the targets and the first of the parameters, which the chosen one has too: what
-    the wider errors move it by is in it, and that what is left of the robot's error is smooth, so
-    that neighbours share it.
+    (u, u), of X, the targets and the first of the parameters, which the chosen one has too. It
+    holds by what the wider errors move X and the parameters, and that what is left of the robot's
+    error is smooth, so that neighbours share it.
     """
     wide = _with_smooth(adjusted(fit, stated=True))
-    own = len(chosen.arm.values)
-    away = np.append(fit.data.difference(wide.state, chosen),
-                     wide.state.arm.values[:own] - chosen.arm.values)
+    own, u = len(chosen.arm.values), fit.data.unknowns
+    away = np.zeros(u + own)
+    away[:6] = se3.difference(wide.state.X, chosen.X)
+    away[u:] = wide.state.arm.values[:own] - chosen.arm.values
     return wide, wide.covariance[:len(away), :len(away)] + np.outer(away, away)
 
 

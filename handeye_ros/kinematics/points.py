@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
+from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array
@@ -73,16 +74,15 @@ class Points:
         """Return the number of configurations."""
         return len(self.q)
 
-    def select(self, keep: NDArray[np.bool_]) -> Points:
-        """Return those where keep (n,) is true; the names stay."""
-        return replace(self, q=self.q[keep], points=self.points[keep], target=self.target[keep],
-                       number=self.number[keep],
-                       reported=None if self.reported is None else self.reported[keep])
+    def select(self, rows: NDArray[Any]) -> Points:
+        """Return some rows, by their numbers or a mask; the names stay."""
+        own = {name: getattr(self, name)[rows] for name in ('q', 'points', 'target', 'number')}
+        return replace(self, **own, reported=None if self.reported is None
+                       else self.reported[rows])
 
     def again(self, rows: NDArray[np.intp], q: Array) -> Points:
         """Return what rows (k,) would show with other postures q (k, joints) at these poses."""
-        return replace(self, q=q, points=self.points[rows], target=self.target[rows],
-                       number=self.number[rows], reported=None)
+        return replace(self.select(rows), q=q, reported=None)
 
     @property
     def unknowns(self) -> int:
@@ -105,10 +105,6 @@ class Points:
         return replace(state, X=se3.perturb(state.X, step[:6]),
                        targets=state.targets + targets.reshape(state.targets.shape)
                        ).with_arm_moved(rest)
-
-    def difference(self, state: State, other: State) -> Array:
-        """Return by how much X and the targets (unknowns,) are off another state."""
-        return np.append(se3.difference(state.X, other.X), state.targets - other.targets)
 
     def distances(self, state: State) -> Array:
         """Return by how far (n,) the configurations miss, without the smooth part (m)."""

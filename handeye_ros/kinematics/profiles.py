@@ -83,10 +83,6 @@ class Profiles:
         targets = np.concatenate([own.target for own in after])
         return replace(state, X=after[0].X, targets=targets).with_arm_moved(step[self.unknowns:])
 
-    def difference(self, state: State, other: State) -> Array:
-        """Return by how much X (and 0 for the targets) (unknowns,) is off another state."""
-        return np.append(se3.difference(state.X, other.X), np.zeros(self.unknowns - 6))
-
     def distances(self, state: State) -> Array:
         """Return by how far (n,) the configurations miss, RMS of their residuals (m)."""
         g = np.concatenate([linear.residuals for linear in self._linear(
