@@ -80,7 +80,7 @@ def _through_the_node(bag: Path, rate: float, log: Path, options: Sequence[str])
         client.wait()
         with _child('replay', [str(bag), '--rate', str(rate)]) as replay:
             print(f'replaying {bag}, {rate:g} times as fast as recorded', flush=True)
-            client.tell_samples_until(lambda: replay.poll() is not None)
+            client.print_samples_until(lambda: replay.poll() is not None)
             if replay.returncode:
                 raise InputError(f'the replay of {bag} failed')
         client.wait_until_all_is_taken()
@@ -133,15 +133,15 @@ class Client:
         client = self._node.create_client(Trigger, '/handeye/save_calibration')
         self._until(client.service_is_ready)
 
-    def tell_samples_until(self, condition: Callable[[], bool]) -> None:
+    def print_samples_until(self, condition: Callable[[], bool]) -> None:
         """Print how many samples there are, whenever that changes, until a condition holds."""
-        told = ''
+        printed = ''
         while not condition():
             rclpy.spin_once(self._node, timeout_sec=0.1)
             count = self._diagnostics[-1].get('samples', '') if self._diagnostics else ''
-            if count != told and count != '0':
+            if count != printed and count != '0':
                 print(f'samples so far: {count}', flush=True)
-                told = count
+                printed = count
 
     def call(self, service: str) -> str:
         """Return what a service says; raises RefusedError when it does not succeed."""

@@ -20,7 +20,7 @@ class NoTopicError(InputError):
 
     def __init__(self, path: object, key: str, topic: str, wanted: str,
                  topics: Mapping[str, str]) -> None:
-        super().__init__(f'{path} has no topic {topic}. {_what_is_there(key, wanted, topics)}')
+        super().__init__(f'{path} has no topic {topic}. {_topics_of_bag(key, wanted, topics)}')
 
 
 class TopicTypeError(InputError):
@@ -28,15 +28,15 @@ class TopicTypeError(InputError):
 
     def __init__(self, key: str, topic: str, wanted: str, topics: Mapping[str, str]) -> None:
         super().__init__(f'{topic} carries {topics[topic]}, but only {wanted} can be read there. '
-                         + _what_is_there(key, wanted, topics))
+                         + _topics_of_bag(key, wanted, topics))
 
 
-def _what_is_there(key: str, wanted: str, topics: Mapping[str, str]) -> str:
+def _topics_of_bag(key: str, wanted: str, topics: Mapping[str, str]) -> str:
     """Return the topics of a bag, those of the wanted type first, and what to set."""
-    there = sorted(topics.items(), key=lambda item: (item[1] != wanted, item[0]))
-    names = [f'{name} ({kind})' for name, kind in there[:12]]
-    more = [f'{len(there) - 12} more'] if len(there) > 12 else []
-    fitting = [name for name, kind in there if kind == wanted]
+    ordered = sorted(topics.items(), key=lambda item: (item[1] != wanted, item[0]))
+    names = [f'{name} ({kind})' for name, kind in ordered[:12]]
+    more = [f'{len(ordered) - 12} more'] if len(ordered) > 12 else []
+    fitting = [name for name, kind in ordered if kind == wanted]
     transforms = key == 'pose_topic' and topics.get('/tf') == 'tf2_msgs/msg/TFMessage'
     if key == 'pose_source':  # there is only one place for transforms
         advice = '; record /tf, or set pose_source to topic'

@@ -23,21 +23,21 @@ def publish(paths: Sequence[Path]) -> None:
     """
     Publish the calibrations of files, or of the folders that hold one, until Ctrl-C.
 
-    A file that cannot be used is told of on stderr at once, and the others are published; then,
+    A file that cannot be used is reported on stderr at once, and the others are published; then,
     in the end, raises UnpublishedError.
     """
     if not TFMessage:
         raise NoRosError('publish', 'tf2_msgs')
-    found: list[Calibration] = []
+    calibrations: list[Calibration] = []
     failed: list[HandeyeError] = []
     for path in paths:
         try:
-            found.append(_read(path, found))
+            calibrations.append(_read(path, calibrations))
         except HandeyeError as error:
             failed.append(error)
             print(error, file=sys.stderr, flush=True)
-    if found:
-        _spin(found)
+    if calibrations:
+        _spin(calibrations)
     if failed:
         raise UnpublishedError(len(failed), len(paths))
 

@@ -45,7 +45,7 @@ READ = (Opcode.MESSAGE, Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL)
 CHUNKS = 4  # that are kept unpacked: profiles of a stop lie close together
 
 Bytes: TypeAlias = bytes | memoryview
-Found: TypeAlias = dict[str, tuple[list[int], list[int], list[int]]]  # starts, ends, log times
+Spans: TypeAlias = dict[str, tuple[list[int], list[int], list[int]]]  # starts, ends, log times
 
 
 class DamagedError(Exception):
@@ -140,44 +140,44 @@ class McapFile:
 
     def _of_chunk(self, body: bytes, whole: bool, position: int) -> list[Block]:
         """Return the messages of a chunk, or of its beginning where the file is cut in it."""
-        found: Found = {}
+        spans: Spans = {}
         data: Bytes = b''
         try:
             data, size, crc = chunk(body)
             if whole and (len(data) != size or crc and crc != zlib.crc32(data)):
                 raise DamagedError
-            self._find(data, found)
+            self._find(data, spans)
         except DamagedError:
             self._bad_chunks += 1
         reread = partial(self._in_chunk, position, len(body))
         return [Block(topic, data, starts, ends, times, list(zip(starts, ends, strict=True)),
-                      reread) for topic, (starts, ends, times) in found.items()]
+                      reread) for topic, (starts, ends, times) in spans.items()]
 
-    def _find(self, data: Bytes, found: Found) -> None:
+    def _find(self, data: Bytes, spans: Spans) -> None:
         """Note starts, ends and log times of the messages in an unpacked chunk, by topic."""
-        place, end, unpack, channels = 0, len(data), MESSAGE_RECORD.unpack_from, self._channels
+        position, end, unpack, channels = 0, len(data), MESSAGE_RECORD.unpack_from, self._channels
         head, skipped, message = RECORD.size, MESSAGE.size, int(Opcode.MESSAGE)
-        while place + head <= end:
-            if place + head + skipped <= end:
-                opcode, length, channel, _, log_time, _ = unpack(data, place)
+        while position + head <= end:
+            if position + head + skipped <= end:
+                opcode, length, channel, _, log_time, _ = unpack(data, position)
             else:
-                opcode, length = RECORD.unpack_from(data, place)
-            start = place + head
-            place = start + length
+                opcode, length = RECORD.unpack_from(data, position)
+            start = position + head
+            position = start + length
             if opcode == 0:
                 return
-            if place > end:
+            if position > end:
                 continue
             if opcode != message:
-                self._take(opcode, bytes(data[start:place]))
+                self._take(opcode, bytes(data[start:position]))
                 continue
             if length < skipped:
                 raise DamagedError
             self._count += 1
             if (topic := channels.get(channel)) is not None:
-                starts, ends, log_times = found.setdefault(topic, ([], [], []))
+                starts, ends, log_times = spans.setdefault(topic, ([], [], []))
                 starts.append(start + skipped)
-                ends.append(place)
+                ends.append(position)
                 log_times.append(log_time)
 
     def _take_single(self, body: bytes, position: int, single: Gathered) -> None:

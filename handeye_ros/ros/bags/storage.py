@@ -87,24 +87,24 @@ def _files(path: Path, contents: Contents) -> list[Path]:
                              '.db3 file')
     if not path.is_dir():
         return [path]
-    there = sorted((p for p in path.iterdir() if p.name.endswith(SUFFIXES)), key=_natural)
+    stored = sorted((p for p in path.iterdir() if p.name.endswith(SUFFIXES)), key=_natural)
     # whoever played a packed bag has left the unpacked file beside it
-    there = [p for p in there if p.suffix != '.zstd' or p.with_suffix('') not in there]
-    if not there:
+    stored = [p for p in stored if p.suffix != '.zstd' or p.with_suffix('') not in stored]
+    if not stored:
         raise BagError(path, 'is not a bag: the folder holds no .mcap or .db3 file')
     try:
         content = yaml_content((path / 'metadata.yaml').read_text(encoding='utf-8'))
         names = [Path(p).name for p in content['rosbag2_bagfile_information'][
             'relative_file_paths']]
     except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError):
-        contents.warnings.append(f'metadata.yaml is missing or damaged; read {len(there)} '
+        contents.warnings.append(f'metadata.yaml is missing or damaged; read {len(stored)} '
                                  'storage file(s) of the folder')
-        return there
+        return stored
     listed = [path / name for name in names if (path / name).is_file()]
     if len(listed) < len(names):
         contents.warnings.append(f'{len(names) - len(listed)} of the {len(names)} files that '
                                  'metadata.yaml lists are missing')
-    return listed or there
+    return listed or stored
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
@@ -194,10 +194,10 @@ class SqliteFile:
         try:
             with closing(self._connected()) as connection:
                 names = self._topics(connection)
-                places = ', '.join('?' * len(names))
+                marks = ', '.join('?' * len(names))
                 for key, topic, time, data in connection.execute(
                         'SELECT id, topic_id, timestamp, data FROM messages '
-                        f'WHERE topic_id IN ({places}) ORDER BY id', list(names)):
+                        f'WHERE topic_id IN ({marks}) ORDER BY id', list(names)):
                     rows.add(names[topic], int(time), bytes(data), key)
                     count += 1
                     self._contents.at += len(data)

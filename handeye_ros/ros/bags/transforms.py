@@ -157,10 +157,10 @@ class FlangeTracker:
 
     def _ancestors(self, frame: str) -> list[str]:
         """Return a frame and those above it; a loop, which no tree has, ends the walk."""
-        found = [frame]
-        while found[-1] in self._links and self._links[found[-1]].parent not in found:
-            found.append(self._links[found[-1]].parent)
-        return found
+        frames = [frame]
+        while frames[-1] in self._links and self._links[frames[-1]].parent not in frames:
+            frames.append(self._links[frames[-1]].parent)
+        return frames
 
 
 def _product(chain: list[Link], stamp: int) -> Array | None:

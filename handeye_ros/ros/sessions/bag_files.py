@@ -3,7 +3,7 @@ The files of a session: each written whole, or not at all, and on the disk when 
 
 A file is written under another name, synced, and renamed; then metadata.yaml is written in the
 same way, and the folder synced. Whenever the process ends: all files are complete bags, and
-metadata.yaml lists all of them but perhaps the last one, which nobody was told of. The same where
+metadata.yaml lists all of them but perhaps the last one, which no answer has named. The same where
 the power ends, but for the moment until metadata.yaml is synced, which nobody waits for: it says
 nothing that the files do not, and is written anew.
 """
@@ -117,9 +117,9 @@ def read_file(path: Path, topics: Sequence[str] = ()) -> Content:
             topic_of = {channel.id: channel.topic for channel in summary.channels.values()}
             types = {channel.topic: summary.schemas[channel.schema_id].name
                      for channel in summary.channels.values()}
-            told = summary.statistics
+            statistics = summary.statistics
             counts = {topic_of[number]: count
-                      for number, count in told.channel_message_counts.items()}
+                      for number, count in statistics.channel_message_counts.items()}
             messages = [Raw(channel.topic, message.log_time, message.data)
                         for _, channel, message in reader.iter_messages(topics or None)]
     except OSError as error:
@@ -128,7 +128,7 @@ def read_file(path: Path, topics: Sequence[str] = ()) -> Content:
         raise
     except Exception as error:  # damaged bytes lead parsers to errors of all kinds
         raise BagError(path, f'is damaged: {error}') from error
-    file = BagFile(path.name, told.message_start_time, told.message_end_time, counts)
+    file = BagFile(path.name, statistics.message_start_time, statistics.message_end_time, counts)
     return Content(file, types, messages)
 
 

@@ -84,17 +84,17 @@ def read_session(path: Path) -> Stored:
     if not is_session(path):
         raise SessionError(path, 'is no session: expected a folder that the node made')
     stops: dict[int, tuple[Event, Stop]] = {}
-    told, types, numbers, config = [], dict[str, str](), 0, Config()
+    described, types, numbers, config = [], dict[str, str](), 0, Config()
     for file in files_of(path):
         content = read_file(file, (CONFIGURATION, OUTCOME))
         event, types = _event(content.messages, file), types | content.types
-        told.append(content.file)
+        described.append(content.file)
         config, numbers = event.config, max(numbers, event.number)
         if event.kind == STOP:
             stops[event.number] = event, Stop(event.began, partial(load, file))
         elif event.kind == REMOVED:
             stops.pop(event.number, None)
-    return Stored(path, config, stops, numbers, tuple(told), types)
+    return Stored(path, config, stops, numbers, tuple(described), types)
 
 
 def _event(messages: Sequence[Raw], file: Path) -> Event:

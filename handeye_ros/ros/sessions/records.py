@@ -73,8 +73,8 @@ def event_of(configuration: str, outcome: str, path: object) -> Event:
     values = _content(outcome, path)
     if not isinstance(config, dict):
         raise SessionError(path, 'holds no configuration')
-    known = flatten(Config())
-    config = {key: value for key, value in config.items() if key in known}
+    defaults = flatten(Config())
+    config = {key: value for key, value in config.items() if key in defaults}
     try:
         return Event(str(values['event']), with_values(Config(), config, str(path)),
                      int(values['number']), int(values['began']), bool(values['taken']),

@@ -35,5 +35,5 @@ def _path(config: Config, given: Mapping[str, Any], place: Place) -> Path | None
         return last_session(place.folder(config))
     parent = place.parent(config)
     folders = [path for path in parent.iterdir() if path.is_dir()] if parent.is_dir() else []
-    found = [session for folder in folders if (session := last_session(folder))]
-    return max(found, key=lambda session: session.name, default=None)
+    sessions = [session for folder in folders if (session := last_session(folder))]
+    return max(sessions, key=lambda session: session.name, default=None)
