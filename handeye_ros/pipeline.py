@@ -11,7 +11,7 @@ from dataclasses import replace
 from handeye_ros import targets
 from handeye_ros.checks.change_point import moved_slightly
 from handeye_ros.checks.conventions import require_conventions, require_range_sign
-from handeye_ros.checks.errors import CountedWrongWayError, LeftOutError
+from handeye_ros.checks.errors import CountedWrongWayError, LeftOutError, TooUncertainError
 from handeye_ros.checks.explained import require_edges
 from handeye_ros.checks.frames import require_own_frame
 from handeye_ros.checks.misfit import require_consistent
@@ -79,7 +79,7 @@ def solve_session(session: Session, config: Config, solver: Solver | None = None
     except DataError as error:
         if not isinstance(error, NamedCauseError) or isinstance(error, CountedWrongWayError):
             require_settings(session, config)
-        if not isinstance(error, NamedCauseError):
+        if not isinstance(error, NamedCauseError) or isinstance(error, TooUncertainError):
             require_same_clock(session, config)
         raise
 
