@@ -114,7 +114,8 @@ class ChangePoint:
 def change_point(solution: Solution) -> ChangePoint | None:
     """Return the likeliest move at a solution, None where there are too few stations."""
     n, reported = len(solution.problem.poses), solution.conservative or solution
-    changes = np.unique(np.linspace(2, n - 2, MOST_CHANGES).round().astype(int))
+    few = 2 if solution.problem.pose_model is None else n // MOST_CHANGES  # of many a second
+    changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
     if n < 2 * solution.problem.method.minimum:
         return None
     found = [_best(reported, changes)]

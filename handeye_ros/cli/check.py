@@ -15,6 +15,8 @@ from handeye_ros.cli.scan import calibrated, MeasureConfig
 import typer
 
 if TYPE_CHECKING:
+    from handeye_ros.config import Config
+    from handeye_ros.data import Calibration
     from handeye_ros.verification.check import Check
 
 CHANGED = 1  # exit code: a recording was checked, and something is not as it was
@@ -59,18 +61,13 @@ def check(
 def _check_bags(bags: list[Path], against: Path, config: Path | None, assignments: list[str],
                 out: Path | None) -> bool:
     """Return whether a recording shows a change."""
-    from handeye_ros import pipeline
     from handeye_ros.results.calibration_file import write_whole
     from handeye_ros.verification import check as checking
     import yaml
     calibration, settings = calibrated(against, config, assignments)
     checks: list[tuple[str, Check]] = []
     for bag in bags:
-        recording = read_bag(bag, settings)
-        with doing('finding the stations'):
-            session = pipeline.gather(recording.profiles, recording.poses, settings)
-        reason = next((reject.reason for reject in session.rejects), '')
-        found = checking.check(session.samples, calibration, settings, reason)
+        found = _checked(bag, calibration, settings)
         checks.append((str(bag), found))
         typer.echo(f'{bag} ({found.stations} stations): {found.verdict.upper()}: '
                    f'{found.sentence}')
@@ -80,3 +77,28 @@ def _check_bags(bags: list[Path], against: Path, config: Path | None, assignment
     if out:
         write_whole(out, yaml.safe_dump(checking.values(checks, str(against)), sort_keys=False))
     return bool(changed)
+
+
+def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Check':
+    """Return what a recording says: by its stops, or by a sweep where it has none."""
+    from dataclasses import replace
+
+    from handeye_ros import pipeline
+    from handeye_ros.sampling.errors import NoStationsError
+    from handeye_ros.verification import check, clock
+    recording = read_bag(bag, settings)
+    with doing('finding the stations'):
+        try:
+            session = pipeline.gather(recording.profiles, recording.poses, settings)
+        except NoStationsError:
+            if not calibration.time_offset:
+                raise
+            settings = replace(settings, sampling=replace(settings.sampling, mode='moving'))
+            session = pipeline.gather(recording.profiles, recording.poses, settings)
+    reason = next((reject.reason for reject in session.rejects), '')
+    if not settings.sampling.moving:
+        return check.check(session.samples, calibration, settings, reason)
+    now, used, _ = pipeline.solved(session.samples, session.rejects, session.with_base(settings),
+                                   session.frame_id)
+    found = check.check(clock.some_of(used), calibration, settings, reason)
+    return clock.with_offset(found, now.time_offset, calibration) if now.time_offset else found

@@ -54,7 +54,7 @@ class Check:
     target; sensor_moved, sensor_turned: the same of the sensor in the flange; points_off: by how
     much points would then be off at most, and its std (m). target_shows, sensor_shows: from which
     shifts on it would have shown, along their axes (in the base, in the flange), m; nan: none
-    would. rms: of the residuals (m).
+    would. rms: of the residuals (m). time_offset_changed: of a sweep, and its 1 sigma (s).
     """
 
     stamp: int
@@ -75,6 +75,8 @@ class Check:
     sensor_shows: list[float]
     sensor_axes: list[list[float]]
     left_out: list[int]
+    time_offset_changed: float = math.nan
+    time_offset_changed_std: float = math.nan
 
 
 def check(samples: Sequence[Sample], calibration: Calibration, config: Config, reason: str = ''

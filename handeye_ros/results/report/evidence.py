@@ -12,6 +12,7 @@ from handeye_ros.estimation.solution import corrected_poses, Solution
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.outcome import left_out, measured_points
 import numpy as np
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +49,15 @@ class Evidence:
     The stops of a recording, and the answer that it gives.
 
     calibration: None where the recording is refused; refusal: with these words. missing: why
-    there is no recording to show.
+    there is no recording to show. sweep: (n, 3) of the samples of a robot that moved: time since
+    the first (s), RMS residual (m), speed of the flange (m/s).
     """
 
     stops: tuple[StopSnapshot, ...] = ()
     calibration: Calibration | None = None
     refusal: str = ''
     missing: str = ''
+    sweep: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def recording_of(calibration: Calibration) -> tuple[Path | None, str]:
@@ -107,4 +110,17 @@ def judged(stops: Sequence[StopSnapshot], used: Sequence[Sample], solution: Solu
     for i in np.unique(at).tolist():
         found[i] = replace(found[i], reason='', residuals=inside[at == i],
                            left_out=outside[at == i])
-    return Evidence(tuple(found), calibration)
+    return Evidence(tuple(found), calibration, sweep=_sweep(used, measured.station, inside))
+
+
+def _sweep(used: Sequence[Sample], station: NDArray[np.intp], residuals: Array) -> Array:
+    """Return time, RMS residual and speed of the samples of a robot that moved."""
+    squares, count = (np.bincount(station, each, len(used)) for each in (residuals ** 2, None))
+    rms = np.sqrt(squares / np.maximum(count, 1))
+    moving = [i for i, sample in enumerate(used) if sample.motion is not None]
+    if not moving:
+        return np.empty((0, 3))
+    at = np.array([used[i].stamp + round(used[i].offsets[0] * 1e9) for i in moving])
+    twists = used[moving[0]].motion.at(at).twists
+    return np.column_stack([(at - at[0]) * 1e-9, rms[moving],
+                            np.linalg.norm(twists[:, :3], axis=1)])

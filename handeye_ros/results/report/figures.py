@@ -65,6 +65,16 @@ def residuals(stops: Sequence[StopSnapshot]) -> str:
     return _svg(figure)
 
 
+def sweep(samples: Array) -> str:
+    """Return the residuals of a sweep over time and over speed; samples: as in Evidence."""
+    time, rms, speed = samples.T
+    figure, (left, right) = _figure(7, 2.6, 2)
+    for ax, x, label in ((left, time, 'time (s)'), (right, 1e3 * speed, 'speed (mm/s)')):
+        ax.plot(x, 1e3 * rms, '.', color=BLUE, ms=4)
+        ax.set(xlabel=label, ylabel='RMS residual (mm)', ylim=(0, None))
+    return _svg(figure)
+
+
 def histogram(stops: Sequence[StopSnapshot], stated: float) -> str:
     """Return how the residuals spread, beside a noise of so much (1 sigma, metres)."""
     values = 1e3 * np.concatenate([stop.residuals for stop in stops])

@@ -60,7 +60,7 @@ def _values(calibration: Calibration, evidence: Evidence, config: Config) -> dic
     seen = in_sensor(in_plane(tuple(f for stop in used for f in stop.features)), config)
     drawn = scene(calibration, evidence.stops, config)
     with figures.style():
-        plots = {name: _image(svg) for name, svg in _plots(calibration, used, config)}
+        plots = {name: _image(svg) for name, svg in _plots(calibration, evidence, config)}
         profiles = [_profile(stop) for stop in evidence.stops]
     return {
         'c': calibration, 'verdict': verdict(calibration, evidence, seen),
@@ -78,15 +78,18 @@ def _values(calibration: Calibration, evidence: Evidence, config: Config) -> dic
     }
 
 
-def _plots(calibration: Calibration, used: Sequence[StopSnapshot], config: Config
+def _plots(calibration: Calibration, evidence: Evidence, config: Config
            ) -> Iterator[tuple[str, str]]:
     """Yield the plots that there is data for, by name."""
+    used = [stop for stop in evidence.stops if stop.used and stop.features]
     if not used:
         return
     yield 'coverage', figures.coverage(used)
     solved = [stop for stop in used if len(stop.residuals)]
     if solved:
         yield 'residuals', figures.residuals(solved)
+        if len(evidence.sweep):
+            yield 'sweep', figures.sweep(evidence.sweep)
         points = np.concatenate([in_plane(stop.features) for stop in solved])
         middle = in_sensor(points.mean(axis=0)[None], config)[0]
         arm = calibration.T_flange_sensor @ np.append(middle, 1.0)
