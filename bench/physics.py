@@ -3,6 +3,7 @@
 What the faults of real cells do to the answer: simulated profiles through the whole pipeline.
 
 usage: python bench/physics.py [--seeds N] [--first S] [--only TEXT] [--workers W] [--samples]
+                               [--stations N ...]
 
 A row per cell of handeye_ros/simulate/faults.py; its name says all that is wrong with it, and
 the settings do not know of it. Over N recordings of each:
@@ -20,6 +21,7 @@ must be inside the stated uncertainty. So a row is bad when TRE is large and NEE
 when recordings that could carry an answer are refused. The rows of the first block have no
 fault; those of the last one may well be refused, but must never be answered with a large TRE.
 
+--stations replaces the number of stations of each cell; several numbers give several tables.
 --samples makes the features directly, with the noise of ideal edges: quick, but of robots only.
 --faces also solves the same samples as a plane, from their face lines alone, and adds
   faces     mm, median mapped error of that: edges that are not sharp should never make it worse
@@ -28,7 +30,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import time
 
 from handeye_ros import pipeline, se3
@@ -89,10 +91,14 @@ def of_faces(recording: Simulated, scenario: Scenario, config: Config) -> float:
     return errors_against(X, recording.truth.T_flange_sensor, field(scenario)).mapped_points
 
 
-def trial(job: tuple[str, int, bool, bool]) -> Outcome:
-    """Return what becomes of a recording: name of the cell, seed, if of samples, if of faces."""
-    name, seed, of_samples, faces = job
-    scenario, rng = FAULTS[name], np.random.default_rng(seed)
+def trial(job: tuple[str, int, bool, bool, int]) -> Outcome:
+    """
+    Return what becomes of a recording.
+
+    job: name of the cell, seed, if of samples, if of faces, stations (0: as the cell says).
+    """
+    name, seed, of_samples, faces, stations = job
+    scenario, rng = with_stations(FAULTS[name], stations), np.random.default_rng(seed)
     config = with_values(Config(), settings(scenario), name)
     if of_samples:
         samples, truth = simulate_samples(scenario, rng)
@@ -111,6 +117,15 @@ def trial(job: tuple[str, int, bool, bool]) -> Outcome:
     return Outcome(seconds, errors_against(X, X_true, field(scenario)).mapped_points,
                    float(delta @ np.linalg.solve(answer.covariance, delta)),
                    faces=of_faces(recording, scenario, config) if faces else np.nan)
+
+
+def with_stations(scenario: Scenario, count: int) -> Scenario:
+    """Return a scenario with so many stations, spread over its edges as before."""
+    first, second = scenario.stations
+    if not count:
+        return scenario
+    share = round(count / scenario.repeats * first / (first + second))
+    return replace(scenario, stations=(share, count // scenario.repeats - share))
 
 
 def row(name: str, outcomes: list[Outcome]) -> str:
@@ -145,17 +160,20 @@ def main() -> None:
     trials.add_option(parser)
     parser.add_argument('--refusals', action='store_true', help='print every refusal')
     parser.add_argument('--samples', action='store_true', help='make features, no profiles')
+    parser.add_argument('--stations', type=int, nargs='+', default=[0], help='instead of its own')
     parser.add_argument('--faces', action='store_true', help='the face lines alone, too')
     arguments = parser.parse_args()
     names = [name for name in FAULTS if arguments.only in name
              and not (arguments.faces and FAULTS[name].scene != 'plate')]
     seeds = range(arguments.first, arguments.first + arguments.seeds)
-    jobs = [(name, seed, arguments.samples, arguments.faces) for name in names for seed in seeds]
+    cells = [(name, count) for count in arguments.stations for name in names]
+    jobs = [(name, seed, arguments.samples, arguments.faces, count)
+            for name, count in cells for seed in seeds]
     print(HEADER.replace('worst', 'worst   faces') if arguments.faces else HEADER, flush=True)
     outcomes = trials.results(trial, jobs, arguments.workers)
-    for name in names:
+    for name, count in cells:
         found = [next(outcomes) for _ in seeds]
-        print(row(name, found), flush=True)
+        print(row(f'{name}, {count}' if count else name, found), flush=True)
         for seed, outcome in zip(seeds, found, strict=True):
             if outcome.refusal and arguments.refusals:
                 print(f'    seed {seed}: {outcome.refusal}')

@@ -126,7 +126,7 @@ def scale_error(solution: Solution) -> tuple[float, float, float]:
     is unknown too: a length of it that is not as stated is no scale.
     """
     problem = solution.problem
-    positions = problem.poses[:, :3, 3]
+    positions = problem.robot_poses[:, :3, 3]
     moved = (positions - positions.mean(axis=0))[problem.observations.station]
     by_scale = (solution.linear.by_pose[:, :3] * moved).sum(axis=1)
     measures = solution.linear.jacobian[:, 6:][:, tolerances(problem) > 0]

@@ -39,8 +39,9 @@ def _belief(freedom: float, scale: float) -> Array:
 
 # As configured in the mean square, with so heavy a tail that it may be several times as much.
 CONSERVATIVE = _belief(3.0, 0.8)
-# The same of a block of one parameter, of whose scale a single number says little: Cauchy.
-ALONE = _belief(1.0, 1.0)
+# The same of a block of one parameter, of whose scale a single number says little. Not Cauchy's:
+# with that a sigma grows by half and more as samples come that fit (see estimator.md).
+ALONE = _belief(2.0, 0.8)
 # Nothing, unless the data show something: what an estimate is best made with.
 MAP = _belief(1.0, 0.01)
 

@@ -80,8 +80,8 @@ def _sensors() -> Iterator[Scenario]:
         yield _sensor(f'blurred, {what} ground', spot=0.2 * MM, ground=ground)
     for size in (0.01, 0.02, 0.05):
         yield _sensor(f'distorted {size} mm', distortion=size * MM)
-    yield _sensor('plane, distorted 0.02 mm', PLANE, distortion=0.02 * MM)
-    yield _sensor('line, distorted 0.02 mm', LINE, distortion=0.02 * MM)
+    for base in BASELINES[1:]:
+        yield _sensor(f'{base.scene}, distorted 0.02 mm', base, distortion=0.02 * MM)
     yield _sensor('scale 1e-3', scale=1e-3)
     yield _sensor('shear 1e-3', shear=1e-3)
     yield _sensor('diverging fan, resampled in x', sampling='fan_x')
@@ -96,7 +96,7 @@ def _sensors() -> Iterator[Scenario]:
 def _robots() -> Iterator[Scenario]:
     for error in (0.1, 0.3):
         yield _robot(f'joints and links {error} mm', geometry=error * MM)
-    for error in (0.1, 0.2, 0.3):  # radians: what the error is at 0.3 m
+    for error in (0.1, 0.2, 0.3, 1.0):  # radians: what the error is at 0.3 m
         yield _robot(f'smooth {error} mm', systematic=(error * MM, error * MM / 0.3))
     smooth: dict[str, Any] = {'systematic': (0.2 * MM, 0.2 * MM / 0.3)}
     yield replace(_robot('smooth 0.2 mm, 5 + 5', **smooth), stations=(5, 5))
