@@ -62,7 +62,6 @@ def nobody(solved: solution.Solution, dropped: int) -> Contamination:
 
 MECHANISMS: dict[str, tuple[Switch, ...]] = {
     'all': (),
-    'alternative minima': ((pipeline, 'require_only_answer', lambda *args: None),),
     'contamination': ((consensus, 'contamination', nobody),),
     'best-fit transform': ((solution, 'covering', lambda first, second: first),),
     'MAP scales of their own': ((scales, 'MAP', scales.CONSERVATIVE),),

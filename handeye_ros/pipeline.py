@@ -18,7 +18,6 @@ from handeye_ros.checks.misfit import require_consistent
 from handeye_ros.checks.motion import (
     require_certain,
     require_judged,
-    require_only_answer,
     require_rotations,
     require_samples,
 )
@@ -195,7 +194,6 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     agreed = believable_shape(problem, consensus(problem, rng, SUBSETS, start), rng)
     require_conventions(problem, agreed, flipped(ordered, problem))
     require_consistent(problem, agreed)
-    require_only_answer(problem, agreed, rng)
     agreed = refine(agreed, method.minimum)
     require_one_scale(agreed.solution)
     return agreed, agreed.solution

@@ -1,8 +1,6 @@
 """Why an answer is refused: motion, conventions, scale, scatter, moves."""
 from __future__ import annotations
 
-import math
-
 from handeye_ros.errors import DataError, degrees, mm, NamedCauseError
 
 NOISY = 0.5  # of the residual left out that is in the fit too, where noise rules
@@ -36,14 +34,6 @@ class UnidentifiedOutlierError(DataError):
                          'wrong (a pose wrong by about a millimetre, or another surface); so few '
                          f'samples cannot show which: take {more} more at new poses, or repeat '
                          'them all')
-
-
-class TwoAnswersError(DataError):
-    """Two answers that explain the samples equally well."""
-
-    def __init__(self, distance: float, turn: float, missing: str) -> None:
-        super().__init__(f'two answers fit these samples, {mm(distance)} and '
-                         f'{math.degrees(turn):.2g} degrees apart; to distinguish them, {missing}')
 
 
 class TooFewEdgesError(DataError):

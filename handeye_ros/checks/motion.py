@@ -4,7 +4,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from handeye_ros import se3
 from handeye_ros.checks.errors import (
     missing_spread,
     missing_turn,
@@ -13,14 +12,11 @@ from handeye_ros.checks.errors import (
     TooFewConditionsError,
     TooFewSamplesError,
     TooUncertainError,
-    TwoAnswersError,
     UnidentifiedOutlierError,
 )
-from handeye_ros.checks.minima import alternative_minimum
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Method
 from handeye_ros.estimation.solution import redundancy, Solution
 import numpy as np
@@ -156,17 +152,6 @@ def require_judged(agreed: Consensus) -> None:
 def _redundant(dropped: int) -> int:
     """Return how many conditions are to judge an answer for which so many samples were dropped."""
     return FEWEST_REDUNDANT + (REDUNDANT_DROPPED + REDUNDANT_PER_DROP * dropped if dropped else 0)
-
-
-def require_only_answer(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> None:
-    """Raise TwoAnswersError where another answer explains the samples as well."""
-    other = alternative_minimum(problem, agreed, rng)
-    if other is None:
-        return
-    X, Y = agreed.solution.estimate.X, other.estimate.X
-    raise TwoAnswersError(float(np.linalg.norm(X[:3, 3] - Y[:3, 3])),
-                          float(se3.angle(X[:3, :3].T @ Y[:3, :3])),
-                          missing_motion(problem.poses, mount_frame(problem.config)))
 
 
 def missing_motion(poses: Array, frame: str) -> str:

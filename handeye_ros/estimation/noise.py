@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
-from handeye_ros.estimation.linalg import inverse_of_lower
 from handeye_ros.estimation.linearise import Linear, Problem
 from handeye_ros.estimation.stations import Stations
 import numpy as np
@@ -163,4 +162,4 @@ def inverse_roots(covariance: Array) -> Array:
     own = covariance[:, every, every]
     regular = covariance.copy()
     regular[:, every, every] += ROUNDING * own.sum(axis=1)[:, None]
-    return inverse_of_lower(np.asarray(np.linalg.cholesky(regular)))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(regular)))

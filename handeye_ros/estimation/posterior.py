@@ -18,7 +18,7 @@ from functools import cached_property
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import ParameterBlock, prepared
-from handeye_ros.estimation.linalg import from_conditions, from_information
+from handeye_ros.estimation.linalg import from_information
 from handeye_ros.estimation.linearise import Linear, linearise, Problem, State
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import covariances, Noise, Whitening, whitening
@@ -170,10 +170,7 @@ class _System:
     @cached_property
     def solved(self) -> tuple[Array, Array]:
         """Return the unknowns and nuisance parameters (u + q,) and their covariance C, (5)."""
-        s, q = self.scales, len(self.group)
-        if len(self.r) < len(s):
-            return from_conditions(self.columns.dense * s, self.r, q)
-        return from_information(self.columns.gram, self.gradient, s, q)
+        return from_information(self.columns.gram, self.gradient, self.scales, len(self.group))
 
     def sized(self, steps: int) -> tuple[_System, Scales | None]:
         """

@@ -12,7 +12,6 @@ from handeye_ros.checks.errors import (
     TooUncertainError,
     UnidentifiedOutlierError,
 )
-from handeye_ros.checks.minima import alternative_minimum
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError
@@ -109,12 +108,6 @@ def test_what_a_wrong_station_would_do_is_stated_of_few_and_next_to_nothing_of_m
         grown.append(np.diag(solution.reported)[:6] / np.diag(without.reported)[:6])
     few, many = grown
     assert few.max() > 1.01 > many.max()
-
-
-def test_many_good_samples_have_one_answer() -> None:
-    made = cell('plate', 0)
-    rng = np.random.default_rng(0)
-    assert alternative_minimum(made.problem, consensus(made.problem, rng), rng) is None
 
 
 @pytest.mark.thorough
