@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from handeye_ros.data import Array
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
-from handeye_ros.estimation.outliers import chi2_sf, leave_own_out, step_without, step_without_many
+from handeye_ros.estimation.outliers import chi2_sf, leave_own_out, step_without
 from handeye_ros.estimation.posterior import evaluated
 from handeye_ros.estimation.solution import corrected_poses, retracted, Solution
 import numpy as np
@@ -129,9 +129,5 @@ def _steps_without_one(solution: Solution) -> Array:
 def _step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
     """Return by how much the unknowns (u + q,) differ without some stations."""
     columns, part = solution.columns, solution.columns.of(stations)
-    rows = np.concatenate([some.ravel() for some in part])
-    if len(rows) < columns.count:
-        return step_without(solution.white[rows], columns.dense_rows(rows),
-                            solution.covariance)
-    return step_without_many(solution.information, columns.gram_of(part),
-                             columns.gradient_of(solution.white, part))
+    return step_without(solution.information, columns.gram_of(part),
+                        columns.gradient_of(solution.white, part))

@@ -60,20 +60,9 @@ def leave_own_out(predicted_covariance: Array, white: Array) -> Array:
     return np.asarray(np.linalg.solve(regular, white[..., None])[..., 0])
 
 
-def step_without(white: Array, jacobian: Array, covariance: Array) -> Array:
+def step_without(information: Array, lost: Array, gradient: Array) -> Array:
     """
     Return by how much the unknowns (u,) differ without some rows, to first order.
-
-    white: (m,) of these rows, jacobian: (m, u); covariance: (u, u) from all.
-    """
-    to_rows = jacobian @ covariance
-    inside = (1 + REGULAR) * np.eye(len(white)) - to_rows @ jacobian.T
-    return np.asarray(to_rows.T @ np.linalg.solve(inside, white))
-
-
-def step_without_many(information: Array, lost: Array, gradient: Array) -> Array:
-    """
-    Return the same for many rows, of which only the sums are needed.
 
     information: (u, u) of all; lost: (u, u) that of these rows; gradient: (u,) of them.
     """

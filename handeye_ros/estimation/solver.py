@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 from handeye_ros.data import Array
 import numpy as np
@@ -30,9 +30,11 @@ WIDEST = 100.0  # first control, over the squared residual of the believed share
 MAX_ANNEALINGS, ANNEALING_STEPS = 40, 4
 NEAR = 1e-3  # step length in sigmas that ends a round of annealing
 
-States: TypeAlias = tuple[Array, ...]
+States: TypeAlias = tuple[NDArray[Any], ...]
 White: TypeAlias = Callable[[Array], Array]
 """A linear map of (m, ...) values to such of unit covariance."""
+Attempt: TypeAlias = tuple[States, Array, Callable[[], tuple[Array, Array]]]
+"""Moved states, their sums of squares (k,), and what gives residuals and derivatives there."""
 
 
 def as_they_are(values: Array) -> Array:
@@ -76,26 +78,76 @@ def least_squares(system: System[S], start: S, weights: Array | None = None,
     by less ends it.
     """
     root = np.ones(len(system.block)) if weights is None else np.sqrt(weights)[system.block]
+    white: White = as_they_are
 
-    def weighted(rows: Rows) -> tuple[White, Array, Array]:
+    def linear(rows: Rows) -> tuple[Array, Array]:
+        nonlocal white
         white = rows.white()
-        return white, white(rows.residuals) * root, white(rows.jacobian()) * root[:, None]
+        return (white(rows.residuals) * root)[None], (white(rows.jacobian()) * root[:, None])[None]
 
-    state, damping, taken, refused = start, FIRST_DAMPING, 0, 0
-    white, r, J = weighted(system.rows(start))
-    while True:
-        step = _damped_steps(J, r, np.array(damping))
-        moved = system.retract(state, step)
-        rows = system.rows(moved)
-        after = float(((white(rows.residuals) * root) ** 2).sum())
-        tried = _judged(float(r @ r), after, float(np.linalg.norm(J @ step)), converged)
-        damping = max(damping * float(tried.damping), SMALLEST_DAMPING)
-        taken, refused = (taken + 1, 0) if tried.better else (taken, refused + 1)
-        state = moved if tried.better else state
-        if tried.done or taken == iterations or refused == MAX_DAMPINGS:
-            return state
-        if tried.better:
-            white, r, J = weighted(rows)
+    def attempt(states: States, steps: Array) -> Attempt:
+        moved = np.empty(1, dtype=object)
+        moved[0] = system.retract(states[0][0], steps[0])
+        rows = system.rows(moved[0])
+        after = ((white(rows.residuals) * root) ** 2).sum()
+        return (moved,), np.array([after]), lambda: linear(rows)
+
+    first = np.empty(1, dtype=object)
+    first[0] = start
+    (ends,), _ = _descent((first,), linear(system.rows(start)), attempt, iterations, converged)
+    found: S = ends[0]
+    return found
+
+
+def many_least_squares(linear: Callable[[States], tuple[Array, Array]],
+                       retract: Callable[[States, Array], States], starts: States,
+                       iterations: int, converged: float) -> tuple[States, Array]:
+    """
+    Return where k starts lead, each by itself, and their sums of squares (k,).
+
+    starts: arrays (k, ...); linear(states): residuals (k, m) and their derivatives (k, m, u);
+    retract(states, steps (k, u)): the moved states; converged: see least_squares.
+    """
+    def attempt(states: States, steps: Array) -> Attempt:
+        moved = retract(states, steps)
+        at = linear(moved)
+        return moved, np.einsum('km,km->k', at[0], at[0]), lambda: at
+    return _descent(starts, linear(starts), attempt, iterations, converged)
+
+
+def _descent(starts: States, first: tuple[Array, Array],
+             attempt: Callable[[States, Array], Attempt], iterations: int, converged: float
+             ) -> tuple[States, Array]:
+    """
+    Return where damped steps lead from k starts, each by itself, and their sums of squares (k,).
+
+    first: residuals (k, m) and their derivatives (k, m, u) there.
+    """
+    going, now = np.arange(len(starts[0])), [*starts, *first]
+    ends, squares = [part.copy() for part in starts], np.empty(len(going))
+    damping = np.full(len(going), FIRST_DAMPING)
+    taken, refused = np.zeros((2, len(going)), dtype=int)
+    while len(going):
+        *states, r, J = now
+        step = _damped_steps(J, r, damping)
+        moved, after, linear = attempt(tuple(states), step)
+        length = np.linalg.norm((J @ step[..., None])[..., 0], axis=1)
+        before = np.einsum('km,km->k', r, r)
+        tried = _judged(before, after, length, converged)
+        damping = np.maximum(damping * tried.damping, SMALLEST_DAMPING)
+        taken, refused = taken + tried.better, np.where(tried.better, 0, refused + 1)
+        left = ~tried.done & (taken < iterations) & (refused < MAX_DAMPINGS)
+        if tried.better.any():
+            at = linear() if left.any() else (r, J)
+            now = _better_of(now, [*moved, *at], tried.better)
+        if left.all():
+            continue
+        reached = [*now[:-2], np.where(tried.better, after, before)]
+        for end, values in zip([*ends, squares], reached, strict=True):
+            end[going[~left]] = values[~left]
+        now = [values[left] for values in now]
+        going, damping, taken, refused = (v[left] for v in (going, damping, taken, refused))
+    return tuple(ends), squares
 
 
 class _Judged(NamedTuple):
@@ -106,8 +158,7 @@ class _Judged(NamedTuple):
     damping: Array
 
 
-def _judged(before: Array | float, after: Array | float, length: Array | float, converged: float
-            ) -> _Judged:
+def _judged(before: Array, after: Array, length: Array, converged: float) -> _Judged:
     """
     Return what becomes of steps, by the sums of squares before and after them.
 
@@ -134,42 +185,8 @@ def _damped_steps(J: Array, r: Array, damping: Array) -> Array:
     return np.asarray(-step / scale)
 
 
-def many_least_squares(linear: Callable[[States], tuple[Array, Array]],
-                       retract: Callable[[States, Array], States], starts: States,
-                       iterations: int, converged: float) -> tuple[States, Array]:
-    """
-    Return where k starts lead, each by itself, and their sums of squares (k,).
-
-    starts: arrays (k, ...); linear(states): residuals (k, m) and their derivatives (k, m, u);
-    retract(states, steps (k, u)): the moved states; converged: see least_squares.
-    """
-    going, now = np.arange(len(starts[0])), [*starts, *linear(starts)]
-    ends, squares = [part.copy() for part in starts], np.empty(len(going))
-    damping = np.full(len(going), FIRST_DAMPING)
-    taken, refused = np.zeros((2, len(going)), dtype=int)
-    while len(going):
-        *states, r, J = now
-        step = _damped_steps(J, r, damping)
-        moved = retract(tuple(states), step)
-        new = [*moved, *linear(moved)]
-        length = np.linalg.norm((J @ step[..., None])[..., 0], axis=1)
-        before, after = (np.einsum('km,km->k', e, e) for e in (r, new[-2]))
-        tried = _judged(before, after, length, converged)
-        now = _better_of(now, new, tried.better)
-        damping = np.maximum(damping * tried.damping, SMALLEST_DAMPING)
-        taken, refused = taken + tried.better, np.where(tried.better, 0, refused + 1)
-        left = ~tried.done & (taken < iterations) & (refused < MAX_DAMPINGS)
-        if left.all():
-            continue
-        reached = [*now[:-2], np.where(tried.better, after, before)]
-        for end, values in zip([*ends, squares], reached, strict=True):
-            end[going[~left]] = values[~left]
-        now = [values[left] for values in now]
-        going, damping, taken, refused = (v[left] for v in (going, damping, taken, refused))
-    return tuple(ends), squares
-
-
-def _better_of(now: list[Array], new: list[Array], better: NDArray[np.bool_]) -> list[Array]:
+def _better_of(now: list[NDArray[Any]], new: list[NDArray[Any]], better: NDArray[np.bool_]
+               ) -> list[NDArray[Any]]:
     """Return arrays (k, ...) of states with the new ones where these are better (k,)."""
     if better.all():
         return new

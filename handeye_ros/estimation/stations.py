@@ -110,13 +110,9 @@ class FactoredJacobian:
     @cached_property
     def dense(self) -> Array:
         """Return the derivatives (m, p) themselves."""
-        return self.dense_rows(slice(None))
-
-    def dense_rows(self, rows: NDArray[np.intp] | slice) -> Array:
-        """Return some rows (..., p) of the derivatives."""
-        c, local, basis = self.single, self.local[rows], self.basis[self.station[rows]]
-        by_axes = local[:, c:, None] * basis[:, None, :]
-        return np.concatenate([local[:, :c], by_axes.reshape(len(local), self.count - c)], axis=1)
+        c, basis = self.single, self.basis[self.station]
+        by_axes = (self.local[:, c:, None] * basis[:, None, :]).reshape(len(basis), -1)
+        return np.concatenate([self.local[:, :c], by_axes], axis=1)
 
     def times(self, x: Array) -> Array:
         """Return by how much the residuals (m,) change with the unknowns x (p,)."""
