@@ -213,7 +213,7 @@ class Method:
 
     kinds: names of the conditions; labels: names of the target's k parameters; essential: kinds
     of which a station must use one, if it shows any. minimum: fewest samples.
-    guess(observations, T_base_flange (n, 4, 4), config, rng): estimates to start from.
+    guess(problem, rng): estimates to start from, best first.
     """
 
     name: str
@@ -221,7 +221,7 @@ class Method:
     labels: tuple[str, ...]
     essential: tuple[str, ...]
     minimum: int
-    guess: Callable[[Observations, Array, Config, np.random.Generator], Iterable[Estimate]]
+    guess: Callable[[Any, np.random.Generator], Iterable[Estimate]]
     features: FeatureModel
     geometry: Geometry
     measures: Measures

@@ -96,7 +96,7 @@ class Refined:
 
 def guesses(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     """Return estimates to start from, best first, made when they are asked for."""
-    return iter(problem.method.guess(problem.observations, problem.poses, problem.config, rng))
+    return iter(problem.method.guess(problem, rng))
 
 
 def refined(problem: Problem, estimate: Estimate) -> Refined:

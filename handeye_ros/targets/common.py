@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 from handeye_ros import se3
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.model import Observations
 from handeye_ros.targets.ends import EdgeObservations, ENDS
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ NOWHERE = np.zeros(2)  # is out of a face at points that are no edges
 FACE = 0  # the kind of a condition on a face, in every method that has them
 SOURCES = 64  # of one feature at most
 GUESS_STATIONS = 40  # more add time to a guess, nothing else
+SAME_SURFACE = 3e-4  # m: pieces of one surface may lie so far from one plane
 FINER = 4  # times as many directions tried, and candidates refined, when the first do not do
 
 
@@ -83,6 +86,27 @@ def edge_noise(edge: EdgePoint) -> Array:
     along = edge.direction
     across = np.array([-along[1], along[0]])
     return np.column_stack([along * edge.std, across * edge.std_across])
+
+
+def some_of(problem: Problem, rng: np.random.Generator) -> Problem:
+    """Return the problem with as many of its stations as a start is looked for with."""
+    return problem.subset(some_stations(len(problem.poses), GUESS_STATIONS, rng))
+
+
+def nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: Array
+                  ) -> NDArray[np.bool_]:
+    """
+    Return which observations (m,) are of the first of the nearest pieces of their station.
+
+    piece: (m,) the number of each one's; squares: (m,) its squared distance from the target.
+    """
+    count = int(piece.max()) + 1
+    group, size = observations.station * count + piece, (int(observations.station.max()) + 1)
+    number, total = (np.bincount(group, weights, size * count) for weights in (None, squares))
+    mean = np.divide(total, number, out=np.full(len(total), np.inf), where=number > 0)
+    away = np.sqrt(mean).reshape(-1, count)
+    near = away <= away.min(axis=1, keepdims=True) + SAME_SURFACE
+    return np.asarray(near.argmax(axis=1)[observations.station] == piece)
 
 
 def some_stations(count: int, most: int, rng: np.random.Generator) -> NDArray[np.intp]:

@@ -16,7 +16,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
-from handeye_ros.estimation.linearise import points_at, Problem
+from handeye_ros.estimation.linearise import points_at, points_in_base, Problem
 from handeye_ros.estimation.model import (
     Conditions,
     Estimate,
@@ -37,11 +37,10 @@ from handeye_ros.targets.common import (
     edge_noise,
     FACE,
     FINER,
-    GUESS_STATIONS,
     hemisphere,
     nearest_transform,
     ObservationRows,
-    some_stations,
+    some_of,
 )
 from handeye_ros.targets.line_ends import other_choices, same_kind, same_side
 import numpy as np
@@ -124,8 +123,7 @@ def _turns(observations: Observations, p: Array, target: Array) -> Array:
     return np.asarray(np.where((y == 0) & (z == 0), np.pi / 2, np.arctan2(z, y)))
 
 
-def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
-          ) -> Iterator[Estimate]:
+def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     """
     Yield estimates from nothing, best first: every direction of the line is tried.
 
@@ -133,14 +131,14 @@ def guess(observations: Observations, poses: Array, config: Config, rng: np.rand
     kind in all stations first, or the same side; only when none of these will do, other ways to
     choose.
     """
-    alone = replace(config, target=replace(config.target, use_face=False))
-    problem = Problem(LINE, poses, observations, alone)
-    problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
+    target = whole.config.target
+    alone = replace(whole.config, target=replace(target, use_face=False))
+    problem = some_of(replace(whole, config=alone), rng)
     for parts, finer in ((same_kind, 1), (same_side, 1), (other_choices, 1), (same_side, FINER)):
         found = (e for part in parts(problem, MINIMUM)
                  for e in best_of(part, linear_candidates(part, finer), finer))
         for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
-            yield _with_face(observations, poses, e) if config.target.use_face else e
+            yield _with_face(whole, e) if target.use_face else e
 
 
 def _nearness(problem: Problem, estimate: Estimate) -> float:
@@ -194,10 +192,11 @@ def _estimate(x: Array, R: Array, a_mean: Array) -> Estimate:
     return Estimate(nearest_transform(x), se3.transform(R, a_mean + R[:, 1:] @ x[9:]).ravel())
 
 
-def _with_face(observations: Observations, poses: Array, estimate: Estimate) -> Estimate:
+def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
     """Return the estimate with the target's z turned to the normal of the face most seen."""
     T = estimate.target.reshape(4, 4)
-    angle = 2 * _turns(observations, points_at(observations, poses, estimate.X), estimate.target)
+    p = points_in_base(problem, estimate.X)
+    angle = 2 * _turns(problem.observations, p, estimate.target)
     near = np.cos(angle[:, None] - angle) > np.cos(2 * SAME_FACE)
     middle = angle[np.argmax(near.sum(axis=1))]
     chosen = angle[np.cos(angle - middle) > np.cos(2 * SAME_FACE)]

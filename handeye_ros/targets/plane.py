@@ -34,11 +34,11 @@ from handeye_ros.targets.common import (
     best_linear,
     collect,
     FINER,
-    GUESS_STATIONS,
     hemisphere,
+    nearest_piece,
     nearest_transform,
     ObservationRows,
-    some_stations,
+    some_of,
     SOURCES,
 )
 import numpy as np
@@ -50,7 +50,6 @@ SWEEPS = ((1, 1), (FINER, FINER))  # finer, and more candidates
 BELIEVED_SHARE = 0.7  # of the stations
 AS_NEAR = 2.0  # times the distance of the best start: the order of the surfaces decides
 TINY = 1e-30  # m^2
-SAME_SURFACE = 3e-4  # m: pieces of one surface may lie so far from one plane
 CROWD = 10  # times as many where few stations nearly fit in many wrong ways
 
 
@@ -92,14 +91,8 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
     surface = observations.source // SOURCES
     if not surface.any():
         return observations
-    count = int(surface.max()) + 1
-    group = observations.station * count + surface
-    size = (int(observations.station.max()) + 1) * count
-    number = np.bincount(group, minlength=size)
-    squares = np.bincount(group, conditions(p, observations.kind, target, config).g ** 2, size)
-    away = np.where(number, np.sqrt(squares / np.maximum(number, 1)), np.inf).reshape(-1, count)
-    near = away <= away.min(axis=1, keepdims=True) + SAME_SURFACE
-    chosen = near.argmax(axis=1)[observations.station] == surface
+    squares = conditions(p, observations.kind, target, config).g ** 2
+    chosen = nearest_piece(observations, surface, squares)
     return replace(observations, kind=np.where(chosen, observations.kind, UNUSED))
 
 
@@ -128,12 +121,9 @@ def one_surface(problem: Problem) -> list[Problem]:
             for one in chosen]
 
 
-def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
-          ) -> Iterator[Estimate]:
+def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     """Yield estimates from nothing, best first; from a finer sweep when these do not do."""
-    problem = Problem(PLANE, poses, observations, config)
-    problem = problem.subset(some_stations(len(poses), GUESS_STATIONS, rng))
-    few = len(poses) <= FEW_STATIONS
+    problem, few = some_of(replace(whole, method=PLANE), rng), len(whole.poses) <= FEW_STATIONS
     found: list[Estimate] = []
     for finer, more in ((1, CROWD), (1, NORMALS // CANDIDATES)) if few else SWEEPS:
         known = len(found)

@@ -15,7 +15,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
-from handeye_ros.estimation.linearise import points_at
+from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.estimation.model import (
     Conditions,
     Estimate,
@@ -137,28 +137,27 @@ def _gate(distance: Array) -> float:
     return max(SMALLEST_GATE, GATE * float(believed))
 
 
-def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
-          ) -> Iterator[Estimate]:
+def guess(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     """Return estimates from nothing: the plane first, then the two edges in it."""
-    faces = observations.select(observations.kind == FACE)
-    for plane in plane_guess(faces, poses, config, rng):
-        estimate = _with_edges(observations, poses, plane, config, rng)
+    faces = problem.observations.select(problem.observations.kind == FACE)
+    for plane in plane_guess(replace(problem, observations=faces), rng):
+        estimate = _with_edges(problem, plane, rng)
         yield estimate
-        if config.target.size:  # whose edge p may run along either of the two
+        if problem.config.target.size:  # whose edge p may run along either of the two
             yield _turned_around_corner(estimate)
 
 
-def _with_edges(observations: Observations, poses: Array, plane: Estimate, config: Config,
-                rng: np.random.Generator) -> Estimate:
+def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> Estimate:
     """Return an estimate of the plate in an estimated plane."""
-    T_base_plane = _facing_sensor(plane, poses, config)
-    p = points_at(observations, poses, plane.X)
+    observations = problem.observations
+    T_base_plane = _facing_sensor(problem, plane)
+    p = points_in_base(problem, plane.X)
     flat = ((p - T_base_plane[:3, 3]) @ T_base_plane[:3, :3])[:, :2]
     edge = np.flatnonzero(observations.kind != FACE)
     corner, turn = two_lines(flat[edge], rng)
     inward = _face_centres(observations, flat, edge) - flat[edge]
     T_plane_target = _oriented(flat[edge] - corner, inward, corner, turn)
-    return Estimate(plane.X, state(T_base_plane @ T_plane_target, config))
+    return Estimate(plane.X, state(T_base_plane @ T_plane_target, problem.config))
 
 
 def _turned_around_corner(estimate: Estimate) -> Estimate:
@@ -169,10 +168,11 @@ def _turned_around_corner(estimate: Estimate) -> Estimate:
     return Estimate(estimate.X, np.append((T @ turned).ravel(), estimate.target[16:]))
 
 
-def _facing_sensor(plane: Estimate, poses: Array, config: Config) -> Array:
+def _facing_sensor(problem: Problem, plane: Estimate) -> Array:
     """Return the plane's frame with z towards the sensor."""
     T = plane.target.reshape(4, 4)
-    looking = (poses[:, :3, :3] @ plane.X[:3, 2]).mean(axis=0) * config.profile.range_sign
+    looking = (problem.poses[:, :3, :3] @ plane.X[:3, 2]).mean(axis=0)
+    looking *= problem.config.profile.range_sign
     flip = np.diag([1.0, -1.0, -1.0, 1.0]) if T[:3, 2] @ looking > 0 else np.eye(4)
     return T @ flip
 

@@ -27,13 +27,7 @@ from handeye_ros.estimation.model import (
 from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.arcs import arc_features, arcs_of_each
 from handeye_ros.profiles.circles import fit_circle
-from handeye_ros.targets.common import (
-    collect,
-    FINER,
-    GUESS_STATIONS,
-    ObservationRows,
-    some_stations,
-)
+from handeye_ros.targets.common import collect, FINER, ObservationRows, some_of
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -85,19 +79,17 @@ def tolerances(config: Config) -> Array:
     return np.array([0.0] * 3 + [config.target.radius_std if config.target.radius > 0 else 0.0])
 
 
-def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
-          ) -> Iterator[Estimate]:
+def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     """
     Yield estimates from nothing, best first: every rotation is tried, and refined.
 
     For a given rotation the centre's projections onto the sensor plane are linear in the
     remaining unknowns, whatever the side of the plane that the centre lies on.
     """
-    chosen = some_stations(len(poses), GUESS_STATIONS, rng)
-    problem = Problem(SPHERE, poses, observations, config).subset(chosen)
+    problem = some_of(whole, rng)
     some = replace(problem, observations=_fewer(problem.observations))
     for finer in (1, FINER):
-        yield from best_of(some, _candidates(problem, config.target.radius, finer), finer)
+        yield from best_of(some, _candidates(problem, problem.config.target.radius, finer), finer)
 
 
 def _fewer(observations: Observations) -> Observations:

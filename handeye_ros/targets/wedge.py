@@ -34,9 +34,9 @@ from handeye_ros.targets.blocks import FACES_AND_EDGES
 from handeye_ros.targets.common import (
     add_face,
     collect,
-    GUESS_STATIONS,
+    nearest_piece,
     ObservationRows,
-    some_stations,
+    some_of,
     SOURCES,
 )
 import numpy as np
@@ -91,19 +91,12 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
             ) -> Observations:
     """Return two lines of each station, those that fit, given to the faces as they fit better."""
     kind, pair = observations.kind, _pair(observations)
-    count = int(pair.max()) + 1
-    group = observations.station * count + pair
-    size = (int(observations.station.max()) + 1) * count
-    as_is, swapped = (np.bincount(group, conditions(p, k, target, config).g ** 2, size)
-                      for k in (kind, 1 - kind))
-    kind = np.where((swapped < as_is)[group], 1 - kind, kind)
-    if count > 1:
-        number = np.bincount(group, minlength=size)
-        squares = np.minimum(as_is, swapped) / np.maximum(number, 1)
-        away = np.where(number, np.sqrt(squares), np.inf).reshape(-1, count)
-        near = away <= away.min(axis=1, keepdims=True) + plane.SAME_SURFACE
-        kind = np.where(near.argmax(axis=1)[observations.station] == pair, kind, UNUSED)
-    return replace(observations, kind=kind)
+    group = observations.station * (int(pair.max()) + 1) + pair
+    as_is, swapped = (conditions(p, k, target, config).g ** 2 for k in (kind, 1 - kind))
+    better = (np.bincount(group, swapped) < np.bincount(group, as_is))[group]
+    kind = np.where(better, 1 - kind, kind)
+    chosen = nearest_piece(observations, pair, np.where(better, swapped, as_is))
+    return replace(observations, kind=np.where(chosen, kind, UNUSED))
 
 
 def _pair(observations: Observations) -> NDArray[np.intp]:
@@ -135,11 +128,9 @@ def one_corner(problem: Problem) -> list[Problem]:
     return [part for part in parts if len(part.poses) >= MINIMUM]
 
 
-def guess(observations: Observations, poses: Array, config: Config, rng: np.random.Generator
-          ) -> Iterator[Estimate]:
+def guess(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     """Yield estimates from nothing; of edges of one sign where several are in sight."""
-    chosen = some_stations(len(poses), GUESS_STATIONS, rng)
-    for part in one_corner(Problem(WEDGE, poses, observations, config).subset(chosen)):
+    for part in one_corner(some_of(problem, rng)):
         yield from _guess(part)
 
 
