@@ -22,9 +22,10 @@ from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.outliers import chi2_isf
 import numpy as np
 
+RARE = 1e-5  # chance of naming a cause that is none
 # Twice the log of a Bayes factor. Very strong evidence is so called by Kass and Raftery; decisive
-# is what is asked for before a cause is named: one in 10^5.
-VERY_STRONG, DECISIVE = 10.0, 2 * float(np.log(1e5))
+# is what is asked for before a cause is named.
+VERY_STRONG, DECISIVE = 10.0, -2 * float(np.log(RARE))
 WEAK = -2 * float(np.log(9))  # a chance of one in ten, at even odds beforehand
 OUTLIER = 1e-4  # chance of one of the good stations being taken for an outlier
 SMALLEST = 1e-2  # variance factor, nuisance parameters as noise, of samples without any error

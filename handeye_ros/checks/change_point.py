@@ -17,6 +17,7 @@ from handeye_ros.checks.alternatives import (
     DECISIVE,
     Fit,
     Hypothesis,
+    RARE,
     require_stated,
     VERY_STRONG,
     WEAK,
@@ -29,7 +30,7 @@ from handeye_ros.estimation.consensus import Consensus, fast_consensus
 from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.estimation.noise import Noise, whitening
 from handeye_ros.estimation.outliers import chi2_isf
-from handeye_ros.estimation.posterior import evaluated
+from handeye_ros.estimation.posterior import BELIEF_NOISE, evaluated
 from handeye_ros.estimation.solution import Solution
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +39,6 @@ MOST_PARTED = 15  # stations after which a recording is parted and fitted again
 MOST_CHANGES = 40  # stations after which a small move is looked for
 STEP = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 HOPELESS = -13.0  # evidence under the noise as estimated, with which no other noise finds any
-BELIEF = 4.0  # in the configured noise, in degrees of freedom: as in the estimate
-ONE_SENSOR = 1e-5  # chance of two parts' transforms lying so far apart, if the sensor stayed
 
 
 def require_unmoved(problem: Problem, agreed: Consensus) -> None:
@@ -69,7 +68,7 @@ def _refusal(problem: Problem, k: int, fit: Fit) -> DataError:
     covariance = sum(part.reported[:6, :6] * max(part.variance_factor, 1.0)
                      for part in (first, second))
     total = len(problem.poses)
-    if delta @ np.linalg.solve(covariance, delta) < chi2_isf(ONE_SENSOR, 6):
+    if delta @ np.linalg.solve(covariance, delta) < chi2_isf(RARE, 6):
         return MovedError.target(k, total, target_frame(problem.config))
     move = se3.inverse(first.estimate.X) @ second.estimate.X
     return MovedError.sensor(k, total, float(np.linalg.norm(move[:3, 3])),
@@ -142,7 +141,7 @@ def _score(solution: Solution) -> float:
     white = whitening(solution.problem, solution.linear, solution.noise)
     spread = -2 * sum(float(np.log(np.einsum('nii->ni', f)).sum()) for f in white.factors)
     factors = solution.noise.factors
-    belief = BELIEF * float((np.log(factors) + 1 / factors - 1).sum())
+    belief = BELIEF_NOISE * float((np.log(factors) + 1 / factors - 1).sum())
     return float(spread + np.linalg.slogdet(solution.information)[1] + solution.squares + belief)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import math
 from typing import Any
 
-from handeye_ros.checks.alternatives import believable, evidence, VERY_STRONG
+from handeye_ros.checks.alternatives import BELIEVABLE, believable, evidence, RARE, VERY_STRONG
 from handeye_ros.checks.errors import ScaleError
 from handeye_ros.config import Config
 from handeye_ros.data import Array
@@ -21,12 +21,10 @@ import numpy as np
 
 CONTRADICTION = 4.0  # sigmas that make an answer wrong
 NOTED_CONTRADICTION = 3.0  # sigmas of a measure of the target that is noted in the answer
-POOR = 4.0  # variance factor from which another shape is tried from the start
 MORE_EXPLAINED = 0.1  # of the stations, with which a shape is tried to the end
 LARGEST_CHANGE = 0.5  # of a stated measure, relative: more is no tolerance but another target
 LARGEST_SCALE_ERROR = 5e-2  # of the robot's lengths: more is another unit, or a wrong answer
 MOST = 0.5  # of the squared residuals
-CHANCE = 1e-5  # of naming a scale that is none
 SMALLEST_SCALE_ERROR = 2e-3  # that is named as what is wrong
 ROUNDING = 1e-12  # of the squared effect of a scale: less is none
 
@@ -53,7 +51,7 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
     """Return the consensus with the target's shape free if only that makes the stations agree."""
     config = problem.method.measures.relax(problem.config)
     poor = (agreed.dropped or len(agreed.unused)
-            or agreed.solution.variance_factor > POOR)
+            or agreed.solution.variance_factor > BELIEVABLE)
     if config is None or not poor:
         return agreed
     try:
@@ -165,5 +163,5 @@ def require_not_only_scale(solution: Solution) -> None:
     left = max(total - explained, 0.0)
     if explained < MOST * total or not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
         return
-    if explained > left * f_isf(CHANCE, 1, freedom) / freedom:
+    if explained > left * f_isf(RARE, 1, freedom) / freedom:
         raise ScaleError(abs(scale), std * (left / max(solution.degrees_of_freedom, 1)) ** 0.5)

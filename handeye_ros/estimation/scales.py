@@ -16,6 +16,7 @@ from functools import cached_property
 from itertools import pairwise
 
 from handeye_ros.data import Array
+from handeye_ros.estimation.noise import inverse_roots
 from handeye_ros.estimation.outliers import chi2_median
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,6 @@ STEPS = 30  # of estimating variance components
 CONVERGED = 1e-2  # relative change of a variance that changes no answer
 BELIEF = 0.5  # of the start, in degrees of freedom
 SMALLEST_VARIANCE = 1e-24
-ROUNDING = 1e-12  # keeps a covariance invertible that one cause rules
 GROWN = 2.0  # times the variance before: less is no new cause
 
 
@@ -156,7 +156,7 @@ def variance_components(residuals: Array, jacobian: Array, parts: Array, start: 
     """
     variances = start
     for _ in range(STEPS):
-        whitener = _whitener(np.tensordot(variances, parts, 1))
+        whitener = inverse_roots(np.tensordot(variances, parts, 1))
         J, whitened = whitener @ jacobian, (whitener @ residuals[..., None])[..., 0]
         flat = J.reshape(-1, J.shape[2])
         unknowns = np.linalg.pinv(flat.T @ flat)
@@ -185,9 +185,3 @@ def first_variances(residuals: Array, parts: Array) -> Array:
     made = np.einsum('cnii->cni', parts).reshape(len(parts), n, -1, 3).mean(axis=(1, 3))
     alone = np.divide(predicted_covariance, made, out=np.full(made.shape, np.inf), where=made > 0)
     return np.asarray(np.maximum(alone.min(axis=1) / 2, SMALLEST_VARIANCE))
-
-
-def _whitener(covariance: Array) -> Array:
-    """Return the inverse Cholesky factors (n, k, k) of covariances (n, k, k)."""
-    own = np.einsum('nii->ni', covariance)[..., None] * np.eye(covariance.shape[1])
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance + ROUNDING * own)))
