@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 
 from handeye_ros import se3
 from handeye_ros.config import Config
@@ -39,7 +38,7 @@ SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
 LEVER = 0.1  # m: a scale over it is that of a turn
 SMOOTH_ANGLE, SMOOTH_DISTANCE = 1.5, 0.9  # rad, m: over which an error of the robot is alike
 ITERATIONS = 6
-SMOOTHNESS = (1.0, 2.0)  # times as far: one joint's error reaches further than that of all
+SMOOTHNESS = (1.0, 2.0)  # times as far; bench/check.py: one joint's error reaches further
 RANK = 1e-9
 OUTLIER = 0.01  # chance that any good stop is left out
 MOST_OUTLIERS = 0.15  # of the stops
@@ -231,9 +230,9 @@ def _robot(it: Comparison, rows: Rows) -> Cause:
     away = np.linalg.norm(T[:, None, :3, 3] - T[None, :, :3, 3], axis=-1) / SMOOTH_DISTANCE
     cosine = (np.einsum('aij,bij->ab', T[:, :3, :3], T[:, :3, :3]) - 1) / 2
     square = away ** 2 + 2 * (1 - cosine) / SMOOTH_ANGLE ** 2  # of the chord: positive definite
-    smooth = [np.exp(-0.5 * square / times ** 2) for times in SMOOTHNESS]
-    kernels = [*product((rows.robot, rows.sensor), smooth),
-               (rows.robot, rows.station[:, None] == rows.station)]
+    smooth, smoother = (np.exp(-0.5 * square / times ** 2) for times in SMOOTHNESS)
+    kernels = ((rows.robot, smooth), (rows.robot, smoother), (rows.sensor, smoother),
+               (rows.robot, rows.station[:, None] == rows.station))
     likelihood = [rows.likelihood((D * _prior(s)) @ D.T * kernel) for s in SCALES
                   for D, kernel in kernels]
     return Cause('robot', _mean(likelihood), np.zeros(6), np.zeros((6, 6)), 0.0, 0.0)
