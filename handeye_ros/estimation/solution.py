@@ -201,13 +201,6 @@ def redundancy(solution: Solution) -> int:
     return int(solution.ranks[solution.problem.distinct].sum()) - solution.unknowns
 
 
-def station_squares(solution: Solution) -> Array:
-    """Return the sum (n,) of the squared whitened residuals of each station."""
-    squares = np.bincount(solution.problem.observations.station, solution.white ** 2,
-                          minlength=len(solution.problem.poses))
-    return np.asarray(squares, dtype=float)
-
-
 def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
     """
     Return for each station its squared deleted residual and the number of its conditions.

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST_POINTS = 200_000
-LARGEST_SCALE_STD = 0.1  # of a scale worth telling
 MOST_FOLDS = 20  # of the left-out check
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
