@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 import dataclasses
 from pathlib import Path
 import re
@@ -149,6 +149,49 @@ def test_no_modules_import_each_other() -> None:
     'file', [f for f in FILES if room(module(f)) != 'ros'], ids=module)
 def test_only_the_ros_folder_imports_ros(file: Path) -> None:
     assert not [name for name in imports(file) if knows_ros(name)]
+
+
+def door_of(parts: Sequence[str]) -> str:
+    """Return the innermost room, of rooms in rooms too, that a dotted name lies in."""
+    deepest = ''
+    for depth in range(1, len(parts) + 1):
+        if not PACKAGE.joinpath(*parts[:depth], '__init__.py').exists():
+            break
+        deepest = '/'.join(parts[:depth])
+    return deepest
+
+
+def names_imported_from_rooms() -> dict[str, set[str]]:
+    """Return what others import from each room, by dotted names in it."""
+    found: dict[str, set[str]] = {}
+    for file in FILES:
+        own = door_of(file.relative_to(PACKAGE).parts[:-1])
+        for name in imports(file):
+            package, *parts = name.split('.')
+            inner = door_of(parts) if package == PACKAGE.name else ''
+            if inner and inner != own and inner.count('/') + 1 < len(parts):
+                found.setdefault(inner, set()).add('.'.join(parts[inner.count('/') + 1:]))
+    return found
+
+
+def stated(room_name: str, variable: str) -> set[str]:
+    """Return a tuple or list of names that the __init__.py of a room states."""
+    tree = ast.parse((PACKAGE / room_name / '__init__.py').read_text(encoding='utf-8'))
+    values = [ast.literal_eval(node.value) for node in tree.body if isinstance(node, ast.Assign)
+              and [ast.unparse(target) for target in node.targets] == [variable]]
+    return set().union(*values)
+
+
+def test_rooms_offer_what_others_import_of_them_and_nothing_else() -> None:
+    imported = names_imported_from_rooms()
+    rooms = {file.parent.relative_to(PACKAGE).as_posix() for file in INNER
+             if file.name == '__init__.py'}
+    missing = {name: lacking for name in rooms if (lacking := sorted(
+        imported.get(name, set()) - stated(name, 'OFFERED') - stated(name, '__all__')))}
+    unused = {name: rest for name in rooms if (rest := sorted(
+        stated(name, 'OFFERED') - imported.get(name, set())))}
+    assert not missing, f'add to OFFERED in the __init__.py: {missing}'
+    assert not unused, f'remove from OFFERED in the __init__.py: {unused}'
 
 
 def test_the_simulator_knows_nothing_of_the_estimator() -> None:

@@ -1,1 +1,11 @@
-"""Many recordings through one verb, in parallel: jobs, their results, one table and report."""
+"""
+Many recordings through one verb, in parallel, on Dask.
+
+Jobs, their results, one table and one report; a worker that ends loses one try of one job.
+"""
+
+OFFERED = (
+    'cells.cell_of', 'cells.cells_of', 'jobs.Job', 'jobs.Row', 'report.result_of',
+    'report.worst_answers', 'report.write_report', 'run.client_of', 'run.rows_of',
+    'run.write_rows', 'sources.jobs_of', 'sources.words_of',
+)

@@ -1,1 +1,22 @@
-"""What is refused and named: motion, conventions, moves, shape, misfit."""
+"""
+What is refused and named before an answer is given.
+
+Motion, conventions, moves of the target, shape, misfit: each raises an error that says what
+to do. Knows samples and estimates, and no file and no message.
+"""
+
+OFFERED = (
+    'alternatives.Fit', 'alternatives.Hypothesis', 'alternatives.believable',
+    'alternatives.of_problem', 'alternatives.require_stated', 'change_point.moved_slightly',
+    'conventions.require_conventions', 'conventions.require_range_sign', 'errors.ConventionError',
+    'errors.CountedWrongWayError', 'errors.LeftOutError', 'errors.OneAxisError',
+    'errors.OneOrientationError', 'errors.TooUncertainError', 'explained.lost_edges',
+    'explained.require_edges', 'frames.frame_notes', 'frames.require_own_frame',
+    'misfit.require_consistent', 'misfit.residual_rms', 'motion.SMALLEST_TURN',
+    'motion.mount_frame', 'motion.name_direction', 'motion.other_axes', 'motion.require_certain',
+    'motion.require_judged', 'motion.require_only_answer', 'motion.require_rotations',
+    'motion.require_samples', 'motion.turning', 'motion.weakest', 'motion.worst_rotation',
+    'motion.worst_translation', 'shape.believable_shape', 'shape.contradictions',
+    'shape.reported_blocks', 'shape.require_one_scale', 'time_offset.ROTATION_LAG',
+    'time_offset.TIME_OFFSET', 'time_offset.offset_notes', 'time_offset.time_offset_of',
+)

@@ -1,7 +1,12 @@
-"""The command `handeye`."""
+"""
+The command `handeye`: one module per verb.
+
+A verb reads its arguments, calls one function of the library and prints what it returns.
+"""
 import os
 import sys
 
+OFFERED = ('main',)
 
 def main() -> None:
     """Run the console script `handeye`; ends the process with its exit code."""

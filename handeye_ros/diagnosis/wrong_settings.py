@@ -16,8 +16,7 @@ from itertools import permutations
 from handeye_ros import targets
 from handeye_ros.checks.alternatives import believable, Fit, Hypothesis
 from handeye_ros.checks.misfit import residual_rms
-from handeye_ros.config import Config
-from handeye_ros.config.values import with_assignments
+from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Reject, Sample
 from handeye_ros.diagnosis.refit import fit_of
 from handeye_ros.errors import DataError, mm, NamedCauseError

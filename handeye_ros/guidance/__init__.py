@@ -1,1 +1,7 @@
-"""What is known so far, what is missing, and the next pose that helps most."""
+"""
+The next pose that helps most.
+
+What is determined so far, what is missing, and poses within the limits of the robot.
+"""
+
+OFFERED = ('advice', 'advice.Advice', 'candidates.anchor_of', 'view.extremes')

@@ -1,1 +1,21 @@
-"""What is told and written of an answer."""
+"""
+What is shown and written of an answer.
+
+The table, calibration.yaml, truth.yaml, the outcome in figures; exports and the report in
+rooms of their own.
+"""
+
+OFFERED = (
+    'calibration_file', 'calibration_file.file_of', 'calibration_file.folder_name',
+    'calibration_file.input_values', 'calibration_file.read_calibration',
+    'calibration_file.transform_from', 'calibration_file.transform_values',
+    'calibration_file.write_calibration', 'calibration_file.write_whole',
+    'errors.CalibrationFileError', 'errors.NothingToSaveError', 'folder', 'outcome.Measured',
+    'outcome.describe_calibration', 'outcome.in_mount', 'outcome.left_out',
+    'outcome.measured_points', 'outcome.mounted', 'outcome.sensor_axes', 'protocol.html', 'table',
+    'target_shape.enlargement', 'target_shape.half_axes', 'target_shape.rings',
+    'target_shape.shape', 'truth_errors.Errors', 'truth_errors.FIELD',
+    'truth_errors.errors_against', 'truth_errors.field_points', 'truth_file',
+    'truth_file.true_transform', 'verified.COLUMNS', 'verified.FORMAT', 'verified.Verified',
+    'verified.read', 'verified.rows_of', 'verified.shown', 'verified.title_of',
+)

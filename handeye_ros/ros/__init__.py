@@ -1,1 +1,13 @@
-"""The ROS side: the only folder that imports ROS or reads bags."""
+"""
+The ROS side: the only room that imports ROS or reads bags.
+
+The modules here are executables, and what the rooms below share.
+"""
+
+OFFERED = (
+    'errors.AllMalformedError', 'errors.MessageError', 'errors.NoTopicError', 'errors.PageError',
+    'errors.SessionError', 'errors.TopicTypeError', 'errors.TopicsError',
+    'errors.WorkerEndedError', 'executable.InvalidHandle', 'executable.RCLError',
+    'executable.UNSENDABLE', 'executable.exit_code', 'executable.offer', 'executable.ros',
+    'executable.spin', 'replay.replay',
+)

@@ -1,1 +1,22 @@
-"""When the robot stood still, and what it saw there."""
+"""
+When the robot stood still, and what it saw there.
+
+Streams of profiles and poses become dwells, stops and samples, or passes of a moving robot;
+the session holds them.
+"""
+
+OFFERED = (
+    'dwells.NS', 'dwells.interpolate', 'edge_shapes.consistent_edges', 'errors.ClearedError',
+    'errors.ClocksApartError', 'errors.ClocksDifferError', 'errors.FlatCrossingError',
+    'errors.NoStationsError', 'errors.NothingNewError', 'errors.SilentPosesError',
+    'errors.TimeBackwardsError', 'errors.TwoFramesError', 'passes.problem_of',
+    'profile_buffer.MOST_BACK', 'session.Session', 'state.Attempt', 'state.CURRENT',
+    'state.CalibrationState', 'state.GuidanceState', 'state.MotionState', 'state.NONE',
+    'state.OUTDATED', 'state.SampleState', 'state.SessionState', 'state.SigmaState', 'state.State',
+    'state.StreamState', 'state.WITHDRAWN', 'state.samples_message', 'state.status_message',
+    'station_features', 'station_features.evenly', 'stops.Outcome', 'stops.Seen', 'stops.Stop',
+    'stops.judged', 'stops.needed', 'stops.result_of', 'stops.sample_of', 'stream.FEW',
+    'stream.FEW_SHARE', 'stream.LARGEST_STEP', 'stream.Stream', 'stream.in_order',
+    'stream.never_falls', 'time_offset.synchronised', 'trajectory.Trajectory',
+    'trajectory.track_of',
+)

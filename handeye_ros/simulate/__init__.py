@@ -13,5 +13,10 @@ from handeye_ros.simulate.scenario import Scenario, Station, Truth
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.settings import settings
 
+OFFERED = (
+    'arm', 'gauges', 'measuring.MEASURING_CELL', 'measuring.MeasuringCell',
+    'measuring.measuring_cell', 'preform.Preform', 'preform.preform_cloud', 'scenario.RobotModel',
+)
+
 __all__ = ['FAULTS', 'FILE_SCENES', 'Measured', 'SCENARIOS', 'Scenario', 'Simulated', 'Station',
            'Truth', 'settings', 'simulate', 'simulate_samples']

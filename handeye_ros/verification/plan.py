@@ -13,9 +13,8 @@ from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import mm
 from handeye_ros.results.outcome import sensor_axes
 from handeye_ros.results.verified import shown
-from handeye_ros.simulate import gauges
+from handeye_ros.simulate import gauges, SCENARIOS
 from handeye_ros.simulate.scenario import RobotModel
-from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.verification.decision import Tolerances
 from handeye_ros.verification.errors import NoPlanError
 from handeye_ros.verification.routines import Routine

@@ -13,6 +13,8 @@ from handeye_ros.results import calibration_file
 from handeye_ros.results.exports import easy_handeye2, plain, robots, ros
 from handeye_ros.results.exports.format import Format
 
+OFFERED = ('REPORT', 'plain.matrix', 'ros')
+
 YAML = 'yaml'
 REPORT = 'report.html'
 HISTORY = 'history'  # the folder of former results, each in a folder named after its time

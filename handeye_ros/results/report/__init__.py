@@ -1,1 +1,7 @@
-"""One HTML file that shows an answer to a person: page.write makes it."""
+"""One HTML file that shows an answer to a person."""
+
+OFFERED = (
+    'evidence.Evidence', 'evidence.StopSnapshot', 'evidence.config_of', 'evidence.judged',
+    'evidence.recording_of', 'evidence.use_config', 'figures.style', 'page', 'page.templates',
+    'scene.in_sensor', 'verdict.stated_noise',
+)

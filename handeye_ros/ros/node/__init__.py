@@ -1,1 +1,7 @@
 """The node: streams, services, messages."""
+
+OFFERED = (
+    'intake.STREAM', 'intake.TFMessage', 'intake.THROTTLE', 'live.LiveSession',
+    'publishers.LATCHED', 'publishers.transform_stamped', 'store.Place', 'store.Store',
+    'streams.Current',
+)

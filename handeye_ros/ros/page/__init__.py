@@ -1,1 +1,3 @@
-"""The page for a browser at the cell: what the node tells, and its services as buttons."""
+"""The page for a browser at the cell: the state of the node, and its services as buttons."""
+
+OFFERED = ('buttons.serve',)

@@ -1,1 +1,6 @@
-"""Sessions on the disk: a bag with one complete file for each thing that happened."""
+"""Sessions on the disk: a bag with one complete file for each event."""
+
+OFFERED = (
+    'joints.joints_of', 'joints.source_of_session', 'reading.Stored', 'reading.is_session',
+    'reading.read_session', 'resume.resumed', 'writing.SessionStore',
+)
