@@ -8,6 +8,7 @@ import sys
 
 OFFERED = ('main',)
 
+
 def main() -> None:
     """Run the console script `handeye`; ends the process with its exit code."""
     # matrices are small: more threads only wait for each other, which takes a busy machine's time

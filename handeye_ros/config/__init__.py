@@ -40,8 +40,6 @@ from handeye_ros.config.values import (
     with_values,
 )
 
-OFFERED = ('values.with_assignments',)
-
 __all__ = [
     'Config', 'EVERY_NODES', 'GuidanceConfig', 'LimitsConfig', 'NODE', 'NoiseConfig',
     'PageConfig', 'Parameter', 'ProfileConfig', 'RECORD', 'RECORD_NAMES', 'SAVE_FORMATS',
