@@ -31,10 +31,6 @@ class PoseMap:
     other: Callable[[Array], Array] | None = None
 
 
-def _inverse(T: Array) -> Array:
-    return se3.inverse(T)
-
-
 def _wxyz(T: Array) -> Array:
     """Undo x y z w having been filled in the order w x y z."""
     w, x, y, z = np.moveaxis(Rotation.from_matrix(T[:, :3, :3]).as_quat(), -1, 0)
@@ -121,8 +117,9 @@ def _chained(R: Array, first: int, valid: NDArray[np.bool_] | None = None) -> Ar
 
 
 CONVENTION_ERRORS: dict[str, PoseMap] = {
-    INVERSE: PoseMap(_inverse, 'publish the pose of the flange in the base (p_base = T p_flange), '
-                     'not its inverse'),
+    INVERSE: PoseMap(
+        se3.inverse, 'publish the pose of the flange in the base (p_base = T p_flange), not its '
+        'inverse'),
     'quaternions read as w x y z': PoseMap(
         _wxyz, 'fill x, y, z, w of the message by name, not in the order w x y z'),
     'positions in millimetres': PoseMap(partial(_scaled, factor=1e-3),

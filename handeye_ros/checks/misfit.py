@@ -45,7 +45,7 @@ class Misfit:
 def misfit_of(problem: Problem, agreed: Consensus) -> Misfit:
     """Return by how much the samples of a problem contradict what they agree on."""
     return Misfit(residual_rms(agreed.solution), expected_rms(agreed.solution),
-                  dropped_share(problem, agreed), agreed.solution.variance_factor,
+                  len(agreed.dropped) / len(problem.poses), agreed.solution.variance_factor,
                   problem.config.limits)
 
 
@@ -68,11 +68,6 @@ def require_consistent(problem: Problem, agreed: Consensus) -> None:
         raise ContradictingStationsError(len(agreed.dropped), len(problem.poses))
     if misfit.wild:
         raise ScatterError(misfit.rms, misfit.expected, misfit.limits.scatter)
-
-
-def dropped_share(problem: Problem, agreed: Consensus) -> float:
-    """Return the share of stations that do not fit."""
-    return len(agreed.dropped) / len(problem.poses)
 
 
 def residual_rms(solution: Solution) -> float:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
+from operator import attrgetter
 
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
@@ -94,7 +95,7 @@ def consensus(problem: Problem, rng: np.random.Generator, subsets: int = 0,
     while not best.conclusive and not (best.accepted and tried >= ENOUGH_STARTS) and (
             other := next(starts, None)):
         if not far(problem, other):
-            best, tried = min(best, refined(problem, other), key=_loss), tried + 1
+            best, tried = min(best, refined(problem, other), key=attrgetter('loss')), tried + 1
     if not best.accepted:
         best = _best_of_subsets(problem, best, subsets, rng)
     return without_outliers(best)
@@ -112,10 +113,6 @@ def fast_consensus(problem: Problem, seed: int = 0) -> Consensus | None:
     except (HandeyeError, np.linalg.LinAlgError):
         pass
     return None
-
-
-def _loss(trial: Refined) -> float:
-    return trial.loss
 
 
 def _best_of_subsets(problem: Problem, best: Refined, subsets: int, rng: np.random.Generator

@@ -11,9 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from handeye_ros.data import Array
+from handeye_ros.estimation.linalg import inverse
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
-from handeye_ros.estimation.outliers import chi2_sf, leave_own_out, step_without
+from handeye_ros.estimation.outliers import chi2_sf, leave_own_out
 from handeye_ros.estimation.posterior import evaluated
 from handeye_ros.estimation.solution import corrected_poses, retracted, Solution
 import numpy as np
@@ -129,5 +130,5 @@ def _steps_without_one(solution: Solution) -> Array:
 def _step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
     """Return by how much the unknowns (u + q,) differ without some stations."""
     columns, part = solution.columns, solution.columns.of(stations)
-    return step_without(solution.information, columns.gram_of(part),
-                        columns.gradient_of(solution.white, part))
+    left = solution.information - columns.gram_of(part)
+    return inverse(left) @ columns.gradient_of(solution.white, part)

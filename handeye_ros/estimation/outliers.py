@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.linalg import covariance_of, inverse
+from handeye_ros.estimation.linalg import covariance_of
 from handeye_ros.estimation.solver import (
     ANNEALING_STEPS,
     believed,
@@ -58,15 +58,6 @@ def leave_own_out(predicted_covariance: Array, white: Array) -> Array:
     """
     regular = (1 + REGULAR) * np.eye(predicted_covariance.shape[1]) - predicted_covariance
     return np.asarray(np.linalg.solve(regular, white[..., None])[..., 0])
-
-
-def step_without(information: Array, lost: Array, gradient: Array) -> Array:
-    """
-    Return by how much the unknowns (u,) differ without some rows, to first order.
-
-    information: (u, u) of all; lost: (u, u) that of these rows; gradient: (u,) of them.
-    """
-    return inverse(information - lost) @ gradient
 
 
 def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
