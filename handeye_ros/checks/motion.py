@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 ENOUGH_TURN = 0.12  # rad: RMS about the second axis, of tilts to both sides by 12 degrees
 FEWEST_REDUNDANT = 3  # conditions that judge an answer
 REDUNDANT_DROPPED, REDUNDANT_PER_DROP = 1, 3  # more where stations were left out: a choice
-SUSPECTED = 0.1  # chance of one of few samples being wrong that is too large
+CONTAMINATED = 0.1  # probability of one of few samples being wrong that is too large
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 
 
@@ -145,7 +145,7 @@ def require_judged(agreed: Consensus) -> None:
         raise TooFewConditionsError(len(agreed.used), dropped, left, needed)
     each = int(agreed.solution.ranks.max())
     missing = _redundant(dropped + 1) - (left - each)
-    if agreed.contaminated > SUSPECTED and missing > 0:
+    if agreed.contaminated > CONTAMINATED and missing > 0:
         raise UnidentifiedOutlierError(len(agreed.used), -(-missing // each))
 
 

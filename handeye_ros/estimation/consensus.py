@@ -50,8 +50,8 @@ class Consensus:
     """
     A solution from the stations used (ascending), and the squared residual of the rest.
 
-    whole: the problem with all stations and all that they show; suspected: the chance that one
-    of few stations used is wrong.
+    whole: the problem with all stations and all that they show; contaminated: the probability
+    that one of few stations used is wrong.
     """
 
     whole: Problem
@@ -173,18 +173,18 @@ def refine(agreed: Consensus, minimum: int) -> Consensus:
     What fits only now, as the target is not as stated, is taken back. Of few stations each may
     be wrong without being seen to be: the stated covariance holds that.
     """
-    found = _refined(agreed, minimum)
-    labelled = relabelled(agreed.whole, found.solution.estimate)
-    near = mean_squares(labelled, found.solution.estimate) <= CONVINCING
-    back = [i for i in found.dropped if near[i] and i in labelled.observations.station]
-    used = np.union1d(found.used, np.array(back, dtype=np.intp))
-    part, noise = labelled.subset(used), found.solution.noise
-    if not (back or len(found.unused)) or _misfits(part, found):
-        return found
-    dropped = {i: square for i, square in found.dropped.items() if i not in back}
-    start = replace(found.solution, problem=part, estimate=agreed.solution.estimate)
-    again = _refined(replace(found, solution=start, used=used, dropped=dropped), minimum, noise)
-    return again if again.explained > found.explained else found
+    first = _refined(agreed, minimum)
+    labelled = relabelled(agreed.whole, first.solution.estimate)
+    near = mean_squares(labelled, first.solution.estimate) <= CONVINCING
+    back = [i for i in first.dropped if near[i] and i in labelled.observations.station]
+    used = np.union1d(first.used, np.array(back, dtype=np.intp))
+    part, noise = labelled.subset(used), first.solution.noise
+    if not (back or len(first.unused)) or _misfits(part, first):
+        return first
+    dropped = {i: square for i, square in first.dropped.items() if i not in back}
+    start = replace(first.solution, problem=part, estimate=agreed.solution.estimate)
+    again = _refined(replace(first, solution=start, used=used, dropped=dropped), minimum, noise)
+    return again if again.explained > first.explained else first
 
 
 def _misfits(part: Problem, found: Consensus) -> bool:
@@ -202,14 +202,14 @@ def _refined(agreed: Consensus, minimum: int, noise: Noise | None = None) -> Con
         mean_square, freedom = _mean_squares(solution.conservative or solution)
         spare = len(used) - minimum
         worst = outliers(mean_square, freedom, total, spare)
-        suspect = None if len(worst) else contamination(solution, len(dropped))
-        if suspect and spare > 0 and suspect.worst is not None:
-            worst = np.array([suspect.worst], dtype=np.intp)
+        wrong = None if len(worst) else contamination(solution, len(dropped))
+        if wrong and spare > 0 and wrong.worst is not None:
+            worst = np.array([wrong.worst], dtype=np.intp)
         if not len(worst):
-            if suspect:
-                solution = replace(solution, contamination=suspect.covariance)
+            if wrong:
+                solution = replace(solution, contamination=wrong.covariance)
             return replace(agreed, solution=solution, used=used, dropped=dropped,
-                           contaminated=suspect.of_any if suspect else 0.0)
+                           contaminated=wrong.of_any if wrong else 0.0)
         dropped |= {int(used[k]): float(mean_square[k]) for k in worst}
         used = np.delete(used, worst)
         part = part.subset(np.delete(np.arange(len(part.poses)), worst))

@@ -2,9 +2,9 @@
 What one station, or a fold of them, does to the answer, to first order.
 
 The answer without it, and the answer if it is wrong, (10) of estimator.md. That a station is
-wrong, by no more than a slip of its pose, and that all are right are weighed against each other
-(Box and Tiao 1968, Biometrika 55:119), with noise and blocks as configured: were these grown until
-they explain it, a wrong station would hide.
+wrong, by a small error of its pose, and that all are right are weighed against each other (Box and
+Tiao 1968, Biometrika 55:119), with noise and blocks as configured: were these grown until they
+explain it, a wrong station would hide.
 """
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 MANY = 200  # stations from which on this fades, to nothing at twice as many: under 1 % of a sigma
-SLIPPED = np.repeat([1e-3, 3e-3], 3)  # by how much a wrong one is (m, rad; 1 sigma of each axis)
+POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # of a wrong station (m, rad; 1 sigma of each axis)
 WRONG = 0.05  # share of stations that are wrong
 SURE = 100.0  # times as likely as anything else is that the station is wrong which is
-EXPLAINED = 0.2  # chance of the squares of the others, less than which more than one is wrong
+EXPLAINED = 0.2  # p-value of the squares of the others, below which more than one is wrong
 
 
 @dataclass(frozen=True, eq=False)
 class Contamination:
     """
-    Of each station the chance (n,) that it is wrong, and by how much it then moves the transform.
+    The probability of each station being wrong, and by how much it then moves the transform.
 
-    moves: (n, 6), covariances: (n, 6, 6) of the transform if so, beyond that if not; rest: (n,)
-    the chance of what then remains of the squared residuals.
+    probability: (n,); shifts: (n, 6), covariances: (n, 6, 6) of the transform if so, beyond that
+    if not; rest: (n,) the p-value of the squared residuals that then remain.
     """
 
-    chance: Array
+    probability: Array
     shifts: Array
     covariances: Array
     rest: Array
@@ -44,20 +44,20 @@ class Contamination:
     @property
     def worst(self) -> int | None:
         """Return the station that is surely wrong, all others being right, None if none is."""
-        worst = int(np.argmax(self.chance))
-        conclusive = self.chance[worst] > SURE * (1 - self.chance[worst])
+        worst = int(np.argmax(self.probability))
+        conclusive = self.probability[worst] > SURE * (1 - self.probability[worst])
         return worst if conclusive and self.rest[worst] > EXPLAINED else None
 
     @property
     def of_any(self) -> float:
-        """Return the chance that one of the stations is wrong."""
-        return float(self.chance.sum())
+        """Return the probability that one of the stations is wrong."""
+        return float(self.probability.sum())
 
     @property
     def covariance(self) -> Array:
         """Return (6, 6) by what the covariance of the transform has to grow, (10)."""
         moved = self.covariances + self.shifts[:, :, None] * self.shifts[:, None, :]
-        return np.asarray(np.tensordot(self.chance, moved, 1))
+        return np.asarray(np.tensordot(self.probability, moved, 1))
 
 
 def contamination(solution: Solution, dropped: int) -> Contamination | None:
@@ -70,18 +70,18 @@ def contamination(solution: Solution, dropped: int) -> Contamination | None:
     weight = min(1.0, 2 - n / MANY)
     if weight <= 0:
         return None
-    known = evaluated(solution.problem, solution.estimate, Noise())
-    white = whitening(known.problem, known.linear, known.noise)
-    slips = white(known.linear.by_pose * SLIPPED)
+    configured = evaluated(solution.problem, solution.estimate, Noise())
+    white = whitening(configured.problem, configured.linear, configured.noise)
+    wrong = white(configured.linear.by_pose * POSE_ERROR)
     log_odds, explained = np.empty((2, n))
     shifts, covariances = np.empty((n, 6)), np.empty((n, 6, 6))
-    for at in known.problem.stations:
-        i = known.problem.observations.station[at.rows[:, 0]]
-        K, J = slips[at.rows], known.jacobian[at.rows]
+    for at in configured.problem.stations:
+        i = configured.problem.observations.station[at.rows[:, 0]]
+        K, J = wrong[at.rows], configured.jacobian[at.rows]
         across = np.swapaxes(J, 1, 2) @ K
-        moved = known.covariance @ across
+        moved = configured.covariance @ across
         inside = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(across, 1, 2) @ moved
-        slope = np.einsum('sci,sc->si', K, known.white[at.rows])
+        slope = np.einsum('sci,sc->si', K, configured.white[at.rows])
         size = np.linalg.solve(inside, slope[..., None])
         explained[i] = (slope * size[..., 0]).sum(axis=1)
         log_odds[i] = (explained[i] - np.linalg.slogdet(inside)[1]) / 2
@@ -89,13 +89,13 @@ def contamination(solution: Solution, dropped: int) -> Contamination | None:
         shifts[i] = (to_transform @ size)[..., 0]
         covariances[i] = to_transform @ np.linalg.solve(inside, np.swapaxes(to_transform, 1, 2))
     log_odds += np.log(WRONG + dropped / (n + dropped))
-    freedom = max(known.degrees_of_freedom - len(SLIPPED), 1)
+    freedom = max(configured.degrees_of_freedom - len(POSE_ERROR), 1)
     return Contamination(weight * _probabilities(log_odds), shifts, covariances,
-                         chi2_sf(np.maximum(known.squares - explained, 0.0), freedom))
+                         chi2_sf(np.maximum(configured.squares - explained, 0.0), freedom))
 
 
 def _probabilities(log_odds: Array) -> Array:
-    """Return the chances (n,) of what excludes each other, by the odds against none of them."""
+    """Return the probabilities (n,) of exclusive cases, by their log odds against none of them."""
     most = max(0.0, float(log_odds.max()))
     odds = np.exp(log_odds - most)
     return np.asarray(odds / (np.exp(-most) + odds.sum()))
