@@ -1,17 +1,24 @@
-"""By how much samples and poses contradict an answer, and what is refused for it."""
+"""By how much samples and poses contradict an answer, what it leaves unexplained, and refusals."""
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from handeye_ros.checks.alternatives import LARGEST_DROPPED_SHARE
 from handeye_ros.checks.change_point import require_unmoved
-from handeye_ros.checks.errors import ContradictingStationsError, InconsistentError, ScatterError
+from handeye_ros.checks.errors import (
+    ContradictingStationsError,
+    InconsistentError,
+    LostEdgesError,
+    ScatterError,
+    TooFewEdgesError,
+)
 from handeye_ros.checks.motion import require_certain
 from handeye_ros.checks.shape import require_not_only_scale
 from handeye_ros.config import LimitsConfig
 from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.estimation.noise import covariances, lumped
+from handeye_ros.estimation.search import shows_essential
 from handeye_ros.estimation.solution import Solution
 import numpy as np
 
@@ -83,3 +90,32 @@ def expected_rms(solution: Solution) -> float:
         total += float(np.einsum('nii->', parts + lumped(
             solution.problem, solution.linear, at)))
     return float((total / len(solution.white)) ** 0.5)
+
+
+def require_edges(agreed: Consensus) -> None:
+    """
+    Refuse an answer that has no use for most edges that the stations show.
+
+    What fits without them says nothing of them. Raises TooFewEdgesError or LostEdgesError.
+    """
+    method = agreed.whole.method
+    if not method.essential:
+        return
+    used = int(shows_essential(agreed.solution.problem).sum())
+    if used < method.minimum:
+        raise TooFewEdgesError(method.name, used, len(agreed.used), method.minimum)
+    shown = int(shows_essential(agreed.whole).sum())
+    if shown - used > LARGEST_DROPPED_SHARE * shown:
+        raise LostEdgesError(lost_edges(agreed))
+
+
+def lost_edges(agreed: Consensus) -> str:
+    """Return which edges the answer has no use for, in words, '' where it uses all."""
+    if not len(agreed.unused):
+        return ''
+    shown = int(shows_essential(agreed.whole.subset(agreed.used)).sum())
+    part, estimate = agreed.whole.subset(agreed.unused), agreed.solution.estimate
+    where = part.method.measures.elsewhere(part.observations, points_in_base(part, estimate.X),
+                                           estimate.target, part.config)
+    return (f'the edges of {len(agreed.unused)} of the {shown} samples that show one lie on none '
+            'of the target' + (f': {where}' if where else ''))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import __version__, se3
-from handeye_ros.checks.explained import lost_edges
+from handeye_ros.checks.misfit import lost_edges
 from handeye_ros.checks.motion import mount_frame, weakest
 from handeye_ros.checks.shape import contradictions, reported_blocks
 from handeye_ros.checks.time_offset import offset_notes, TIME_OFFSET, time_offset_of
