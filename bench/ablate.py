@@ -33,7 +33,7 @@ from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate
 from handeye_ros.simulate.recording import Simulated
 import numpy as np
 from physics import field, LIMIT
-from sessions import Kind, kinds, moved, session
+from sessions import Kind, kinds, moved, outcome
 
 Switch = tuple[object, str, object]
 FEW = {f'{cell} {a} + {b}': replace(FAULTS[cell], stations=(a, b))
@@ -181,7 +181,7 @@ def sessions_of(seeds: range) -> tuple[int, int]:
            for d in (1, 3, 20)]
     for kind in (*kinds().values(), *few):
         for seed in seeds:
-            refusal, off = session(kind, seed)
+            refusal, off = outcome(kind, seed)
             wrong += not kind.good and not refusal and off
             refused += kind.good and bool(refusal)
     return wrong, refused

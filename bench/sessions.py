@@ -111,8 +111,13 @@ def kinds() -> dict[str, Kind]:
 
 
 def session(job: tuple[str, int]) -> tuple[str, bool]:
+    """Return the outcome of a session of a kind, by its name, and with a seed."""
+    return outcome(kinds()[job[0]], job[1])
+
+
+def outcome(kind: Kind, seed: int) -> tuple[str, bool]:
     """Return why a session was refused, '' for an answer, and whether the answer is wrong."""
-    kind, rng = kinds()[job[0]], np.random.default_rng(job[1])
+    rng = np.random.default_rng(seed)
     samples, truth = simulate_samples(kind.scenario, rng)
     values = settings(kind.scenario) | {'noise.distortion': 0.0}
     config = configs.with_values(Config(), values, 'the scenario')
