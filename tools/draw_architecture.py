@@ -18,7 +18,7 @@ from matplotlib import pyplot as plt  # noqa: E402, I100 - the backend first
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / 'handeye_ros'
-GROUND = ('data', 'config', 'errors', 'se3')
+GROUND = ('data', 'config', 'errors', 'orientations', 'se3', 'threads')
 LEFT_OUT = {'__init__', '__main__', *GROUND}
 SIZE = (1.5, 0.5)  # of a box
 STYLE = {'svg.hashsalt': 'architecture', 'svg.fonttype': 'none', 'font.family': 'sans-serif'}
@@ -59,20 +59,30 @@ def floors(found: Counter[tuple[str, str]]) -> list[list[str]]:
     return [[r for r in rooms if height[r] == level] for level in range(max(height.values()) + 1)]
 
 
+def direct(found: Counter[tuple[str, str]]) -> Counter[tuple[str, str]]:
+    """Return the arrows that no chain of others stands for (transitive reduction)."""
+    below: dict[str, set[str]] = {}
+    for row in floors(found):
+        below |= {room: {c for a, b in found if a == room for c in (b, *below[b])} for room in row}
+    return Counter({(a, b): count for (a, b), count in found.items()
+                    if not any(b in below[c] for x, c in found if x == a)})
+
+
 def draw(path: Path) -> None:
-    """Draw the rooms and the arrows between them."""
+    """Draw the rooms and the direct arrows between them."""
     found = arrows()
-    rows = floors(found)
+    rows, shown = floors(found), direct(found)
+    print(f'{len(found)} arrows between rooms, {len(shown)} of them drawn')
     # every second floor stands a little to the side, so that fewer arrows pass behind a box
     place = {room: (2.4 * (i - (len(row) - 1) / 2) + 0.5 * (-1) ** level, 1.3 * level)
              for level, row in enumerate(rows) for i, room in enumerate(row)}
     with plt.rc_context(STYLE):
         figure, ax = plt.subplots(figsize=(9, 1.15 * len(rows) + 1))
-        for (a, b), count in found.items():
+        for (a, b), count in shown.items():
             _arrow(ax, place[a], place[b], count)
         for room, (x, y) in place.items():
             _box(ax, x, y, room, SIZE[0])
-        _box(ax, 0.0, -1.2, '   '.join(GROUND) + '   (the ground that all stand on)', 7.5)
+        _box(ax, 0.0, -1.2, '   '.join(GROUND) + '   (the ground that all stand on)', 9.0)
         ax.set(xlim=(-5.2, 5.2), ylim=(-1.8, 1.3 * len(rows) - 0.7))
         ax.set_axis_off()
         ax.set_aspect('equal')
