@@ -24,7 +24,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.files import hand_eye_estimate, points_estimate, tracker_estimate
 from handeye_ros.files.sweeps import sweep_from
 from handeye_ros.published import cn105021139a, jing2020, wu2017
-from handeye_ros.simulate.tracker import RADIUS, SENSOR, simulate_tracker
+from handeye_ros.simulate.measured import RADIUS, SENSOR, simulate_tracker
 import numpy as np
 from paired import errors, grid, print_header, print_nearest, print_table
 from scipy.spatial.transform import Rotation

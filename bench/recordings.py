@@ -14,8 +14,7 @@ from handeye_ros import config as configs
 from handeye_ros import pipeline
 from handeye_ros.config import Config
 from handeye_ros.results.truth_errors import mapped_point_error
-from handeye_ros.simulate import SCENARIOS, simulate
-from handeye_ros.simulate.settings import settings
+from handeye_ros.simulate import SCENARIOS, settings, simulate
 import numpy as np
 
 NAMES = ('plate', 'plate_in_order', 'plate_5_5', 'plate_omit', 'plate_resampled',

@@ -21,9 +21,8 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError
-from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
-from handeye_ros.simulate.convention_errors import CONVENTION_ERRORS
-from handeye_ros.simulate.settings import settings
+from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate_samples
+from handeye_ros.simulate.conventions import CONVENTION_ERRORS
 import numpy as np
 import trials
 

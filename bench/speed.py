@@ -27,8 +27,7 @@ from handeye_ros import pipeline, targets
 from handeye_ros.config import Config
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.ros.bags.bag import read
-from handeye_ros.simulate import SCENARIOS, simulate_samples
-from handeye_ros.simulate.settings import settings
+from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
 import numpy as np
 
 ROOT = Path(__file__).parents[1]

@@ -29,7 +29,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.errors import HandeyeError
 from handeye_ros.results.truth_errors import errors_against, field_points
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate
-from handeye_ros.simulate.sweep_model import Sweep
+from handeye_ros.simulate.scenario import Sweep
 import numpy as np
 from scipy.stats import chi2
 import trials

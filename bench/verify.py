@@ -26,10 +26,9 @@ from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array, Calibration, Quality, Sample
 from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.simulate import gauges
-from handeye_ros.simulate.measuring import rendered
+from handeye_ros.simulate.measuring import Pass, rendered
 from handeye_ros.simulate.scenario import RobotModel, Scenario, SensorModel
 from handeye_ros.simulate.stations import Stops
-from handeye_ros.simulate.tooth import Pass
 from handeye_ros.verification.routines import Routine, ROUTINES, TEETH
 from handeye_ros.verification.shapes import Nominal, Seen
 from handeye_ros.verification.tooth_gauge import seen_in_pass

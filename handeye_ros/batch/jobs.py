@@ -24,7 +24,8 @@ Row: TypeAlias = dict[str, Any]
 Verb: TypeAlias = Callable[[list[str]], int]
 JOB = 'job.json'  # in the folder of a job: its key and its row
 LOCKS = '.locks'  # in the folder of all: a byte of it is locked for each job under way
-OUTPUTS = {'solve': '', 'verify': 'verification.yaml', 'check': 'check.yaml'}  # below --out
+OUTPUTS = {'solve': '', 'verify': 'verification.yaml', 'check': 'check.yaml',
+           'compare': 'comparison.yaml'}  # below --out
 NOT_FIGURES = ('format', 'version', 'name', 'input', 'against', 'sentence', 'routine',
                'parent_frame', 'child_frame')
 CRASHED = 70  # exit code of a job that ended in an error of the program (sysexits.h)
@@ -46,9 +47,7 @@ class Job:
         words = [self.verb, *self.args, self.bag, *(['--config', self.config] * bool(self.config))]
         for setting in self.settings:
             words += ['--set', setting]
-        if self.verb in OUTPUTS:
-            words += ['--out', str(folder / OUTPUTS[self.verb])]
-        return words
+        return [*words, '--out', str(folder / OUTPUTS[self.verb])]
 
     def key(self) -> str:
         """Return a hash of all that the result depends on: files, command and version."""
@@ -146,6 +145,9 @@ def _figures(content: dict[str, Any]) -> Row:
     for group in (content, *(content.get('checks') or []), content.get('quality') or {}):
         values |= {name: value for name, value in group.items()
                    if isinstance(value, (int, float, str)) and name not in NOT_FIGURES}
+    for estimator in content.get('estimators') or []:
+        values |= {f'{estimator["name"]} {name}': value for name, value in estimator.items()
+                   if name not in ('name', 'transform')}
     for quantity in content.get('quantities') or []:
         values |= {f'{quantity["name"]}{ending}': quantity[name]
                    for name, ending in (('value', ''), ('std', '_std'))}

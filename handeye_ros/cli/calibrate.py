@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 
 TABLES = ('.csv', '.yaml', '.yml')
+TableFile = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the table as YAML too.')]
 
 
 @app.command()
@@ -131,13 +132,16 @@ def compare(
     config: ConfigFile = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
     angles: Angles = '',
+    out: TableFile = None,
 ) -> None:
     """Put the same samples through every estimator that applies, ours and published ones."""
     settings = configuration(config, assignments, angles=angles)
 
     from handeye_ros.comparison import compare as comparing
     from handeye_ros.comparison import table
+    from handeye_ros.results.calibration_file import write_whole
     from handeye_ros.results.truth_file import true_transform
+    import yaml
     method, T_true = _file_method(path, settings), true_transform(path)
     if method:
         given = _read_files(method, path, settings)
@@ -152,3 +156,5 @@ def compare(
         show(table.ComparisonTable(found))
     if found.refusal:
         raise found.refusal
+    if out:
+        write_whole(out, yaml.safe_dump(table.values(found), sort_keys=False))

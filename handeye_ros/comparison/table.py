@@ -1,13 +1,15 @@
-"""The comparison of estimators for a person: millimetres and degrees, a row per estimator."""
+"""The comparison of estimators: for a person in millimetres and degrees, and as plain values."""
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 import math
+from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.comparison.compare import Comparison, Row
 from handeye_ros.data import Array
+from handeye_ros.results.calibration_file import transform_values
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.measure import Measurement
@@ -17,6 +19,7 @@ from rich.text import Text
 NOT_KNOWN = '-'
 ANY_WIDTH = 1000
 TRANSFORM_WIDTH = 59
+FORMAT = 'handeye_ros/comparison/1'
 
 
 @dataclass(frozen=True)
@@ -100,3 +103,21 @@ def _legend(over: str) -> Iterator[str]:
            'fitted to it; held out: of samples the estimator was not given')
     if over:
         yield f'error: against truth.yaml; mapped: RMS over {over}'
+
+
+def values(comparison: Comparison) -> dict[str, Any]:
+    """Return a comparison as plain values, in SI units, for YAML."""
+    return {'format': FORMAT, 'samples_used': comparison.used,
+            'samples_rejected': comparison.rejected,
+            'estimators': [_row_values(row) for row in comparison.rows]}
+
+
+def _row_values(row: Row) -> dict[str, Any]:
+    if row.T_flange_sensor is None:
+        return {'name': row.name, 'failure': row.failure}
+    errors = row.errors
+    return {'name': row.name, 'transform': transform_values(row.T_flange_sensor),
+            'residual_rms': row.residual_rms, 'holdout_rms': row.holdout_rms,
+            **({'error_translation': errors.translation, 'error_rotation': errors.rotation,
+                'error_mapped_points': errors.mapped_points} if errors else {}),
+            'seconds': row.seconds}

@@ -5,13 +5,13 @@ Simulated recordings with known truth, without ROS.
 `FAULTS` are cells with the faults of real ones;
 `FILE_SCENES` make files of measured values.
 """
+from handeye_ros.simulate.cell import Station, Truth
+from handeye_ros.simulate.conventions import settings
 from handeye_ros.simulate.faults import FAULTS
 from handeye_ros.simulate.measured import FILE_SCENES, Measured
-from handeye_ros.simulate.recording import simulate, Simulated
-from handeye_ros.simulate.samples import simulate_samples
-from handeye_ros.simulate.scenario import Scenario, Station, Truth
+from handeye_ros.simulate.recording import simulate, simulate_samples, Simulated
+from handeye_ros.simulate.scenario import Scenario
 from handeye_ros.simulate.scenarios import SCENARIOS
-from handeye_ros.simulate.settings import settings
 
 OFFERED = (
     'arm', 'gauges', 'measuring.MEASURING_CELL', 'measuring.MeasuringCell',

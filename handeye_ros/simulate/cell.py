@@ -6,13 +6,50 @@ from dataclasses import dataclass
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.simulate import arm
-from handeye_ros.simulate.distortion import Distortion
-from handeye_ros.simulate.layout import FRAMES
-from handeye_ros.simulate.scenario import RobotModel, Scenario, Station, Truth
+from handeye_ros.simulate.conventions import FRAMES
+from handeye_ros.simulate.scenario import RobotModel, Scenario
+from handeye_ros.simulate.sensor import Distortion
 from handeye_ros.simulate.stations import Stops
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    """
+    Where the robot stood, and what is true there.
+
+    start, end: stamps of standing still (0, 0 where nothing is streamed). label: the edge that
+    the line crosses ('p', 'q', 'p2', 'q2'), or 'sphere'. point: (2,) true edge point, or
+    centre of the arc, along the line and range in the standard sensor frame.
+    T_base_flange, T_base_flange_reported: (4, 4).
+    """
+
+    start: int
+    end: int
+    label: str
+    point: Array
+    T_base_flange: Array
+    T_base_flange_reported: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """
+    What a calibration should find; (4, 4) transforms.
+
+    T_flange_sensor: where the robot's or the sensor's own error is, the transform that serves best
+    over the volume of the stops and the field of view.
+    With eye_on_base, T_flange_sensor is the sensor's pose in the base and T_base_target the
+    target's pose in the flange. The sensor frame is the published one (Scenario.layout).
+    time_offset: to be added to the profiles' stamps (s), of a sweep.
+    """
+
+    T_flange_sensor: Array
+    T_base_target: Array
+    stations: tuple[Station, ...]
+    time_offset: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-import math
 from typing import Any
 
 from handeye_ros.simulate.scenario import (
@@ -17,22 +16,13 @@ from handeye_ros.simulate.scenario import (
     Scenario,
     SensorModel,
     SphereTarget,
-    WedgeTarget,
 )
+from handeye_ros.simulate.scenarios import bases, WIDE
 
 QUICK: dict[str, Any] = {'rate': 6.0, 'delay': 0.0, 'thinning': 10**6}
 ROBOT = RobotModel(rate=20.0, dwell=0.85, move=0.5)
 PLATE = Scenario('baseline', sensor=SensorModel(**QUICK), robot=ROBOT)
-WIDE = SensorModel(**QUICK, range=(0.14, 0.27), half_width=0.27, max_incidence=1.15)
-BALL, SQUARE = SphereTarget(), PlateTarget()
-SPHERE = Scenario('sphere', 'sphere', BALL, WIDE, ROBOT, stations=(14, 0),
-                  tilt=math.radians(40))
-LINE = replace(PLATE, name='line', scene='line', stations=(14, 0))
-PLANE = replace(PLATE, name='plane', scene='plane', target=PlateTarget((0.4, 0.3), table=None),
-                stations=(14, 0))
-WEDGE = replace(PLATE, name='wedge', scene='wedge', target=WedgeTarget(), stations=(14, 0),
-                tilt=math.radians(20))
-BASELINES = (PLATE, SPHERE, LINE, PLANE, WEDGE)
+_, SPHERE, LINE, PLANE, WEDGE = BASELINES = bases(PLATE, replace(WIDE, **QUICK))
 # x from 0 to 140 mm, range from -25 to +25 mm counted upwards
 OFF_CENTRE = SensorModel(**QUICK, range=(0.25, 0.30), half_width=0.2545, sampling='fan_x',
                          camera=(0.12, 0.0))
@@ -116,9 +106,9 @@ def _robots() -> Iterator[Scenario]:
 
 def _tolerances() -> Iterator[Scenario]:
     for wrong in (0.2, 0.3):
-        told = BALL.radius - wrong * MM
+        told = SphereTarget().radius - wrong * MM
         yield replace(SPHERE, name=f'radius {wrong} mm off', told=(('target.radius', told),))
-    length, width = SQUARE.size
+    length, width = PlateTarget().size
     yield replace(PLATE, name='size 0.3 mm off', wrong_edges=6,
                   told=(('target.size', [length + 0.3 * MM, width]),))
 

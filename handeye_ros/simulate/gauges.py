@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 from handeye_ros import se3
 from handeye_ros.data import Array, EdgePoint, FaceLine, Sample
 from handeye_ros.simulate import cell as cells
+from handeye_ros.simulate.measuring import Gauge, Pass, scan_gauge, somewhere
 from handeye_ros.simulate.scenario import (
     PlateTarget,
     RobotModel,
@@ -24,7 +25,6 @@ from handeye_ros.simulate.scenario import (
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.simulate.stations import lift, Stops, tilts
-from handeye_ros.simulate.tooth import Gauge, Pass, scan_gauge
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -60,12 +60,6 @@ def sensor_on_flange(rng: np.random.Generator) -> Array:
     """Draw where the sensor sits (4, 4)."""
     return se3.transform(Rotation.random(random_state=rng).as_matrix(),
                          rng.uniform(-0.12, 0.12, 3))
-
-
-def somewhere(rng: np.random.Generator) -> Array:
-    """Draw where an artefact stands in the base (4, 4)."""
-    turn = Rotation.from_euler('xyz', rng.uniform([-0.2, -0.2, -3], [0.2, 0.2, 3]))
-    return se3.transform(turn.as_matrix(), rng.uniform([0.5, -0.3, 0.0], [0.9, 0.3, 0.4]))
 
 
 def stations(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,

@@ -1,4 +1,9 @@
-"""Files of measured values, as instruments other than a profiler at its stops write them."""
+"""
+Files of measured values, as instruments other than a profiler at its stops write them.
+
+The tracker is the cell of Jing 2020: a P1 R2 P3 arm, a laser tracker, a ball and a block. Frame of
+the target: the ball's centre, axes along the block's edges; its ridge runs along y.
+"""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -8,13 +13,105 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, TimedPose
-from handeye_ros.simulate import tracker
+from handeye_ros.simulate import motion
+from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.scenario import SensorModel
+from handeye_ros.simulate.solids import Ball, Box, Solid
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+RADIUS = 0.01905
+H0, H1 = 0.02543, 0.031
+SWEEP_ANGLE = np.deg2rad(12.0)
+RIDGE = 0.0145  # the block's ridge is at x = z = RIDGE
+BLOCK: Box = Box((-0.05, 0.03, -0.05), (RIDGE, 0.10, RIDGE))
+SENSOR = SensorModel(columns=640, rate=10.0, noise=3.7e-5)
+TRACKER_NOISE = 2e-5
+REPORTED = 1e-6  # noise of the readings of P3 (m)
+
+
+@dataclass(frozen=True, eq=False)
+class TrackerCell:
+    """
+    What the instruments see, and what is true.
+
+    reflector: points (n, 3) in the tracker by kind; h0, h1: heights of the reflector; q3_first,
+    q30: readings of P3 at the first pose and where the flange is taken. Metres.
+    """
+
+    reflector: dict[str, Array]
+    h0: float
+    h1: float
+    profiles: tuple[Profile, ...]
+    poses: tuple[TimedPose, ...]
+    q3_first: float
+    q30: float
+    T_flange_sensor: Array
+
+
+def arm(turn: float, q3: float) -> Array:
+    """Return frame 3 (4, 4) in frame 1 of the arm."""
+    R = (Rotation.from_euler('z', turn) * Rotation.from_euler('x', np.pi / 2)).as_matrix()
+    return se3.transform(R, R[:, 2] * q3)
+
+
+def simulate_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
+                     noise: float = TRACKER_NOISE, reported: float = REPORTED) -> TrackerCell:
+    """Return a session; noise, reported: of the tracker and P3, 1 sigma of each axis (m)."""
+    turn = Rotation.from_euler('xyz', [90, 0, 0] + rng.uniform(-1.5, 1.5, 3), degrees=True)
+    X = se3.transform(turn.as_matrix(), rng.uniform([0.04, -0.13, 0.03], [0.07, -0.09, 0.06]))
+    T_base_target = arm(SWEEP_ANGLE, 0.0) @ X @ _sensor_to_target(rng)
+    q3 = np.linspace(-0.03, 0.11, 151)
+    T = np.array([arm(SWEEP_ANGLE, q) for q in q3])
+    profiles = _profiles(se3.inverse(T_base_target) @ T @ X, sensor, rng)
+    places = T[:, :3, 3] + reported * rng.normal(size=(len(T), 3))
+    poses = tuple(TimedPose(int(stamp), t, q) for stamp, t, q in zip(
+        _stamps(len(T)), places, se3.quaternion(T), strict=True))
+    reflector = {kind: points + noise * rng.normal(size=points.shape)
+                 for kind, points in _reflector(T_base_target, rng).items()}
+    return TrackerCell(reflector, H0, H1, profiles, poses, float(q3[0]), 0.003, X)
+
+
+def _stamps(count: int) -> NDArray[np.int64]:
+    return motion.stamps(np.arange(count) / SENSOR.rate)
+
+
+def _sensor_to_target(rng: np.random.Generator) -> Array:
+    """Return T_sensor_target (4, 4) at q3 = 0: 45 degrees to both faces, but for some tilt."""
+    nominal = np.array([[-1.0, 0, 1], [0, 2 ** 0.5, 0], [-1, 0, -1]]) / 2 ** 0.5
+    tilt = Rotation.from_euler('xyz', rng.uniform(-8, 8, 3), degrees=True).as_matrix()
+    return se3.transform(tilt @ nominal, np.array([0.0, 0.0, 0.184]))
+
+
+def _profiles(T_target_sensor: Array, sensor: SensorModel, rng: np.random.Generator
+              ) -> tuple[Profile, ...]:
+    solids: tuple[Solid, ...] = (Ball(RADIUS), BLOCK)
+    ranges, angles = sensors.render(sensor, solids, T_target_sensor)
+    points = sensors.plane_points(sensor, sensors.measure(sensor, ranges, angles, rng))
+    return tuple(Profile(int(stamp), 'laser', p)
+                 for stamp, p in zip(_stamps(len(points)), points, strict=True))
+
+
+def _reflector(T_base_target: Array, rng: np.random.Generator) -> dict[str, Array]:
+    """Return the true points of the reflector in the tracker."""
+    T_tracker_base = se3.transform(Rotation.from_euler('xyz', [3, -4, 50], degrees=True
+                                                       ).as_matrix(), np.array([3.0, 1.7, -0.6]))
+    held = np.array([[0.02, H0 + H1, 0.25]])
+    arc = [se3.apply(arm(turn, 0.0), held)[0] for turn in np.linspace(-1.0, 1.0, 40)]
+    line = [se3.apply(arm(SWEEP_ANGLE, q), held)[0] for q in np.linspace(-0.1, 0.1, 30)]
+    along, down = rng.uniform([0.035, -0.04], [0.095, RIDGE - 0.003], (2, 40, 2)).transpose(
+        2, 0, 1)
+    top = np.full(40, RIDGE)
+    target = {'ball': np.zeros((1, 3)), 'face_c': np.column_stack([top, along[0], down[0]]),
+              'face_d': np.column_stack([down[1], along[1], top])}
+    in_base = {'arc': np.array(arc), 'line': np.array(line),
+               **{kind: se3.apply(T_base_target, points) for kind, points in target.items()}}
+    return {kind: se3.apply(T_tracker_base, points) for kind, points in in_base.items()}
+
+
 QUATERNION = ('qx', 'qy', 'qz', 'qw')
-SMALL = replace(tracker.SENSOR, columns=320, resolution=2.0**-20)  # compresses well
+SMALL = replace(SENSOR, columns=320, resolution=2.0**-20)  # compresses well
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,15 +188,15 @@ def _disturbed(T: Array, sigma: tuple[float, float], rng: np.random.Generator) -
     return se3.transform(se3.exp_rotation(turn) @ T[:, :3, :3], T[:, :3, 3] + shift)
 
 
-def laser_tracker(rng: np.random.Generator, sensor: SensorModel = tracker.SENSOR,
-                  noise: float = tracker.TRACKER_NOISE, reported: float = tracker.REPORTED
+def laser_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
+                  noise: float = TRACKER_NOISE, reported: float = REPORTED
                   ) -> Measured:
     """Return a bag of the sweep over ball and block, and the reflector's points beside it."""
-    cell = tracker.simulate_tracker(rng, sensor, noise, reported)
+    cell = simulate_tracker(rng, sensor, noise, reported)
     rows = [[kind, *_numbers(point)] for kind, points in cell.reflector.items()
             for point in 1e3 * points]
     text = '\n'.join(map(', '.join, [['kind', 'x [mm]', 'y [mm]', 'z [mm]'], *rows])) + '\n'
-    settings = {'target.type': 'tracker', 'target.radius': tracker.RADIUS, 'tracker.h0': cell.h0,
+    settings = {'target.type': 'tracker', 'target.radius': RADIUS, 'tracker.h0': cell.h0,
                 'tracker.h1': cell.h1, 'tracker.first_reading': cell.q3_first,
                 'tracker.noise': max(noise, 1e-9), 'noise.sensor': max(sensor.noise, 1e-9)}
     return Measured({'tracker.csv': text}, cell.T_flange_sensor,

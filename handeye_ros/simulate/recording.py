@@ -1,18 +1,18 @@
-"""Profiles and poses of a whole recording."""
+"""Profiles and poses of a whole recording; or its samples, made directly."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3
-from handeye_ros.data import Array, Profile, TimedPose
-from handeye_ros.simulate import arm, distortion, motion, optics, sweep
+from handeye_ros.data import Array, Profile, Sample, TimedPose
+from handeye_ros.simulate import arm, motion
 from handeye_ros.simulate import cell as cells
 from handeye_ros.simulate import sensor as sensors
-from handeye_ros.simulate.convention_errors import CONVENTION_ERRORS
-from handeye_ros.simulate.layout import FRAMES, published
-from handeye_ros.simulate.scenario import Scenario, Truth
+from handeye_ros.simulate.cell import Truth
+from handeye_ros.simulate.conventions import CONVENTION_ERRORS, FRAMES, published
+from handeye_ros.simulate.scenario import Scenario
 from handeye_ros.simulate.scenes import anywhere, SCENES
-from handeye_ros.simulate.slab import relief
+from handeye_ros.simulate.solids import relief
 from handeye_ros.simulate.stations import Stops
 import numpy as np
 
@@ -44,28 +44,28 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulated:
     stops = scene.stops(scenario, rng)
     stops = stops.ordered(cells.visit_order(scenario, len(stops.labels), rng))
     cell = cells.draw(scenario, stops, anywhere(scenario), rng)
-    bent = distortion.draw(scenario.sensor, rng)
+    bent = sensors.draw_distortion(scenario.sensor, rng)
     if scenario.sweep:
         return _swept(scenario, cell, stops, bent, rng)
-    line = motion.timeline(scenario.robot, len(stops.labels))
+    line = motion.Timeline(len(stops.labels), scenario.robot.dwell, scenario.robot.move)
     truth = cells.truth(scenario, cell, stops, line.spans(), bent)
     profiles = _profiles(scenario, cell, line, bent, rng)
     return Simulated(scenario, profiles, _poses(scenario, cell, line, rng), truth)
 
 
 def _swept(scenario: Scenario, cell: cells.Cell, stops: Stops,
-           bent: distortion.Distortion | None, rng: np.random.Generator) -> Simulated:
+           bent: sensors.Distortion | None, rng: np.random.Generator) -> Simulated:
     """Return the recording of a robot that does not stop."""
     assert scenario.sweep is not None
     sensor, unstamped = scenario.sensor, np.zeros((len(stops.labels), 2), dtype=np.int64)
-    along = sweep.way(scenario, stops.T_target_sensor)
-    times = np.arange(0.5 / sensor.rate, sweep.duration(scenario), 1 / sensor.rate)
-    instants = sweep.exposed(scenario, times)
+    along = motion.way(scenario, stops.T_target_sensor)
+    times = np.arange(0.5 / sensor.rate, motion.sweep_duration(scenario), 1 / sensor.rate)
+    instants = motion.exposed(scenario, times)
     z, angle = _cast(scenario, along(instants.ravel()), rng)
     z, angle = (values.reshape(*instants.shape, -1).mean(axis=1) for values in (z, angle))
     stamped = times + sensor.delay + rng.normal(size=len(times)) * scenario.sweep.stamp_jitter
     profiles = _measured(scenario, z, angle, np.maximum.accumulate(stamped), bent, rng)
-    poses = sweep.reported(scenario, cell, along, rng)
+    poses = motion.swept_poses(scenario, cell, along, rng)
     truth = cells.truth(scenario, cell, stops, unstamped, bent)
     return Simulated(scenario, profiles, poses, replace(truth, time_offset=-sensor.delay))
 
@@ -84,7 +84,7 @@ def _poses(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
 
 
 def _profiles(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
-              bent: distortion.Distortion | None, rng: np.random.Generator
+              bent: sensors.Distortion | None, rng: np.random.Generator
               ) -> tuple[Profile, ...]:
     sensor = scenario.sensor
     times = np.arange(0.5 / sensor.rate, line.duration, 1 / sensor.rate)
@@ -94,7 +94,7 @@ def _profiles(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
 
 
 def _measured(scenario: Scenario, z: Array, angle: Array, times: Array,
-              bent: distortion.Distortion | None, rng: np.random.Generator
+              bent: sensors.Distortion | None, rng: np.random.Generator
               ) -> tuple[Profile, ...]:
     """Return profiles of exact ranges and incidences (m, n), stamped with times (m,)."""
     sensor, frame = scenario.sensor, FRAMES[scenario.layout.frame]
@@ -132,9 +132,9 @@ def _cast(scenario: Scenario, T_target_sensor: Array, rng: np.random.Generator
     """Return ranges and incidences (m, n) at poses of the sensor in the target (m, 4, 4)."""
     sensor, solids = scenario.sensor, SCENES[scenario.scene].solids(scenario)
     z, angle = sensors.render(sensor, solids, T_target_sensor, relief(scenario.target, rng))
-    z = optics.blurred(sensor, z, T_target_sensor)
+    z = sensors.blurred(sensor, z, T_target_sensor)
     if sensor.speckle:
-        z = z + optics.speckle(sensor, z.shape, rng)
+        z = z + sensors.speckle(sensor, z.shape, rng)
     return z, angle
 
 
@@ -146,3 +146,27 @@ def _marked(points: Array, no_return: str) -> Array:
     points = points.copy()
     points[lost] = np.inf if no_return == 'inf' else np.nan
     return points
+
+
+def simulate_samples(
+        scenario: Scenario, rng: np.random.Generator) -> tuple[tuple[Sample, ...], Truth]:
+    """
+    Return the samples of a recording and what is true.
+
+    Each feature has exactly the noise that it states (white sensor noise of all profiles of a
+    stop, averaged), each pose the robot's error. Standard sensor frame; convention errors are
+    not applied.
+    """
+    scenario = replace(scenario, layout=replace(scenario.layout, frame='standard'))
+    scene = SCENES[scenario.scene]
+    stops = scene.stops(scenario, rng)
+    stops = stops.ordered(cells.visit_order(scenario, len(stops.labels), rng))
+    cell = cells.draw(scenario, stops, anywhere(scenario), rng)
+    spacing = int((scenario.robot.dwell + scenario.robot.move) * 1e9)
+    starts = np.arange(len(stops.labels)) * spacing
+    spans = np.stack([starts, starts + int(scenario.robot.dwell * 1e9)], axis=1)
+    truth = cells.truth(scenario, cell, stops, spans)
+    features = scene.features(scenario, stops, rng)
+    samples = tuple(Sample(s.start, s.T_base_flange_reported, f, scenario.profiles_per_stop)
+                    for s, f in zip(truth.stations, features, strict=True))
+    return samples, truth

@@ -1,4 +1,4 @@
-"""The parameters of a simulated recording, and what is true of it; metres, radians, seconds."""
+"""The parameters of a simulated recording; metres, radians, seconds."""
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -6,9 +6,6 @@ from dataclasses import dataclass, field, fields, is_dataclass
 import math
 import re
 from typing import Any
-
-from handeye_ros.data import Array
-from handeye_ros.simulate.sweep_model import Sweep
 
 
 @dataclass(frozen=True)
@@ -152,6 +149,29 @@ class Layout:
     no_return: str = 'nan'
 
 
+@dataclass(frozen=True)
+class Sweep:
+    """
+    A way through all stops without stopping, a knot of a smooth curve at each; seconds.
+
+    exposure: that one profile averages over; rotation_lag: by which the reported rotation is
+    late. stamp_jitter, pose_jitter: 1 sigma of the stamps. gaps: how many times no pose comes for
+    a time gap. resolution: to which positions are rounded (m), 0: not. drift: RMS of the vectors
+    of an error (translation, rotation) of the poses that varies smoothly over drift_time.
+    """
+
+    knot: float = 1.6
+    exposure: float = 0.0
+    rotation_lag: float = 0.0
+    stamp_jitter: float = 0.0
+    pose_jitter: float = 0.0
+    gaps: int = 0
+    gap: float = 0.3
+    resolution: float = 0.0
+    drift: tuple[float, float] = (0.0, 0.0)
+    drift_time: float = 1.0
+
+
 # Fields whose differences say nothing of what is seen.
 UNTOLD = ('name', 'scene', 'sensor.rate', 'sensor.delay', 'sensor.thinning', 'robot.rate',
           'robot.dwell', 'robot.move')
@@ -220,40 +240,3 @@ class Scenario:
     def profiles_per_stop(self) -> int:
         """How many profiles are recorded while the robot stands still."""
         return max(1, int(self.robot.dwell * self.sensor.rate))
-
-
-@dataclass(frozen=True, eq=False)
-class Station:
-    """
-    Where the robot stood, and what is true there.
-
-    start, end: stamps of standing still (0, 0 where nothing is streamed). label: the edge that
-    the line crosses ('p', 'q', 'p2', 'q2'), or 'sphere'. point: (2,) true edge point, or
-    centre of the arc, along the line and range in the standard sensor frame.
-    T_base_flange, T_base_flange_reported: (4, 4).
-    """
-
-    start: int
-    end: int
-    label: str
-    point: Array
-    T_base_flange: Array
-    T_base_flange_reported: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """
-    What a calibration should find; (4, 4) transforms.
-
-    T_flange_sensor: where the robot's or the sensor's own error is, the transform that serves best
-    over the volume of the stops and the field of view.
-    With eye_on_base, T_flange_sensor is the sensor's pose in the base and T_base_target the
-    target's pose in the flange. The sensor frame is the published one (Scenario.layout).
-    time_offset: to be added to the profiles' stamps (s), of a sweep.
-    """
-
-    T_flange_sensor: Array
-    T_base_target: Array
-    stations: tuple[Station, ...]
-    time_offset: float | None = None

@@ -5,7 +5,7 @@ from dataclasses import replace
 import math
 from typing import Any
 
-from handeye_ros.simulate.convention_errors import CONVENTION_ERRORS
+from handeye_ros.simulate.conventions import CONVENTION_ERRORS
 from handeye_ros.simulate.scenario import (
     Layout,
     PlateTarget,
@@ -13,19 +13,28 @@ from handeye_ros.simulate.scenario import (
     Scenario,
     SensorModel,
     SphereTarget,
+    Sweep,
     WedgeTarget,
 )
-from handeye_ros.simulate.sweep_model import Sweep
 
 PLATE = Scenario()
 WIDE = SensorModel(range=(0.14, 0.27), half_width=0.27, max_incidence=1.15)
-SPHERE = Scenario('sphere', 'sphere', SphereTarget(), WIDE, stations=(14, 0),
-                  tilt=math.radians(40))
-LINE = replace(PLATE, name='line', scene='line', stations=(14, 0))
-PLANE = replace(PLATE, name='plane', scene='plane', target=PlateTarget((0.4, 0.3), table=None),
-                stations=(14, 0))
-WEDGE = replace(PLATE, name='wedge', scene='wedge', target=WedgeTarget(), stations=(14, 0),
-                tilt=math.radians(20))
+
+
+def bases(plate: Scenario, wide: SensorModel) -> tuple[Scenario, ...]:
+    """Return a scenario of each target: plate as given, sphere, line, plane and wedge."""
+    one_group = replace(plate, stations=(14, 0))
+    return (plate,
+            replace(one_group, name='sphere', scene='sphere', target=SphereTarget(), sensor=wide,
+                    tilt=math.radians(40)),
+            replace(one_group, name='line', scene='line'),
+            replace(one_group, name='plane', scene='plane',
+                    target=PlateTarget((0.4, 0.3), table=None)),
+            replace(one_group, name='wedge', scene='wedge', target=WedgeTarget(),
+                    tilt=math.radians(20)))
+
+
+_, SPHERE, LINE, PLANE, WEDGE = BASES = bases(PLATE, WIDE)
 ARM = RobotModel(geometry=3e-4, rate=50.0)
 REAL_ROBOT = RobotModel(systematic=(1.5e-4, math.radians(0.02)))
 
@@ -57,11 +66,7 @@ def _swept(base: Scenario, name: str, columns: int = 640, rate: float = 50.0,
 
 
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
-    PLATE,
-    SPHERE,
-    LINE,
-    PLANE,
-    WEDGE,
+    *BASES,
     replace(WEDGE, name='groove', target=WedgeTarget(concave=True)),
     replace(PLATE, name='plate_5_5', stations=(5, 5)),
     replace(PLATE, name='plate_in_order', shuffled=False),
@@ -99,7 +104,7 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     *(replace(PLATE, name=name, convention_errors=(name,)) for name in CONVENTION_ERRORS
       if name != 'inverted'),
     # the robot moves all the time
-    *(_swept(base, f'{base.name}_sweep') for base in (PLATE, SPHERE, LINE, PLANE, WEDGE)),
+    *(_swept(base, f'{base.name}_sweep') for base in BASES),
     # the recordings in bags/
     _swept(PLATE, 'small_plate_sweep', 320, 12.0, 50.0, resolution=2.0**-20),
     SMALL_PLATE,

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Feature
-from handeye_ros.simulate import plane, plate, sphere, wedge
+from handeye_ros.simulate import plate, sphere, wedge
 from handeye_ros.simulate.scenario import Scenario
 from handeye_ros.simulate.solids import Solid
 from handeye_ros.simulate.stations import Stops
@@ -31,7 +31,7 @@ class Scene:
 SCENES = {
     'plate': Scene(plate.stops, plate.solids, plate.features),
     'line': Scene(plate.stops, plate.solids, plate.features),
-    'plane': Scene(plane.stops, plate.solids, plane.features),
+    'plane': Scene(plate.plane_stops, plate.solids, plate.plane_features),
     'sphere': Scene(sphere.stops, sphere.solids, sphere.features),
     'wedge': Scene(wedge.stops, wedge.solids, wedge.features),
 }

@@ -1,13 +1,14 @@
-"""The profiler: light cast on the scene, and what the camera makes of it."""
+"""The profiler: light cast on the scene, what the camera makes of it, and its own errors."""
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.simulate.distortion import Distortion
-from handeye_ros.simulate.optics import smoothed
 from handeye_ros.simulate.scenario import SensorModel
-from handeye_ros.simulate.slab import Relief
-from handeye_ros.simulate.solids import cast, hidden, Solid
+from handeye_ros.simulate.solids import cast, hidden, Relief, Solid
 import numpy as np
+from scipy.ndimage import convolve1d, gaussian_filter1d
 
 CHUNK = 32  # profiles cast at once, so that the arrays stay in the cache
 EDGE_COLUMNS = 3
@@ -132,3 +133,112 @@ def plane_points(sensor: SensorModel, ranges: Array, distortion: Distortion | No
     if sensor.resolution:
         points = np.round(points / sensor.resolution) * sensor.resolution
     return points
+
+
+GROUND = -2e-4  # height over the target's face (m) below which another surface is seen
+WIDEST = 2.5  # sigmas of a spot
+FAINT = 0.15  # share of a spot on one surface, times its brightness, that no camera sees
+
+
+def blurred(sensor: SensorModel, z: Array, T: Array) -> Array:
+    """
+    Return ranges (m, n) as a spot of some width shows them.
+
+    T: (m, 4, 4) T_target_sensor. The camera takes the brighter of two surfaces under one spot,
+    and of that the middle of what is lit.
+    """
+    if not sensor.spot:
+        return z
+    across = np.linspace(-1, 1, z.shape[1]) * sensor.half_width
+    height = T[:, 2, :1] * across * z + T[:, 2, 2:3] * z + T[:, 2, 3:]
+    pitch = 2 * sensor.half_width * np.mean(sensor.range) / sensor.columns
+    reach = int(np.ceil(WIDEST * sensor.spot / pitch))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * pitch / sensor.spot)**2)
+    kernel /= kernel.sum()
+    seen = np.isfinite(z)
+    best, result = np.full(z.shape, FAINT), np.full(z.shape, np.nan)
+    for on, bright in ((seen & (height > GROUND), 1.0), (seen & ~(height > GROUND),
+                                                         sensor.ground)):
+        share = convolve1d(on.astype(float), kernel, mode='constant')
+        total = convolve1d(np.where(on, z, 0.0), kernel, mode='constant')
+        wins = bright * share > best
+        result[wins] = total[wins] / share[wins]
+        best = np.where(wins, bright * share, best)
+    return result
+
+
+def speckle(sensor: SensorModel, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """Return an error (m, n) that is correlated along each row."""
+    white = rng.normal(size=shape)
+    smooth = gaussian_filter1d(white, sensor.speckle_columns, axis=1, mode='wrap')
+    return np.asarray(sensor.speckle * smooth / smooth.std())
+
+
+def smoothed(sensor: SensorModel, z: Array) -> Array:
+    """Return ranges (m, n) after the mean filter of the driver; what was lost stays lost."""
+    if sensor.smoothing < 2:
+        return z
+    seen = np.isfinite(z)
+    kernel = np.ones(sensor.smoothing)
+    total = convolve1d(np.where(seen, z, 0.0), kernel, axis=1, mode='constant')
+    count = convolve1d(seen.astype(float), kernel, axis=1, mode='constant')
+    return np.where(seen, total / np.maximum(count, 1), np.nan)
+
+
+GRID = 21  # points along each side of the field
+
+
+@dataclass(frozen=True, eq=False)
+class Distortion:
+    """Errors of the range: weights (16,) of polynomials of third order; and affine ones."""
+
+    sensor: SensorModel
+    weights: Array
+
+    def ranges(self, z: Array) -> Array:
+        """Return how much too long (m, n) ranges are reported, one row for each profile."""
+        near, far = self.sensor.range
+        x = np.linspace(-1, 1, z.shape[1])
+        depth = (z - (near + far) / 2) / ((far - near) / 2)
+        terms = [a * b for a in legendre(x) for b in legendre(depth)]
+        return np.asarray(sum(w * term for w, term in zip(self.weights, terms, strict=True)))
+
+    def points(self, points: Array) -> Array:
+        """Return (..., 2) of the standard sensor plane stretched and sheared."""
+        middle = np.array([0.0, sum(self.sensor.range) / 2])
+        off = points - middle
+        stretched = off * (1 + self.sensor.scale)
+        stretched[..., 0] += self.sensor.shear * off[..., 1]
+        return np.asarray(stretched + middle)
+
+    @property
+    def T_true_reported(self) -> Array:
+        """Return the motion (4, 4) that serves reported points of the field best."""
+        z = np.linspace(*self.sensor.range, GRID)[:, None]
+        across = np.linspace(-1, 1, GRID) * self.sensor.half_width
+        true = np.stack([across * z, np.broadcast_to(z, (GRID, GRID))], axis=-1)
+        bent = z + self.ranges(np.broadcast_to(z, (GRID, GRID)))
+        x = true[..., 0] if self.sensor.sampling != 'fan' else across * bent
+        error = (self.points(np.stack([x, bent], axis=-1)) - true).reshape(-1, 2)
+        x, z = true.reshape(-1, 2).T
+        one, none = np.ones(len(x)), np.zeros(len(x))
+        A = np.concatenate([np.column_stack([one, none, z]), np.column_stack([none, one, -x])])
+        shift_x, shift_z, turn = np.linalg.lstsq(A, -error.T.ravel(), rcond=None)[0]
+        return se3.perturb(np.eye(4), np.array([shift_x, 0, shift_z, 0, turn, 0]))
+
+
+def draw_distortion(sensor: SensorModel, rng: np.random.Generator) -> Distortion | None:
+    """Return the distortion of a sensor, None for one that has none."""
+    if not (sensor.distortion or sensor.scale or sensor.shear):
+        return None
+    weights = np.zeros(16)
+    if sensor.distortion:
+        weights = rng.normal(size=16)
+        weights *= sensor.distortion / np.linalg.norm(weights)
+    return Distortion(sensor, weights)
+
+
+def legendre(x: Array) -> tuple[Array, ...]:
+    """Return the polynomials up to the third order, each of RMS 1 over -1 to 1."""
+    return tuple(np.sqrt(2 * k + 1) * np.polynomial.legendre.Legendre.basis(k)(x)
+                 for k in range(4))

@@ -5,8 +5,7 @@ from handeye_ros import config as configs
 from handeye_ros import pipeline
 from handeye_ros.checks.errors import RangeSignError, ScaleError
 from handeye_ros.config import Config
-from handeye_ros.simulate import SCENARIOS, simulate, simulate_samples
-from handeye_ros.simulate.settings import settings
+from handeye_ros.simulate import SCENARIOS, settings, simulate, simulate_samples
 import numpy as np
 import pytest
 

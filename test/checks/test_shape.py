@@ -7,9 +7,8 @@ from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import LostEdgesError
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
-from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
+from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate_samples
 from handeye_ros.simulate.scenario import PlateTarget
-from handeye_ros.simulate.settings import settings
 import numpy as np
 import pytest
 

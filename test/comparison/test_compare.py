@@ -20,6 +20,7 @@ from handeye_ros.targets import METHODS
 import numpy as np
 import pytest
 from rich.console import Console
+import yaml
 
 CHEN_NINE, CHEN_RIGID = 'Chen 2023, nine parameters', 'Chen 2023, on SE(3)'
 FIXED_LINEAR, FIXED_RIGID = 'fixed point, linear', 'fixed point, least squares'
@@ -254,14 +255,17 @@ def test_the_table_shows_the_reason_of_a_failure(only) -> None:
 
 def test_compare_on_the_command_line(tmp_path) -> None:
     run = handeye('compare', ROOT / 'bags' / 'sphere', '--config',
-                  ROOT / 'config' / 'sphere.yaml', cwd=tmp_path)
+                  ROOT / 'config' / 'sphere.yaml', '--out', 'c.yaml', cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     assert run.stderr == ''
     for estimator in ESTIMATORS['sphere']:
         assert f'\n {estimator.name} ' in run.stdout
     assert 'error: against truth.yaml' in run.stdout
     assert '\x1b' not in run.stdout
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ['c.yaml']
+    rows = yaml.safe_load((tmp_path / 'c.yaml').read_text())['estimators']
+    assert [row['name'] for row in rows] == [e.name for e in ESTIMATORS['sphere']]
+    assert 0 < rows[0]['error_mapped_points'] < 2e-4
 
 
 @pytest.mark.thorough

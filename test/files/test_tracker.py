@@ -12,7 +12,7 @@ from handeye_ros.files.errors import DegenerateError, TableError
 from handeye_ros.files.sweeps import sweep_from
 from handeye_ros.published import jing2020
 from handeye_ros.ros.bags import bag, bag_write
-from handeye_ros.simulate.tracker import RADIUS, simulate_tracker, TrackerCell
+from handeye_ros.simulate.measured import RADIUS, simulate_tracker, TrackerCell
 import numpy as np
 import pytest
 from tracker_session import session, T_flange_sensor

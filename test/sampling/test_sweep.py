@@ -11,7 +11,7 @@ from handeye_ros.errors import HandeyeError
 from handeye_ros.results.truth_errors import errors_against
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate
-from handeye_ros.simulate.sweep_model import Sweep
+from handeye_ros.simulate.scenario import Sweep
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -6,7 +6,7 @@ import math
 
 from handeye_ros import se3
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine
-from handeye_ros.simulate import distortion, Scenario, SCENARIOS, simulate_samples, Station
+from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples, Station
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.simulate.solids import Box
@@ -63,7 +63,7 @@ def test_the_distortion_is_smooth_and_of_the_stated_size() -> None:
         sensor = SensorModel(columns=200, **{**CLEAN, 'distortion': 1e-4})
         z = np.tile(np.linspace(*sensor.range, 100)[:, None], (1, 200))
         rng = np.random.default_rng(seed)
-        bent = distortion.draw(sensor, rng)
+        bent = sensors.draw_distortion(sensor, rng)
         error = sensors.measure(sensor, z, np.zeros_like(z), rng, bent) - z
         assert np.abs(np.diff(error, axis=1)).max() < 6e-5
         rms.append(np.sqrt((error**2).mean()))
