@@ -9,6 +9,7 @@ from pathlib import Path
 import time
 
 from command import assert_refused, handeye
+from handeye_ros.batch.cells import cell_of, cells_of
 from handeye_ros.batch.errors import JobListError, NoJobsError
 from handeye_ros.batch.jobs import CRASHED, Job, run
 from handeye_ros.batch.report import write_report
@@ -130,6 +131,22 @@ def test_recordings_are_taken_by_url(tmp_path):
     assert run(jobs[0], tmp_path / 'out', pretended)['residual_rms'] == 3.0
     missing = run(Job('memory://nights/none.mcap', 'none', 'solve'), tmp_path / 'out', pretended)
     assert missing['exit_code'] == 2 and 'memory://nights/none.mcap' in missing['cause']
+
+
+def test_each_cell_is_shown_through_time(tmp_path):
+    rows = [{'label': f'{cell}/night_{k}', 'verb': 'check', 'exit_code': int(k == 5), 'stamp': -k,
+             'verdict': 'sensor' if k == 5 else 'unchanged', 'rms': 2e-5, 'points_off': 1e-4 * k,
+             'points_off_std': 1e-5, 'seconds': 1.0} for k in range(6) for cell in 'ab']
+    rows.append({'label': 'c/night_0', 'verb': 'check', 'exit_code': 3, 'cause': 'off by 3.1 mm'})
+    cells = cells_of(rows)
+    assert list(cells) == ['a', 'b'] and cells['a'][0]['label'] == 'a/night_5'
+    (tmp_path / 'a').mkdir()
+    cell = cell_of('a', cells['a'], tmp_path)
+    assert cell.sentence == 'sensor; unchanged since a/night_4'
+    assert (tmp_path / cell.picture).stat().st_size > 1000
+    write_report(rows, [cell], tmp_path / 'report.html')
+    page = (tmp_path / 'report.html').read_text()
+    assert 'src="a/trend.png"' in page and 'off by # mm' in page
 
 
 def test_lists_name_their_recordings_relative_to_them(tmp_path):

@@ -159,6 +159,12 @@ def test_a_trend_goes_by_the_time_of_the_recordings(tmp_path):
     assert len(trend.csv_text(entries).splitlines()) == 4
 
 
+def test_control_limits_are_those_of_an_individuals_chart():
+    # moving ranges 2, 1, 2, 1: 3 * 1.5 / 1.128
+    centre, low, high = trend.control_limits(np.array([10.0, 12.0, 11.0, 13.0, 12.0]))
+    assert (centre, low, high) == pytest.approx((11.6, 11.6 - 3.989, 11.6 + 3.989), abs=1e-3)
+
+
 def test_a_steady_trend_is_told_so(tmp_path):
     calibrations(tmp_path, 5)
     entries, _ = trend.trend(tmp_path)
