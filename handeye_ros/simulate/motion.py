@@ -90,7 +90,7 @@ def flange(cell: cells.Cell, T_target_sensor: Array, calibration_type: str) -> A
 
 
 def swept_poses(scenario: Scenario, cell: cells.Cell, along: Way, rng: np.random.Generator
-             ) -> tuple[TimedPose, ...]:
+                ) -> tuple[TimedPose, ...]:
     """Return the poses that the robot streams on its way."""
     robot, sweep = scenario.robot, _sweep(scenario)
     times = np.arange(0.0, sweep_duration(scenario), 1 / robot.rate)

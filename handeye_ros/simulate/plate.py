@@ -156,7 +156,7 @@ def plane_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
 
 
 def plane_features(scenario: Scenario, at: Stops,
-             rng: np.random.Generator) -> list[tuple[Feature, ...]]:
+                   rng: np.random.Generator) -> list[tuple[Feature, ...]]:
     """Return the FaceLine of each stop, with the noise of all its profiles."""
     return [(_face_line(scenario, T, point, rng),)
             for T, point in zip(at.T_target_sensor, at.points, strict=True)]
