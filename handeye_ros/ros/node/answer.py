@@ -10,7 +10,7 @@ import numpy as np
 
 # Keys, or the beginnings of keys, that say what a stop gives.
 OF_SAMPLES = ('method', 'profile.', 'target.', 'noise.sensor', 'sampling.min_points',
-              'sampling.settle_time', 'time_offset')
+              'sampling.settle_time', 'time_offset', 'rotation_lag_std')
 # The same of what the answer from given samples is.
 OF_ANSWER = (*OF_SAMPLES, 'calibration_type', 'noise.', 'limits.', 'samples.',
              'sampling.min_crossing_angle')
