@@ -16,10 +16,11 @@ import numpy as np
 
 def stop_snapshots(session: Session, config: Config) -> tuple[StopSnapshot, ...]:
     """Return what was seen at the stops, in the order of their numbers; all count as unused."""
-    return tuple(_snapshot(outcome, config) for outcome in session.outcomes)
+    return tuple(stop_snapshot(outcome, config) for outcome in session.outcomes)
 
 
-def _snapshot(outcome: Outcome, config: Config) -> StopSnapshot:
+def stop_snapshot(outcome: Outcome, config: Config) -> StopSnapshot:
+    """Return what was seen at a stop."""
     seen, sample = outcome.stop.load(config), outcome.sample
     stamp = outcome.result.stamp
     T = sample.T_base_flange if sample else _middle(seen)

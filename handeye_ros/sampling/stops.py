@@ -13,7 +13,7 @@ from functools import partial
 
 from handeye_ros import se3, targets
 from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Profile, RawProfile, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Array, Profile, RawProfile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.sampling.dwells import around, Dwell, interpolate, NS
@@ -50,6 +50,11 @@ class Stop:
 
     began: int
     load: Callable[[Config], Seen]
+
+    def pose(self, config: Config) -> Array:
+        """Return T_base_flange (4, 4) of its last pose."""
+        last = self.load(config).poses[-1]
+        return se3.from_quaternion(last.translation, last.quaternion)
 
 
 @dataclass(frozen=True, eq=False)

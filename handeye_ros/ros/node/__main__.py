@@ -14,6 +14,7 @@ import signal
 import sys
 from typing import Any
 
+THREADS = 8  # one for each group of services that wait for each other, and for the timers
 SWITCH = 1e-3  # s until another thread has its turn: an answer takes a dozen of them
 
 USAGE = """\
@@ -75,10 +76,42 @@ def _run() -> int:
         # nothing is begun yet; an exception may be lost in an extension that is being imported
         on_signals(lambda *_: os._exit(0))
         from handeye_ros.ros.executable import exit_code
-        from handeye_ros.ros.node.node import run
+        from handeye_ros.ros.node.node import HandeyeNode
         on_signals(signal.default_int_handler)
-        code = exit_code(run)
+        code = exit_code(lambda: run(HandeyeNode))
     return code
+
+
+def run(make: Callable[[], Any]) -> None:
+    """Run the node that make() returns until Ctrl-C or SIGTERM."""
+    from handeye_ros.ros.errors import TopicsError
+    from handeye_ros.ros.executable import RCLError, ros, spin, UNSENDABLE
+    import rclpy
+    from rclpy.executors import MultiThreadedExecutor
+    with ros():
+        try:
+            node = make()
+        except UNSENDABLE as error:
+            if not rclpy.ok():  # a signal came meanwhile
+                return
+            raise TopicsError(str(error)) from error
+        executor = MultiThreadedExecutor(THREADS)
+        executor.add_node(node)
+        try:
+            spin(executor)
+        except KeyboardInterrupt:
+            pass
+        except RCLError:
+            if rclpy.ok():  # else a signal came while it prepared to wait
+                raise
+        finally:
+            node.stop()
+            executor.shutdown()
+            node.destroy_node()
+        if node.is_busy:
+            # nobody is left to answer; Python would wait for the thread of the solve
+            flushed()
+            os._exit(0)
 
 
 def on_signals(handler: Callable[[int, Any], Any]) -> None:

@@ -97,7 +97,7 @@ def why_silent(node: Node, key: str, topic: str, wanted: str) -> str:
     hints = ''.join(HINTS.get(kind, '') for kind in sorted(types))
     why = (f'it carries {", ".join(sorted(types))}, expected {wanted}{hints}' if types else
            f'nobody publishes {name}')
-    others = _topics_of(node, wanted)
+    others = topics_of(node, wanted)
     return why + (f'; {wanted} is on {", ".join(others[:LISTED])}: set {key}' if others else '')
 
 
@@ -111,7 +111,7 @@ def same_name(node: Node) -> str:
             'is listed for 20 s more')
 
 
-def _topics_of(node: Node, wanted: str) -> list[str]:
+def topics_of(node: Node, wanted: str) -> list[str]:
     """Return the topics on which others publish messages of a type."""
     names = [name for name, types in node.get_topic_names_and_types() if wanted in types]
     me = (node.get_name(), node.get_namespace())

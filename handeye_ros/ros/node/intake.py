@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,6 +11,7 @@ import traceback
 from typing import Any, TypeVar
 
 from geometry_msgs.msg import PoseStamped
+from handeye_ros.config import Config
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError, INSTALL_TF2
 from handeye_ros.kinematics.answer import read_arm
@@ -22,12 +22,12 @@ from handeye_ros.ros.bags.poses import pose_from_joints
 from handeye_ros.ros.bags.profile_reader import ProfileReader, split
 from handeye_ros.ros.bags.transforms import FlangeTracker
 from handeye_ros.ros.errors import MessageError
-from handeye_ros.ros.executable import InvalidHandle
+from handeye_ros.ros.executable import InvalidHandle, RCLError
 from handeye_ros.ros.node.diagnostics import why_silent
 from handeye_ros.ros.node.kinematics import LiveKinematics
 from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.ros.node.streams import Arrivals
 from rclpy.callback_groups import CallbackGroup
-from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -53,6 +53,10 @@ THROTTLE = 5.0  # s between two warnings of a kind
 Stamped = TypeVar('Stamped', RawProfile, TimedPose)
 
 
+NO_TF = ('pose_source is tf, but tf2_msgs is not installed: '
+         f'{INSTALL_TF2}; or publish the poses on pose_topic')
+
+
 class NoExecutor(CallbackGroup):
     """Subscriptions that no executor takes from: one round of it costs ten messages."""
 
@@ -68,6 +72,11 @@ class NoExecutor(CallbackGroup):
         """Nothing has begun."""
 
 
+def topics_of(config: Config) -> tuple[str, str, str]:
+    """Return the settings that name what is heard and may change while the node runs."""
+    return config.profile_topic, config.pose_source, config.pose_topic
+
+
 class Intake:
     """
     The subscriptions, and the thread that takes what they receive as it is serialised.
@@ -81,12 +90,23 @@ class Intake:
         self._live = live
         self._group = NoExecutor()
         self._drains: list[Callable[[], int]] = []
+        self._subscriptions: list[Any] = []
         config = live.config
-        self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         self._reader = ProfileReader(config.profile)
-        self._before: int | None = None  # the stamp of the last message of profiles
-        self._listen(PointCloud2, config.profile_topic, self._on_profile, STREAM)
         self.kinematics = LiveKinematics(live, config) if config.robot_description else None
+        self.listen()
+
+    def listen(self) -> None:
+        """Subscribe to the topics of the settings of now; raises InputError."""
+        former, self._drains, self._subscriptions = self._subscriptions, [], []
+        for subscription in former:
+            self._node.destroy_subscription(subscription)
+        config = self._live.config
+        self._topics = topics_of(config)
+        self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
+        self._before: int | None = None  # the stamp of the last message of profiles
+        self._live.streams.arrivals = Arrivals()
+        self._listen(PointCloud2, config.profile_topic, self._on_profile, STREAM)
         if self.kinematics:
             live.samples.store.joints = self.kinematics.between
             self._listen(JointState, config.joint_topic, self._on_joint_values, STREAM)
@@ -99,8 +119,30 @@ class Intake:
             self._listen(TFMessage, '/tf_static', partial(self._on_transforms, True), LATCHED_TREE)
             self._listen(TFMessage, '/tf', partial(self._on_transforms, False), STREAM)
         else:
-            raise InputError('pose_source is tf, but tf2_msgs is not installed: '
-                             f'{INSTALL_TF2}; or publish the poses on pose_topic')
+            raise InputError(NO_TF)
+
+    def changes(self, config: Config) -> bool:
+        """Return whether settings name other topics than those that are heard; InputError."""
+        if topics_of(config) == self._topics:
+            return False
+        if any(outcome.sample for outcome in self._live.copied().outcomes):
+            raise InputError('the topics cannot change while there are samples from them: call '
+                             '~/clear_samples first, which begins a new session')
+        by_topic = config.pose_source == 'topic'
+        if not by_topic and not TFMessage:
+            raise InputError(NO_TF)
+        names = [self._name(config.profile_topic)] + [self._name(config.pose_topic)] * by_topic
+        if len(set(names)) < len(names):
+            raise InputError('profile_topic and pose_topic are the same: each needs its own')
+        return True
+
+    def _name(self, topic: str) -> str:
+        """Return the full name of a topic; raises InputError."""
+        try:
+            return str(self._node.resolve_topic_name(topic))
+        except RCLError as error:
+            why = str(error).splitlines()[0].partition(', at /')[0]
+            raise InputError(f'"{topic}" cannot name a topic: {why}') from error
 
     def start(self) -> None:
         """Begin to take what comes."""
@@ -125,22 +167,24 @@ class Intake:
                 ) -> None:
         """Let the thread call take with every message of a topic."""
         raw = kind in (PointCloud2, PoseStamped, JointState)
-        try:
-            subscription = self._node.create_subscription(
-                kind, topic, take, qos, callback_group=self._group, raw=raw,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies())
-        except NameValidationException as error:
-            raise InputError(f'"{topic}" cannot name a topic: '
-                             + str(error).splitlines()[0]) from error
+        self._name(topic)  # which refuses what cannot be one
+        subscription = self._node.create_subscription(
+            kind, topic, take, qos, callback_group=self._group, raw=raw,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        self._subscriptions.append(subscription)
         self._drains.append(partial(self._drain, subscription.handle, kind, raw, take))
 
     def _run(self) -> None:
         """Take what waits, again and again, until the node ends."""
-        with suppress(InvalidHandle):
-            while self._node.context.ok():
-                counts = [drain() for drain in self._drains]
-                if max(counts) < MOST_AT_ONCE:
-                    time.sleep(PAUSE)
+        while self._node.context.ok():
+            drains, counts = self._drains, [0]
+            try:
+                counts += [drain() for drain in drains]
+            except InvalidHandle:
+                if drains is self._drains:  # the node ends; else other topics are heard now
+                    return
+            if max(counts) < MOST_AT_ONCE:
+                time.sleep(PAUSE)
 
     def _drain(self, handle: Any, kind: Any, raw: bool, take: Callable[[Any], None]) -> int:
         """Take what waits, but not so much that other topics wait for it; return how much."""

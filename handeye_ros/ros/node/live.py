@@ -15,10 +15,8 @@ import threading
 from handeye_ros import pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, TimedPose
-from handeye_ros.diagnosis.review import Review
 from handeye_ros.diagnosis.summaries import calibration_summary
 from handeye_ros.errors import DataError, HandeyeError, InputError
-from handeye_ros.guidance.advice import Advice
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.results.errors import NothingToSaveError
 from handeye_ros.ros.errors import WorkerEndedError
@@ -26,10 +24,10 @@ from handeye_ros.ros.node.answer import Answer, changes_answer
 from handeye_ros.ros.node.live_verify import LiveVerification
 from handeye_ros.ros.node.reviewer import Reviewer
 from handeye_ros.ros.node.samples import LiveSamples
-from handeye_ros.ros.node.store import Place, Store
-from handeye_ros.ros.node.streams import Latest, Streams
+from handeye_ros.ros.node.streams import Streams
 from handeye_ros.ros.node.threads import Progress, Threads
 from handeye_ros.ros.node.worker import give_back, InProcess, Judge, Runner
+from handeye_ros.ros.sessions.store import Place, Store
 from handeye_ros.sampling.errors import ClearedError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome
@@ -83,24 +81,9 @@ class LiveSession:
         return self.streams.session.with_base(self.config)
 
     @property
-    def latest(self) -> Latest:
-        """Return the last messages."""
-        return self.streams.latest
-
-    @property
     def calibration(self) -> Calibration | None:
         """Return the last answer that was not refused."""
         return self.answer.calibration
-
-    @property
-    def review(self) -> Review | None:
-        """Return how well the samples agree, None before that is known."""
-        return self.reviewer.review
-
-    @property
-    def advice(self) -> Advice:
-        """Return what to do next."""
-        return self.reviewer.advice
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -143,6 +126,20 @@ class LiveSession:
         """Go on with an earlier run, and solve what it has; see LiveSamples.restore."""
         text = self.samples.restore(session, before)
         self._asked = self._due = bool(session.samples)
+        return text
+
+    def replace_session(self, store: Store, session: Session, before: Config) -> str:
+        """Go on with another session instead of the one of now; see LiveSamples.restore."""
+        with self.samples.work:
+            self.verification.end()
+            self.samples.forget()
+            self.samples.store.close()
+            self.samples.store = store
+            text = self.restore(session, before)
+        self.answer.withdraw('another session was opened')
+        with self.streams.lock:
+            self.reviewer.clear()
+        self.on_change()
         return text
 
     def _judge_stops(self) -> None:

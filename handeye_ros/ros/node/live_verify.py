@@ -15,9 +15,9 @@ from handeye_ros.diagnosis.summaries import sample_summary
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.ros.node.answer import Answer
 from handeye_ros.ros.node.samples import LiveSamples
-from handeye_ros.ros.node.store import Place
 from handeye_ros.ros.node.threads import Progress
 from handeye_ros.ros.node.worker import Runner
+from handeye_ros.ros.sessions.store import Place
 from handeye_ros.sampling.stops import Outcome, Stop
 from handeye_ros.verification import verification
 from handeye_ros.verification.errors import (
@@ -38,7 +38,8 @@ class LiveVerification:
     """
     A verification of the calibration by the stops of the robot: a consumer of stops.
 
-    on_change: called after it began or ended.
+    last: the last verdict with its figures, empty before; on_change: called after it began or
+    ended.
     """
 
     def __init__(self, samples: LiveSamples, answer: Answer, place: Place, runner: Runner,
@@ -47,11 +48,17 @@ class LiveVerification:
         self._samples, self._answer, self._place = samples, answer, place
         self._runner, self._progress = runner, progress
         self._course: VerificationSession | None = None
+        self.last = ''
         self.on_change: Callable[[], None] = lambda: None
 
     @property
     def _config(self) -> Config:
         return self._samples.config
+
+    @property
+    def text(self) -> str:
+        """Return how far it is, in words; empty where none goes on."""
+        return self._course.text if self._course else ''
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -134,7 +141,8 @@ class LiveVerification:
             self._samples.judge_rest()
             asked = course.copied()
         found = self._verified(asked)
-        text = f'{verification.sentence(found)}; {self._written(found)}'
+        self.last = verification.sentence(found)
+        text = f'{self.last}; {self._written(found)}'
         with self._samples.work:
             if found.verdict in ANSWERS and self._course is course:
                 self.end()

@@ -3,26 +3,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import partial
-import os
 from pathlib import Path
-import sys
 from threading import Lock
 from typing import Any
 
 from handeye_ros.diagnosis.summaries import in_the_way, sample_summary, with_trouble
 from handeye_ros.errors import HandeyeError
-from handeye_ros.ros.errors import TopicsError
-from handeye_ros.ros.executable import offer, RCLError, ros, spin, UNSENDABLE
+from handeye_ros.ros.executable import offer, UNSENDABLE
 from handeye_ros.ros.node import params
-from handeye_ros.ros.node.diagnostics import RepeatedWarnings, same_name
+from handeye_ros.ros.node.diagnostics import RepeatedWarnings, same_name, topics_of
 from handeye_ros.ros.node.intake import Intake
 from handeye_ros.ros.node.kinematics import compute
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.publishers import Publishers
 from handeye_ros.ros.node.status import state_of
-from handeye_ros.ros.node.store import Place
 from handeye_ros.ros.node.worker import WorkerProcess
 from handeye_ros.ros.page.buttons import serve
+from handeye_ros.ros.sessions.reading import is_session, read_session
+from handeye_ros.ros.sessions.store import Place
 from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.state import State
 from handeye_ros.sampling.stops import Outcome
@@ -30,7 +28,6 @@ from rcl_interfaces.msg import SetParametersResult
 import rclpy
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import Empty
@@ -38,7 +35,6 @@ from std_srvs.srv import SetBool, Trigger
 
 CURRENT = 0.2  # s between two pictures of what is seen now
 LOWER = 5  # priority of what takes long
-THREADS = 8  # one for each group of services that wait for each other, and for the timers
 
 
 class HandeyeNode(Node):
@@ -95,6 +91,17 @@ class HandeyeNode(Node):
     def token_file(self) -> Path:
         """Return the file that keeps the token of the page."""
         return self._place.parent(self.live.config) / '.page_token'
+
+    @property
+    def sessions(self) -> list[str]:
+        """Return the names of the sessions that can be opened, the newest first."""
+        folder = self._place.folder(self.live.config)
+        folders = folder.iterdir() if folder.is_dir() else ()
+        return sorted((path.name for path in folders if is_session(path)), reverse=True)
+
+    def topics_of(self, kind: str) -> list[str]:
+        """Return the topics on which others publish messages of a type."""
+        return topics_of(self, kind)
 
     @property
     def state(self) -> State:
@@ -169,6 +176,19 @@ class HandeyeNode(Node):
         """Write the last answer."""
         return self.live.save()
 
+    def open_session(self, name: str) -> str:
+        """Go on with a former session of this name, with the settings of now; HandeyeError."""
+        config = self.live.config
+        path = self._place.folder(config) / Path(name).name
+        if path == Path(self.live.samples.store.path):
+            return f'{path} is the session of now'
+        stored = read_session(path)
+        store, session = SessionStore(self._place.folder, stored), stored.session(config)
+        text = self.live.replace_session(store, session, stored.config)
+        self.set_parameters([Parameter('samples.exclude', Parameter.Type.INTEGER_ARRAY,
+                                       list(stored.config.samples.exclude))])
+        return text
+
     def compute_kinematics(self) -> str:
         """Find the errors of the arm, and write the corrected one."""
         return compute(self._intake.kinematics)
@@ -221,40 +241,16 @@ class HandeyeNode(Node):
 
     def _check_change(self, changes: list[Parameter]) -> SetParametersResult:
         try:
-            params.changed(self.live.config, changes)
+            self._intake.changes(params.changed(self.live.config, changes))
         except HandeyeError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _apply_change(self, changes: list[Parameter]) -> None:
         with self._changing:
-            self.live.configure(params.changed(self.live.config, changes))
-
-
-def run() -> None:
-    """Run the node until Ctrl-C or SIGTERM."""
-    with ros():
-        try:
-            node = HandeyeNode()
-        except UNSENDABLE as error:
-            if not rclpy.ok():  # a signal came meanwhile
-                return
-            raise TopicsError(str(error)) from error
-        executor = MultiThreadedExecutor(THREADS)
-        executor.add_node(node)
-        try:
-            spin(executor)
-        except KeyboardInterrupt:
-            pass
-        except RCLError:
-            if rclpy.ok():  # else a signal came while it prepared to wait
-                raise
-        finally:
-            node.stop()
-            executor.shutdown()
-            node.destroy_node()
-        if node.is_busy:
-            # nobody is left to answer; Python would wait for the thread of the solve
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(0)
+            config = params.changed(self.live.config, changes)
+            others = self._intake.changes(config)
+            self.live.configure(config)
+        if others:
+            self.live.clear_samples()
+            self._intake.listen()

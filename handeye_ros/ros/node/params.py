@@ -14,16 +14,15 @@ from handeye_ros import targets
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD, RECORD_NAMES
 from handeye_ros.errors import InputError, UnknownKeyError
 from handeye_ros.results import calibration_file
-from handeye_ros.ros.node.store import Place
 from handeye_ros.ros.sessions.reading import Stored
 from handeye_ros.ros.sessions.resume import resumed
+from handeye_ros.ros.sessions.store import Place
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 # What the node subscribes to, or tells others, from its start on.
-FIXED = ('robot_base_frame', 'robot_effector_frame', 'pose_source', 'pose_topic',
-         'profile_topic', 'session', 'page.port', 'page.address')
+FIXED = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port', 'page.address')
 # Keys that serve only targets that are solved from files.
 FILES_ONLY = ('tracker.', 'sensor_frame')
 

@@ -145,7 +145,7 @@ class Publishers:
         if self._current.get_subscription_count():
             config = self._live.framed
             self._current.publish(current_markers(
-                self._live.latest.current(config), self._live.calibration, config))
+                self._live.streams.latest.current(config), self._live.calibration, config))
 
     def show_features(self, outcome: Outcome) -> None:
         """Publish what a new sample saw."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from handeye_ros import pipeline, se3
+from handeye_ros import pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.diagnosis.crossing import flat_crossing
@@ -29,13 +29,14 @@ class Reviewer:
 
     review: None before there is one, no_review: why; reviewed: the samples that its agreements
     belong to, in this order; advised: the number of the last sample that the advice knows of, 0
-    for none; on_change: called after each.
+    for none; seen: points (k, 2) at the ends of the field of view, in order around it; on_change:
+    called after each.
     """
 
     def __init__(self, samples: LiveSamples, runner: Runner) -> None:
         """Start with none; runner: runs what takes long."""
         self._samples, self._runner = samples, runner
-        self._view = np.zeros((0, 2))  # points of profiles, at the ends of the field of view
+        self.seen = np.zeros((0, 2))
         self._settings, self._advised = 1, 0  # how often they changed; at the last advice
         self.on_change: Callable[[], None] = lambda: None
         self.clear()
@@ -47,7 +48,7 @@ class Reviewer:
         self._reviewed: tuple[Outcome, ...] | None = None
         self.advice = pipeline.advise((), self._samples.config)
         self.advised = self._known_refused = 0
-        self._poses: dict[int, Array] = {}  # of stops that gave no sample, by their numbers
+        self._poses: dict[int, Array] = {}  # of stops that gave no sample, by when they began
 
     @property
     def reviewed(self) -> tuple[Outcome, ...]:
@@ -80,15 +81,13 @@ class Reviewer:
 
     def _refused(self) -> list[Array]:
         """Return the poses of the flange (4, 4) at which stops gave no sample."""
-        found, config = [], self._samples.config
-        for outcome in self._samples.streams.copied().outcomes:
-            if outcome.sample is None and outcome.number not in self._poses:
-                pose = outcome.stop.load(config).poses[-1]
-                self._poses[outcome.number] = se3.from_quaternion(pose.translation,
-                                                                  pose.quaternion)
-            if outcome.sample is None:
-                found.append(self._poses[outcome.number])
-        return found
+        config, outcomes = self._samples.config, self._samples.streams.copied().outcomes
+        for outcome in outcomes:
+            if outcome.sample is None and outcome.stop.began not in self._poses:
+                self._poses[outcome.stop.began] = outcome.stop.pose(config)
+        taken = {outcome.stop.began for outcome in outcomes if outcome.sample}
+        return [T for began, T in (self._samples.refused | self._poses).items()
+                if began not in taken]
 
     def _runner_for(self, samples: Sequence[object]) -> Runner:
         """Return what runs the work on samples: so few that nothing is solved need no process."""
@@ -113,11 +112,11 @@ class Reviewer:
         cleared, config = self._samples.cleared, self._samples.config
         current = self._samples.streams.latest.current(config)
         if current:
-            self._view = extremes(np.concatenate([self._view, current.points]))
+            self.seen = extremes(np.concatenate([self.seen, current.points]))
         outcomes, included = self._included()
         samples = sorted((o.sample for o, use in zip(outcomes, included, strict=True)
                           if use and o.sample), key=lambda sample: sample.stamp)
-        advice = self._runner_for(samples).run(pipeline.advise, samples, config, self._view,
+        advice = self._runner_for(samples).run(pipeline.advise, samples, config, self.seen,
                                                refused)
         with self._samples.streams.lock:
             if self._samples.cleared == cleared:

@@ -9,17 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 import threading
-from typing import Protocol
 
 from handeye_ros.config import Config
-from handeye_ros.data import Reject, Sample
+from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.diagnosis.summaries import count_of, sample_summary
 from handeye_ros.errors import HandeyeError, InputError
+from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.ros.node.answer import changes_samples
-from handeye_ros.ros.node.store import Store
-from handeye_ros.ros.node.streams import Streams
+from handeye_ros.ros.node.streams import StopConsumer, Streams
 from handeye_ros.ros.node.threads import Progress
 from handeye_ros.ros.node.worker import Judge
+from handeye_ros.ros.sessions.store import Store
 from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError, SilentPosesError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.state import Attempt
@@ -30,23 +30,14 @@ POSES_SILENT, BOTH_SILENT = 2.0, 30.0
 PROFILES_COME = 1.0  # s since the last profile
 
 
-class StopConsumer(Protocol):
-    """Takes the stops of the robot that would be samples otherwise."""
-
-    def count(self, stop: Stop) -> str:
-        """Take a stop that is over; return what to say."""
-
-    def take(self, stop: Stop) -> str:
-        """Take a stop that was asked for; raises UnusableStopError."""
-
-
 class LiveSamples:
     """
     The samples of a running node.
 
     work: held by who changes them; cleared: how often they were; consumer: takes the stops
     instead, None for nobody; objection: tells what of a new sample is no good, as far as the
-    others tell; on_outcome: called with each new outcome.
+    others tell; refused: T_base_flange (4, 4) of stops that were asked for and gave no sample, by
+    when they began; on_outcome: called with each new outcome.
     """
 
     def __init__(self, streams: Streams, judge: Judge, store: Store, progress: Progress) -> None:
@@ -58,6 +49,7 @@ class LiveSamples:
         self._extracting = threading.Lock()
         self._stale = False  # whether the samples are to be extracted anew
         self.attempt: Attempt | None = None
+        self.refused: dict[int, Array] = {}
         self.store_trouble = ''
         self.consumer: StopConsumer | None = None
         self.objection: Callable[[Outcome], str] = lambda outcome: ''
@@ -157,7 +149,7 @@ class LiveSamples:
                         self.streams.session.replace(fresh)
 
     def note_attempt(self, accepted: bool, number: int, text: str) -> None:
-        """Keep the answer to an attempt to take a sample; number: 0 where there is none."""
+        """Keep the answer to an attempt; number: of its sample, 0 where there is none."""
         self.attempt = Attempt(accepted, number, text)
 
     # what is asked; each returns what to say
@@ -190,6 +182,7 @@ class LiveSamples:
                 raise NothingNewError(sample_summary(outcome.result))
             why = self.objection(outcome)
             if why:
+                self.refused[stop.began] = stop.pose(self.config)
                 raise FlatCrossingError(why)
             outcome = self._stored(outcome)
             self._put(outcome)
@@ -203,7 +196,11 @@ class LiveSamples:
         """Return the stop that the robot stands in, its sample, and what was known with it."""
         known = self.cleared, self.config
         stop = self._standing()
-        return stop, self.judge.sample(stop, known[1]), known
+        try:
+            return stop, self.judge.sample(stop, known[1]), known
+        except FeatureError:
+            self.refused[stop.began] = stop.pose(known[1])
+            raise
 
     def _standing(self) -> Stop:
         """Return the stop that the robot stands in; raises DataError as the session does."""
@@ -231,18 +228,22 @@ class LiveSamples:
     def clear(self) -> str:
         """Forget all samples, and all that was received; raises InputError."""
         with self.work:
-            kept = self.store.restart(self.config)
-            self.streams.latest.clear()
-            with self.streams.lock:
-                self.streams.waiting.clear()
-                self.streams.early = None
-                session = self.streams.session
-                count = sum(o.sample is not None for o in session.outcomes)
-                session.clear()
-                self.cleared += 1
-            self.attempt = None
+            kept, count = self.store.restart(self.config), self.forget()
         self.streams.wake.set()
         return f'{count_of(count, "sample")} removed; bags and clocks may start again{kept}'
+
+    def forget(self) -> int:
+        """Forget the stops, and all that was received; return how many samples there were."""
+        self.streams.latest.clear()
+        with self.streams.lock:
+            self.streams.waiting.clear()
+            self.streams.early = None
+            session = self.streams.session
+            count = sum(o.sample is not None for o in session.outcomes)
+            session.clear()
+            self.cleared += 1
+        self.attempt, self.refused = None, {}
+        return count
 
     # what is set
 

@@ -52,7 +52,7 @@ def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '', same_name:
         samples, tuple(sample.number for sample in worst), live.reviewer.no_review,
         live.samples.attempt,
         live.answer.state(stamps_of(session)),
-        _guidance(live.advice, live.reviewer.advised))
+        _guidance(live.reviewer.advice, live.reviewer.advised))
 
 
 def _guidance(advice: Advice | None, sample: int) -> GuidanceState | None:

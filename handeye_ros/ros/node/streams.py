@@ -10,8 +10,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 import threading
 import time
+from typing import Protocol
 
-from handeye_ros import targets
+from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Feature, TimedPose
 from handeye_ros.errors import UnusableMessageError
@@ -124,6 +125,13 @@ class Latest:
             self._profiles.clear()
             self._poses.clear()
 
+    @property
+    def pose(self) -> Array | None:
+        """Return T_base_flange (4, 4) of the last pose, None before the first."""
+        with self._lock:
+            last = self._poses[-1] if self._poses else None
+        return None if last is None else se3.from_quaternion(last.translation, last.quaternion)
+
     def current(self, config: Config) -> Current | None:
         """Return the last profile that poses surround; None where there is none to use."""
         with self._lock:
@@ -146,6 +154,16 @@ class Latest:
             return Current(T, profile.points, features)
         except FeatureError as error:
             return Current(T, profile.points, (), str(error))
+
+
+class StopConsumer(Protocol):
+    """Takes the stops of the robot that would be samples otherwise."""
+
+    def count(self, stop: Stop) -> str:
+        """Take a stop that is over; return what to say."""
+
+    def take(self, stop: Stop) -> str:
+        """Take a stop that was asked for; raises UnusableStopError."""
 
 
 class Streams:

@@ -7,17 +7,16 @@ streams would slow down the judging of a stop. A process is started when it is f
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 import ctypes
 from dataclasses import replace
 import os
-from pathlib import Path
 import pickle
 import queue
 import signal
 import subprocess
 import sys
 import threading
-import time
 import traceback
 from typing import Any, Protocol, TypeVar
 
@@ -30,7 +29,6 @@ from handeye_ros.sampling.stops import judged, needed, Outcome, result_of, sampl
 
 Result = TypeVar('Result')
 TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # of glibc alone
-SUSPENDED = 2.0  # s
 COMMAND = (sys.executable, '-m', 'handeye_ros.ros.node.worker')
 
 
@@ -125,14 +123,12 @@ class WorkerProcess:
             return self._process
 
     def _watch(self, process: subprocess.Popen[bytes]) -> None:
-        """End a process that was suspended (SIGSTOP) while somebody waits for it."""
-        times = 0
-        while process.poll() is None:
-            times = times + 1 if self._busy and is_suspended(process.pid) else 0
-            if times == 2:
+        """End a process that is suspended (SIGSTOP): who asks it would wait for ever."""
+        with suppress(ChildProcessError):  # it has ended, and somebody knows
+            change = os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
+            if change and change.si_code == os.CLD_STOPPED:
                 self._suspended = True
                 process.kill()
-            time.sleep(SUSPENDED / 2)
 
     def stop(self) -> None:
         """End the process, whatever it does; whoever waits for it gets a WorkerEndedError."""
@@ -141,14 +137,6 @@ class WorkerProcess:
             if self._process is not None:
                 self._process.kill()
                 self._process.wait()
-
-
-def is_suspended(pid: int) -> bool:
-    """Return whether a process was suspended by a signal, as far as the system tells."""
-    try:
-        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] == 'T'
-    except (OSError, IndexError):
-        return False
 
 
 class Judge:

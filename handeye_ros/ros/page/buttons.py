@@ -1,23 +1,37 @@
-"""The buttons of the page: the services of the node, and the parameter samples.exclude."""
+"""What the page asks of the node: its services, some of its parameters, sessions and files."""
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, TYPE_CHECKING
 
+from handeye_ros import config as configuration
+from handeye_ros.errors import HandeyeError
+from handeye_ros.results import calibration_file, exports
+from handeye_ros.results.errors import NothingToSaveError
+from handeye_ros.ros.bags.contents import CLOUD, POSE
 from handeye_ros.ros.errors import PageError
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.page.contents import contents
+from handeye_ros.ros.page.contents import contents, stop_profile
+from handeye_ros.ros.page.source import Act, Source
 from handeye_ros.sampling.state import State
 from rclpy.parameter import Parameter
 
 if TYPE_CHECKING:
-    from handeye_ros.ros.page.server import Act, PageServer
+    from handeye_ros.ros.page.server import PageServer
 
 SERVICES = {'take': 'take_sample', 'undo': 'remove_last_sample', 'clear': 'clear_samples',
-            'compute': 'compute_calibration', 'save': 'save_calibration'}
-SLOW = frozenset({'compute', 'save'})
+            'compute': 'compute_calibration', 'save': 'save_calibration',
+            'verify': 'verify_start', 'verdict': 'verify_result'}
+SLOW = frozenset({'compute', 'save', 'verdict', 'open', 'file'})
 EXCLUDE = 'samples.exclude'
+# What a person sets at the cell.
+SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise.robot_class',
+            'target.radius', 'target.size', 'guidance.accuracy', 'sampling.mode')
+VERIFY = ('verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
+          'verify.tolerance')
+ROUTINES = ('line', 'plane', 'point', 'sphere', 'ball_bar', 'step', 'square', 'tooth')
 
 
 class Served(Protocol):
@@ -33,8 +47,18 @@ class Served(Protocol):
     def state(self) -> State:
         """Return all that is told of the session."""
 
-    def ask(self, service: Any) -> tuple[bool, str]:
+    @property
+    def sessions(self) -> list[str]:
+        """Return the names of the sessions that can be opened, the newest first."""
+
+    def topics_of(self, kind: str) -> list[str]:
+        """Return the topics on which others publish messages of a type."""
+
+    def ask(self, service: Callable[[], str]) -> tuple[bool, str]:
         """Return whether a service succeeds, and what it says."""
+
+    def open_session(self, name: str) -> str:
+        """Go on with a former session; return what to say. Raises HandeyeError."""
 
     def set_parameters(self, changes: list[Parameter]) -> Any:
         """Set parameters; see rclpy."""
@@ -48,16 +72,18 @@ def serve(node: Served) -> PageServer | None:
     config, log = node.live.config.page, node.get_logger()
     if not config.port:
         return None
-    from handeye_ros.ros.page.server import PageServer, Source  # aiohttp takes long to import
-    source = Source(lambda: contents(node.state, node.live), acts(node), SLOW)
+    from handeye_ros.ros.page.server import PageServer  # aiohttp takes long to import
+    source = Source(lambda: contents(node.state, node.live), acts(node), SLOW, {
+        'stop': lambda values: stop_profile(node.live, int(values.get('number', '0'))),
+        'cell': lambda values: cell(node),
+        'file': lambda values: file(node.live, values.get('name', ''))})
     try:
-        file = node.token_file
-        page = PageServer(source, config.address, config.port, file)
+        page = PageServer(source, config.address, config.port, node.token_file)
     except PageError as error:
         log.warning(str(error))
         return None
     log.info(f'page for a browser: {page.url}' + (
-        f'; it asks for the token in {file}' if page.guard.token else ''))
+        f'; it asks for the token in {node.token_file}' if page.guard.token else ''))
     return page
 
 
@@ -65,11 +91,71 @@ def acts(node: Served) -> dict[str, Act]:
     """Return what each button does."""
     found: dict[str, Act] = {name: _service(node, service) for name, service in SERVICES.items()}
     return found | {'exclude': lambda values: _excluded(node, values, True),
-                    'include': lambda values: _excluded(node, values, False)}
+                    'include': lambda values: _excluded(node, values, False),
+                    'set': lambda values: _set(node, values),
+                    'open': lambda values: _opened(node, str(values.get('session', '')))}
+
+
+def cell(node: Served) -> dict[str, Any]:
+    """Return what can be set, what is published, and which sessions there are."""
+    known = {p.key: p for p in configuration.parameters()}
+    values = configuration.flatten(node.live.config)
+    choices = {'profile_topic': node.topics_of(CLOUD), 'pose_topic': node.topics_of(POSE),
+               'verify.routine': list(ROUTINES)}
+    return {'sessions': node.sessions, 'session': Path(node.live.samples.store.path).name,
+            'settings': [{
+                'key': key, 'value': values[key], 'description': known[key].description,
+                'choices': choices.get(key, list(known[key].choices))}
+                for key in (*SETTINGS, *VERIFY)]}
+
+
+def file(live: LiveSession, name: str) -> tuple[str, str]:
+    """Return name and text of a file of the answer; raises HandeyeError without one."""
+    if live.calibration is None:
+        raise NothingToSaveError
+    found = calibration_file.dated(replace(
+        live.calibration, name=calibration_file.folder_name(live.config)))
+    if name == exports.REPORT:
+        text = live.solver.run(report, found, live.samples.store.path, urgent=True)
+        return name, text
+    form = exports.of(name)
+    return form.file_name(found), form.text(found)
+
+
+def report(calibration: Any, session: str) -> str:
+    """Return the report of an answer from a session; it takes seconds."""
+    from handeye_ros.results.report import page  # matplotlib
+    from handeye_ros.ros.bags.evidence import evidence
+    return page.html(calibration, evidence(calibration, Path(session) if session else None))
 
 
 def _service(node: Served, name: str) -> Act:
     return lambda values: node.ask(getattr(node, name))
+
+
+def _opened(node: Served, session: str) -> tuple[bool, str]:
+    try:
+        return True, node.open_session(session)
+    except HandeyeError as error:
+        return False, str(error)
+
+
+def _set(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
+    """Set parameters of the cell, as they are written in YAML: all of them, or none."""
+    config, changes = node.live.config, []
+    try:
+        for key, text in values.items():
+            if key not in (*SETTINGS, *VERIFY):
+                return False, f'{key[:40]} is not set by the page'
+            config = configuration.with_assignments(config, [f'{key}={text}'])
+        after = configuration.flatten(config)
+        changes = [Parameter(key, value=after[key]) for key in values]
+    except HandeyeError as error:
+        return False, str(error)
+    for result in node.set_parameters(changes):
+        if not result.successful:
+            return False, result.reason
+    return True, ', '.join(f'{key} is {after[key]}' for key in values)
 
 
 def _excluded(node: Served, values: Mapping[str, Any], leave_out: bool) -> tuple[bool, str]:

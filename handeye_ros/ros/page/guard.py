@@ -8,6 +8,7 @@ token is kept in a file that its user alone can read, and survives a restart.
 """
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,6 +20,9 @@ import secrets
 import socket
 import time
 
+from aiohttp import web
+
+MOST_CONNECTIONS = 64
 MOST_A_SECOND = 20.0  # requests
 BURST = 60.0
 TOKEN_BYTES = 18
@@ -92,6 +96,32 @@ class Guard:
             return False
         self._left -= 1.0
         return True
+
+
+class Gate(asyncio.Protocol):
+    """
+    Lets a new connection in; where there are too many, the oldest that asks for nothing goes.
+
+    busy: how many requests each connection has at work, in the order in which they came.
+    """
+
+    def __init__(self, server: web.Server, busy: dict[asyncio.BaseTransport, int]) -> None:
+        self._server, self._busy = server, busy
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        for old in [t for t in self._busy if t.is_closing()]:
+            del self._busy[old]
+        if len(self._busy) >= MOST_CONNECTIONS:
+            idle = next((t for t, requests in self._busy.items() if not requests), None)
+            if idle is None:
+                transport.close()
+                return
+            del self._busy[idle]
+            idle.close()
+        self._busy[transport] = 0
+        protocol = self._server()
+        transport.set_protocol(protocol)
+        protocol.connection_made(transport)
 
 
 def token_of(file: Path | None) -> str:

@@ -8,10 +8,9 @@ no request, and no slow reader, holds up the node.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib import resources
 import json
 from pathlib import Path
@@ -21,8 +20,8 @@ from typing import Any
 from aiohttp import web
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.errors import PageError
-from handeye_ros.ros.page.gate import Gate
-from handeye_ros.ros.page.guard import Guard
+from handeye_ros.ros.page.guard import Gate, Guard
+from handeye_ros.ros.page.source import object_of, plain, Source
 
 RATE = 5.0  # events a second, at most
 MOST_CLIENTS = 8
@@ -30,7 +29,7 @@ MOST_WAITING = 4  # requests of one kind
 LARGEST_BODY = 1024  # bytes
 COOKIE_AGE = 30 * 86400  # s
 PATIENCE = 10.0  # s for a client to take an event, for the server to start
-FILES = ('page.css', 'page.js', 'scene.js', 'language.js')
+FILES = ('page.css', 'page.js', 'scene.js', 'profile.js', 'cell.js', 'language.js')
 KINDS = {'.html': 'text/html', '.css': 'text/css', '.js': 'text/javascript'}
 HEADERS = {
     'Content-Security-Policy': "default-src 'self'; img-src 'self' data:; "
@@ -39,22 +38,6 @@ HEADERS = {
     'Cache-Control': 'no-store'}
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
-Act = Callable[[Mapping[str, Any]], tuple[bool, str]]
-
-
-@dataclass(frozen=True)
-class Source:
-    """
-    What the page shows and does.
-
-    tell: plain values, gathered when called; acts: the buttons by name, each called with the
-    values of its request, returns whether it succeeded and what to say; slow: those that may
-    take long, and keep none of the others waiting.
-    """
-
-    tell: Callable[[], Mapping[str, Any]]
-    acts: Mapping[str, Act]
-    slow: frozenset[str] = frozenset()
 
 
 class PageServer:
@@ -96,6 +79,7 @@ class PageServer:
         app = web.Application(middlewares=[self._guarded], client_max_size=LARGEST_BODY)
         app.router.add_get('/', self._index)
         app.router.add_get('/events', self._events)
+        app.router.add_get('/read/{name}', self._read)
         app.router.add_get('/{name}', self._file)
         app.router.add_post('/act/{name}', self._act)
         self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=15.0)
@@ -197,24 +181,46 @@ class PageServer:
         name = request.match_info['name']
         return _static(name) if name in FILES else _sentence(404, 'there is no such page')
 
+    async def _read(self, request: web.Request) -> web.StreamResponse:
+        name = request.match_info['name']
+        read = self._source.reads.get(name)
+        if read is None:
+            return _sentence(404, 'there is no such page')
+        try:
+            found = await self._queued(name, read, request.query)
+        except (HandeyeError, ValueError) as error:
+            return _sentence(404, str(error))
+        if isinstance(found, web.Response):
+            return found
+        if isinstance(found, tuple):
+            named = {'Content-Disposition': f'attachment; filename="{found[0]}"'}
+            return web.Response(text=found[1], headers=HEADERS | named)
+        return web.json_response(plain(found), headers=HEADERS)
+
     async def _act(self, request: web.Request) -> web.StreamResponse:
         act = self._source.acts.get(request.match_info['name'])
         if act is None:
             return _sentence(404, 'there is no such button')
         if request.content_type != 'application/json':
             return _sentence(415, 'expected application/json')
-        values = _object(await request.read())
+        values = object_of(await request.read())
         if values is None:
             return _sentence(400, 'expected a JSON object')
-        slow = request.match_info['name'] in self._source.slow
+        found = await self._queued(request.match_info['name'], act, values)
+        if isinstance(found, web.Response):
+            return found
+        return web.json_response({'success': found[0], 'message': found[1]}, headers=HEADERS)
+
+    async def _queued(self, name: str, work: Callable[[Any], Any], values: Any) -> Any:
+        """Return what a work gives when it is its turn, or an answer where too many wait."""
+        slow = name in self._source.slow
         if self._waiting[slow] >= MOST_WAITING:
             return _sentence(429, 'busy: wait for the answer of what was asked before')
         self._waiting[slow] += 1
         try:
-            success, text = await self._loop.run_in_executor(self._pools[slow], act, values)
+            return await self._loop.run_in_executor(self._pools[slow], work, values)
         finally:
             self._waiting[slow] -= 1
-        return web.json_response({'success': success, 'message': text}, headers=HEADERS)
 
 
 def _sentence(status: int, text: str) -> web.Response:
@@ -226,23 +232,3 @@ def _static(name: str, status: int = 200) -> web.Response:
     kind = KINDS[name[name.rindex('.'):]]
     return web.Response(text=text, status=status, content_type=kind, charset='utf-8',
                         headers=HEADERS)
-
-
-def _object(text: bytes) -> dict[str, Any] | None:
-    """Return what a JSON text holds if that is an object."""
-    try:
-        found = json.loads(text or b'{}')
-    except (ValueError, RecursionError):
-        return None
-    return found if isinstance(found, dict) else None
-
-
-def plain(value: Any) -> Any:
-    """Return plain values without infinities and NaN, which JSON does not know."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, float):
-        return value if abs(value) < float('inf') else None
-    return value

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros.config import Config, with_values
-from handeye_ros.ros.node.store import Place
 from handeye_ros.ros.sessions.reading import LAST, last_session, read_session, Stored
+from handeye_ros.ros.sessions.store import Place
 
 SOURCE = "the node's parameters"
 

@@ -19,7 +19,6 @@ from handeye_ros.errors import UnwritableError
 from handeye_ros.ros.bags.bag_write import cloud_cdr, pose_cdr, string_cdr
 from handeye_ros.ros.bags.contents import CLOUD, full_name, JOINTS, POSE, Raw, STRING
 from handeye_ros.ros.errors import SessionError
-from handeye_ros.ros.node.store import Store
 from handeye_ros.ros.sessions.bag_files import (
     BagFile,
     SUFFIX,
@@ -39,6 +38,7 @@ from handeye_ros.ros.sessions.records import (
     STOP,
     texts_of,
 )
+from handeye_ros.ros.sessions.store import Store
 from handeye_ros.sampling.stops import Outcome, Stop
 
 STAMP = '%Y-%m-%dT%H%M%SZ'

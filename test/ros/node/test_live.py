@@ -16,8 +16,8 @@ from handeye_ros.ros.errors import WorkerEndedError
 from handeye_ros.ros.node import streams
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
-from handeye_ros.ros.node.store import Place
 from handeye_ros.ros.node.streams import Latest, MOST_STOPS
+from handeye_ros.ros.sessions.store import Place
 from handeye_ros.sampling import dwells
 from handeye_ros.sampling.errors import BaseFrameError, FlatCrossingError, SilentPosesError
 from handeye_ros.sampling.state import samples_message, status_message
@@ -186,6 +186,9 @@ def test_a_laser_almost_along_an_edge_is_told_with_the_angle_and_by_hand_refused
     with pytest.raises(FlatCrossingError, match=r'crosses p at \d+ degrees, less than sampling.m'):
         live.samples.take()
     assert not state_of(live).attempt.accepted
+    live.update()  # that no pose near it is advised again
+    assert [T.tolist() for T in live.reviewer._refused()] == [
+        live.streams.session.current_stop().pose(live.config).tolist()]
     changed(live, sampling__mode='still')
     live.compute()  # for which the stop that the robot stands in is over
     assert len(live.copied().outcomes) == taken + 1 and live.copied().outcomes[-1].sample

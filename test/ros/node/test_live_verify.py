@@ -12,7 +12,7 @@ from handeye_ros.results.truth_file import true_transform
 from handeye_ros.ros.bags.bag import read
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
-from handeye_ros.ros.node.store import Place
+from handeye_ros.ros.sessions.store import Place
 from handeye_ros.verification import session as sessions
 from handeye_ros.verification.errors import NoAnswerError
 from handeye_ros.verification.verification import FORMAT

@@ -236,15 +236,15 @@ def test_messages_without_stamp_get_the_time_of_receipt(
 
 
 def test_parameters_explain_themselves(client: Client, node: subprocess.Popen[str]) -> None:
-    keys = ['noise.sensor', 'profile.axes', 'profile_topic', 'output_dir', 'sampling.min_points']
+    keys = ['noise.sensor', 'profile.axes', 'page.port', 'output_dir', 'sampling.min_points']
     told = client.request(DescribeParameters, 'describe_parameters',
                           DescribeParameters.Request(names=keys)).descriptors
-    sensor, axes, topic, folder, points = told
+    sensor, axes, port, folder, points = told
     assert 'Range noise' in sensor.description
     assert (sensor.floating_point_range[0].from_value, sensor.floating_point_range[0].to_value
             ) == (1e-9, 0.01)
     assert 'one of x, y, z, -x, -y, -z' in axes.additional_constraints
-    assert 'fixed while the node runs' in topic.additional_constraints
+    assert 'fixed while the node runs' in port.additional_constraints
     assert 'ROS_HOME' in folder.description
     assert points.integer_range[0].to_value == 100000
 
@@ -259,13 +259,27 @@ def test_parameters_at_run_time(client: Client, node: subprocess.Popen[str]) -> 
             ('profile.axes', ['x', '-x'], 'two different axes'),
             ('target.type', 'cone', "target.type is 'cone', expected one of"),
             ('name', 'a/b', 'expected the name of a folder'),
-            ('profile_topic', '/other', 'profile_topic is fixed while the node runs')):
+            ('profile_topic', 'a b', '"a b" cannot name a topic'),
+            ('profile_topic', '/flange_pose', 'each needs its own'),
+            ('page.port', 1234, 'page.port is fixed while the node runs')):
         result = set_parameter(client, name, value)
         assert (result.successful, reason in result.reason) == (False, True), result.reason
     stand_still(client, START)
     client.until_counted(profiles=20, poses=20)
     assert client.call('take_sample').success
+    assert 'clear_samples first' in set_parameter(client, 'profile_topic', '/other').reason
     assert set_parameter(client, 'sampling.min_points', 5000).successful
     client.until(lambda: client.state()['samples'] == '0', 'the sample is extracted anew')
     assert set_parameter(client, 'sampling.min_points', 20).successful
     client.until(lambda: client.state()['samples'] == '1', 'the sample is back')
+
+
+def test_other_topics_are_heard_while_the_node_runs(
+        client: Client, node: subprocess.Popen[str]) -> None:
+    assert set_parameter(client, 'profile_topic', '/other').successful
+    client.until(lambda: not client.profiles.get_subscription_count(), 'it hears no more there')
+    assert 'nobody publishes /other' in client.state()['message']
+    assert set_parameter(client, 'profile_topic', '/profile').successful
+    client.until(client.profiles.get_subscription_count, 'it hears again')
+    stand_still(client, START)
+    client.until(lambda: client.state()['samples'] == '1', 'a sample is taken')

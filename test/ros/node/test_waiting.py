@@ -14,8 +14,8 @@ from handeye_ros.data import TimedPose
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
-from handeye_ros.ros.node.store import Place
 from handeye_ros.ros.node.worker import InProcess, Judge, WorkerProcess
+from handeye_ros.ros.sessions.store import Place
 from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.errors import MovingError
 from handeye_ros.sampling.stops import judged

@@ -15,7 +15,6 @@ from command import PATIENCE
 from handeye_ros.config import Config
 from handeye_ros.diagnosis.review import NoReviewError, review
 from handeye_ros.ros.errors import WorkerEndedError
-from handeye_ros.ros.node import worker as worker_module
 from handeye_ros.ros.node.worker import COMMAND, InProcess, Judge, WorkerProcess
 from handeye_ros.sampling.errors import SilentPosesError
 from handeye_ros.sampling.stops import evenly
@@ -69,7 +68,6 @@ def test_one_that_was_killed_is_told_and_started_again(worker: WorkerProcess) ->
 
 
 def test_one_that_is_suspended_is_ended_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker_module, 'SUSPENDED', 0.1)
     worker = WorkerProcess()
     try:
         pid = worker.run(os.getpid)

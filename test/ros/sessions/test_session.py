@@ -20,10 +20,10 @@ from handeye_ros.ros.bags.bag import read
 from handeye_ros.ros.bags.bag_write import write
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
-from handeye_ros.ros.node.store import Place
 from handeye_ros.ros.sessions.bag_files import BagFile, files_of, write_metadata
 from handeye_ros.ros.sessions.reading import is_session, last_session, read_session
 from handeye_ros.ros.sessions.resume import resumed
+from handeye_ros.ros.sessions.store import Place
 from handeye_ros.ros.sessions.writing import SessionStore
 from mcap.reader import make_reader
 import numpy as np

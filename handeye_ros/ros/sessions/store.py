@@ -68,6 +68,9 @@ class Store:
     def sync(self) -> None:
         """Keep what else helps to read it; no answer waits for that."""
 
+    def close(self) -> None:
+        """Let another go on with the session."""
+
     def restart(self, config: Config) -> str:
         """Begin another session; return what to say of the one before."""
         return ''
