@@ -121,6 +121,7 @@ def scene(live: LiveSession, current: Current | None) -> dict[str, Any]:
 
     return {
         'known': solution is not None, 'range_sign': config.profile.range_sign,
+        'round': config.target.type == 'sphere',
         'view': rounded(seen), 'live': drawn(pose),
         'stations': [{'number': number, 'T': drawn(T)} for number, T in samples],
         'next': drawn(aim), 'aim': None if pose is None or aim is None else _way(pose, aim),
@@ -137,7 +138,7 @@ def _way(T_base_flange: Array, aim: Array) -> dict[str, Any]:
 
 
 def _move(move: Move) -> dict[str, Any]:
-    """Return a move from the first pose; T: of the sensor in that pose, about what it sees."""
+    """Return a move from the first pose; R: (3, 3) of the sensor in that pose."""
     R = se3.exp_rotation(np.array([0.0, 0.0, move.turn])) @ se3.exp_rotation(
         np.append(move.tilt, 0.0))
     return {'turn': move.turn, 'tilt': rounded(move.tilt), 'place': rounded(move.place),

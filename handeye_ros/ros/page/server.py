@@ -29,7 +29,7 @@ MOST_WAITING = 4  # requests of one kind
 LARGEST_BODY = 1024  # bytes
 COOKIE_AGE = 30 * 86400  # s
 PATIENCE = 10.0  # s for a client to take an event, for the server to start
-FILES = ('page.css', 'page.js', 'scene.js', 'profile.js', 'cell.js', 'language.js')
+FILES = ('page.css', 'page.js', 'scene.js', 'profile.js', 'cell.js', 'language.js', 'de.js')
 KINDS = {'.html': 'text/html', '.css': 'text/css', '.js': 'text/javascript'}
 HEADERS = {
     'Content-Security-Policy': "default-src 'self'; img-src 'self' data:; "
@@ -154,7 +154,7 @@ class PageServer:
         given = request.query.get('token') or request.cookies.get(self.guard.cookie, '')
         refusal = self.guard.refusal(request.headers, given)
         if refusal and refusal.status == 401 and request.path in ('/', '/page.css'):
-            return _static('login.html' if request.path == '/' else 'page.css', refusal.status)
+            return _static(*(('login.html', 401) if request.path == '/' else ('page.css', 200)))
         if refusal:
             return _sentence(refusal.status, refusal.text)
         connection = request.transport

@@ -5,6 +5,7 @@ const $ = id => document.getElementById(id);
 const mm = (v, digits = 3) => (1e3 * v).toFixed(digits);
 const degrees = (v, digits = 4) => (v * 180 / Math.PI).toFixed(digits);
 const SILENT = 3;  // s without a message, after which what is shown is old
+const NEAR = [5e-3, 0.053];  // m and rad from the next pose at which to stop
 let told = null, heard = 0;
 const shown = {};
 
@@ -32,21 +33,27 @@ function element(name, content = '', className = '') {
 function show(state) {
   told = state;
   heard = Date.now();
-  text('name', state.name + ': hand-eye calibration');
+  text('name', label('{0}: hand-eye calibration', state.name));
   showNow(state);
+  showAim(state);
   if (changed('guidance', state.guidance)) showGuidance(state.guidance);
-  if (changed('scene', state.scene)) drawScene($('scene'), state.scene);
-  if (changed('samples', [state.samples, state.worst])) showSamples(state);
+  if (changed('samples', [state.samples, state.worst, state.edges])) showSamples(state);
+  if (changed('scene', [state.scene, state.profile, state.samples])) redrawScene();
   if (changed('calibration', [state.calibration, state.rows])) showAnswer(state.calibration, state.rows);
+  if (changed('verification', state.verification)) showVerification(state.verification);
   showSteps(state);
   ring(state);
   const troubles = [state.profiles.trouble, state.poses.trouble, state.session.trouble]
     .filter(Boolean);
-  $('trouble').hidden = !troubles.length;
-  text('trouble', troubles.join('; '));
-  text('review', [state.review, ...state.session.notes].filter(Boolean).join('; '));
-  text('link', state.session.working ||
-    (state.session.mode === 'still' ? 'a sample is taken at every stop' : 'samples are taken by hand'));
+  $('problem').hidden = !troubles.length;
+  $('choose').hidden = flows(state.profiles) && flows(state.poses) || state.samples.some(s => s.taken);
+  text('trouble', troubles.map(said).join('; '));
+  text('review', [state.review, ...state.session.notes].filter(Boolean).map(said).join('; '));
+  text('link', said(state.session.working) || label({ still: 'a sample is taken at every stop',
+    manual: 'samples are taken by hand', moving: 'samples are taken while the robot moves',
+  }[state.session.mode]));
+  const mode = document.querySelector(`[name=mode][value=${state.session.mode}]`);
+  if (document.activeElement.name !== 'mode') mode.checked = true;
 }
 
 const flows = stream => stream.count > 0 && stream.age < SILENT;
@@ -54,39 +61,67 @@ const flows = stream => stream.count > 0 && stream.age < SILENT;
 function showNow(state) {
   const flowing = flows(state.profiles) && flows(state.poses);
   $('live').classList.toggle('old', !flowing);
-  text('standing', !flows(state.poses) ? 'No poses.' :
-    label(state.motion.standing ? 'Standing still.' : 'Moving.'));
-  text('motion', flows(state.poses) ? state.motion.text : '');
-  drawProfile($('profile'), state.profile);
+  text('standing', label(!flows(state.poses) ? 'No poses.' :
+    state.motion.standing ? 'Standing still.' : 'Moving.'));
+  text('motion', flows(state.poses) ? said(state.motion.text) : '');
+  drawProfile($('profile'), state.profile, state.scene.view);
   const p = state.profile;
-  text('feature', !flows(state.profiles) ? 'No profiles.' : !p ? 'No profile with a pose around it.' :
-    p.reason ? 'No feature: ' + p.reason : label('The feature is seen.'));
+  text('feature', !flows(state.profiles) ? label('No profiles.') :
+    !p ? label('No profile with a pose around it.') :
+      p.reason ? label('No feature: {0}', said(p.reason)) : label('The feature is seen.'));
   $('feature').className = !flowing ? '' : p && !p.reason ? 'good' : 'bad';
-  const age = stream => stream.count ? stream.age.toFixed(1) + ' s ago' : 'none yet';
-  text('ages', 'last profile ' + age(state.profiles) + ', last pose ' + age(state.poses));
+  const age = stream => (stream.count ? label('{0} s ago', stream.age.toFixed(1)) : label('none yet'));
+  text('ages', label('last profile {0}, last pose {1}', age(state.profiles), age(state.poses)));
+}
+
+// What is left to do until the next pose, while the robot is jogged.
+function showAim({ scene, poses }) {
+  const aim = flows(poses) && scene.aim;
+  $('togo').hidden = !aim;
+  if (!aim) {
+    text('axes', '');
+    return;
+  }
+  const near = aim.distance < NEAR[0] && aim.angle < NEAR[1];
+  text('togo', near ? label('You are there: stop, and wait a second') :
+    label('{0} mm, {1} degrees to go', mm(aim.distance, 0), degrees(aim.angle, 0)));
+  $('togo').className = 'figure' + (near ? ' good' : '');
+  const list = (values, figure) => values.map((v, k) => 'xyz'[k] + ' ' + (v < 0 ? '−' : '+') +
+    figure(Math.abs(v))).join(', ');
+  text('axes', label('move along the base {0} mm; turn about the flange {1}°',
+    list(aim.shift, v => mm(v, 0)), list(aim.turn, v => degrees(v, 0))));
 }
 
 function showGuidance(guidance) {
-  const list = $('advice');
-  list.replaceChildren(...(guidance ? guidance.sentences : []).map(s => element('li', s)));
+  const list = $('advice'), last = Math.max(0, ...told.samples.map(s => s.number));
+  const sentences = guidance ? guidance.sentences.map(said) : [];
+  if (guidance && guidance.sample < last && told.samples.some(s => s.taken)) {
+    sentences.push(label('this knows of sample {0}; the next is being worked in', guidance.sample));
+  }
+  list.replaceChildren(...sentences.map(s => element('li', s)));
   $('enough').hidden = !guidance || !guidance.enough;
   text('enough', guidance && guidance.enough ? label('Enough samples') : '');
-  $('enough').className = 'badge good';
   const sigmas = guidance ? guidance.sigmas : [];
   showHeadline(sigmas);
-  if (!sigmas.length) {
-    $('sigmas').replaceChildren(element('p', label('Nothing yet.'), 'small'));
-    return;
-  }
-  $('sigmas').replaceChildren(...[...sigmas].reverse().map(bar));
+  $('sigmas').replaceChildren(...(sigmas.length ? [...sigmas].reverse().map(bar) :
+    [element('p', label('Nothing yet.'), 'small')]));
+}
+
+// Return the name of a direction with its main axes in the place of three figures.
+function inWords(name) {
+  return said(name.replace(/\(([^)]*)\) of (\S+)/, (_, figures, frame) => {
+    const parts = figures.split(',').map((v, k) => [Math.abs(Number(v)), 'xyz'[k],
+      Number(v) < 0 ? '−' : '+']).sort((a, b) => b[0] - a[0]);
+    return frame + ' ' + parts.filter(p => p[0] > 0.5 * parts[0][0]).map(p => p[2] + p[1]).join(' ');
+  }));
 }
 
 function bar(sigma) {
   const made = element('div', '', 'sigma'), line = element('div');
-  const figure = v => sigma.unit === 'm' ? mm(v) + ' mm' : degrees(v) + '°';
+  const figure = v => (sigma.unit === 'm' ? mm(v) + ' mm' : degrees(v) + '°');
   const over = sigma.std > sigma.limit;
-  line.append(element('span', sigma.name),
-    element('span', figure(sigma.std) + ' of ' + figure(sigma.limit), over ? 'bad' : 'good'));
+  line.append(element('span', inWords(sigma.name)),
+    element('span', label('{0} of {1}', figure(sigma.std), figure(sigma.limit)), over ? 'bad' : 'good'));
   made.append(line, progress(element('div', '', 'bar'), sigma));
   return made;
 }
@@ -107,42 +142,66 @@ function showHeadline(sigmas) {
   const points = sigmas[sigmas.length - 1];
   $('headline').hidden = $('reached').hidden = !points;
   if (!points) return;
-  text('headline', 'Points are known to ' + mm(points.std, 2) + ' mm, wanted ' +
-    mm(points.limit, 2) + ' mm');
+  text('headline', label('Points are known to {0} mm, wanted {1} mm', mm(points.std, 2),
+    mm(points.limit, 2)));
   progress($('reached'), points);
 }
 
+const rates = {};
+
+// Return messages a second over the last seconds.
+function rate(stream) {
+  const now = Date.now() / 1e3, known = rates[stream.kind] = (rates[stream.kind] || [])
+    .filter(([time, count]) => now - time < 4 && count <= stream.count);
+  known.push([now, stream.count]);
+  const [[time, count]] = known;
+  return now - time < 1 ? '' : ((stream.count - count) / (now - time)).toFixed(0) + ' /s';
+}
+
+// The step of now is the first that is not done; its button is the main one.
 function showSteps(state) {
+  const c = state.calibration, { running, verdict } = state.verification;
   const taken = state.samples.filter(s => s.taken).length;
-  const rate = stream => stream.kind + 's ' + (flows(stream) ? 'come' : 'missing');
-  const enough = Boolean(state.guidance && state.guidance.enough);
+  const missing = [state.profiles, state.poses].filter(stream => !flows(stream))
+    .map(stream => label('no {0}s', stream.kind));
+  const failed = verdict && !verdict.includes(': PASS');
   const done = {
-    connect: [flows(state.profiles) && flows(state.poses),
-      rate(state.profiles) + ', ' + rate(state.poses)],
-    samples: [enough, String(taken)],
-    answer: [state.calibration.state === 'current', label(STATES[state.calibration.state].split(':')[0])],
+    connect: [!missing.length, missing.join(', ') || [state.profiles, state.poses].map(rate).join(', ')],
+    samples: [Boolean(state.guidance && state.guidance.enough), String(taken)],
+    answer: [c.state === 'current', label(STATES[c.state].split(':')[0])],
+    verify: [verdict && !failed, running || verdict.replace(/,.*/, '') || label('if you like')],
+    save: [Boolean(c.saved), label(c.saved ? 'saved' : 'not yet')],
   };
-  let now = true;
+  let now = '';
   for (const [name, [ready, words]] of Object.entries(done)) {
     const step = $('step-' + name);
-    step.className = ready ? 'done' : now ? 'now' : '';
-    now = now && ready;
-    step.lastElementChild.textContent = words;
+    if (!ready && !now && name !== 'verify') now = name;
+    step.className = ready ? 'done' : now === name ? 'now' : name === 'verify' && failed ? 'lost' : '';
+    step.querySelector('span').textContent = said(words);
+    if (now === name) step.setAttribute('aria-current', 'step'); else step.removeAttribute('aria-current');
   }
+  const main = { connect: '', samples: 'take', answer: 'compute', save: 'save' }[now];
+  for (const name of ['take', 'compute', 'save']) $(name).className = name === main ? 'main' : '';
 }
 
-let rung = null;
+let audio = null, rung = null;
 
+// High for a sample, low for a stop that gave none.
 function ring(state) {
-  const taken = state.samples.filter(s => s.taken).length;
-  if (rung !== null && taken > rung && $('sound').checked) {
-    const audio = new AudioContext(), tone = audio.createOscillator();
-    tone.connect(audio.destination);
+  const attempt = JSON.stringify(state.attempt);
+  if (rung !== null && attempt !== rung && state.attempt && audio && $('sound').checked) {
+    const tone = audio.createOscillator(), volume = audio.createGain();
+    tone.frequency.value = state.attempt.accepted ? 880 : 220;
+    volume.gain.value = 0.3;
+    tone.connect(volume).connect(audio.destination);
     tone.start();
-    tone.stop(audio.currentTime + 0.15);
+    tone.stop(audio.currentTime + (state.attempt.accepted ? 0.15 : 0.4));
   }
-  rung = taken;
+  rung = attempt;
 }
+
+// a browser lets a page sound only after somebody has asked it to
+$('sound').addEventListener('change', () => { audio = audio || new AudioContext(); });
 
 function showSamples(state) {
   const taken = state.samples.filter(s => s.taken).length;
@@ -151,7 +210,8 @@ function showSamples(state) {
   const last = state.worst.length;
   const order = [...state.samples].sort((a, b) =>
     (place.get(a.number) ?? last) - (place.get(b.number) ?? last) || b.number - a.number);
-  const now = order.map(sample);
+  const largest = Math.max(...state.samples.map(s => s.left_out || 0), 1e-9);
+  const now = order.map(s => sample(s, state, largest));
   const list = $('samples');
   // lines stay what and where they are as long as possible: a finger may be on one
   now.forEach((line, i) => {
@@ -162,27 +222,61 @@ function showSamples(state) {
 
 const lines = new Map();
 
-function sample(s) {
-  if (!lines.has(s.number)) lines.set(s.number, newLine());
-  const { line, number, what, figure, button } = lines.get(s.number);
+function sample(s, state, largest) {
+  if (!lines.has(s.number)) lines.set(s.number, newLine(s.number));
+  const { line, number, edge, tilt, time, fill, figure, why, button } = lines.get(s.number);
   line.className = s.excluded ? 'out' : '';
   number.textContent = s.number;
-  what.textContent = s.text + (s.excluded ? ' (' + label('left out') + ')' :
-    s.taken && !s.believed ? ' (' + label('not used by the fit') + ')' : '');
-  figure.textContent = s.residual === null ? '' : 'residual ' + mm(s.residual) +
-    ' mm, against the others ' + mm(s.left_out) + ' mm';
+  edge.textContent = !s.taken ? label('no sample') : s.excluded ? label('left out') :
+    !s.believed ? label('not used') : state.edges[s.number] ? label('edge {0}', state.edges[s.number]) :
+      label('used');
+  edge.className = s.taken && s.believed || s.excluded ? 'what' : 'what bad';
+  const angle = tiltOf(s, state);
+  tilt.textContent = angle === null ? '' : label('tilt {0}°', degrees(angle, 0));
+  time.textContent = new Date(s.stamp / 1e6).toLocaleTimeString(language, { timeStyle: 'medium' });
+  const size = s.left_out ?? s.residual;
+  fill.parentElement.style.visibility = size === null ? 'hidden' : '';
+  fill.style.width = (100 * (size || 0) / largest).toFixed(0) + '%';
+  fill.className = s.believed ? '' : 'short';
+  figure.textContent = size === null ? '' : mm(size) + ' mm';
+  why.textContent = [said(s.text), s.residual === null ? '' :
+    label('residual {0} mm, against the others {1} mm', mm(s.residual), mm(s.left_out ?? s.residual)),
+  s.taken && !s.believed && !s.excluded ? label('the fit does not use it: it contradicts the others') : '']
+    .filter(Boolean).join('; ');
   button.hidden = !s.taken;
   button.textContent = label(s.excluded ? 'Bring back' : 'Leave out');
-  button.setAttribute('aria-label', button.textContent + ' sample ' + s.number);
   button.dataset.sample = s.number;
+  button.setAttribute('aria-label', button.textContent + ' ' + s.number);
   button.onclick = () => ask(s.excluded ? 'include' : 'exclude', { number: s.number }, button);
   return line;
 }
 
-function newLine() {
-  const made = { line: element('li'), number: element('strong'), what: element('span', '', 'what'),
-    figure: element('span', '', 'figure'), button: element('button') };
-  made.line.append(made.number, made.what, made.figure, made.button);
+// Return the angle of the viewing direction to that of the first sample (rad), null if unknown.
+function tiltOf(s, { scene }) {
+  const own = scene.known && scene.stations.find(({ number }) => number === s.number);
+  if (!own) return null;
+  const [a, b] = [own, scene.stations[0]].map(({ T }) => column(T, 2));
+  return Math.acos(Math.min(1, a[0] * b[0] + a[1] * b[1] + a[2] * b[2]));
+}
+
+function newLine(count) {
+  const made = { line: document.createElement('li'), number: element('strong'),
+    edge: element('span', '', 'what'), tilt: element('span'), time: element('span', '', 'small'),
+    fill: element('div'), figure: element('span', '', 'residual'), why: element('p', '', 'small'),
+    button: element('button') };
+  const details = element('details'), head = element('summary'), full = element('div', '', 'bar');
+  const canvas = document.createElement('canvas');
+  full.append(made.fill);
+  head.append(made.number, made.edge, made.tilt, made.time, full, made.figure);
+  details.append(head, made.why, canvas);
+  made.line.append(details, made.button);
+  canvas.setAttribute('role', 'img');
+  canvas.setAttribute('aria-label', 'the profile of sample ' + count);
+  details.addEventListener('toggle', async () => {
+    if (!details.open) return;
+    const answer = await fetch('read/stop?number=' + count).catch(() => null);
+    if (answer && answer.ok) drawProfile(canvas, await answer.json(), told.scene.view);
+  });
   return made;
 }
 
@@ -190,32 +284,37 @@ const STATES = { none: 'none yet', current: 'current', outdated: 'outdated: samp
   'have changed since', withdrawn: 'withdrawn: there is no answer any more' };
 
 function showAnswer(c, rows) {
-  text('answer-state', label(STATES[c.state]) + (c.translation ? ': ' + c.child + ' in ' + c.parent : ''));
-  $('answer-state').className = 'badge ' + ({ current: 'good', none: '' }[c.state] ?? 'bad');
-  text('answer-text', c.state === 'none' ? '' : c.text);
-  $('figures').hidden = !rows.length;
+  text('answer-state', label(STATES[c.state]) +
+    (c.translation ? ': ' + label('{0} in {1}', c.child, c.parent) : ''));
+  $('answer-state').className = 'badge ' + ({ current: 'good', none: 'dim' }[c.state] ?? 'bad');
+  text('answer-text', c.state === 'none' ? '' : said(c.text));
+  text('saved', c.saved ? label('saved in {0}', c.saved) : '');
+  $('figures').hidden = $('files').hidden = !rows.length;
   $('figures').tBodies[0].replaceChildren(...rows.map(([name, value, std, unit]) => {
     const made = document.createElement('tr');
     made.id = 'answer-' + name.replace(' ', '-');
-    made.append(...[name, value, std, unit].map(words => element('td', words)));
+    made.append(...[said(name), value, std, unit].map(words => element('td', words)));
     return made;
   }));
 }
 
+// Return whether it succeeded.
 async function ask(name, values, button) {
   button.disabled = true;
   text('message', '…');
+  let good = false;
   try {
     const answer = await fetch('act/' + name, { method: 'POST', body: JSON.stringify(values),
       headers: { 'Content-Type': 'application/json' } });
     const { success, message } = await answer.json();
-    text('message', message);
-    $('message').className = success ? 'good' : 'bad';
+    text('message', said(message));
+    good = success;
   } catch (error) {
-    text('message', 'the node does not answer: is it still running?');
-    $('message').className = 'bad';
+    text('message', label('the node does not answer: is it still running?'));
   }
+  $('message').className = good ? 'good' : 'bad';
   button.disabled = false;
+  return good;
 }
 
 function sure(question) {
@@ -232,8 +331,8 @@ function sure(question) {
 
 async function clearAll() {
   const count = told ? told.samples.filter(s => s.taken).length : 0;
-  if (await sure('Clear all ' + count + ' samples?') &&
-      await sure('Really? ' + count + ' samples and the answer will be gone.')) {
+  if (await sure(label('Clear all {0} samples, and begin a new session?', count)) &&
+      await sure(label('Really? {0} samples and the answer will be gone.', count))) {
     await ask('clear', {}, $('clear'));
   }
 }
@@ -243,12 +342,19 @@ for (const name of ['take', 'undo', 'compute', 'save']) {
 }
 $('clear').addEventListener('click', clearAll);
 
+function redrawScene() {
+  const kinds = new Map(told.samples.map(s => [s.number,
+    s.excluded ? 'out' : s.believed ? 'used' : 'unused']));
+  drawScene($('scene'), told.scene, kinds, told.profile, $('togo').hidden ? label('next') :
+    $('togo').textContent);
+}
+
 function redraw() {
   if (!told) return;
-  drawScene($('scene'), told.scene);
-  drawProfile($('profile'), told.profile);
+  redrawScene();
+  drawProfile($('profile'), told.profile, told.scene.view);
 }
-turnable($('scene'), redraw);
+turnable($('scene'), () => told && redrawScene());
 addEventListener('resize', redraw);
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', redraw);
 
@@ -262,7 +368,7 @@ function connect() {
     if (state.error) text('link', state.error); else show(state);
   };
   events.onerror = async () => {
-    text('link', 'the node does not answer; trying again');
+    text('link', label('the node does not answer; trying again'));
     if (events.readyState !== EventSource.CLOSED) return;
     setTimeout(connect, 2000);
     const answer = await fetch('page.js').catch(() => null);
@@ -270,12 +376,14 @@ function connect() {
   };
 }
 connect();
+readCell();
 
 setInterval(() => {
   const silence = (Date.now() - heard) / 1000;
-  document.body.classList.toggle('old', heard > 0 && silence > SILENT);
-  if (heard && silence > SILENT) text('link', 'nothing heard of the node for ' +
-    silence.toFixed(0) + ' s: what is shown is old');
+  const old = heard > 0 && silence > SILENT;
+  document.body.classList.toggle('old', old);
+  if (old) text('link', label('nothing heard of the node for {0} s: what is shown is old',
+    silence.toFixed(0)));
 }, 1000);
 
 $('language').value = language;
@@ -285,5 +393,6 @@ $('language').addEventListener('change', () => {
   translate();
   for (const key of Object.keys(shown)) delete shown[key];
   if (told) show(told);
+  readCell();
 });
 translate();

@@ -1,160 +1,316 @@
 'use strict';
-// Two pictures on canvases: the profile of now, and target, stations and next pose in space.
+// The picture in space: sensor and light plane of now, target, samples, and the next pose.
 
-function colour(name) {
-  return getComputedStyle(document.documentElement).getPropertyValue('--' + name).trim();
-}
+const HOME = { turn: 0.7, lift: 0.45, zoom: 1 };
+const eye = { ...HOME };
+const SENSOR = [0.018, 0.03, 0.035];  // m: half sizes of the body that is drawn
 
-function board(canvas) {
-  const ratio = window.devicePixelRatio || 1;
-  const width = canvas.clientWidth, height = canvas.clientHeight;
-  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-  }
-  const pen = canvas.getContext('2d');
-  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-  pen.clearRect(0, 0, width, height);
-  pen.font = '12px system-ui, sans-serif';
-  return { pen, width, height };
-}
+const add = (a, b, k = 1) => a.map((v, i) => v + k * b[i]);
+const column = (T, j) => [0, 1, 2].map(i => T[i][j]);
+const at = (T, p) => [0, 1, 2].map(i =>
+  T[i][0] * p[0] + T[i][1] * p[1] + T[i][2] * p[2] + T[i][3]);
 
-function box(points) {
-  const low = [Infinity, Infinity], high = [-Infinity, -Infinity];
-  for (const p of points) for (const k of [0, 1]) {
+// Where points are on the canvas: all of them fit in it.
+function camera(points, width, height) {
+  const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+  for (const p of points) for (const k of [0, 1, 2]) {
     low[k] = Math.min(low[k], p[k]);
     high[k] = Math.max(high[k], p[k]);
   }
-  return { low, high };
-}
-
-// Lines every 1, 2 or 5 times a power of ten millimetres, at least 40 pixels apart.
-function grid(pen, width, height, place, scale) {
-  const least = 40 / scale, power = 10 ** Math.floor(Math.log10(least));
-  const step = [1, 2, 5, 10].map(k => k * power).find(s => s >= least);
-  const digits = Math.max(0, -Math.floor(Math.log10(step * 1e3)));
-  const [x0, z0] = place([0, 0]);
-  pen.strokeStyle = colour('line');
-  pen.fillStyle = colour('dim');
-  pen.lineWidth = 1;
-  pen.beginPath();
-  for (let k = Math.ceil(-x0 / scale / step); x0 + k * step * scale < width; k++) {
-    const x = x0 + k * step * scale;
-    pen.moveTo(x, 0);
-    pen.lineTo(x, height);
-    pen.fillText((1e3 * k * step).toFixed(digits), x + 2, height - 4);
-  }
-  for (let k = Math.ceil(-z0 / scale / step); z0 + k * step * scale < height; k++) {
-    const z = z0 + k * step * scale;
-    pen.moveTo(0, z);
-    pen.lineTo(width, z);
-    pen.fillText((1e3 * k * step).toFixed(digits) + ' mm', 2, z - 2);
-  }
-  pen.stroke();
-}
-
-let frame = null;  // of the profiles seen so far, so that the picture does not jump
-
-function drawProfile(canvas, profile) {
-  const { pen, width, height } = board(canvas);
-  if (!profile || !profile.points.length) {
-    pen.fillStyle = colour('dim');
-    pen.fillText('no profile with a return', 12, height / 2);
-    return;
-  }
-  const now = box(profile.points);
-  frame = frame ? { low: frame.low.map((v, k) => Math.min(v, now.low[k])),
-    high: frame.high.map((v, k) => Math.max(v, now.high[k])) } : now;
-  // one scale for both axes: what is square is shown square
-  const edge = 26, size = [0, 1].map(k => Math.max(frame.high[k] - frame.low[k], 1e-6));
-  const scale = Math.min((width - 2 * edge) / size[0], (height - 2 * edge) / size[1]);
-  const middle = [0, 1].map(k => (frame.low[k] + frame.high[k]) / 2);
-  const place = p => [width / 2 + (p[0] - middle[0]) * scale, height / 2 + (p[1] - middle[1]) * scale];
-  grid(pen, width, height, place, scale);
-  pen.fillStyle = colour('text');
-  for (const p of profile.points) {
-    const [x, y] = place(p);
-    pen.fillRect(x - 1, y - 1, 2, 2);
-  }
-  pen.strokeStyle = colour('main');
-  pen.lineWidth = 3;
-  for (const line of profile.lines) stroke(pen, line.map(place));
-  pen.fillStyle = colour('aim');
-  for (const spot of profile.spots) dot(pen, place(spot), 6);
-}
-
-function stroke(pen, points) {
-  pen.beginPath();
-  points.forEach((p, i) => (i ? pen.lineTo(p[0], p[1]) : pen.moveTo(p[0], p[1])));
-  pen.stroke();
-}
-
-function dot(pen, p, radius) {
-  pen.beginPath();
-  pen.arc(p[0], p[1], radius, 0, 2 * Math.PI);
-  pen.fill();
-}
-
-const eye = { turn: 0.7, lift: 0.5 };
-
-function turned(p) {
+  const middle = low.map((v, k) => (v + high[k]) / 2);
+  const radius = Math.max(0.05, Math.hypot(...high.map((v, k) => v - low[k])) / 2);
   const c = Math.cos(eye.turn), s = Math.sin(eye.turn);
-  const x = c * p[0] - s * p[1], y = s * p[0] + c * p[1];
-  return [x, -(Math.cos(eye.lift) * p[2] + Math.sin(eye.lift) * y)];
+  const cl = Math.cos(eye.lift), sl = Math.sin(eye.lift);
+  const turned = p => {
+    const [x, y, z] = add(p, middle, -1);
+    const across = c * x - s * y, along = s * x + c * y;
+    return [across, cl * z + sl * along, cl * along - sl * z];  // right, up, away
+  };
+  const far = 4 * radius, edge = 26;
+  const flat = points.map(p => {
+    const [x, y, away] = turned(p);
+    return [x / (far + away), y / (far + away)];
+  });
+  const bounds = box(flat);
+  const scale = eye.zoom * Math.min((width - 2 * edge) / (bounds.high[0] - bounds.low[0] || 1e-6),
+    (height - 2 * edge) / (bounds.high[1] - bounds.low[1] || 1e-6), 1.2 * width * 2);
+  const shift = [0, 1].map(k => (bounds.low[k] + bounds.high[k]) / 2);
+  return p => {
+    const [x, y, away] = turned(p);
+    return [width / 2 + scale * (x / (far + away) - shift[0]),
+      height / 2 - scale * (y / (far + away) - shift[1]), away, scale / (far + away)];
+  };
 }
 
-const ahead = (p, way, length) => p.map((v, k) => v + length * way[k]);
-
-function drawScene(canvas, scene) {
-  const { pen, width, height } = board(canvas);
-  const at = s => s.sensor || s.flange;
-  const all = [...scene.stations.map(at), ...(scene.next ? [at(scene.next)] : []),
-    ...scene.edges.flat(), ...scene.outline.flat(), ...(scene.spots || [])];
-  if (!all.length) {
-    pen.fillStyle = colour('dim');
-    pen.fillText('no samples yet', 12, height / 2);
-    return;
+// What is drawn, from the farthest to the nearest; labels come last and keep off each other.
+class Drawing {
+  constructor(pen, flat, width, height) {
+    Object.assign(this, { pen, flat, width, height, parts: [], labels: [] });
   }
-  const bounds = box(all.map(turned)), edge = 24;
-  const size = [0, 1].map(k => Math.max(bounds.high[k] - bounds.low[k], 1e-3));
-  const scale = Math.min((width - 2 * edge) / size[0], (height - 2 * edge) / size[1]);
-  const flat = p => {
-    const q = turned(p);
-    return [0, 1].map(k => (k ? height : width) / 2
-      + scale * (q[k] - (bounds.low[k] + bounds.high[k]) / 2));
-  };
-  pen.strokeStyle = pen.fillStyle = colour('good');
-  pen.lineWidth = 1;
-  for (const line of scene.outline) stroke(pen, line.map(flat));
-  pen.lineWidth = 3;
-  for (const line of scene.edges) stroke(pen, line.map(flat));
-  for (const spot of scene.spots || []) dot(pen, flat(spot), 2);
-  const station = (s, name, radius, text) => {
-    pen.strokeStyle = pen.fillStyle = colour(name);
-    pen.lineWidth = name === 'aim' ? 3 : 1;
-    if (s.looks) stroke(pen, [flat(at(s)), flat(ahead(at(s), s.looks, 0.05))]);
-    const p = flat(at(s));
-    dot(pen, p, radius);
-    if (text) pen.fillText(text, p[0] + radius + 2, p[1] - 2);
-  };
-  for (const s of scene.stations) station(s, 'main', 4, String(s.number));
-  if (scene.next) station(scene.next, 'aim', 7, 'next');
+
+  part(points, draw, nearer = 0) {
+    const placed = points.map(this.flat);
+    const away = placed.reduce((sum, p) => sum + p[2], 0) / placed.length - nearer;
+    this.parts.push([away, () => draw(placed)]);
+  }
+
+  line(points, name, width, dash = []) {
+    for (let i = 1; i < points.length; i++) {
+      this.part([points[i - 1], points[i]], placed => {
+        this.pen.strokeStyle = colour(name);
+        this.pen.lineWidth = width;
+        this.pen.setLineDash(dash);
+        stroke(this.pen, placed);
+        this.pen.setLineDash([]);
+      });
+    }
+  }
+
+  face(points, name, alpha, outline = true) {
+    this.part(points, placed => {
+      this.pen.beginPath();
+      placed.forEach(([x, y], i) => (i ? this.pen.lineTo(x, y) : this.pen.moveTo(x, y)));
+      this.pen.closePath();
+      this.pen.globalAlpha = alpha;
+      this.pen.fillStyle = colour(name);
+      this.pen.fill();
+      this.pen.globalAlpha = 1;
+      if (!outline) return;
+      this.pen.strokeStyle = colour(name);
+      this.pen.lineWidth = 1;
+      this.pen.stroke();
+    });
+  }
+
+  ball(centre, radius, name) {
+    this.part([centre], ([[x, y, , scale]]) => {
+      const r = radius * scale, shade = this.pen.createRadialGradient(
+        x - r / 3, y - r / 3, r / 8, x, y, r);
+      shade.addColorStop(0, colour('card'));
+      shade.addColorStop(1, colour(name));
+      this.pen.globalAlpha = 0.8;
+      this.pen.fillStyle = shade;
+      dot(this.pen, [x, y], r);
+      this.pen.globalAlpha = 1;
+    });
+  }
+
+  mark(point, name, kind, words) {
+    this.part([point], ([[x, y]]) => {
+      this.pen.strokeStyle = this.pen.fillStyle = colour(name);
+      this.pen.lineWidth = 2;
+      if (kind === 'out') {
+        stroke(this.pen, [[x - 5, y - 5], [x + 5, y + 5]]);
+        stroke(this.pen, [[x - 5, y + 5], [x + 5, y - 5]]);
+      } else dot(this.pen, [x, y], 5);
+    }, 0.01);
+    if (words) this.words(point, words, name);
+  }
+
+  words(point, words, name, weight = '') {
+    this.labels.push({ point: this.flat(point), words, name, weight });
+  }
+
+  finish() {
+    for (const [, draw] of this.parts.sort((a, b) => b[0] - a[0])) draw();
+    const taken = [];
+    for (const { point: [x, y], words, name, weight } of this.labels) {
+      this.pen.font = `${weight} 13px system-ui, sans-serif`;
+      const w = this.pen.measureText(words).width + 6, h = 17;
+      const free = [[9, -8], [9, 20], [-9 - w, -8], [-9 - w, 20], [-w / 2, -16], [-w / 2, 30],
+        [16, -26], [-16 - w, -26], [16, 40], [-16 - w, 40]]
+        .map(([dx, dy]) => [Math.min(Math.max(x + dx, 2), this.width - w - 2),
+          Math.min(Math.max(y + dy, h), this.height - 4)])
+        .find(([a, b]) => taken.every(([c, d, cw]) =>
+          a + w < c || c + cw < a || Math.abs(b - d) > h));
+      if (!free) continue;
+      const [a, b] = free;
+      taken.push([a, b, w]);
+      this.pen.globalAlpha = 0.75;
+      this.pen.fillStyle = colour('card');
+      this.pen.fillRect(a, b - 13, w, h);
+      this.pen.globalAlpha = 1;
+      this.pen.fillStyle = colour(name);
+      this.pen.fillText(words, a + 3, b);
+    }
+  }
 }
 
+// A sensor at T: its body, and its light plane over the field of view.
+function drawSensor(drawing, T, scene, name, ghost = false) {
+  const sign = scene.range_sign, [a, b, c] = SENSOR;
+  const corner = (i, j, k) => at(T, [a * i, b * j, c * sign * (k - 1)]);
+  const sides = [[[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1]],
+    [[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]],
+    [[-1, -1, -1], [-1, 1, -1], [-1, 1, 1], [-1, -1, 1]],
+    [[1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]],
+    [[-1, -1, -1], [1, -1, -1], [1, -1, 1], [-1, -1, 1]],
+    [[-1, 1, -1], [1, 1, -1], [1, 1, 1], [-1, 1, 1]]];
+  sides.forEach((side, i) => drawing.face(side.map(p => corner(...p)), name,
+    ghost ? 0.14 : [0.5, 0.8, 0.6, 0.6, 0.7, 0.7][i]));
+  const view = scene.view.length ? scene.view : [[-0.03, 0.15 * sign], [0.03, 0.15 * sign]];
+  const xs = view.map(p => p[0]), zs = view.map(p => p[1] * sign);
+  const far = Math.max(...zs) * sign;
+  const fan = [[0, 0], [Math.min(...xs), far], [Math.max(...xs), far]]
+    .map(([x, z]) => at(T, [x, 0, z]));
+  drawing.face(fan, ghost ? name : 'bad', ghost ? 0.06 : 0.16);
+  drawing.line([fan[1], fan[2]], ghost ? name : 'bad', 1, [4, 4]);
+}
+
+function reachOf(T, scene) {
+  const far = scene.view.length ? scene.view : [[0, 0.15 * scene.range_sign]];
+  return [at(T, [0, 0, -2 * SENSOR[2] * scene.range_sign]), ...far.map(([x, z]) => at(T, [x, 0, z]))];
+}
+
+// state: scene, samples (by number: used, out or unused), profile, and the words of the aim
+function drawScene(canvas, scene, samples, profile, words) {
+  const made = board(canvas), { pen, width, height } = made;
+  if (!scene.known && (scene.move || !scene.stations.length)) return drawMove(made, scene);
+  const points = [...scene.stations.map(s => column(s.T, 3)), ...scene.edges.flat(),
+    ...scene.outline.flat(), ...(scene.spots || [])];
+  if (scene.known && scene.live) points.push(...reachOf(scene.live, scene));
+  if (scene.known && scene.next) points.push(...reachOf(scene.next, scene));
+  const drawing = new Drawing(pen, camera(points, width, height), width, height);
+  if (scene.ball) drawing.ball(...scene.ball, 'good');
+  for (const line of scene.outline) {
+    if (!scene.ball && line.length > 3) drawing.face(line, 'good', 0.12);
+    drawing.line(line, 'good', 1);
+  }
+  if (scene.edges.length === 2) {
+    const [[o, p], [, q]] = scene.edges;
+    drawing.face([o, p, add(p, add(q, o, -1)), q], 'good', 0.12, false);
+  }
+  for (const line of scene.edges) drawing.line(line, 'good', 4);
+  for (const spot of scene.spots || []) drawing.mark(spot, 'good', 'dot');
+  if (scene.known && scene.next) {
+    drawSensor(drawing, scene.next, scene, 'aim', true);
+    drawing.words(column(scene.next, 3), words, 'aim', 'bold');
+    if (scene.live) drawing.line([column(scene.live, 3), column(scene.next, 3)], 'aim', 3, [7, 6]);
+  }
+  if (scene.known && scene.live) {
+    drawSensor(drawing, scene.live, scene, 'text');
+    const seen = ((profile || {}).points || []).filter((p, i) => i % 3 === 0);
+    drawing.line(seen.map(([x, z]) => at(scene.live, [x, 0, z])), 'bad', 2);
+    drawing.words(column(scene.live, 3), label('now'), 'text', 'bold');
+  }
+  const ahead = scene.range_sign * 0.02;
+  for (const { number, T } of scene.stations) {
+    const kind = samples.get(number) || 'used', name = kind === 'used' ? 'main' : 'bad';
+    if (scene.known) drawing.line([column(T, 3), at(T, [0, 0, ahead])], name, 2);
+    drawing.mark(column(T, 3), name, kind, String(number));
+  }
+  drawing.finish();
+}
+
+// The first moves, in the frame of the first sample: the sensor turned about what it sees.
+function drawMove({ pen, width, height }, scene) {
+  const sign = scene.range_sign;
+  const view = scene.view.length ? box(scene.view) : { low: [-0.03, 0.1 * sign], high: [0.03, 0.2 * sign] };
+  const middle = [(view.low[0] + view.high[0]) / 2, 0, (view.low[1] + view.high[1]) / 2];
+  const { R, place, turn, tilt } = scene.move || { R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    place: [middle[0], middle[2]], turn: 0, tilt: [0, 0] };
+  const spot = [place[0], 0, place[1]];
+  // the picture stands upright: its z is against the viewing direction
+  const world = ([x, y, z]) => [x, -sign * y, -sign * z];
+  const first = [[1, 0, 0, -middle[0]], [0, 1, 0, 0], [0, 0, 1, -middle[2]]];
+  const lever = [0, 1, 2].map(i => R[i][0] * spot[0] + R[i][2] * spot[2]);
+  const moved = R.map((row, i) => [...row, -lever[i]]);
+  const upright = ([x, y, z]) => [x, y.map(v => -sign * v), z.map(v => -sign * v)];
+  const [from, to] = [upright(first), upright(moved)];
+  const size = 0.06, points = [...reachOf(from, scene), ...reachOf(to, scene),
+    ...[[-1, -1], [1, 1]].map(([x, y]) => [size * x, size * y, 0])];
+  const drawing = new Drawing(pen, camera(points, width, height), width, height);
+  if (scene.round) drawing.ball([0, 0, -0.025], 0.025, 'good');
+  else {
+    drawing.face([[-size, 0, 0], [size, 0, 0], [size, size, 0], [-size, size, 0]], 'good', 0.12);
+    drawing.line([[-size, 0, 0], [size, 0, 0]], 'good', 4);
+  }
+  if (scene.move) {
+    drawSensor(drawing, from, scene, 'dim', true);
+    drawing.words(column(from, 3), label('first sample'), 'dim');
+  }
+  drawSensor(drawing, to, scene, 'aim');
+  drawing.words(column(to, 3), label(scene.move ? 'next' : 'first sample'), 'aim', 'bold');
+  const far = Math.hypot(...middle) || 0.15;
+  arrow(drawing, 0, 1, turn, far * 0.3, far, `${label('turn')} ${degrees(turn, 0)}°`);
+  arrow(drawing, 1, 2, tilt[0], far * 0.8, 0, `${label('tilt')} ${degrees(tilt[0], 0)}°`);
+  arrow(drawing, 2, 0, tilt[1], far * 0.8, 0, `${label('tilt')} ${degrees(tilt[1], 0)}°`);
+  drawing.finish();
+
+  // An arc about the axis that is neither, from where the sensor was.
+  function arrow(drawn, i, j, angle, radius, height, words) {
+    if (Math.abs(angle) < 0.02) return;
+    const points = [], steps = 24;
+    const start = j === 2 ? -sign * Math.PI / 2 : i === 2 && sign > 0 ? Math.PI : 0;
+    for (let k = 0; k <= steps; k++) {
+      const p = [0, 0, 0], phi = start + angle * k / steps;
+      p[i] = radius * Math.cos(phi);
+      p[j] = radius * Math.sin(phi);
+      if (i + j === 1) p[2] = -sign * height;
+      points.push(world(p));
+    }
+    drawn.line(points, 'main', 4);
+    const tip = points[steps], back = points[steps - 3];
+    drawn.part([tip], ([[x, y]]) => {
+      const [u, v] = drawn.flat(back), way = Math.atan2(y - v, x - u);
+      pen.fillStyle = colour('main');
+      pen.beginPath();
+      for (const [r, turned] of [[0, 0], [16, 2.7], [16, -2.7]]) {
+        pen.lineTo(x + r * Math.cos(way + turned), y + r * Math.sin(way + turned));
+      }
+      pen.fill();
+    }, 0.05);
+    drawn.words(tip, words, 'main', 'bold');
+  }
+}
+
+// By mouse, touch (one finger turns, two tilt and zoom), keyboard and the buttons beside it.
 function turnable(canvas, redraw) {
-  let last = null;
+  const fingers = new Map();
+  const change = (turn, lift, zoom = 1) => {
+    eye.turn += turn;
+    eye.lift = Math.min(1.55, Math.max(-0.5, eye.lift + lift));
+    eye.zoom = Math.min(6, Math.max(0.4, eye.zoom * zoom));
+    redraw();
+  };
+  const spread = () => {
+    const [a, b] = [...fingers.values()];
+    return Math.hypot(a[0] - b[0], a[1] - b[1]);
+  };
   canvas.addEventListener('pointerdown', event => {
-    last = [event.clientX, event.clientY];
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
     canvas.setPointerCapture(event.pointerId);
   });
   canvas.addEventListener('pointermove', event => {
+    const last = fingers.get(event.pointerId);
     if (!last) return;
-    eye.turn += (event.clientX - last[0]) * 0.01;
-    eye.lift = Math.min(1.5, Math.max(-0.2, eye.lift + (event.clientY - last[1]) * 0.01));
-    last = [event.clientX, event.clientY];
-    redraw();
+    const before = fingers.size > 1 ? spread() : 0;
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    const lifts = event.pointerType === 'mouse' || fingers.size > 1;
+    change(0.01 * (event.clientX - last[0]) / fingers.size,
+      lifts ? 0.01 * (event.clientY - last[1]) / fingers.size : 0, before ? spread() / before : 1);
   });
   for (const name of ['pointerup', 'pointercancel']) {
-    canvas.addEventListener(name, () => { last = null; });
+    canvas.addEventListener(name, event => fingers.delete(event.pointerId));
+  }
+  canvas.addEventListener('wheel', event => {
+    if (!event.ctrlKey && document.activeElement !== canvas) return;  // the page scrolls
+    event.preventDefault();
+    change(0, 0, Math.exp(-0.002 * event.deltaY));
+  }, { passive: false });
+  const keys = { ArrowLeft: [-0.15, 0], ArrowRight: [0.15, 0], ArrowUp: [0, 0.12],
+    ArrowDown: [0, -0.12], '+': [0, 0, 1.2], '-': [0, 0, 1 / 1.2] };
+  canvas.addEventListener('keydown', event => {
+    if (event.key === 'Home') Object.assign(eye, HOME);
+    else if (!keys[event.key]) return;
+    event.preventDefault();
+    change(...(keys[event.key] || [0, 0]));
+  });
+  for (const button of document.querySelectorAll('[data-turn]')) {
+    button.addEventListener('click', () => {
+      const [turn, lift] = button.dataset.turn.split(',').map(Number);
+      if (button.dataset.turn === 'home') Object.assign(eye, HOME);
+      change(turn || 0, lift || 0);
+    });
   }
 }

@@ -1,0 +1,104 @@
+'use strict';
+// What a person sets: how samples are taken, topics and the like, sessions, and a verification.
+
+const NAMES = {
+  profile_topic: 'Topic of the profiles', pose_topic: 'Topic of the flange poses',
+  pose_source: 'Poses come from', 'profile.unit': 'Unit of the profiles',
+  'noise.robot_class': 'Accuracy class of the robot', 'target.radius': 'Radius of the sphere / m',
+  'target.size': 'Lengths of the plate / m', 'guidance.accuracy': 'Wanted accuracy (1 sigma) / m',
+  'verify.routine': 'What is measured', 'verify.radius': 'Radius / m',
+  'verify.lengths': 'Nominal lengths / m', 'verify.reference': 'Touched point x, y, z / m',
+  'verify.tolerance': 'Largest error that passes / m' };
+const NOMINAL = { sphere: ['verify.radius'], ball_bar: ['verify.radius', 'verify.lengths'],
+  step: ['verify.lengths'], tooth: ['verify.lengths'], point: ['verify.reference'] };
+const written = value => (Array.isArray(value) ? `[${value.join(', ')}]` : String(value));
+
+function setting({ key, value, description, choices }) {
+  const made = element('div', '', 'setting'), name = element('label', label(NAMES[key]));
+  let input = document.createElement('input');
+  if (choices.length || key.endsWith('topic')) {
+    input = document.createElement('select');
+    for (const choice of new Set([...choices, value])) {
+      const option = element('option', String(choice) || '—');
+      option.value = choice;
+      input.append(option);
+    }
+  } else input.autocomplete = 'off';
+  input.id = name.htmlFor = 'set-' + key;
+  input.name = key;
+  input.value = written(value);
+  made.append(name, input);
+  made.dataset.key = key;
+  made.append(element('span', description, 'small'));
+  return made;
+}
+
+async function readCell() {
+  const answer = await fetch('read/cell').catch(() => null);
+  if (!answer || !answer.ok) return;
+  const { settings, sessions, session } = await answer.json();
+  const parts = verify => settings.filter(s => NAMES[s.key] && s.key.startsWith('verify.') === verify);
+  $('cell-form').replaceChildren(...parts(false).map(s => {
+    const made = setting(s), button = element('button', label('Set'));
+    button.type = 'button';
+    button.addEventListener('click', async () => {
+      await ask('set', { [s.key]: made.querySelector('input, select').value }, button);
+      readCell();
+    });
+    made.insertBefore(button, made.lastChild);
+    return made;
+  }));
+  $('verify-form').replaceChildren(...parts(true).map(setting));
+  const routine = $('set-verify.routine');
+  routine.addEventListener('change', showNominal);
+  showNominal();
+  $('sessions').replaceChildren(...sessions.filter(name => name !== session)
+    .map(name => element('option', name)));
+  $('open').disabled = !$('sessions').options.length;
+  text('session', label('The session of now: {0}', session || label('none yet')));
+}
+
+// Only what the routine needs is asked for.
+function showNominal() {
+  const needed = ['verify.routine', 'verify.tolerance',
+    ...(NOMINAL[$('set-verify.routine').value] || [])];
+  for (const made of $('verify-form').children) made.hidden = !needed.includes(made.dataset.key);
+}
+
+async function startVerification() {
+  const values = {};
+  for (const made of $('verify-form').children) {
+    if (!made.hidden) values[made.dataset.key] = made.querySelector('input, select').value;
+  }
+  if (await ask('set', values, $('verify-start'))) ask('verify', {}, $('verify-start'));
+}
+
+$('verify-form').addEventListener('submit', event => event.preventDefault());
+$('verify-start').addEventListener('click', startVerification);
+$('verify-result').addEventListener('click', () => ask('verdict', {}, $('verify-result')));
+$('cell-form').addEventListener('submit', event => event.preventDefault());
+$('cell-open').addEventListener('toggle', () => $('cell-open').open && readCell());
+$('choose').addEventListener('click', () => {
+  $('cell-open').open = true;
+  $('cell-card').scrollIntoView();
+});
+$('open').addEventListener('click', async () => {
+  await ask('open', { session: $('sessions').value }, $('open'));
+  readCell();
+});
+$('new').addEventListener('click', async () => {
+  await clearAll();
+  readCell();
+});
+for (const radio of document.querySelectorAll('[name=mode]')) {
+  radio.addEventListener('change', () => ask('set', { 'sampling.mode': radio.value }, radio));
+}
+
+function showVerification({ running, verdict }) {
+  text('course', running);
+  text('verdict', verdict ? said(verdict) : '');
+  $('verdict').hidden = !verdict;
+  $('verdict').className = 'figure ' + (verdict.includes(': PASS') ? 'good' : 'bad');
+  $('verify-result').disabled = !running;
+  $('verify-start').textContent = label(running ? 'Next part' : 'Start');
+}
