@@ -21,12 +21,12 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / 'test' / 'support'))
 from browser import chromium, complaints  # noqa: E402, I100
-from geometry_msgs.msg import PoseStamped  # noqa: E402
-from handeye_ros import config as configs, se3, targets  # noqa: E402
+from handeye_ros import config as configs  # noqa: E402
+from handeye_ros import se3, targets  # noqa: E402
 from handeye_ros.guidance.moves import next_move  # noqa: E402
 from live_cell import LiveCell  # noqa: E402
 import numpy as np  # noqa: E402
-from ros_helpers import Client, LATCHED, running_node  # noqa: E402
+from ros_helpers import Client, running_node  # noqa: E402
 
 FIGURES = ROOT / 'docs' / 'figures'
 CONFIG = ROOT / 'config' / 'plate.yaml'
@@ -76,7 +76,8 @@ class Pictures:
         small = self.browser.execute_script(
             "return [...document.querySelectorAll('button, select')].filter(b => b.offsetParent)"
             '.filter(b => { const r = b.getBoundingClientRect(); '
-            'return r.width && (r.width < 48 || r.height < 48); }).map(b => b.id || b.textContent)')
+            'return r.width && (r.width < 48 || r.height < 48); })'
+            '.map(b => b.id || b.textContent)')
         if wide > width or small:
             print(f'{where}: {wide} px wide, too small: {small}')
 
@@ -112,24 +113,19 @@ def node(folder: Path, *more: str) -> Iterator[None]:
 class Operator:
     """Goes where the node says."""
 
-    def __init__(self, client: Client, cell: LiveCell, pictures: Pictures) -> None:
-        self.cell, self._client, self._pictures = cell, client, pictures
+    def __init__(self, cell: LiveCell, pictures: Pictures) -> None:
+        self.cell, self._pictures = cell, pictures
         self._config = configs.load(CONFIG)
-        self._next: PoseStamped | None = None
-        client.node.create_subscription(PoseStamped, '/handeye/next_pose', self._on_next, LATCHED)
-
-    def _on_next(self, msg: PoseStamped) -> None:
-        self._next = msg
 
     def goal(self) -> np.ndarray:
         """Return where to go: to the proposed pose, or as the first moves say."""
-        self._client.until(lambda: True, 'what came is heard')
         world, taken = self.cell.world, self._pictures.browser.execute_script(
             'return told.samples.filter(s => s.taken).length')
-        if self._pictures.browser.execute_script('return told.scene.next !== null'):
-            self._client.until(lambda: self._next, 'a pose is proposed')
-            p, q = self._next.pose.position, self._next.pose.orientation
-            return se3.from_quaternion(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+        found = self._pictures.browser.execute_script(
+            'return told.guidance.translation && [told.guidance.translation, '
+            'told.guidance.rotation]')
+        if found:
+            return se3.from_quaternion(*map(np.array, found))
         move = next_move(taken, targets.method_for(self._config), self._config, world.view)
         R = (world.T_base_target[:3, :3].T @ (self.cell.first @ world.T_flange_sensor)[:3, :3]
              @ se3.exp_rotation(np.array([0.0, 0.0, move.turn]))
@@ -159,14 +155,14 @@ def main() -> None:
         with node(Path(name), '-p', 'page.address:=0.0.0.0'):
             browser.get(f'http://127.0.0.1:{PORT}/')
             pictures.take('token')
-        with node(Path(name), '-p', 'profile_topic:=/wrong'):
+        with node(Path(name), '-p', 'profile_topic:=/wrong', '-p', 'guidance.accuracy:=2e-4'):
             browser.get(f'http://127.0.0.1:{PORT}/')
             pictures.until('told.profiles.trouble')
             pictures.take('waiting')
             cell = LiveCell(client, 'plate')
             pictures.until("told.profiles.trouble.includes('/profile')")
             pictures.take('wrong_topic')
-            calibrate(client, cell, pictures, options.stops)
+            calibrate(cell, pictures, options.stops)
             cell.close()
         time.sleep(5.0)
         pictures.take('dead')
@@ -174,9 +170,9 @@ def main() -> None:
     client.close()
 
 
-def calibrate(client: Client, cell: LiveCell, pictures: Pictures, stops: int) -> None:
+def calibrate(cell: LiveCell, pictures: Pictures, stops: int) -> None:
     """Go the whole way of a calibration."""
-    browser, operator = pictures.browser, Operator(client, cell, pictures)
+    browser, operator = pictures.browser, Operator(cell, pictures)
     browser.execute_script("ask('set', {profile_topic: '/profile'}, $('take'))")
     pictures.until('told.samples.filter(s => s.taken).length === 1')
     operator.stop()
@@ -187,6 +183,7 @@ def calibrate(client: Client, cell: LiveCell, pictures: Pictures, stops: int) ->
     pictures.take('aim')
     for _ in range(stops):
         operator.stop()
+    pictures.take('sampling')
     cell.go(cell.T @ se3.transform(se3.exp_rotation(np.array([0.0, 2.0, 0.0])), np.zeros(3)))
     pictures.until('told.motion.still > 1')
     pictures.click('take')

@@ -114,7 +114,8 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
     if config.sampling.moving:
         return _of_sweep(solution, sigmas, missing(solution, view, limits)[:TOLD], trouble)
     surely = view.shrunk(known.std(_stated(solution)))  # seen there, wherever the sensor is
-    search = Search(solution, surely, limits, known, visited(samples, refused, config))
+    search = Search(solution, surely, limits, known, visited(samples, refused, config),
+                    samples[-1].T_base_flange)
     proposal = propose(search, config) or propose(replace(  # where there is no room for a margin
         search, view=view, visited=visited(samples, refused, config, margin=(0.0, 0.0))), config)
     enough, why = judged(sigmas, proposal, largest_cause(solution, known), len(samples))

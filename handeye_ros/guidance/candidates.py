@@ -27,6 +27,8 @@ REFINED = 80  # in each round, around the best
 ROUNDS = 4
 LARGEST_TWIST = 1.6  # rad: about the viewing direction, from the prototype's
 LARGEST_SHIFT = 0.2  # of the spot across the laser line, in widths of the view
+SERVES = 0.5  # of what the best adds: of those that add as much, the smallest move is taken
+LEVER = 0.3  # m/rad: by so much a turn of a robot counts as a way
 NEAR = np.array([0.15, 0.1, 0.1, 0.1, 0.1, 0.3])  # 1 sigma of the choices of a round
 CHOICES = 6  # twist, tilt (2), place (2), shift
 
@@ -52,16 +54,24 @@ class Candidates:
         """Return which is the best."""
         return int(np.argmin(self.variance))
 
+    def only(self, i: int) -> Candidates:
+        """Return one of them."""
+        rows = slice(i, i + 1)
+        return replace(self, choices=self.choices[rows], poses=self.poses[rows],
+                       places=self.places[rows], variance=self.variance[rows],
+                       problem=self.problem.subset(np.array([i])))
+
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What the candidates are drawn in, and judged by."""
+    """What the candidates are drawn in, and judged by; last: T_base_flange of the last sample."""
 
     solution: Solution
     view: View
     limits: Limits
     mapping: Mapping
     visited: Visited
+    last: Array
 
     def draw(self, rng: np.random.Generator) -> list[Candidates]:
         """Return candidates of some stations; none where none keeps the feature in view."""
@@ -72,15 +82,31 @@ class Search:
         return found
 
     def refined(self, found: list[Candidates], rng: np.random.Generator) -> Candidates:
-        """Return the candidates around the best of those found (one at least)."""
-        best = min(found, key=lambda part: float(part.variance.min()))
+        """Return the candidates around one of those found (one at least): near, and good."""
+        best, start = self._near(found)
         for _ in range(ROUNDS):
-            choices = best.choices[best.best()] + NEAR * rng.normal(size=(REFINED, CHOICES))
+            choices = best.choices[start] + NEAR * rng.normal(size=(REFINED, CHOICES))
             choices[:, 3:] = np.clip(choices[:, 3:], -1.0, 1.0)
             more = self.judged(best.station, choices)
-            if len(more.poses) and more.variance.min() < best.variance.min():
-                best = more
-        return best
+            if len(more.poses) and more.variance.min() < best.variance[start]:
+                best, start = more, more.best()
+        return best if start == best.best() else best.only(start)
+
+    def _near(self, found: list[Candidates]) -> tuple[Candidates, int]:
+        """Return the one with the smallest move of those that serve nearly as well as the best."""
+        known = float(self.mapping.variance(self.solution.reported[:6, :6]))
+        gains = [known - part.variance for part in found]
+        least = SERVES * max(float(gain.max()) for gain in gains)
+        ways = [np.where(gain >= least, self._way(part.poses), np.inf)
+                for part, gain in zip(found, gains, strict=True)]
+        nearest = min(range(len(found)), key=lambda i: float(ways[i].min()))
+        return found[nearest], int(np.argmin(ways[nearest]))
+
+    def _way(self, poses: Array) -> Array:
+        """Return how far poses (n, 4, 4) are from the last sample (m), turns included."""
+        flange = poses if self.limits.in_hand else se3.inverse(poses)
+        return np.asarray(np.linalg.norm(flange[:, :3, 3] - self.last[:3, 3], axis=1)
+                          + LEVER * se3.angle(self.last[:3, :3].T @ flange[:, :3, :3]))
 
     def judged(self, station: int, choices: Array) -> Candidates:
         """Return the candidates that choices (n, 6) give, those alone that are possible."""

@@ -10,7 +10,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.advice import Advice, advise, judged, Proposal, ROUGHLY_KNOWN, Sigma
 from handeye_ros.guidance.budget import Cause
-from handeye_ros.guidance.candidates import anchor_of, prototypes, Search
+from handeye_ros.guidance.candidates import anchor_of, prototypes, Search, SERVES
 from handeye_ros.guidance.limits import limits_of, twist_of
 from handeye_ros.guidance.moves import design, next_move
 from handeye_ros.guidance.rules import visited
@@ -43,7 +43,8 @@ def search(made: tuple[Cell, Solution]) -> Search:
     view = learn_view(found.samples)
     poses = np.array([s.T_base_flange for s in found.samples])
     return Search(solution, view, limits_of(poses[0], found.config),
-                  mapping(solution.estimate.X, view), visited(found.samples, (), found.config))
+                  mapping(solution.estimate.X, view), visited(found.samples, (), found.config),
+                  poses[-1])
 
 
 def sensor_poses(found: Cell, T_base_flange: Array) -> Array:
@@ -79,8 +80,12 @@ def test_it_helps_more_than_most_others(made: tuple[Cell, Solution]) -> None:
     variances = np.concatenate([part.variance for part in drawn])
     best = found.refined(drawn, rng)
     now = found.mapping.variance(made[1].covariance[:6, :6])
-    assert best.variance.min() <= variances.min() < np.median(variances)
+    assert now - best.variance.min() >= SERVES * (now - variances.min())
     assert (variances < now).all(), 'no sample makes anything less known'
+    # it is sought around the nearest of those that add half as much as the best of them
+    near, start = found._near(drawn)
+    far = max(drawn, key=lambda part: now - part.variance.min())
+    assert found._way(near.poses)[start] < found._way(far.poses)[far.best()]
 
 
 def test_what_a_sample_brings_is_what_the_solver_then_says(made: tuple[Cell, Solution]) -> None:
@@ -128,7 +133,7 @@ def test_it_is_the_same_in_another_base(made: tuple[Cell, Solution]) -> None:
     there = advice((moved, solved(moved.problem))).next
     assert here and there
     # the search is random: near a limit one candidate more or less may be allowed
-    np.testing.assert_allclose(there.std, here.std, rtol=0.1)
+    np.testing.assert_allclose(there.std, here.std, rtol=0.2)
 
 
 def test_eye_on_base_is_advised_too() -> None:

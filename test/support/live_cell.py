@@ -15,7 +15,7 @@ from ros_helpers import Client, cloud_message, pose_message, XZ
 from scipy.spatial.transform import Rotation, Slerp
 
 sys.path.insert(0, str(Path(__file__).parents[2] / 'bench'))
-from guidance import ROBOTS, World, world  # noqa: E402
+from guidance import ROBOTS, World, world  # noqa: E402, I100
 
 POSES, EVERY = 50.0, 3  # poses a second; one profile for so many
 SPEED, TURN = 0.15, 0.8  # m/s, rad/s

@@ -29,8 +29,8 @@ class Reviewer:
 
     review: None before there is one, no_review: why; reviewed: the samples that its agreements
     belong to, in this order; advised: the number of the last sample that the advice knows of, 0
-    for none; seen: points (k, 2) at the ends of the field of view, in order around it; on_change:
-    called after each.
+    for none; seen: points (k, 2) at the ends of the field of view; on_change: called after
+    each.
     """
 
     def __init__(self, samples: LiveSamples, runner: Runner) -> None:

@@ -114,6 +114,8 @@ def scene(live: LiveSession, current: Current | None) -> dict[str, Any]:
     seen = live.reviewer.seen
     if current:
         seen = extremes(np.concatenate([seen, current.points]))
+    away = seen - seen.mean(axis=0) if len(seen) else seen
+    around = seen[np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
 
     def drawn(T_base_flange: Array | None) -> Any:
         return None if T_base_flange is None else rounded(
@@ -122,7 +124,7 @@ def scene(live: LiveSession, current: Current | None) -> dict[str, Any]:
     return {
         'known': solution is not None, 'range_sign': config.profile.range_sign,
         'round': config.target.type == 'sphere',
-        'view': rounded(seen), 'live': drawn(pose),
+        'view': rounded(around), 'live': drawn(pose),
         'stations': [{'number': number, 'T': drawn(T)} for number, T in samples],
         'next': drawn(aim), 'aim': None if pose is None or aim is None else _way(pose, aim),
         'move': advice.move and _move(advice.move),

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+import json
 from pathlib import Path
 import socket
 import time
@@ -23,7 +24,7 @@ from ros_helpers import Client, replay, ROOT, running_node  # noqa: E402
 pytestmark = pytest.mark.ros
 
 BAG, CONFIG = ROOT / 'bags' / 'plate', ROOT / 'config' / 'plate.yaml'
-SMALLEST_TARGET = 44  # px, for gloves
+SMALLEST_TARGET = 48  # px, for gloves
 
 
 def free_port() -> int:
@@ -96,9 +97,45 @@ def test_a_calibration_by_clicking(tmp_path: Path, client: Client) -> None:
         count = browser.execute_script(f'return {lines}')
         press(browser, '#undo', 'removed sample')
         wait(browser, f'{lines} === {count - 1}', 'one sample less')
+        downloaded(browser)
         cleared(browser)
+        went_on(browser, count - 1)
         assert complaints(browser) == []
     assert 'Traceback' not in (tmp_path / 'node.log').read_text()
+
+
+def fetched(browser: Any, path: str) -> str:
+    return str(browser.execute_async_script(
+        'fetch(arguments[0]).then(r => r.text()).then(arguments[1])', path))
+
+
+def downloaded(browser: Any) -> None:
+    """Take the files of the answer, and look at the profile of a sample."""
+    for link, words in (('yaml', 'format: handeye_ros/calibration/'), ('urdf', '<origin xyz='),
+                        ('report.html', 'data:image/svg+xml')):
+        assert browser.find_elements('css selector', f'#files [href="read/file?name={link}"]')
+        assert words in fetched(browser, f'read/file?name={link}')
+    browser.find_element('css selector', '#samples summary').click()
+    wait(browser, PAINTED.replace('NAME', '#samples [open] canvas'), 'its profile')
+    assert 'there is no stop 99' in fetched(browser, 'read/stop?number=99')
+
+
+def went_on(browser: Any, count: int) -> None:
+    """Go on with the session before, in German, with samples taken by hand."""
+    former = json.loads(fetched(browser, 'read/cell'))['sessions'][-1]
+    browser.execute_script("ask('open', {session: arguments[0]}, document.body)", former)
+    wait(browser, f"document.querySelectorAll('#samples li').length === {count}", 'its samples')
+    wait(browser, "document.getElementById('answer-x')", 'its answer')
+    browser.execute_script("$('language').value = 'de'; $('language').onchange || "
+                           "$('language').dispatchEvent(new Event('change'))")
+    assert words(browser, 'take') == 'Messen'
+    press(browser, '[name=mode][value=manual]', 'sampling.mode is manual')
+    wait(browser, "document.getElementById('link').textContent === 'gemessen wird auf Knopfdruck'",
+         'it says so')
+
+
+PAINTED = ("(() => {const c = document.querySelector('NAME'); return c && c.getContext('2d')"
+           '.getImageData(0, 0, c.width, c.height).data.some(v => v)})()')
 
 
 def cleared(browser: Any) -> None:
@@ -125,15 +162,13 @@ def test_it_is_readable_and_fits_gloves(tmp_path: Path, client: Client, width: i
             'width': width, 'height': 900, 'deviceScaleFactor': 1, 'mobile': width < 500})
         assert browser.execute_script('return document.documentElement.scrollWidth') <= width
         small = browser.execute_script(
-            "return [...document.querySelectorAll('button')].filter(b => b.offsetParent)"
-            '.map(b => b.getBoundingClientRect())'
+            "return [...document.querySelectorAll('button, select')].filter(b => b.offsetParent)"
+            '.map(b => b.getBoundingClientRect()).filter(r => r.width)'
             f'.filter(r => r.width < {SMALLEST_TARGET} || r.height < {SMALLEST_TARGET}).length')
         assert small == 0
         # what the canvases show is not empty
         for name in ('profile', 'scene'):
-            assert browser.execute_script(
-                f"const c = document.getElementById('{name}'); return c.getContext('2d')"
-                '.getImageData(0, 0, c.width, c.height).data.some(v => v)')
+            assert browser.execute_script('return ' + PAINTED.replace('NAME', f'#{name}'))
         assert 'points in view are known to' in words(browser, 'advice')
         assert words(browser, 'link') == 'a sample is taken at every stop'
         assert complaints(browser) == []

@@ -73,6 +73,15 @@ async function startVerification() {
   if (await ask('set', values, $('verify-start'))) ask('verify', {}, $('verify-start'));
 }
 
+function showVerification({ running, verdict }) {
+  text('course', running);
+  text('verdict', verdict ? said(verdict) : '');
+  $('verdict').hidden = !verdict;
+  $('verdict').className = 'figure ' + (verdict.includes(': PASS') ? 'good' : 'bad');
+  $('verify-result').disabled = !running;
+  $('verify-start').textContent = label(running ? 'Next part' : 'Start');
+}
+
 $('verify-form').addEventListener('submit', event => event.preventDefault());
 $('verify-start').addEventListener('click', startVerification);
 $('verify-result').addEventListener('click', () => ask('verdict', {}, $('verify-result')));
@@ -93,12 +102,4 @@ $('new').addEventListener('click', async () => {
 for (const radio of document.querySelectorAll('[name=mode]')) {
   radio.addEventListener('change', () => ask('set', { 'sampling.mode': radio.value }, radio));
 }
-
-function showVerification({ running, verdict }) {
-  text('course', running);
-  text('verdict', verdict ? said(verdict) : '');
-  $('verdict').hidden = !verdict;
-  $('verdict').className = 'figure ' + (verdict.includes(': PASS') ? 'good' : 'bad');
-  $('verify-result').disabled = !running;
-  $('verify-start').textContent = label(running ? 'Next part' : 'Start');
-}
+readCell();

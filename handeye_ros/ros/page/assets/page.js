@@ -36,7 +36,7 @@ function show(state) {
   text('name', label('{0}: hand-eye calibration', state.name));
   showNow(state);
   showAim(state);
-  if (changed('guidance', state.guidance)) showGuidance(state.guidance);
+  if (changed('guidance', [state.guidance, state.samples.length])) showGuidance(state.guidance);
   if (changed('samples', [state.samples, state.worst, state.edges])) showSamples(state);
   if (changed('scene', [state.scene, state.profile, state.samples])) redrawScene();
   if (changed('calibration', [state.calibration, state.rows])) showAnswer(state.calibration, state.rows);
@@ -76,7 +76,7 @@ function showNow(state) {
 
 // What is left to do until the next pose, while the robot is jogged.
 function showAim({ scene, poses }) {
-  const aim = flows(poses) && scene.aim;
+  const aim = flows(poses) && !(told.guidance && told.guidance.enough) && scene.aim;
   $('togo').hidden = !aim;
   if (!aim) {
     text('axes', '');
@@ -93,9 +93,10 @@ function showAim({ scene, poses }) {
 }
 
 function showGuidance(guidance) {
-  const list = $('advice'), last = Math.max(0, ...told.samples.map(s => s.number));
+  const list = $('advice');
+  const last = Math.max(0, ...told.samples.filter(s => s.taken).map(s => s.number));
   const sentences = guidance ? guidance.sentences.map(said) : [];
-  if (guidance && guidance.sample < last && told.samples.some(s => s.taken)) {
+  if (guidance && guidance.sample < last) {
     sentences.push(label('this knows of sample {0}; the next is being worked in', guidance.sample));
   }
   list.replaceChildren(...sentences.map(s => element('li', s)));
@@ -376,7 +377,6 @@ function connect() {
   };
 }
 connect();
-readCell();
 
 setInterval(() => {
   const silence = (Date.now() - heard) / 1000;

@@ -3,7 +3,7 @@
 
 const HOME = { turn: 0.7, lift: 0.45, zoom: 1 };
 const eye = { ...HOME };
-const SENSOR = [0.018, 0.03, 0.035];  // m: half sizes of the body that is drawn
+const SENSOR = [0.012, 0.02, 0.025];  // m: half sizes of the body that is drawn
 
 const add = (a, b, k = 1) => a.map((v, i) => v + k * b[i]);
 const column = (T, j) => [0, 1, 2].map(i => T[i][j]);
@@ -147,7 +147,7 @@ function drawSensor(drawing, T, scene, name, ghost = false) {
     [[-1, -1, -1], [1, -1, -1], [1, -1, 1], [-1, -1, 1]],
     [[-1, 1, -1], [1, 1, -1], [1, 1, 1], [-1, 1, 1]]];
   sides.forEach((side, i) => drawing.face(side.map(p => corner(...p)), name,
-    ghost ? 0.14 : [0.5, 0.8, 0.6, 0.6, 0.7, 0.7][i]));
+    ghost ? 0.14 : [0.3, 0.5, 0.35, 0.35, 0.4, 0.4][i]));
   const view = scene.view.length ? scene.view : [[-0.03, 0.15 * sign], [0.03, 0.15 * sign]];
   const xs = view.map(p => p[0]), zs = view.map(p => p[1] * sign);
   const far = Math.max(...zs) * sign;
@@ -202,6 +202,8 @@ function drawScene(canvas, scene, samples, profile, words) {
   drawing.finish();
 }
 
+const signed = v => (v < 0 ? '−' : '+') + degrees(Math.abs(v), 0) + '°';
+
 // The first moves, in the frame of the first sample: the sensor turned about what it sees.
 function drawMove({ pen, width, height }, scene) {
   const sign = scene.range_sign;
@@ -232,9 +234,9 @@ function drawMove({ pen, width, height }, scene) {
   drawSensor(drawing, to, scene, 'aim');
   drawing.words(column(to, 3), label(scene.move ? 'next' : 'first sample'), 'aim', 'bold');
   const far = Math.hypot(...middle) || 0.15;
-  arrow(drawing, 0, 1, turn, far * 0.3, far, `${label('turn')} ${degrees(turn, 0)}°`);
-  arrow(drawing, 1, 2, tilt[0], far * 0.8, 0, `${label('tilt')} ${degrees(tilt[0], 0)}°`);
-  arrow(drawing, 2, 0, tilt[1], far * 0.8, 0, `${label('tilt')} ${degrees(tilt[1], 0)}°`);
+  arrow(drawing, 0, 1, turn, far * 0.45, far + 0.02, `${label('turn')} ${signed(turn)}`);
+  arrow(drawing, 1, 2, tilt[0], far * 0.65, 0, `${label('tilt')} ${signed(tilt[0])}`);
+  arrow(drawing, 2, 0, tilt[1], far * 0.5, 0, `${label('tilt')} ${signed(tilt[1])}`);
   drawing.finish();
 
   // An arc about the axis that is neither, from where the sensor was.
