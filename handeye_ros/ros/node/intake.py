@@ -108,7 +108,7 @@ class Intake:
         self._live.streams.arrivals = Arrivals()
         self._listen(PointCloud2, config.profile_topic, self._on_profile, STREAM)
         if self.kinematics:
-            live.samples.store.joints = self.kinematics.between
+            self._live.samples.store.joints = self.kinematics.between
             self._listen(JointState, config.joint_topic, self._on_joint_values, STREAM)
         elif config.kinematics:
             take = partial(self._on_joints, read_arm(Path(config.kinematics)))

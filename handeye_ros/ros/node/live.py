@@ -134,7 +134,7 @@ class LiveSession:
             self.verification.end()
             self.samples.forget()
             self.samples.store.close()
-            self.samples.store = store
+            store.joints, self.samples.store = self.samples.store.joints, store
             text = self.restore(session, before)
         self.answer.withdraw('another session was opened')
         with self.streams.lock:

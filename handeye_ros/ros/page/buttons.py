@@ -125,7 +125,7 @@ def file(live: LiveSession, name: str) -> tuple[str, str]:
 def report(calibration: Any, session: str) -> str:
     """Return the report of an answer from a session; it takes seconds."""
     from handeye_ros.results.report import page  # matplotlib
-    from handeye_ros.ros.bags.evidence import evidence
+    from handeye_ros.ros.bags.bag import evidence
     return page.html(calibration, evidence(calibration, Path(session) if session else None))
 
 
