@@ -133,7 +133,8 @@ def went_on(browser: Any, count: int) -> None:
          'it says so')
 
 
-PAINTED = ("(() => {const c = document.querySelector('NAME'), e = document.createElement('canvas');"
+PAINTED = ("(() => {const c = document.querySelector('NAME');"
+           "const e = document.createElement('canvas');"
            'if (!c) return false; e.width = c.width; e.height = c.height; '
            'return c.toDataURL() !== e.toDataURL()})()')
 
