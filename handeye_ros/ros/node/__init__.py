@@ -2,6 +2,5 @@
 
 OFFERED = (
     'intake.STREAM', 'intake.TFMessage', 'intake.THROTTLE', 'live.LiveSession',
-    'publishers.LATCHED', 'publishers.transform_stamped', 'store.Place', 'store.Store',
-    'streams.Current',
+    'publishers.LATCHED', 'publishers.transform_stamped', 'streams.Current',
 )

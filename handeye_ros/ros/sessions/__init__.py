@@ -2,5 +2,6 @@
 
 OFFERED = (
     'joints.joints_of', 'joints.source_of_session', 'reading.Stored', 'reading.is_session',
-    'reading.read_session', 'resume.resumed', 'writing.SessionStore',
+    'reading.read_session', 'resume.resumed', 'store.Place', 'store.Store',
+    'writing.SessionStore',
 )
