@@ -4,8 +4,8 @@ Count the numeric constants of rooms: the numbers that stand behind names of mod
 
 usage: python tools/count_constants.py [ROOM ...]    (default: estimation checks sampling)
 
-A number counts once for each name in capitals, and each element of a tuple or call once. Prints
-how many each module has, and the sum.
+A name in capitals counts once if a number stands in what it is given. Prints how many each module
+has, and the sum.
 """
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PACKAGE = Path(__file__).parents[1] / 'handeye_ros'
 
 
 def constants(path: Path) -> list[str]:
-    """Return the names of a module's numeric constants, each as often as it has numbers."""
+    """Return the names of a module's numeric constants."""
     found = []
     for node in ast.parse(path.read_text(encoding='utf-8')).body:
         if not isinstance(node, (ast.Assign, ast.AnnAssign)) or node.value is None:
@@ -27,7 +27,7 @@ def constants(path: Path) -> list[str]:
                  if isinstance(name, ast.Name) and name.id.isupper()]
         numbers = [leaf for leaf in ast.walk(node.value) if isinstance(leaf, ast.Constant)
                    and isinstance(leaf.value, (int, float)) and not isinstance(leaf.value, bool)]
-        found += [', '.join(names)] * (len(numbers) if names else 0)
+        found += names if numbers else []
     return found
 
 
@@ -39,7 +39,7 @@ def main() -> None:
             names = constants(path)
             total += len(names)
             if names:
-                print(f'{len(names):4} {room}/{path.name}: {"; ".join(dict.fromkeys(names))}')
+                print(f'{len(names):4} {room}/{path.name}: {", ".join(names)}')
     print(f'{total:4} in all')
 
 
