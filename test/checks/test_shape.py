@@ -2,9 +2,12 @@
 from dataclasses import replace
 import re
 
+from cells import cell
+from cells import solved as found
 from handeye_ros import config as configs
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import LostEdgesError
+from handeye_ros.checks.shape import scale_error
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate_samples
@@ -113,3 +116,14 @@ def test_the_scale_between_robot_and_sensor_is_told(name: str, scale: float) -> 
     found, _ = solved(SCENARIOS[name], 2, scale)
     assert 0 < found.target['scale_std'] < 7e-4
     assert found.target['scale'] == pytest.approx(scale, abs=3 * found.target['scale_std'])
+
+
+@pytest.mark.parametrize('name', ['plate', 'eye_on_base'])
+def test_lengths_of_the_robot_that_explain_the_residuals_are_measured(name: str) -> None:
+    problem = cell(name).problem
+    T = problem.robot_poses.copy()
+    T[:, :3, 3] *= 1.004
+    poses = T if problem.in_hand else se3.inverse(T)
+    scale, std, _ = scale_error(found(replace(problem, poses=poses)))
+    assert scale == pytest.approx(0.004, abs=2 * std)
+    assert scale > 4 * std
