@@ -19,13 +19,16 @@ from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.outliers import outliers, shared_scale
-from handeye_ros.estimation.posterior import map_solution
+from handeye_ros.estimation.posterior import evaluated, map_solution
 from handeye_ros.estimation.search import (
+    CONVINCING,
     far,
     guesses,
     LARGEST_SQUARE,
+    mean_squares,
     Refined,
     refined,
+    relabelled,
     unused_essential,
 )
 from handeye_ros.estimation.solution import evaluate, fitted, Solution, station_statistic
@@ -167,12 +170,35 @@ def refine(agreed: Consensus, minimum: int) -> Consensus:
     """
     Return the consensus with all nuisance blocks in its solution, outliers dropped.
 
-    Of few stations each may be wrong without being seen to be: the reported covariance holds that.
+    What fits only now, as the target is not as stated, is taken back. Of few stations each may
+    be wrong without being seen to be: the stated covariance holds that.
     """
+    first = _refined(agreed, minimum)
+    labelled = relabelled(agreed.whole, first.solution.estimate)
+    near = mean_squares(labelled, first.solution.estimate) <= CONVINCING
+    back = [i for i in first.dropped if near[i] and i in labelled.observations.station]
+    used = np.union1d(first.used, np.array(back, dtype=np.intp))
+    part, noise = labelled.subset(used), first.solution.noise
+    if not (back or len(first.unused)) or _misfits(part, first):
+        return first
+    dropped = {i: square for i, square in first.dropped.items() if i not in back}
+    start = replace(first.solution, problem=part, estimate=agreed.solution.estimate)
+    again = _refined(replace(first, solution=start, used=used, dropped=dropped), minimum, noise)
+    return again if again.explained > first.explained else first
+
+
+def _misfits(part: Problem, found: Consensus) -> bool:
+    """Return whether a station of a problem does not fit what was found, by its noise."""
+    solution = evaluated(part, found.solution.estimate, found.solution.noise)
+    return len(outliers(*_mean_squares(solution), len(found.whole.poses), 1)) > 0
+
+
+def _refined(agreed: Consensus, minimum: int, noise: Noise | None = None) -> Consensus:
+    """Return the consensus with all blocks in its solution, and what does not fit dropped."""
     used, dropped, part = agreed.used, dict(agreed.dropped), agreed.solution.problem
     total, estimate = len(used) + len(dropped), agreed.solution.estimate
     while True:
-        solution = map_solution(part, estimate)
+        solution = map_solution(part, estimate, noise)
         mean_square, freedom = _mean_squares(solution.conservative or solution)
         spare = len(used) - minimum
         worst = outliers(mean_square, freedom, total, spare)

@@ -140,6 +140,11 @@ def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = No
     return replace(problem, observations=found)
 
 
+def mean_squares(problem: Problem, estimate: Estimate) -> Array:
+    """Return the mean squared whitened residual (n,) of each station, 0 of one with none."""
+    return _mean_squares(weighed(problem, estimate, Noise()))
+
+
 def _mean_squares(at: Weighed) -> Array:
     problem, r = at.linear.problem, at.white(at.linear.residuals)
     station, n = problem.observations.station, len(problem.poses)
