@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from handeye_ros.data import Array
 from handeye_ros.published import wu2017
 import numpy as np
-from scipy.interpolate import make_lsq_spline
+from scipy.interpolate import BSpline, make_lsq_spline
 
 KNOT_SPACING = 0.03  # m between the knots of a spline
 CUT = 3.5  # sigmas of points that are left out
@@ -26,7 +26,8 @@ class Curve:
     """
     A curve in space, over t from first to last.
 
-    kind: cubic or spline; position(t): a point (3,); advance(t): the unit tangent (3,).
+    kind: cubic or spline; position(t): a point (3,); advance(t): the unit tangent (3,). std(t):
+    1 sigma of the points (k,) by the scatter about the curve, in 3 dimensions; of a cubic nothing.
     """
 
     kind: str
@@ -34,6 +35,7 @@ class Curve:
     last: float
     position: Callable[[float], Array]
     advance: Callable[[float], Array]
+    std: Callable[[Array], Array] = np.zeros_like
 
     def sampled(self, count: int = FINE) -> tuple[Array, Array]:
         """Return count values of t spread evenly, and the points (count, 3) there."""
@@ -75,14 +77,21 @@ def spline(t: Array, points: Array) -> Curve:
         fitted = make_lsq_spline(t[kept], points[kept], _knots(t[kept], points[kept]), k=3)
         away = np.linalg.norm(fitted(t) - points, axis=1)
         kept = away <= CUT * max(float(np.sqrt((away[kept] ** 2).mean())), FINEST)
-    tangent = fitted.derivative()
+    tangent, knots = fitted.derivative(), fitted.t
+    B = BSpline.design_matrix(t[kept], knots, 3).toarray()
+    variance = float((away[kept] ** 2).sum()) / max(len(B) - B.shape[1], 1)
+    C = variance * np.linalg.pinv(B.T @ B)
+
+    def std(at: Array) -> Array:
+        b = BSpline.design_matrix(at, knots, 3, extrapolate=True).toarray()
+        return np.asarray(np.sqrt(np.einsum('ki,ij,kj->k', b, C, b)))
 
     def advance(at: float) -> Array:
         way = tangent(at)
         return np.asarray(way / np.linalg.norm(way))
 
     return Curve('spline', float(t[0]), float(t[-1]),
-                 lambda at: np.asarray(fitted(at)), advance)
+                 lambda at: np.asarray(fitted(at)), advance, std)
 
 
 def _knots(t: Array, points: Array) -> Array:

@@ -105,6 +105,14 @@ class UnclearSeamError(DataError):
                          'or scan more densely')
 
 
+class UncertainSeamError(DataError):
+    """A seam of which no frame is known well enough; std: 1 sigma of most."""
+
+    def __init__(self, std: float) -> None:
+        super().__init__(f'the seam is known to {mm(std)} (1 sigma) only, '
+                         'which is too little for a path: scan more densely, or with less noise')
+
+
 class TaughtPathError(InputError):
     """A taught path that cannot be read."""
 

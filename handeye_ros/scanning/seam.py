@@ -16,7 +16,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.published import wu2017
 from handeye_ros.scanning.curves import Curve, spline, through
-from handeye_ros.scanning.errors import TooFewPointsError, UnclearSeamError
+from handeye_ros.scanning.errors import TooFewPointsError, UncertainSeamError, UnclearSeamError
 from handeye_ros.scanning.seam_edges import course, spacing_of
 from handeye_ros.scanning.seam_sections import Edges, edges
 from handeye_ros.scanning.seam_sheets import rims_of, sheets_of
@@ -28,6 +28,8 @@ WIDEST = 0.012  # m between the edges of a seam
 POINTS = 400_000  # of a cloud that are used, and
 FEWEST = 500  # that it must have
 SAMPLES_EACH = 1e-3  # m between the pairs of the centre line
+PLAY = 1e-6  # m: rounding of a length
+UNCERTAIN = 4e-5, np.deg2rad(0.4)  # 1 sigma of the place (m) and approach of an end frame, at most
 UNCLEAR = 10.0  # times the points' noise: what sections may scatter by; spacings likewise, 1
 
 
@@ -39,7 +41,8 @@ class Seam:
     kind: v, butt, lap or fillet; line: which of centre, root, first and second edge the curve is;
     normals: (k, 3), out of the part, halfway between those of the sheets; residuals: (k,) of the
     sections nearest to each pair (m); noise: 1 sigma of the cloud; spacing: of its points;
-    others: seams of other kinds that were not taken. Metres.
+    others: seams of other kinds that were not taken. std: (k, 2) 1 sigma of the line and of the
+    approach (rad). Metres.
     """
 
     kind: str
@@ -54,6 +57,7 @@ class Seam:
     noise: float
     spacing: float
     others: int
+    std: Array
 
     @property
     def residual(self) -> float:
@@ -89,47 +93,56 @@ def find_seam(points: Array, widest: float = WIDEST,
     rims = rims_of(points, tree, sheets, spacing)
     rough = course(rims, points, spacing, widest, up)
     found = edges(points, tree, sheets, rims, rough, spacing)
-    first, second, root, normals, residuals = _smoothed(found)
+    line = line if line != 'auto' else 'root' if rough.kind in ('v', 'fillet') else 'centre'
+    first, second, root, normals, residuals, std = _smoothed(found, line)
     spread = float(np.sqrt((residuals ** 2).mean()))
     if max(found.noise, spread) > max(UNCLEAR * sheets.noise, spacing):
         raise UnclearSeamError(max(found.noise, spread), sheets.noise)
-    line = line if line != 'auto' else 'root' if rough.kind in ('v', 'fillet') else 'centre'
     if start is not None and np.argmin(np.linalg.norm(root[[0, -1]] - start, axis=1)) == 1:
-        first, second, root, normals, residuals = (
-            v[::-1] for v in (second, first, root, normals, residuals))
+        first, second, root, normals, residuals, std = (
+            v[::-1] for v in (second, first, root, normals, residuals, std))
     lines = {'first': first, 'second': second, 'root': root,
              'centre': wu2017.centre_line(first, second)}
     return Seam(rough.kind, line, first, second, root, normals, residuals,
-                through(lines[line]), points, found.noise, spacing, rough.others)
+                through(lines[line]), points, found.noise, spacing, rough.others, std)
 
 
-def _smoothed(found: Edges) -> tuple[Array, Array, Array, Array, Array]:
-    """Return both edges, root, normals (k, 3) and residuals (k,) at even distances."""
+def _smoothed(found: Edges, line: str) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Return both edges, root, normals (k, 3), residuals (k,) and std (k, 2), evenly spaced."""
     normals = found.normals.sum(axis=1)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     count = max(int((found.ends[1] - found.ends[0]) / SAMPLES_EACH), 8)
     grid = np.linspace(*found.ends, count)
-    first, second, root = (np.array([curve.position(t) for t in grid]) for curve in (
-        spline(found.at, values) for values in (found.first, found.second, found.root)))
+    curves = {name: spline(found.at, values) for name, values in (
+        ('first', found.first), ('second', found.second), ('root', found.root),
+        ('centre', wu2017.centre_line(found.first, found.second)))}
+    first, second, root, _ = (
+        np.array([curve.position(t) for t in grid]) for curve in curves.values())
     turning = spline(found.at, normals)  # not beyond the sections, where it is uncertain
     normals = np.array([turning.position(t) for t in np.clip(grid, found.at[0], found.at[-1])])
     raw = np.array([np.interp(found.at, grid, column) for column in root.T]).T
     away = np.linalg.norm(raw - found.root, axis=1)
-    return first, second, root, normals, np.interp(grid, found.at, away)
+    std = np.column_stack([curves[line].std(grid), turning.std(grid)])
+    return first, second, root, normals, np.interp(grid, found.at, away), std
 
 
 def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, -1.0),
                 travel: float = 0.0, work: float = 0.0) -> ToolFrames:
     """
-    Return frames along the seam, the last one at its end.
+    Return frames along the seam, the last one at its end, less those at the ends too uncertain.
 
     pitch: distance between them (m); towards: the approach points this way rather than the other
     (3,). travel: the tool leans back against the advance by so much, about a; work: it leans to
-    the side, about n (rad).
+    the side, about n (rad). Raises UncertainSeamError.
     """
     end = seam.curve.length
     lengths = np.append(np.arange(0.0, end - 0.01 * pitch, pitch), end)
     own = np.linspace(0.0, end, len(seam.normals))
+    certain = np.flatnonzero((seam.std <= UNCERTAIN).all(axis=1))
+    if not len(certain):
+        raise UncertainSeamError(float(np.median(seam.std[:, 0])))
+    between = (lengths >= own[certain[0]] - PLAY) & (lengths <= own[certain[-1]] + PLAY)
+    lengths = lengths[between]
     lean = Rotation.from_euler('xz', [work, travel]).as_matrix()
     frames = []
     for length, t in zip(lengths, seam.curve.by_length(lengths), strict=True):

@@ -16,7 +16,7 @@ import yaml
 
 FORMAT = 'handeye_ros/seam/1'
 NAMES = {'v': 'V seam', 'butt': 'butt seam', 'lap': 'lap seam', 'fillet': 'fillet seam'}
-COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', 'residual')
+COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', 'residual', 'std')
 NEARBY = 0.01  # m along the seam whose sections tell the residual at a frame
 WITHIN = 1e-3  # m: the share of a taught path that is nearer is told
 
@@ -68,7 +68,7 @@ def read_taught(path: Path) -> Array:
 
 def measures(seam: Seam, frames: ToolFrames) -> Array:
     """
-    Return (m, 3) at each frame: gap, mismatch and residual (m).
+    Return (m, 4) at each frame: gap, mismatch, residual and 1 sigma of its place (m).
 
     Gap and mismatch: distance between the edges along and across the sheets; residual: RMS
     distance of the sections nearby from the line.
@@ -82,7 +82,8 @@ def measures(seam: Seam, frames: ToolFrames) -> Array:
     near = np.abs(own - frames.lengths[:, None]) <= NEARBY
     residual = np.sqrt((near * seam.residuals ** 2).sum(axis=1) / near.sum(axis=1))
     return np.column_stack([*(np.interp(frames.lengths, own, v) for v in (
-        np.linalg.norm(aside, axis=1), np.abs(mismatch))), residual])
+        np.linalg.norm(aside, axis=1), np.abs(mismatch))), residual, np.interp(
+            frames.lengths, own, seam.std[:, 0])])
 
 
 def csv_text(seam: Seam, frames: ToolFrames) -> str:
@@ -105,7 +106,7 @@ def values(seam: Seam, frames: ToolFrames, frame_id: str, taught: Taught | None
     told['frames'] = [
         {'length': float(length), 'position': T[:3, 3].tolist(),
          'quaternion': se3.quaternion(T).tolist(),
-         **dict(zip(COLUMNS[-3:], map(float, row), strict=True))}
+         **dict(zip(COLUMNS[-4:], map(float, row), strict=True))}
         for length, T, row in zip(frames.lengths, frames.T_base_tool, measures(seam, frames),
                                   strict=True)]
     return told
@@ -125,13 +126,18 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str, taught: T
 
 def sentences(seam: Seam, frames: ToolFrames, taught: Taught | None) -> list[str]:
     """Return what is told of a seam, for a person."""
-    gap, mismatch, _ = 1e3 * measures(seam, frames).T
+    gap, mismatch, _, std = 1e3 * measures(seam, frames).T
+    begins, ends = frames.lengths[0], seam.curve.length - frames.lengths[-1]
     lines = [f'{NAMES[seam.kind]} of {seam.curve.length * 1e3:.1f} mm, path along its '
              f'{seam.line}: {seam.curve.kind}; {len(frames.lengths)} tool frames',
              f'gap {gap.min():.2f} to {gap.max():.2f} mm, mismatch {mismatch.min():.2f} to '
              f'{mismatch.max():.2f} mm; its sections scatter by {seam.residual * 1e3:.3f} mm',
              f'the points are {seam.spacing * 1e3:.2f} mm apart, their noise is '
-             f'{seam.noise * 1e3:.3f} mm']
+             f'{seam.noise * 1e3:.3f} mm; the path is known to {std.max():.3f} mm (1 sigma) or '
+             'better']
+    if max(begins, ends) > 1e-6:
+        lines.append(f'no frames on the first {begins * 1e3:.1f} mm and the last '
+                     f'{ends * 1e3:.1f} mm: the line is too uncertain there; scan them more densely')
     if seam.others:
         lines.append(f'{seam.others} other edges that face each other (steps, corners) are not '
                      'taken for the seam; cut one out with --box to have it')
