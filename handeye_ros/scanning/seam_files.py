@@ -137,7 +137,7 @@ def sentences(seam: Seam, frames: ToolFrames, taught: Taught | None) -> list[str
              'better']
     if max(begins, ends) > 1e-6:
         lines.append(f'no frames on the first {begins * 1e3:.1f} mm and the last '
-                     f'{ends * 1e3:.1f} mm: the line is too uncertain there; scan them more densely')
+                     f'{ends * 1e3:.1f} mm: the line is too uncertain there')
     if seam.others:
         lines.append(f'{seam.others} other edges that face each other (steps, corners) are not '
                      'taken for the seam; cut one out with --box to have it')
