@@ -68,3 +68,16 @@ def read(path: Path) -> Verified:
         raise VerificationFileError(path, str(error).splitlines()[0]) from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise VerificationFileError(path, 'it does not hold what a verification does') from error
+
+
+def written(path: Path) -> dict[str, Any] | None:
+    """Return what the file of a verification holds, None of another; VerificationFileError."""
+    try:
+        told = yaml_content(path.read_text(encoding='utf-8'))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return None
+    if not isinstance(told, dict) or told.get('format') != FORMAT:
+        return None
+    if 'record' not in told:
+        raise VerificationFileError(path, 'it is of an earlier version: verify again')
+    return told

@@ -86,6 +86,9 @@ def test_the_report_shows_verifications(tmp_path: Path) -> None:
     assert run.exit_code == 0, (run.output, run.exception)
     page = (tmp_path / 'r.html').read_text()
     assert found.title in page and dict(found.rows)['radius'][0] in page
+    run = CliRunner().invoke(app, ['report', str(tmp_path / 'told.yaml')])
+    assert run.exit_code == 0, (run.output, run.exception)
+    assert 'ISO 14253-1' in (tmp_path / 'told.html').read_text()
     for text in ('format: handeye_ros/calibration/1', f'format: {verified.FORMAT}', '[1]', '{'):
         (tmp_path / 'told.yaml').write_text(text)
         with pytest.raises(VerificationFileError):
