@@ -44,15 +44,15 @@ def report(
     )] = [],  # noqa: B006 - never changed
 ) -> None:
     """Show a saved calibration, or a verification, and what it comes from in one HTML file."""
-    from handeye_ros.results import protocol
     from handeye_ros.results.calibration_file import file_of, read_calibration, write_whole
+    from handeye_ros.results.protocol import html as protocol
     from handeye_ros.results.report import page
     from handeye_ros.results.verified import read
     from handeye_ros.results.verified import written as verification_in
     from handeye_ros.ros.bags.bag import evidence
     if path.is_file() and (told := verification_in(path)):
         html = (out or path.with_suffix('.html')).absolute()
-        write_whole(html, protocol.html(told))
+        write_whole(html, protocol(told))
         typer.echo(f'wrote {html}')
         return
     file, verified = file_of(path), [read(one) for one in verification]

@@ -17,5 +17,5 @@ OFFERED = (
     'target_shape.shape', 'truth_errors.Errors', 'truth_errors.FIELD',
     'truth_errors.errors_against', 'truth_errors.field_points', 'truth_file',
     'truth_file.true_transform', 'verified.COLUMNS', 'verified.FORMAT', 'verified.Verified',
-    'verified.read', 'verified.rows_of', 'verified.shown', 'verified.title_of',
+    'verified.read', 'verified.rows_of', 'verified.shown', 'verified.title_of', 'verified.written',
 )
