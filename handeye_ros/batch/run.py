@@ -14,7 +14,11 @@ from handeye_ros.batch.errors import NoDaskError, NoSchedulerError
 from handeye_ros.batch.jobs import CRASHED, Job, Row, run, Verb
 
 AHEAD = 4  # jobs for each worker that are handed over before others are done
-ATTEMPTS = 2  # workers of this machine that a job may end before it is tried by itself
+LOCAL = {  # settings of Dask on this machine
+    # a job that has ended two workers is tried by itself
+    'distributed.scheduler.allowed-failures': 1,
+    # its profiler keeps call stacks: half a megabyte for each job
+    'distributed.worker.profile.enabled': False}
 
 
 @contextmanager
@@ -32,7 +36,7 @@ def client_of(scheduler: str, *, workers: int = 0, memory: str = 'auto', dashboa
     except ImportError as error:
         raise NoDaskError('distributed') from error
     if scheduler == 'local':
-        with dask.config.set({'distributed.scheduler.allowed-failures': ATTEMPTS - 1}), \
+        with dask.config.set(LOCAL), \
                 LocalCluster(n_workers=workers or len(os.sched_getaffinity(0)),
                              threads_per_worker=1, memory_limit=memory, silence_logs=50,
                              dashboard_address=f'127.0.0.1:{8787 if dashboard else 0}'
