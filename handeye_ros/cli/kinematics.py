@@ -1,4 +1,5 @@
 """The verb that finds the robot's own error."""
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
@@ -6,7 +7,6 @@ from handeye_ros.cli.app import app
 from handeye_ros.cli.common import (
     advancing,
     Assignments,
-    ConfigFile,
     configuration,
     doing,
     show,
@@ -38,7 +38,9 @@ def kinematics(
     parameters: Annotated[list[str], typer.Option(
         '--with', metavar='KIND', help='Estimate more than offsets and axes: gear, eccentricity '
         'or sag; may be repeated.')] = [],  # noqa: B006 - never changed
-    config: ConfigFile = None,
+    configs: Annotated[list[Path], typer.Option(
+        '--config', metavar='FILE', help='A ROS parameter file, for all sources; or one for each '
+        'of them, in their order.')] = [],  # noqa: B006 - never changed
     assignments: Assignments = [],  # noqa: B006 - never changed
     propose: Annotated[int, typer.Option(
         min=0, metavar='N', help='Write also programme.csv and programme.yaml '
@@ -48,7 +50,11 @@ def kinematics(
                             'written.')] = Path('out/kinematics'),
 ) -> None:
     """Find the errors of the robot's joints and axes, together with the hand-eye transform."""
-    settings = configuration(config, assignments)
+    if len(configs) not in (0, 1, len(sources)):
+        raise typer.BadParameter(f'{len(configs)} --config for {len(sources)} sources: give one '
+                                 'for all of them, or one for each')
+    files = configs if len(configs) == len(sources) else [*configs, None][:1] * len(sources)
+    settings = configuration(files[0], assignments)
     _require_kinds(parameters)
     from handeye_ros.kinematics.chain import chain_of, read_urdf
     text = read_urdf(urdf)
@@ -58,7 +64,8 @@ def kinematics(
         raise typer.BadParameter('a table is solved by itself: several points are told apart by '
                                  'its column "target"')
     found = (_solve_table(tables[0], urdf, chain, parameters, settings) if tables else
-             _solve_profiles(sources, urdf, chain, parameters, config, assignments))
+             _solve_profiles(zip(sources, files, strict=True), urdf, chain, parameters,
+                             assignments))
     for warning in found.warnings:
         warn(warning)
     _write(found, text, out, settings)
@@ -98,11 +105,11 @@ def _solve_table(source: Path, urdf: Path, chain: 'Chain', more: list[str], sett
     return Answer.of(outcome, calibration, [input_values(source), input_values(urdf)], told)
 
 
-def _solve_profiles(paths: list[Path], urdf: Path, chain: 'Chain', more: list[str],
-                    config: Path | None, assignments: list[str]) -> 'Answer':
+def _solve_profiles(paths: Iterable[tuple[Path, Path | None]], urdf: Path, chain: 'Chain',
+                    more: list[str], assignments: list[str]) -> 'Answer':
     from handeye_ros.kinematics.samples import solve_sources
     from handeye_ros.results.calibration_file import input_values
-    sources = [_source(path, chain, config, assignments) for path in paths]
+    sources = [_source(path, chain, config, assignments) for path, config in paths]
     with doing('solving'):
         return solve_sources(sources, chain, more, [input_values(urdf)])
 
