@@ -1,5 +1,5 @@
 """The verb that finds the robot's own error."""
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
@@ -50,10 +50,7 @@ def kinematics(
                             'written.')] = Path('out/kinematics'),
 ) -> None:
     """Find the errors of the robot's joints and axes, together with the hand-eye transform."""
-    if len(configs) not in (0, 1, len(sources)):
-        raise typer.BadParameter(f'{len(configs)} --config for {len(sources)} sources: give one '
-                                 'for all of them, or one for each')
-    files = configs if len(configs) == len(sources) else [*configs, None][:1] * len(sources)
+    files = _for_each(sources, configs)
     settings = configuration(files[0], assignments)
     _require_kinds(parameters)
     from handeye_ros.kinematics.chain import chain_of, read_urdf
@@ -71,6 +68,14 @@ def kinematics(
     _write(found, text, out, settings)
     if propose:
         typer.echo(_proposed(found, propose, out))
+
+
+def _for_each(sources: list[Path], configs: list[Path]) -> Sequence[Path | None]:
+    """Return the configuration file of each source."""
+    if len(configs) not in (0, 1, len(sources)):
+        raise typer.BadParameter(f'{len(configs)} --config for {len(sources)} sources: give one '
+                                 'for all of them, or one for each')
+    return configs if len(configs) == len(sources) else [*configs, None][:1] * len(sources)
 
 
 def _write(found: 'Answer', urdf: str, out: Path, settings: 'Config') -> None:
