@@ -56,18 +56,21 @@ def kinematics(
     from handeye_ros.kinematics.chain import chain_of, read_urdf
     text = read_urdf(urdf)
     chain = chain_of(text, base, flange, urdf)
+    found = (_solve_table(sources[0], urdf, chain, parameters, settings) if _table(sources) else
+             _solve_profiles(zip(sources, files, strict=True), urdf, chain, parameters,
+                             assignments))
+    _write(found, text, out, settings)
+    if propose:
+        typer.echo(_proposed(found, propose, out))
+
+
+def _table(sources: list[Path]) -> bool:
+    """Tell whether the source is a table, of which there is one at most."""
     tables = [source for source in sources if source.suffix in TABLES and source.is_file()]
     if tables and len(sources) > 1:
         raise typer.BadParameter('a table is solved by itself: several points are told apart by '
                                  'its column "target"')
-    found = (_solve_table(tables[0], urdf, chain, parameters, settings) if tables else
-             _solve_profiles(zip(sources, files, strict=True), urdf, chain, parameters,
-                             assignments))
-    for warning in found.warnings:
-        warn(warning)
-    _write(found, text, out, settings)
-    if propose:
-        typer.echo(_proposed(found, propose, out))
+    return bool(tables)
 
 
 def _for_each(sources: list[Path], configs: list[Path]) -> Sequence[Path | None]:
@@ -81,6 +84,8 @@ def _for_each(sources: list[Path], configs: list[Path]) -> Sequence[Path | None]
 def _write(found: 'Answer', urdf: str, out: Path, settings: 'Config') -> None:
     from handeye_ros.kinematics.answer import save
     from handeye_ros.kinematics.report import table, write_page
+    for warning in found.warnings:
+        warn(warning)
     show(table(found))
     typer.echo(save(found, urdf, out, settings.save.formats))
     write_page(found, out)
