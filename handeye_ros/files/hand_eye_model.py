@@ -15,7 +15,7 @@ from handeye_ros.estimation.solver import Rows, System, White
 import numpy as np
 
 MINIMUM = 3
-SMALLEST_NOISE = 1e-12
+SMALLEST_NOISE = 1e-9  # m or rad: a smaller scatter is rounding
 
 State: TypeAlias = tuple[Array, Array]
 

@@ -22,7 +22,7 @@ from handeye_ros.estimation.solver import (
 )
 from handeye_ros.kinematics.chain import Chain, REVOLUTE
 from handeye_ros.kinematics.errors import TooFewConfigurationsError
-from handeye_ros.kinematics.estimate import adjusted, Fit, fitted, MINIMUM, Weights
+from handeye_ros.kinematics.estimate import adjusted, Fit, fitted, LEAST_NOISE, MINIMUM, Weights
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.points import Points, State
 import numpy as np
@@ -62,7 +62,7 @@ def first_fit(data: Points, arm: Arm, most: int = STARTS) -> Fit:
             for start in starts(data, arm, most, np.random.default_rng(SEED))]
     state = min(ends, key=lambda end: float(np.median(squares(end))))
     now = squares(state)
-    used = now <= max(25.0 * float(np.median(now)), 1e-12)
+    used = now <= 25.0 * max(float(np.median(now)), (LEAST_NOISE / ROUGH) ** 2)
     if used.sum() < MINIMUM:
         raise TooFewConfigurationsError(int(used.sum()), MINIMUM)
     return adjusted(fitted(data, state, rough, used, nothing))

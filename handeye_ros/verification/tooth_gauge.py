@@ -26,6 +26,7 @@ CORNER = 0.12  # of the height beside a corner that is not used
 FAR = 0.15  # of the height: a point further from all faces is of none
 BIN = 0.05  # of the pitch
 CUT = 4.0  # sigmas of the points of a face
+ROUNDING = 0.1  # of the sensor's noise: a smaller scatter is no reason to leave points out
 LEAST_SHARE = 0.2  # of the points that must be of the gauge
 LEAST_FACE = 0.01  # of the points that must be of tops and valleys, and of flanks
 ROUNDS = 6
@@ -80,8 +81,9 @@ def fitted(seen: Seen, p: Array, nominal: Nominal) -> tuple[Seen, Shape]:
     if kept.mean() < LEAST_SHARE or least < LEAST_FACE:
         raise NoTeethError(pitch, height, float(kept.mean()), least)
     obs = seen.observations
+    least = ROUNDING * float(np.median(obs.noise[kept, 1, 0]))
     kept, scale = _cleaned(shape.distance(p[kept], kind[kept], q), kept, obs.kind // BAGS, kind,
-                           tooth, abs(q[8]))
+                           tooth, abs(q[8]), least)
     chosen = obs.select(kept)
     noise = np.zeros_like(chosen.noise)
     noise[:, 1, 0] = np.maximum(chosen.noise[:, 1, 0], scale)
@@ -90,12 +92,14 @@ def fitted(seen: Seen, p: Array, nominal: Nominal) -> tuple[Seen, Shape]:
 
 
 def _cleaned(distances: Array, kept: NDArray[np.bool_], bag: Kinds, kind: Kinds,
-             tooth: NDArray[np.intp], lean: float) -> tuple[NDArray[np.bool_], Array]:
+             tooth: NDArray[np.intp], lean: float, least: float
+             ) -> tuple[NDArray[np.bool_], Array]:
     """
     Return which points (m,) are no outliers of their pass and face, and their range noise (k,).
 
-    distances: of those that are kept so far. A sensor sees steep faces worse than it states, so
-    the noise is that which the points of a pass show about their own mean.
+    distances: of those that are kept so far; least: scatter (m) that is always allowed. A sensor
+    sees steep faces worse than it states, so the noise is that which the points of a pass show
+    about their own mean.
     """
     rows = np.flatnonzero(kept)
     names, group = np.unique(np.stack([bag, kind, tooth], axis=1)[rows], axis=0,
@@ -105,7 +109,7 @@ def _cleaned(distances: Array, kept: NDArray[np.bool_], bag: Kinds, kind: Kinds,
     for k, (_, face, _) in enumerate(names):
         of = np.flatnonzero(group == k)
         off = distances[of] - np.median(distances[of])
-        near = np.abs(off) <= CUT * 1.4826 * np.median(np.abs(off))
+        near = np.abs(off) <= CUT * max(1.4826 * float(np.median(np.abs(off))), least)
         by_range = 1.0 if face in (TOP, VALLEY) else lean / np.hypot(1.0, lean)
         count = int(near.sum())
         # about a mean and a slope of their own
