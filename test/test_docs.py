@@ -81,8 +81,7 @@ def runs() -> list[object]:
                 if arguments[0] in PRINT:
                     printed.add(arguments)
         if own:
-            marks = () if page.stem == 'README' else pytest.mark.thorough
-            found.append(pytest.param(own, id=page.stem, marks=marks))
+            found.append(pytest.param(own, id=page.stem))
     return found
 
 
@@ -92,6 +91,7 @@ def run_well(command: str, folder: Path) -> None:
     assert run.returncode == int(code or 0), f'{command}: {run.stderr}'
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('own', runs())
 def test_handeye(own: list[str], tmp_path: Path) -> None:
     """Run the commands of a page one after another in a folder with what a clone holds."""

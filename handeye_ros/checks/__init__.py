@@ -11,7 +11,7 @@ OFFERED = (
     'conventions.require_conventions', 'conventions.require_range_sign', 'errors.ConventionError',
     'errors.CountedWrongWayError', 'errors.LeftOutError', 'errors.OneAxisError',
     'errors.OneOrientationError', 'errors.TooUncertainError', 'frames.frame_notes',
-    'frames.require_own_frame', 'misfit.lost_edges', 'misfit.require_consistent',
+    'frames.require_own_frame', 'misfit.edge_notes', 'misfit.require_consistent',
     'misfit.require_edges', 'misfit.residual_rms', 'motion.SMALLEST_TURN',
     'motion.mount_frame', 'motion.name_direction', 'motion.other_axes', 'motion.require_certain',
     'motion.require_judged', 'motion.require_rotations', 'motion.require_samples',

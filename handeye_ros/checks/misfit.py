@@ -109,6 +109,17 @@ def require_edges(agreed: Consensus) -> None:
         raise LostEdgesError(lost_edges(agreed))
 
 
+def edge_notes(agreed: Consensus) -> list[str]:
+    """Return which edges the answer has no use for, and which the samples never show, in words."""
+    problem, lost = agreed.solution.problem, lost_edges(agreed)
+    used = {problem.method.kinds[k] for k in set(problem.observations.kind)}
+    edges = [{name.partition('_')[0] for name in names if name in problem.method.essential}
+             for names in (problem.method.essential, used)]
+    return [*([lost] if lost else []), *(
+        f'no sample shows edge {edge} of the target: cross it too, or set target.type to line if '
+        'the target has one edge only' for edge in sorted(edges[0] - edges[1]))]
+
+
 def lost_edges(agreed: Consensus) -> str:
     """Return which edges the answer has no use for, in words, '' where it uses all."""
     if not len(agreed.unused):

@@ -169,6 +169,6 @@ def _require_certain(covariance: Array) -> None:
              for part in (covariance[:3, :3], covariance[3:, 3:])]
     if worst[0] > LARGEST_STD[0] or worst[1] > LARGEST_STD[1]:
         raise DegenerateError(
-            NAME, f'the answer is known only to {worst[0] * 1e3:.3g} mm and '
+            NAME, f'the answer is uncertain by {worst[0] * 1e3:.3g} mm and '
             f'{np.degrees(worst[1]):.3g} degrees (1 sigma)', 'check which face is which; '
             'measure a longer arc and line, sweep over more of ball and faces')

@@ -188,7 +188,7 @@ def judged(sigmas: Sequence[Sigma], proposal: Proposal | None, cause: Cause | No
     std, accuracy = sigmas[-1].std, sigmas[-1].limit
     over = [s for s in sigmas[:-2] if s.std > s.limit]
     if over:
-        return False, f'{over[-1].name} is known only to {_figure(over[-1])}'
+        return False, f'{over[-1].name} is uncertain by {_figure(over[-1])}'
     told = f'points in view are known to {1e3 * std:.3f} mm (1 sigma, {1e3 * accuracy:.3f} wanted)'
     if cause:
         told += f', of which {1e3 * cause.std:.3f} mm is {cause.text} ({cause.key})'

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import __version__, se3
-from handeye_ros.checks.misfit import lost_edges
+from handeye_ros.checks.misfit import edge_notes
 from handeye_ros.checks.motion import mount_frame, weakest
 from handeye_ros.checks.shape import contradictions, reported_blocks
 from handeye_ros.checks.time_offset import offset_notes, TIME_OFFSET, time_offset_of
@@ -86,7 +86,7 @@ def describe_target(agreed: Consensus, config: Config) -> dict[str, Any]:
     told |= reported_blocks(solution) | {'joint': _joint(solution)}
     told = {key: value for key, value in told.items() if not key.startswith(TIME_OFFSET)}
     notes = [*offset_notes(solution), *(shape.note for shape in contradictions(solution, config))]
-    notes += [lost] if (lost := lost_edges(agreed)) else []
+    notes += edge_notes(agreed)
     notes += [beside] if (beside := other_surfaces(agreed)) else []
     return told | ({'note': '; '.join(notes)} if notes else {})
 

@@ -117,7 +117,7 @@ def test_what_cannot_carry_an_answer_is_refused() -> None:
         tracker_estimate.solve(replace(measured, face_c=wrong), sigma)
     with pytest.raises(DegenerateError, match='check which face is which'):
         tracker_estimate.solve(measured, replace(sigma, face_c=sigma.face_d, face_d=sigma.face_c))
-    with pytest.raises(DegenerateError, match='known only to'):
+    with pytest.raises(DegenerateError, match='is uncertain by'):
         tracker_estimate.solve(measured, with_sigma(sweep, 5e-2), tracker_noise=5e-2)
 
 

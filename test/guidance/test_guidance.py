@@ -159,7 +159,7 @@ def test_enough_is_said_with_its_reason(made: tuple[Cell, Solution]) -> None:
 def test_a_limit_that_is_not_kept_is_not_enough(made: tuple[Cell, Solution]) -> None:
     told = advice(made, guidance__accuracy=0.05, limits__rotation=1e-7)
     assert not told.enough
-    assert 'rotation about' in told.why and 'is known only to' in told.why
+    assert 'rotation about' in told.why and 'is uncertain by' in told.why
 
 
 def test_trouble_is_never_enough(made: tuple[Cell, Solution]) -> None:

@@ -45,7 +45,7 @@ def pose_message(pose):
     return message
 
 
-@pytest.mark.parametrize('rows', [1, 5])
+@pytest.mark.parametrize('rows', [pytest.param(1, marks=pytest.mark.thorough), 5])
 def test_points_are_published_in_the_base(tmp_path, client, rows):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
     got: list[PointCloud2] = []

@@ -75,7 +75,8 @@ def config_of(scenario: Scenario) -> Config:
 
 @pytest.mark.parametrize(('target', 'offset', 'kind'), [
     ('plate', 0.15, 'eye_in_hand'), ('sphere', -0.035, 'eye_on_base'),
-    ('line', 0.02, 'eye_in_hand'), ('plane', 0.0, 'eye_in_hand'), ('wedge', 0.3, 'eye_in_hand')])
+    *(pytest.param(*values, 'eye_in_hand', marks=pytest.mark.thorough)
+      for values in (('line', 0.02), ('plane', 0.0), ('wedge', 0.3)))])
 def test_a_sweep_gives_transform_and_time_offset(target: str, offset: float, kind: str) -> None:
     scenario = replace(sweep(target, offset), calibration_type=kind)
     made = simulate(scenario, np.random.default_rng(3))

@@ -2,12 +2,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
+import io
 from pathlib import Path
 import signal
 import subprocess
 import sys
 from typing import Any
+from unittest import mock
+
+from handeye_ros.cli import main
+import pytest
 
 ROOT = Path(__file__).parents[2]
 PLATE = ROOT / 'config' / 'plate.yaml'
@@ -31,11 +36,19 @@ def running(command: Sequence[Any], end: int = signal.SIGTERM,
 
 
 def handeye(*arguments, cwd, before=''):
-    """Run `handeye` in a folder; before: code that runs in its process first."""
-    program = f'import sys; sys.path.insert(0, {str(ROOT)!r}); {before}\n' \
-              'from handeye_ros.cli import main; main()'
-    return subprocess.run([sys.executable, '-c', program, *map(str, arguments)], cwd=cwd,
-                          capture_output=True, text=True, check=False)
+    """Run `handeye` in a folder; before: code that runs first, then in a process of its own."""
+    command = ['handeye', *map(str, arguments)]
+    if before:
+        program = f'import sys; sys.path.insert(0, {str(ROOT)!r}); {before}\n' \
+                  'from handeye_ros.cli import main; main()'
+        return subprocess.run([sys.executable, '-c', program, *command[1:]], cwd=cwd,
+                              capture_output=True, text=True, check=False)
+    streams = [io.TextIOWrapper(io.BytesIO(), 'utf-8', write_through=True) for _ in range(2)]
+    with (chdir(cwd), redirect_stdout(streams[0]), redirect_stderr(streams[1]),
+          mock.patch.object(sys, 'argv', command), pytest.raises(SystemExit) as end):
+        main()
+    told = [stream.buffer.getvalue().decode() for stream in streams]
+    return subprocess.CompletedProcess(command, end.value.code or 0, *told)
 
 
 def assert_refused(run, code, *words):

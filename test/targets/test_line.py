@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import re
 
 from cells import cell, exact_cell, recorded
 from handeye_ros import pipeline, se3, targets
@@ -162,8 +163,16 @@ def corner_samples(seed, only_open, count=24):
     return replace(made, samples=tuple(samples))
 
 
-@pytest.mark.parametrize('only_open', [1, 5])
+@pytest.mark.parametrize('only_open', [1, pytest.param(5, marks=pytest.mark.thorough)])
 def test_a_corner_is_told_from_the_reach_of_the_sensor_by_its_kind(only_open: int) -> None:
     for seed in range(5):
         made = corner_samples(seed, only_open)
         assert made.error(transform(made)) < 5e-4
+
+
+def test_solved_as_a_plate_it_says_that_no_sample_shows_the_other_edge() -> None:
+    made = cell(LINE, 0, target__type='plate')
+    note = pipeline.solve(made.samples, [], made.config, 'laser').target['note']
+    assert re.match('no sample shows edge [pq] of the target: cross it too', note)
+    both = cell('plate', 0)
+    assert 'note' not in pipeline.solve(both.samples, [], both.config, 'laser').target

@@ -130,7 +130,7 @@ def test_a_groove_beside_the_edge_is_another_corner() -> None:
     assert sorted(zip(slopes[::2], slopes[1::2], strict=True)) == [(-1.0, 1.0), (1.0, -1.0)]
 
 
-@pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_a_block_on_a_table_is_told_from_the_groove_at_its_foot(seed: int) -> None:
     made = cell('wedge', seed)
     rng, samples = np.random.default_rng(seed), []

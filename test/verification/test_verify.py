@@ -18,7 +18,7 @@ from handeye_ros.simulate.measuring import measuring_cell
 from handeye_ros.simulate.scenario import PlateTarget
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
-from handeye_ros.verification import verification
+from handeye_ros.verification import tooth_gauge, verification
 from handeye_ros.verification.decision import Tolerances
 from handeye_ros.verification.errors import (
     BadCovarianceError,
@@ -382,3 +382,10 @@ def test_the_verb_on_rendered_profiles(tmp_path):
     assert_refused(run, 2, 'no routine "cube"')
     run = handeye('verify', 'sphere', 'ball', '--calibration', 'none.yaml', cwd=tmp_path)
     assert_refused(run, 2, 'none.yaml')
+
+
+def test_of_points_without_noise_none_is_an_outlier():
+    distances, same = np.zeros(60), np.zeros(60, dtype=np.intp)
+    distances[7] = 1e-6
+    clean, _ = tooth_gauge._cleaned(distances, same == 0, same, same, same, 0.5, 3e-6)
+    assert clean.all()

@@ -103,6 +103,7 @@ def test_the_network_goes_and_comes_back(tmp_path: Path) -> None:
     assert run.returncode == 0, run.stdout + run.stderr
 
 
+@pytest.mark.thorough
 def test_the_discovery_server_is_lost(tmp_path: Path) -> None:
     own = str(Path(sys.executable).parent)
     server = shutil.which('fast-discovery-server', path=f'{own}{os.pathsep}{os.environ["PATH"]}')
@@ -166,7 +167,9 @@ def test_two_nodes_of_one_name_are_told_and_keep_apart(tmp_path: Path, client: C
         client.until(lambda: words not in client.state()['message'], 'it is over')
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize('number', [
+    signal.SIGINT, *(pytest.param(number, marks=pytest.mark.thorough)
+                     for number in (signal.SIGTERM, signal.SIGKILL))])
 def test_it_ends_at_once_while_streams_run(tmp_path: Path, client: Client, number: int) -> None:
     stamps = count(START, PERIOD)
 

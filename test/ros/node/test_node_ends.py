@@ -110,7 +110,8 @@ def test_without_a_place_for_logs(module: str) -> None:
     assert run.stderr.count('\n') == 1
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [
+    pytest.param(signal.SIGINT, marks=pytest.mark.thorough), signal.SIGTERM])
 def test_the_node_ends_cleanly(tmp_path: Path, client: Client, number: int) -> None:
     with running_node(tmp_path) as process:
         client.state()

@@ -155,7 +155,8 @@ def cleared(browser: Any) -> None:
     wait(browser, "document.querySelectorAll('#samples li').length === 0", 'no samples')
 
 
-@pytest.mark.parametrize('width', [390, pytest.param(1280, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize('width', [390, 1280])
 def test_it_is_readable_and_fits_gloves(tmp_path: Path, client: Client, width: int) -> None:
     with opened(tmp_path, client, width) as browser:
         wait(browser, "document.querySelectorAll('#sigmas .bar').length > 6", 'the sigmas')
