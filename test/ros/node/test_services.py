@@ -280,6 +280,7 @@ def test_other_topics_are_heard_while_the_node_runs(
     client.until(lambda: not client.profiles.get_subscription_count(), 'it hears no more there')
     client.until(lambda: 'nobody publishes /other' in client.state()['message'], 'it says so')
     assert set_parameter(client, 'profile_topic', '/profile').successful
-    client.until(client.profiles.get_subscription_count, 'it hears again')
+    client.until(lambda: client.profiles.get_subscription_count()
+                 and client.poses.get_subscription_count(), 'it hears again')
     stand_still(client, START)
-    client.until(lambda: client.state()['samples'] == '1', 'a sample is taken')
+    client.until(lambda: client.call('take_sample').success, 'a sample is taken')
