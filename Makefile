@@ -31,11 +31,13 @@ demo:
 	@tools/environment.sh .venv ros
 	.venv/bin/python -m handeye_ros.ros.demo --bag '$(BAG)' --config '$(CONFIG)' --out '$(OUT)'
 
-# Every part of the product, in the environment of the demo; without the long tests.
+# Every part of the product, in the environment of the demo; without the long tests, and with
+# fewer examples of each property.
 test:
 	@tools/environment.sh .venv ros,kinematics,test
 	@$(MAKE) --no-print-directory tf2_msgs || true  # the last line of the tests says what is missing
-	.venv/bin/python $(PYTEST) -n $(WORKERS) -m 'not thorough' $(PYTEST_OPTIONS)
+	HYPOTHESIS_PROFILE=$${HYPOTHESIS_PROFILE:-fewer} \
+	    .venv/bin/python $(PYTEST) -n $(WORKERS) -m 'not thorough' $(PYTEST_OPTIONS)
 
 # All tests, with the newest libraries and the oldest; what fails hides nothing of the rest.
 test-all:
