@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import csv
+from functools import partial
 import json
 import multiprocessing
 import os
@@ -34,9 +35,6 @@ def pretended(words: list[str]) -> int:
         while True:  # a step each 10 ms: what ends it is the limit of the worker
             held.append(bytearray(8_000_000))
             time.sleep(0.01)
-    if text == 'slow':
-        time.sleep(0.3)  # long enough for another to come
-        text = '1.0'
     if text == 'crash':
         raise ZeroDivisionError('a fault')
     if text == 'refuse':
@@ -103,14 +101,25 @@ def test_a_result_is_there_whole_or_not_at_all(tmp_path):
 
 
 def test_two_workers_at_one_job_compute_it_once(tmp_path):
-    (tmp_path / 'a.mcap').write_text('slow')
+    (tmp_path / 'a.mcap').write_text('1.0')
     job = Job(str(tmp_path / 'a.mcap'), 'a', 'solve')
-    others = [multiprocessing.get_context('fork').Process(
-        target=run, args=(job, tmp_path / 'out', pretended)) for _ in range(2)]
-    for other in others:
-        other.start()
-    for other in others:
-        other.join()
+    fork = multiprocessing.get_context('fork')
+    started, ends = [fork.Event(), fork.Event()], fork.Event()
+
+    def held(number: int, words: list[str]) -> int:
+        started[number].set()
+        ends.wait()
+        return pretended(words)
+
+    workers = [fork.Process(target=run, args=(job, tmp_path / 'out', partial(held, k)))
+               for k in range(2)]
+    workers[0].start()
+    started[0].wait()
+    workers[1].start()
+    assert not started[1].wait(0.5), 'the second computes what the first has not ended'
+    ends.set()
+    for worker in workers:
+        worker.join()
     assert not run(job, tmp_path / 'out', pretended)['computed']
     assert (tmp_path / 'a.runs').read_text() == 'x'
 
