@@ -31,7 +31,7 @@ class Spread:
 def missing(solution: Solution, view: View, limits: Limits) -> list[str]:
     """Return what the samples of a solution lack, the worst first, each in words."""
     problem = solution.problem
-    found = [*_rotations(problem.poses, solution.estimate.X, limits), *_places(problem, view),
+    found = [*_rotations(problem.poses, solution.estimate.X, limits), *_coverage(problem, view),
              *_edges(problem)]
     return [s.text for s in sorted(found, key=lambda s: s.share) if s.share < 1.0]
 
@@ -55,7 +55,7 @@ def _turned(what: str, angles: Array, wanted: float) -> Spread:
                   f'{np.degrees(wanted):.0f} wanted')
 
 
-def _places(problem: Problem, view: View) -> list[Spread]:
+def _coverage(problem: Problem, view: View) -> list[Spread]:
     """Return the spread of what was seen over the view, along the line and in range."""
     obs, n = problem.observations, len(problem.poses)
     anchors = np.array([anchor_of(problem, i) for i in range(n)])

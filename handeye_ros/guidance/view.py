@@ -9,7 +9,6 @@ import numpy as np
 
 DIRECTIONS = 32  # of the tangents that bound the view
 ROOM = 0.88  # of the view that a feature is put into: the rest is for who moves the robot
-STEPS = 3  # places along each side of the view
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +44,6 @@ class View:
     def room(self, points: Array) -> Array:
         """Return how far points (..., 2) are from the border, negative outside: (...)."""
         return np.asarray((self.offsets - points @ self.normals.T).min(axis=-1))
-
-    def places(self) -> Array:
-        """Return points (k, 2) spread over the view."""
-        share = np.linspace(0.0, 1.0, STEPS)
-        x, z = np.meshgrid(*(self.low + share[:, None] * self.size).T)
-        grid = np.column_stack([x.ravel(), z.ravel()])
-        return np.asarray(grid[self.room(grid) > -0.1 * self.size.min()])
 
 
 def seen_points(sample: Sample) -> Array:
