@@ -164,7 +164,7 @@ def main() -> None:
             pictures.take('wrong_topic')
             calibrate(cell, pictures, options.stops)
             cell.close()
-        time.sleep(5.0)
+        pictures.until("document.body.classList.contains('old')")
         pictures.take('dead')
         print(*complaints(browser), sep='\n')
     client.close()
