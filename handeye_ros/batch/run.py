@@ -18,7 +18,9 @@ LOCAL = {  # settings of Dask on this machine
     # a job that has ended two workers is tried by itself
     'distributed.scheduler.allowed-failures': 1,
     # its profiler keeps call stacks: half a megabyte for each job
-    'distributed.worker.profile.enabled': False}
+    'distributed.worker.profile.enabled': False,
+    # Dask's 64 kB give arrays back and fetch them again: 11,000 page faults for each job, not 500
+    'distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_': 2**27}
 
 
 @contextmanager
