@@ -75,6 +75,9 @@ def cases() -> Iterator[tuple[str, Scenario]]:
         smooth = swept(target, 0.02)
         yield f'{target}, robot smooth 0.1 mm', replace(
             smooth, robot=replace(smooth.robot, systematic=(1e-4, 3e-4)))
+    steep = swept('wedge', 0.02)
+    yield 'wedge, wrong at grazing incidence', replace(steep, sensor=replace(
+        steep.sensor, rim_bias=SCENARIOS['wedge'].sensor.rim_bias))
     for target in ('plate', 'sphere'):
         yield f'{target}, poses at 100 Hz', swept(target, 0.02, rate=100.0)
         yield f'{target}, poses at 30 Hz', swept(target, 0.02, rate=30.0)

@@ -14,7 +14,7 @@ from operator import attrgetter
 
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation.influence import contamination
+from handeye_ros.estimation.influence import contamination, MANY
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise
@@ -213,6 +213,10 @@ def _refined(agreed: Consensus, minimum: int, noise: Noise | None = None) -> Con
         dropped |= {int(used[k]): float(mean_square[k]) for k in worst}
         used = np.delete(used, worst)
         part = part.subset(np.delete(np.arange(len(part.poses)), worst))
+        if len(used) > MANY:  # a few of very many do not matter to where the solution lies
+            found = solution.conservative or solution
+            part = part.with_pose_values(found.problem.pose_values) if part.pose_model else part
+            estimate, noise = found.estimate, found.noise
 
 
 def _mean_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:

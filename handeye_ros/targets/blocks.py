@@ -13,10 +13,13 @@ import numpy as np
 
 FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}  # share of the RMS of each degree: the first are the largest
 
+GRAZING = 0.64  # cosine of the incidence from which on the range of a face may be wrong
+STEEPNESS = np.array([8, 16])  # powers of the least cosine over that of a point: how it grows
+
 
 def of_faces_and_edges(first: Linear) -> Blocks:
     """Return the blocks of where faces end, of the shape of edges, and of how flat faces are."""
-    every = [source(first) for source in (setbacks, edge_shapes, flatness)]
+    every = [source(first) for source in (setbacks, edge_shapes, flatness, grazing)]
 
     def at(linear: Linear) -> Iterator[ParameterBlock]:
         for blocks in every:
@@ -73,6 +76,25 @@ def flatness(first: Linear) -> Blocks:
                              report='flatness_error')
               for (degree, share), columns in zip(FLATNESS.items(), heights, strict=False)]
     return lambda linear: blocks
+
+
+def grazing(first: Linear) -> Blocks:
+    """Return by how much a face seems too near or too far where the light hardly comes back."""
+    problem, std = first.problem, first.problem.config.noise.distortion
+    faces = [i for i, name in enumerate(problem.method.kinds) if name.startswith('face')]
+    on_face, points = np.isin(problem.observations.kind, faces), problem.observations.points
+
+    def cosines(linear: Linear) -> Array:
+        along = np.abs((linear.by_point * points).sum(axis=1)) / np.linalg.norm(points, axis=1)
+        return np.where(on_face, along, 1.0)
+    least = cosines(first).min(initial=1.0)
+
+    def at(linear: Linear) -> Iterator[ParameterBlock]:
+        cosine = cosines(linear)
+        share = np.where(cosine < GRAZING, least / np.maximum(cosine, least), 0.0)
+        columns = linear.by_point[:, 1:] * share[:, None] ** STEEPNESS
+        yield ParameterBlock('grazing', columns * std, std)
+    return at if std and least < GRAZING else _none
 
 
 def _none(linear: Linear) -> Iterable[ParameterBlock]:
