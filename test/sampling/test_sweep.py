@@ -63,11 +63,10 @@ def test_no_pose_is_told_outside_of_the_poses_or_in_a_gap() -> None:
 
 def sweep(target: str, offset: float, **more: object) -> Scenario:
     base = SCENARIOS[target]
-    two, steep = base.scene == 'plate', target == 'wedge'  # whose faces lose the light
-    rim_bias = base.sensor.rim_bias if steep else 0.0
+    two = base.scene == 'plate'
     return replace(base, stations=(8, 8) if two else (16, 0),
-                   tilt=math.radians(24 if steep else 20),
-                   sensor=replace(base.sensor, columns=320, delay=-offset, rim_bias=rim_bias),
+                   tilt=math.radians(24 if target == 'wedge' else 20),  # the light is lost
+                   sensor=replace(base.sensor, columns=320, delay=-offset),
                    sweep=Sweep(**{'knot': 1.2} | more))  # type: ignore[arg-type]
 
 
