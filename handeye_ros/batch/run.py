@@ -13,14 +13,17 @@ from typing import Any
 from handeye_ros.batch.errors import NoDaskError, NoSchedulerError
 from handeye_ros.batch.jobs import CRASHED, Job, Row, run, Verb
 
-AHEAD = 4  # jobs for each worker that are handed over before others are done
+AHEAD = 1000  # jobs that are handed over before others are done; the scheduler holds them
 LOCAL = {  # settings of Dask on this machine
     # a job that has ended two workers is tried by itself
     'distributed.scheduler.allowed-failures': 1,
     # its profiler keeps call stacks: half a megabyte for each job
     'distributed.worker.profile.enabled': False,
     # Dask's 64 kB give arrays back and fetch them again: 11,000 page faults for each job, not 500
-    'distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_': 2**27}
+    'distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_': 2**27,
+    # it looks 50 times a second whether its own event loops run: 3 % of two cores
+    'distributed.admin.tick.interval': '1s',
+    'distributed.admin.system-monitor.interval': '5s'}
 
 
 @contextmanager
@@ -57,40 +60,36 @@ def rows_of(client: Any, jobs: Sequence[Job], out: Path, verb: Verb) -> Iterator
     """Yield the row of each job as it is done; a worker that dies costs its job alone."""
     from distributed import as_completed
     waiting = iter(jobs)
-    submit: Callable[[Job], Any] = partial(_submitted, client, out, verb)
+    submit: Callable[..., list[Any]] = partial(client.map, run, out=out, verb=verb, pure=False)
     running: dict[Any, Job] = {}
-    done, lost = as_completed(), []
+    done, lost = as_completed(with_results=True, raise_errors=False), []
 
     def fill() -> None:
-        most = AHEAD * max(len(client.nthreads()), 1)  # workers come and go
-        for job in islice(waiting, max(most - len(running), 0)):
-            future = submit(job)
-            running[future] = job
-            done.add(future)
+        if len(running) <= AHEAD // 2 and (new := list(islice(waiting, AHEAD - len(running)))):
+            futures = submit(new)  # many at once cost the scheduler less
+            running.update(zip(futures, new, strict=True))
+            done.update(futures)
 
     fill()
     for batch in done.batches():
-        for future in batch:
+        for future, result in batch:
             job = running.pop(future)
             if type(future.exception()).__name__ == 'KilledWorker':
                 lost.append(job)
             else:
-                yield _row(job, future)
+                yield _row(job, future, result)
         fill()
     for job in lost:  # by itself: another job beside it may have ended the worker
-        yield _row(job, submit(job))
+        future, = submit([job])
+        yield _row(job, future, None if future.exception() else future.result())
 
 
-def _row(job: Job, future: Any) -> Row:
-    """Return the row of a job, once it has ended."""
+def _row(job: Job, future: Any, result: Any) -> Row:
+    """Return the row of a job that has ended."""
     error = future.exception()
-    return future.result() if error is None else {
+    return result if error is None else {
         'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': CRASHED,
         'cause': f'{type(error).__name__}: {error}', 'computed': True}
-
-
-def _submitted(client: Any, out: Path, verb: Verb, job: Job) -> Any:
-    return client.submit(run, job, out, verb, pure=False)
 
 
 def write_rows(rows: Sequence[Row], folder: Path) -> None:
