@@ -6,7 +6,7 @@ usage: python bench/accuracy.py [--trials N] [--seed S] [--only TEXT] [--workers
 
 Simulates features with exactly known noise (no profiles) and solves each trial from nothing.
 A row per case: RMSE over the bound for translation, rotation and mapped points (over x within
-+-20 mm, range 160-190 mm), the last again over the bound of one who has the settings' doubts;
++-20 mm, range 160-190 mm), the last again over the bound of one who has the settings' priors;
 the share of trials whose 95 % region holds the truth; the mean
 squared Mahalanobis error over 6; median CPU time of a solve.
 """
@@ -29,7 +29,7 @@ import numpy as np
 from scipy.stats import chi2
 import trials
 
-NO_DOUBTS = dict.fromkeys((
+NO_PRIORS = dict.fromkeys((
     'noise.distortion', 'noise.flatness', 'noise.robot_smooth', 'noise.robot_scale',
     'target.radius_std', 'target.size_std', 'target.edge_angle_std', 'target.setback_std'), 0.0)
 LIMIT = chi2.ppf(0.95, 6)
@@ -44,7 +44,7 @@ class Case:
     sensor_factor: float = 1.0
     robot_factor: float = 1.0
     use_face: bool = False
-    doubts: bool = False
+    priors: bool = False
 
 
 def cases() -> list[Case]:
@@ -56,13 +56,13 @@ def cases() -> list[Case]:
                                     ('sensor set 1/3', 1 / 3, 1), ('robot set 3 x', 1, 3),
                                     ('robot set 1/3', 1, 1 / 3)):
             found.append(Case(f'{target}, {what}', scenario, sensor, robot))
-        found.append(Case(f'{target}, doubts as shipped', scenario, doubts=True))
+        found.append(Case(f'{target}, priors as shipped', scenario, priors=True))
         model = replace(scenario.robot, systematic=(1.5e-4, math.radians(0.02)))
         found.append(Case(f'{target}, systematic robot', replace(scenario, robot=model),
-                          doubts=True))
+                          priors=True))
     for target in ('line', 'plane'):
         found.append(Case(f'{target}, noise known', SCENARIOS[target]))
-        found.append(Case(f'{target}, doubts as shipped', SCENARIOS[target], doubts=True))
+        found.append(Case(f'{target}, priors as shipped', SCENARIOS[target], priors=True))
     found.append(Case('line with its face, noise known', SCENARIOS['line'], use_face=True))
     return found
 
@@ -70,7 +70,7 @@ def cases() -> list[Case]:
 def configured(case: Case, robot_factor: float) -> Config:
     """Return the configuration that believes the robot's noise times a factor."""
     robot, sensor = case.scenario.robot, case.scenario.sensor
-    return configs.with_values(Config(), ({} if case.doubts else NO_DOUBTS) | {
+    return configs.with_values(Config(), ({} if case.priors else NO_PRIORS) | {
         'target.type': case.scenario.scene,
         'target.radius': float(getattr(case.scenario.target, 'radius', 0.0)),
         'target.use_face': case.use_face,
@@ -105,19 +105,19 @@ def bounds(case: Case, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     Return two Cramer-Rao bounds, (6, 6) each, of the true noise.
 
     The first of one who knows that nothing else is wrong, the second of one who has the priors
-    of the doubts in the settings.
+    of the priors in the settings.
     """
     factor = case.sensor_factor ** -2
     noise = Noise(factor, factor)
     found = []
-    for doubts in (False, case.doubts):
-        problem = replace(solution.problem, config=configured(replace(case, doubts=doubts), 1.0))
+    for priors in (False, case.priors):
+        problem = replace(solution.problem, config=configured(replace(case, priors=priors), 1.0))
         found.append(evaluated(problem, solution.estimate, noise).covariance[:6, :6])
     return found[0], found[1]
 
 
 def trial(job: tuple[Case, int]) -> np.ndarray:
-    """Return squared errors, their bounds, mapped's with doubts, Mahalanobis, and the time."""
+    """Return squared errors, their bounds, mapped's with priors, Mahalanobis, and the time."""
     case, seed = job
     samples, truth = simulate_samples(case.scenario, np.random.default_rng(seed))
     samples = tuple(misjudged(sample, case.sensor_factor) for sample in samples)
@@ -129,11 +129,11 @@ def trial(job: tuple[Case, int]) -> np.ndarray:
     delta = se3.difference(X, X_true)
     points = field_of_view()
     off = se3.apply(X, points) - se3.apply(X_true, points)
-    bound, doubting = bounds(case, solution)
+    bound, with_priors = bounds(case, solution)
     return np.array([
         delta[:3] @ delta[:3], delta[3:] @ delta[3:], (off ** 2).sum() / len(points),
         np.trace(bound[:3, :3]), np.trace(bound[3:, 3:]), mapped(solution, bound),
-        mapped(solution, doubting), delta @ np.linalg.solve(solution.reported[:6, :6], delta),
+        mapped(solution, with_priors), delta @ np.linalg.solve(solution.reported[:6, :6], delta),
         seconds])
 
 
@@ -149,14 +149,14 @@ def main() -> None:
     seeds = range(arguments.seed, arguments.seed + arguments.trials)
     outcomes = trials.results(trial, [(case, seed) for case in chosen for seed in seeds],
                               arguments.workers)
-    print(f'{"case":32} {"transl.":>8} {"rotation":>8} {"mapped":>8} {"doubting":>8} '
+    print(f'{"case":32} {"transl.":>8} {"rotation":>8} {"mapped":>8} {"  priors":>8} '
           f'{"in 95 %":>8} {"Mahal.":>8} {"mapped, mm":>10} {"ms":>6}')
     for case in chosen:
         rows = np.array([next(outcomes) for _ in seeds])
         ratios = np.sqrt(rows[:, :3].mean(axis=0) / rows[:, 3:6].mean(axis=0))
-        doubting = np.sqrt(rows[:, 2].mean() / rows[:, 6].mean())
+        with_priors = np.sqrt(rows[:, 2].mean() / rows[:, 6].mean())
         print(f'{case.name:32} {ratios[0]:8.3f} {ratios[1]:8.3f} {ratios[2]:8.3f} '
-              f'{doubting:8.3f} {100 * (rows[:, 7] < LIMIT).mean():7.1f}% '
+              f'{with_priors:8.3f} {100 * (rows[:, 7] < LIMIT).mean():7.1f}% '
               f'{rows[:, 7].mean() / 6:8.3f} '
               f'{1e3 * np.sqrt(np.median(rows[:, 2])):10.4f} '
               f'{1e3 * np.median(rows[:, 8]):6.1f}', flush=True)

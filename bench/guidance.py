@@ -2,12 +2,12 @@
 How many stations the advice saves, against poses at random within the same limits.
 
 usage: python bench/guidance.py [--seeds N] [--first S] [--targets plate,line,sphere] [--robot R]
-           [--doubts none|shipped] [--wanted METRES] [--stations N] [--refused]
+           [--priors none|shipped] [--wanted METRES] [--stations N] [--refused]
 
 Per seed a new cell: rendered profiles (4 a stop), a robot whose repeatability is that of --robot
 (common: 0.05 mm and 0.02 degrees; fine: 0.02 mm and 0.004 degrees), and nothing systematic in
-it, nor believed in; with --doubts shipped the settings doubt sensor, target and robot as they do
-by default. One operator goes where the advice says, the other anywhere within guidance.reach,
+it, nor in the settings; with --priors shipped the settings hold the default priors.
+One operator goes where the advice says, the other anywhere within guidance.reach,
 guidance.tilt and guidance.turn from the same first pose. Both end up turned off by 2 degrees (1
 sigma; the moves before the sensor is roughly known: by 4), with the target 3 mm from where it was
 to be seen. Where the sensor shows no target, or the laser is nowhere near an edge of it, both try
@@ -392,7 +392,7 @@ def main() -> None:
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('--targets', default='plate,line,sphere')
     parser.add_argument('--robot', choices=list(ROBOTS), default='common')
-    parser.add_argument('--doubts', choices=['none', 'shipped'], default='none')
+    parser.add_argument('--priors', choices=['none', 'shipped'], default='none')
     parser.add_argument('--wanted', type=float, default=1e-4)
     parser.add_argument('--stations', type=int, default=50)
     parser.add_argument('--refused', action='store_true')
@@ -400,7 +400,7 @@ def main() -> None:
     if arguments.refused:
         return tell_refused(arguments.targets.split(','), range(
             arguments.first, arguments.first + arguments.seeds), arguments.stations)
-    known = KNOWN if arguments.doubts == 'none' else {}
+    known = KNOWN if arguments.priors == 'none' else {}
     known = known | {'guidance.accuracy': arguments.wanted}
     print(f'{"target":8} {"":8}', *(f'{reading:>22}' for reading in READINGS))
     for target in arguments.targets.split(','):

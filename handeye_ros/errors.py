@@ -141,5 +141,5 @@ class NoRosError(InputError):
     def __init__(self, verb: str, module: str) -> None:
         advice = INSTALL_TF2 if module == 'tf2_msgs' else (
             'source the setup.bash of ROS, or install handeye_ros[ros] with pip')
-        super().__init__(f'{verb} needs ROS 2, and the Python module {module} is not there: '
+        super().__init__(f'{verb} needs ROS 2, and the Python module {module} is missing: '
                          f'{advice}')

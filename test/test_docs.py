@@ -75,7 +75,7 @@ def runs() -> list[object]:
         own = []
         for text in dict.fromkeys(commands(page)):
             if PROGRAM.match(text)[1] == 'handeye' and not (  # type: ignore[index]
-                    text.startswith(ELSEWHERE) or '../shared' in text):
+                    text.startswith(ELSEWHERE) or 'path/to/sphere' in text):
                 arguments = tuple(words(text.partition('# exit code ')[0], 'handeye'))
                 if arguments not in printed:
                     own.append(text)

@@ -2,7 +2,7 @@
 """Writes docs/reference.md from the configuration: `.venv/bin/python tools/make_reference.py`."""
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from handeye_ros.config import Parameter, parameters
@@ -34,16 +34,20 @@ def _section(name: str, found: list[Parameter]) -> str:
 
 def _rows(found: list[Parameter]) -> Iterator[str]:
     for parameter in found:
-        default = parameter.default
-        if isinstance(default, tuple):
-            default = list(default)
-        shown = f'`{default}`' if default not in ('', []) else 'empty'
+        shown = f'`{_yaml(parameter.default)}`' if parameter.default not in ('', ()) else 'empty'
         yield f'| `{parameter.key}` | {shown} | {_values(parameter)} | {parameter.description} |\n'
+
+
+def _yaml(value: object) -> str:
+    """Return a value as it is written in a parameter file."""
+    if isinstance(value, tuple):
+        return f'[{", ".join(map(_yaml, value))}]'
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _values(parameter: Parameter) -> str:
     if parameter.choices:
-        values = ', '.join(f'`{choice}`' for choice in parameter.choices)
+        values = ', '.join(f'`{choice}`' if choice else 'empty' for choice in parameter.choices)
     elif isinstance(parameter.default, bool):
         values = '`true`, `false`'
     elif parameter.minimum is not None and parameter.maximum is not None:
@@ -52,8 +56,16 @@ def _values(parameter: Parameter) -> str:
         values = 'a text'
     if not isinstance(parameter.default, tuple):
         return values
-    count = ' or '.join(map(str, parameter.length)) if parameter.length else 'any number'
-    return f'{count} of {values}'
+    return f'{_count(parameter.length)} of {values}'
+
+
+def _count(lengths: Sequence[int]) -> str:
+    """Return how many values a list may have."""
+    if not lengths:
+        return 'any number'
+    if len(lengths) > 2:
+        return f'{lengths[0]} to {lengths[-1]}'
+    return ' or '.join('none' if n == 0 else str(n) for n in lengths)
 
 
 if __name__ == '__main__':

@@ -173,9 +173,8 @@ class ScatterError(DataError):
         beyond = f' (limits.scatter is {limit:g})' if times > limit else ''
         super().__init__(f'the residuals of {mm(residual)} RMS are {times:.1f} times what the '
                          f'configured noise explains{beyond}: there is another cause than noise; '
-                         'check profile.range_sign, '
-                         'profile.axes and target.type, or raise noise.* if the robot or the '
-                         'sensor really is that inaccurate')
+                         'check profile.range_sign, profile.axes and target.type, or raise '
+                         'noise.* if the robot or the sensor really is that inaccurate')
 
 
 class RangeSignError(NamedCauseError):

@@ -25,7 +25,7 @@ SomeBags = Annotated[Optional[list[Path]], typer.Argument(  # noqa: UP045 - see 
 Against = Annotated[NoPath, typer.Option(
     metavar='FILE', help='The calibration.yaml that is to be checked.')]
 Folder = Annotated[NoPath, typer.Option(
-    metavar='DIR', help='Tell how the calibrations below this folder went through time.')]
+    metavar='DIR', help='Show the trend of the calibrations below this folder.')]
 Picture = Annotated[NoPath, typer.Option(
     metavar='FILE', help='Draw the trend of the folder (needs matplotlib).')]
 Csv = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the trend as CSV.')]

@@ -53,7 +53,7 @@ def scan(
         min=0.0, max=90.0, help='Keep points that the laser meets at no larger angle to the '
         'surface normal, as far as a profile shows it (degrees).')] = 90.0,
     std: Annotated[bool, typer.Option(
-        '--std', help='Tell the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
+        '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
 ) -> None:
     """Put the profiles of a recording into the robot's base: a cloud of points."""
     import math

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @app.command()
 def calibrate(
     resume: Annotated[bool, typer.Option(
-        '--resume', help='Go on with the last session; without it a new one begins.')] = False,
+        '--resume', help='Continue the last session; the default is a new one.')] = False,
     config: ConfigFile = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
 ) -> None:

@@ -71,7 +71,7 @@ class TargetConfig:
 class SamplingConfig:
     """When the robot stands still, and what of a station is used."""
 
-    mode: str = key('still', 'When a sample is taken: by itself at every stop of the robot '
+    mode: str = key('still', 'When a sample is taken: automatically at every stop of the robot '
                     '(still), when asked by ~/take_sample or ~/take (manual), or of single '
                     'profiles while the robot moves (moving).',
                     choices=('still', 'manual', 'moving'))

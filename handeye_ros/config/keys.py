@@ -70,7 +70,7 @@ class Config:
     profile: ProfileConfig = field(default_factory=ProfileConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     method: str = key('auto', 'The estimator; auto: the one of the target.')
-    session: str = key('', 'The session to go on with: its folder, or last; empty: a new one.')
+    session: str = key('', 'The session to continue: its folder, or last; empty: a new one.')
     sampling: SamplingConfig = field(default_factory=SamplingConfig)
     samples: SamplesConfig = field(default_factory=SamplesConfig)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)

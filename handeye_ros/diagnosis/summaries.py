@@ -30,7 +30,7 @@ def sample_summary(sample: Sample | Reject) -> str:
 def late_sentence(kinds: Sequence[str]) -> str:
     """Return what is wrong where messages (poses, profiles) are older than those before."""
     return (f'{" and ".join(kinds)} are dropped, as their stamps are older than those before: '
-            'sampling goes on by itself if the clock was set back')
+            'sampling continues by itself if the clock was set back')
 
 
 def with_trouble(text: str, trouble: str) -> str:

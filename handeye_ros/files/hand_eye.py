@@ -123,4 +123,4 @@ HAND_EYE = FileMethod(
     'hand_eye', ('eye_in_hand', 'eye_on_base'),
     'take more poses, turned by 30 degrees or more about two axes',
     _read, _solve, _samples, _subset, _residuals, lambda data: data.T_camera_target[:, :3, 3],
-    'the places of the target in the file')
+    'the positions of the target in the file')

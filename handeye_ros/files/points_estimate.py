@@ -133,7 +133,7 @@ def _require_triangle(points: Array) -> None:
     along, across = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[:2]
     if across < SMALLEST_ANGLE * along:
         raise DegenerateError(NAME, 'the points lie in one line, so a turn about it is free',
-                              'put some of them well beside it')
+                              'put some of them well outside it')
 
 
 def _require_agreement(fit: Adjusted[Array], total: int, rms: float) -> None:

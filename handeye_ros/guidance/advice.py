@@ -36,8 +36,8 @@ REMEDIES = {'noise.robot_smooth': 'robot, or a better statement of its accuracy,
             'noise.robot_scale': 'robot, or a better statement of its scale,',
             'noise.distortion': 'sensor', 'noise.flatness': 'target',
             'target.setback_std': 'target'}
-SWEEP = ('go on sweeping over the {}: to and fro across it, with tilts about all axes, near and '
-         'far, with changes of speed')
+SWEEP = ('continue to sweep over the {}: to and fro across it, with tilts about all axes, near '
+         'and far, with changes of speed')
 SEED = 0  # the same samples give the same advice
 
 
@@ -100,7 +100,7 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
     """
     method = targets.method_for(config)
     if not samples:
-        return _unguided(f'take the first sample: look squarely at the target, with the '
+        return _unguided(f'take the first sample: hold the sensor square to the target, with the '
                          f'{noun(method)} in the middle of the view', None, trouble)
     view = learn_view(samples, seen)
     known = None if solution is None else mapping(solution.estimate.X, view)

@@ -128,7 +128,8 @@ def _turns(turn: float, tilt: Array) -> str:
     parts = [f'{np.degrees(angle):+.0f} degrees about {axis}' for angle, axis in (
         (turn, 'its viewing direction'), (tilt[0], 'the laser line'),
         (tilt[1], 'the normal of the light plane')) if angle]
-    return f'turn the sensor {", then ".join(parts)}' if parts else 'look squarely'
+    return (f'turn the sensor {", then ".join(parts)}' if parts
+            else 'hold the sensor square to the target')
 
 
 def _shown(method: Method, place: Array, share: Array) -> str:

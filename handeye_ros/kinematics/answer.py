@@ -29,7 +29,7 @@ UNKNOWN = 0.9  # of the prior sigma: the data say next to nothing
 HEADER = """\
 # Errors of the joints and axes of an arm, found with the hand-eye transform in calibration.yaml.
 # offset is added to the joint's reading; direction (rad) and position (m) turn and shift its axis
-# across itself. known: sigma after over sigma before; {limit} or more: these data cannot tell.
+# across itself. known: sigma after over sigma before; {limit} or more: not determined.
 """
 
 

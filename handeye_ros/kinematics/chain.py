@@ -194,7 +194,7 @@ def _path(model: Any, last: int, first: int, source: object, base: str, flange: 
     while last != first:
         if last == 0:
             raise UrdfError(source, f'the base {base} does not carry the flange {flange}: joints '
-                            'that move it are none of the arm; name another base')
+                            'that move it do not belong to the arm; name another base')
         path.insert(0, last)
         last = model.parents[last]
     return path
@@ -220,6 +220,6 @@ def _require_serial(joints: Sequence[Joint], source: object) -> None:
         raise UrdfError(source, 'no joint moves between base and flange: name other links with '
                         '--base and --flange')
     if len(joints) > MOST_JOINTS:
-        raise UrdfError(source, f'{len(joints)} joints move between base and flange, more than '
-                        f'the {MOST_JOINTS} that can be told apart: name a base nearer to the '
-                        'flange with --base')
+        raise UrdfError(source, f'{len(joints)} joints move between base and flange, but at most '
+                        f'{MOST_JOINTS} can be identified: name a base nearer to the flange '
+                        'with --base')

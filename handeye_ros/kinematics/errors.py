@@ -87,21 +87,21 @@ class OtherRobotError(DataError):
 
     def __init__(self, joint: str, kind: str, off: float) -> None:
         size = mm(off) if kind == 'position' else f'{math.degrees(off):.2g} degrees'
-        super().__init__(f'the axis of {joint} would be {size} off the URDF, more than any arm is '
-                         'inaccurate: the URDF is of another robot, or of another variant of it')
+        super().__init__(f'the axis of {joint} would be {size} off the URDF, more than the error '
+                         'of any real arm: the URDF is of another robot, or of a variant of it')
 
 
 class NoPostureError(DataError):
     """An arm that reaches what it has seen in one posture only."""
 
     def __init__(self, flange: str) -> None:
-        super().__init__(f'no other posture within the joint limits brings {flange} to where it '
-                         'has been: move the target to another place, and record more there')
+        super().__init__(f'no other posture within the joint limits brings {flange} to its former '
+                         'poses: move the target to another position, and record more there')
 
 
 class DegenerateConfigurationsError(DataError):
     """Configurations that leave the hand-eye transform open."""
 
     def __init__(self, what: str) -> None:
-        super().__init__(f'these configurations leave {what} open: let all joints move, and '
+        super().__init__(f'these configurations do not determine {what}: move all joints, and '
                          'bring the target to different points of the field of view')

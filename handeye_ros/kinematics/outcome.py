@@ -238,6 +238,6 @@ def _warnings(models: Sequence[Model], chosen: Model) -> list[str]:
                     'simpler one is the answer')
     arm, q = last.fit.state.arm, last.fit.data.q
     if one_configuration(arm, q):
-        told.append('all poses are of one configuration of elbow and wrist: others make more of '
-                    'the joints known')
+        told.append('all poses have one configuration of elbow and wrist: other configurations '
+                    'determine more joint parameters')
     return told

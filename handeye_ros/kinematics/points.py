@@ -193,6 +193,6 @@ def judged_joints(chain: Chain, given: Mapping[str, Array]) -> list[str]:
         if high - low < STILL[kind]:
             size = (f'{math.degrees(high - low):.2g} degrees' if kind == ANGLE
                     else f'{(high - low) * 1e3:.2g} mm')
-            odd.append(f'{joint.name} moves by {size} only: its own error cannot be known from '
-                       'these configurations')
+            odd.append(f'{joint.name} moves by {size} only: these configurations do not determine '
+                       'its error')
     return odd

@@ -13,8 +13,8 @@ class DisagreeingProfilesError(FeatureError):
 
     def __init__(self, what: str, apart: float) -> None:
         super().__init__(f'the profiles of this station do not agree on {what}: they are '
-                         f'{mm(apart)} apart; something moved, or some of them show something '
-                         'else; take it again')
+                         f'{mm(apart)} apart; something moved, or some of them show another '
+                         'object; take the sample again')
 
 
 def range_sign_hint(sign: int, as_set: int, flipped: int, total: int) -> str:
@@ -26,4 +26,4 @@ def range_sign_hint(sign: int, as_set: int, flipped: int, total: int) -> str:
     """
     return (f'with profile.range_sign {sign}, {as_set} of {total} stations show an edge; counted '
             f'the other way {flipped} of {total} do: set profile.range_sign to {-sign} (or, if it '
-            'is right, take away what stands higher beside the target)')
+            'is right, remove what is higher beside the target)')

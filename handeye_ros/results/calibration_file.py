@@ -185,7 +185,7 @@ def _check_format(path: Path, text: str) -> None:
         raise CalibrationFileError(path, f'its format is "{text}", expected {FORMAT}{NEWEST}')
     if int(number) > NEWEST:
         raise CalibrationFileError(path, f'its format {text} is newer than this version of '
-                                   f'handeye_ros ({__version__}) knows; update the package')
+                                   f'handeye_ros ({__version__}) can read; update the package')
 
 
 def _transform(section: Section) -> Array:

@@ -16,7 +16,7 @@ class NothingToSaveError(DataError):
 
     def __init__(self) -> None:
         super().__init__('there is no calibration to save: call ~/compute_calibration first, and '
-                         'see that it succeeds')
+                         'check that it succeeds')
 
 
 class VerificationFileError(InputError):

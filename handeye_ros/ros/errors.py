@@ -84,8 +84,8 @@ class SameFrameError(InputError):
     """Two calibrations of one sensor are to be published at once."""
 
     def __init__(self, path: object, frame: str) -> None:
-        super().__init__(f'{path} is not published: another of the files gives {frame} a place '
-                         'already, and a frame has one parent; name each sensor once')
+        super().__init__(f'{path} is not published: another of the files gives the pose of '
+                         f'{frame}, and a frame has one parent; name each sensor once')
 
 
 class UnpublishedError(InputError):
@@ -113,7 +113,7 @@ class WorkerEndedError(HandeyeError):
             why = f'ended by signal {-code}' if code < 0 else f'ended with code {code}'
         super().__init__(f'the process that computes {why} before it had an answer'
                          + (' (out of memory?)' if code == -signal.SIGKILL else '')
-                         + ': ask again, and it is started again')
+                         + ': ask again; this starts it again')
 
 
 class PageError(InputError):

@@ -91,6 +91,6 @@ def offer(node: Node, kind: Any, name: str, callback: Any, group: CallbackGroup)
             send(response, header)
         except UNSENDABLE as error:
             if rclpy.ok():
-                node.get_logger().warning(f'nobody took the answer of ~/{name}: {error}')
+                node.get_logger().warning(f'the answer of ~/{name} could not be sent: {error}')
 
     service.send_response = respond

@@ -92,7 +92,7 @@ def _wait_for_subscribers(publishers: dict[str, Publisher], wait_for: int | None
     end = time.monotonic() + timeout
     while len(deaf := _without_subscriber(publishers)) > len(publishers) - needed:
         if time.monotonic() > end:
-            print(f'nobody subscribes to {", ".join(deaf)}; starting all the same',
+            print(f'no subscriber on {", ".join(deaf)}; starting anyway',
                   file=sys.stderr)
             break
         time.sleep(TICK)

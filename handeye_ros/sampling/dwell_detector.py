@@ -111,7 +111,7 @@ class DwellDetector:
         """Return that the robot stood still and nobody asked for a sample, if that is so."""
         if self._taken or not self._passed_by:
             return ''
-        return (f'the robot stood still {self._passed_by} times and nobody asked for a sample: '
+        return (f'the robot stood still {self._passed_by} times, but no sample was requested: '
                 'sampling.mode is manual; call ~/take_sample at each stop, send ~/take, or set '
                 'sampling.mode to still')
 

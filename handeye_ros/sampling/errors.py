@@ -40,7 +40,7 @@ class MovingError(DataError):
 
     def __init__(self, still_time: float, motion: Motion | None) -> None:
         if motion is None:
-            how = 'too few poses have come to tell'
+            how = 'too few poses have come to measure its motion'
         else:
             how = motion.sentence
         super().__init__(f'the robot has not stood still for {still_time:g} s, {how}: stop it, '
@@ -51,17 +51,17 @@ class SilentPosesError(DataError):
     """A sample was asked for while no poses came."""
 
     def __init__(self, seconds: float) -> None:
-        super().__init__(f'no pose has come for {seconds:.1f} s, so nobody knows where the robot '
-                         'is: check the robot driver, and take the sample again')
+        super().__init__(f'no pose has come for {seconds:.1f} s, so the robot position is not '
+                         'known: check the robot driver, and take the sample again')
 
 
 class LatePosesError(DataError):
     """A sample was asked for while poses come with stamps of another time."""
 
     def __init__(self) -> None:
-        super().__init__('the poses come with older stamps than those before, so nobody knows '
-                         'where the robot is: if the clock was set, wait a second and take the '
-                         'sample again; else let only one node publish poses')
+        super().__init__('the poses come with older stamps than those before, so the robot '
+                         'position is not known: if the clock was set, wait a second and take '
+                         'the sample again; otherwise let only one node publish poses')
 
 
 class NothingNewError(DataError):
@@ -108,7 +108,7 @@ class NoStationsError(DataError):
         super().__init__(f'the robot never stood still for {still_time:g} s in {poses} poses, '
                          f'but for {longest:.2g} s at most: stop at each sample, or lower '
                          'sampling.still_time; if its poses are noisy, raise '
-                         'sampling.still_translation and sampling.still_rotation; of a robot that '
+                         'sampling.still_translation and sampling.still_rotation; if the robot '
                          'moves all the time, set sampling.mode to moving')
 
 
@@ -116,7 +116,7 @@ class SparsePosesError(DataError):
     """Poses too far apart to tell when the robot stood still."""
 
     def __init__(self, period: float, limit: float) -> None:
-        super().__init__(f'the flange poses come only every {period:.2g} s, further apart than '
+        super().__init__(f'the flange poses come only every {period:.2g} s, more than '
                          f'sampling.max_pose_gap ({limit:g} s): publish them more often, also '
                          'while the robot stands still, or raise sampling.max_pose_gap')
 
@@ -142,7 +142,7 @@ class ClocksApartError(DataError):
     """Profiles and poses that share no time."""
 
     def __init__(self, gap: float) -> None:
-        super().__init__(f'profiles and poses share no time: {gap:.1f} s lie between them; the '
+        super().__init__(f'profiles and poses share no time: {gap:.1f} s are between them; the '
                          'clocks of sensor and robot differ, or they were not recorded together')
 
 
@@ -165,4 +165,4 @@ class ClearedError(DataError):
 
     def __init__(self) -> None:
         super().__init__('the samples were cleared while the calibration was computed, so there '
-                         'is none: take new samples')
+                         'is no answer: take new samples')

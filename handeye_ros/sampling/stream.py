@@ -81,7 +81,7 @@ class Stream(Generic[Stamped]):
         frames = {f'of frame "{frame}"' if frame != OTHER_FRAME else f'of {OTHER_FRAME}': count
                   for frame, count in self._strays.items()}
         steps = (f'the clock of the {self._kind}s was set back by {self._last_step:.1f} s '
-                 f'({self._steps} times): sampling goes on in its new time',)
+                 f'({self._steps} times): sampling continues in the new time',)
         return (*(steps if self._steps else ()),
                 *(f'dropped a {self._kind} {reason} ({count} times)'
                   for reason, count in {**frames, **self._dropped}.items()))

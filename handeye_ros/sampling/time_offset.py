@@ -39,7 +39,7 @@ REACH, STEP = 10, 2  # prior sigmas of the offset that are searched, and between
 SOME = 60  # samples of the search
 STARTS = 3  # from each offset
 MOST = 400  # samples of a solve
-NO_POSES = 'no poses tell where the robot was at that time'
+NO_POSES = 'there are no poses of that time'
 CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good start
 
 

@@ -17,7 +17,7 @@ class CloudFormatError(InputError):
     """A file whose name says no form of a cloud that is known."""
 
     def __init__(self, path: object, known: Sequence[str]) -> None:
-        super().__init__(f'{path}: the ending says the form of a cloud; expected '
+        super().__init__(f'{path}: the file name must end with '
                          f'{" or ".join(known)}')
 
 
@@ -83,8 +83,8 @@ class NoLineError(DataError):
     """Facing edges that do not form a line: a closed seam, a branch, a narrow strip."""
 
     def __init__(self, width: float, at: Sequence[float]) -> None:
-        super().__init__(f'what looks like a seam is no single open line: it is {mm(width)} wide '
-                         f'at {place(at)} (closed, or branching?): cut a part out with --box')
+        super().__init__(f'what looks like a seam is not a single open line: it is {mm(width)} '
+                         f'wide at {place(at)} (closed, or branching?): cut a part out with --box')
 
 
 class HiddenWallError(DataError):
@@ -92,7 +92,7 @@ class HiddenWallError(DataError):
 
     def __init__(self, height: float, at: Sequence[float]) -> None:
         super().__init__(f'a step of {mm(height)} at {place(at)} whose wall is not seen: too high '
-                         'for a lap, and without the wall the root of a T is not known: scan with '
+                         'for a lap, and the root of a T cannot be found without it: scan with '
                          'the sensor leant by 30 to 45 degrees towards the wall')
 
 
@@ -101,7 +101,7 @@ class UnclearSeamError(DataError):
 
     def __init__(self, spread: float, noise: float) -> None:
         super().__init__(f'the sections of the seam scatter by {mm(spread)}, and the points by '
-                         f'{mm(noise)}: what was found is no even seam; cut it out with --box, '
+                         f'{mm(noise)}: this is not a uniform seam; cut it out with --box, '
                          'or scan more densely')
 
 

@@ -130,7 +130,7 @@ def _judged(it: Comparison, nothing: float, found: Sequence[Cause], stamp: int,
         sentence = '; or '.join(_said(it, cause) for cause in named)
         if len(named) > 1:
             chances = ', '.join(f'{CAUSES[k]} {odds[k]:.0%}' for k in few)
-            sentence = f'these stops cannot tell ({chances}): {sentence}. {_deciding(it, named)}'
+            sentence = f'these stops cannot decide ({chances}): {sentence}. {_deciding(it, named)}'
     p, kind = points_in_base(it.seen, it.X), it.seen.observations.kind
     if left_out:
         sentence += f'. Left out, as they contradict the others: stops {left_out}'

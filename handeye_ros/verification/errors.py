@@ -50,7 +50,7 @@ class BadCovarianceError(InputError):
 
     def __init__(self) -> None:
         super().__init__('the covariance of the calibration has a negative variance, so it is '
-                         'none: use the calibration.yaml as it was written')
+                         'not valid: use the calibration.yaml as it was written')
 
 
 class NotTheArtefactError(DataError):
@@ -59,8 +59,8 @@ class NotTheArtefactError(DataError):
     def __init__(self, routine: str, distance: float) -> None:
         super().__init__(
             f'this is not what "{routine}" measures: no error of the calibration brings all '
-            f'points closer than {mm(distance)} to its shape. Check what stood under the '
-            'sensor, that it did not move, and that nothing else was in sight (--near)')
+            f'points closer than {mm(distance)} to its shape. Check which object was under the '
+            'sensor, that it did not move, and that nothing else was in view (--near)')
 
 
 class NoAnswerError(DataError):
@@ -75,7 +75,7 @@ class NoRoutineError(InputError):
 
     def __init__(self) -> None:
         super().__init__('verify.routine is not set, so there is nothing to measure: set it to '
-                         'what stands under the sensor (docs/measure.md)')
+                         'the artefact under the sensor (docs/measure.md)')
 
 
 class NothingToVerifyError(DataError):
@@ -91,7 +91,7 @@ class NotStartedError(DataError):
 
     def __init__(self) -> None:
         super().__init__('no verification was started: call ~/verify_start, stop at several '
-                         'places, and ask again')
+                         'poses, and ask again')
 
 
 class UnusableStopError(DataError):
@@ -106,7 +106,7 @@ class TooLongPassError(DataError):
 
     def __init__(self, most: int) -> None:
         super().__init__(f'a pass has more than {most} poses, and not all are kept: set '
-                         'verify.routine anew to start again, and scan in shorter passes')
+                         'verify.routine again to start over, and scan in shorter passes')
 
 
 class NoTeethError(DataError):
@@ -126,7 +126,7 @@ class NoCheckError(InputError):
         super().__init__(
             f'the calibration (method {method}) does not hold what a check compares with: the '
             'target with its covariance. Solve its recording again with this version, as one of '
-            f'{", ".join(known)}, or measure something known with "handeye verify"')
+            f'{", ".join(known)}, or measure a known object with "handeye verify"')
 
 
 class NothingToCheckError(InputError):

@@ -131,7 +131,7 @@ def _station_results(seen: Seen, used: Seen, found: FixedFit, left_out: dict[int
         at, rows = (bag + 1, number, int(seen.stamps[first])), np.flatnonzero(of_row == group)
         if group in left_out:
             results.append(StationResult(*at, 0.0, 0.0, left_out[group], False, (
-                'it contradicts the others, whatever the error of the calibration')))
+                'it contradicts the others under every possible calibration')))
         elif len(rows):
             worst = rows[np.argmax(np.abs(found.distances[rows]))]
             std = float(found.distance_std[worst])

@@ -241,7 +241,7 @@ def test_only_a_sphere_is_cut_beside_its_top() -> None:
 
 def test_nothing_yet() -> None:
     told = advise((), cell('plate', 0).config, None)
-    assert told.text.startswith('Take the first sample: look squarely at the target')
+    assert told.text.startswith('Take the first sample: hold the sensor square to the target')
     assert not told.enough
 
 

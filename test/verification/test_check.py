@@ -100,7 +100,7 @@ def test_causes_that_the_stops_cannot_tell_apart_are_all_said(calibrated):
     found = checking.check(bench.samples(level, 6, X, moved, np.random.default_rng(3)), solved,
                            config)
     assert set(found.verdict.split(' or ')) >= {'target', 'sensor'}
-    assert 'these stops cannot tell' in found.sentence
+    assert 'these stops cannot decide' in found.sentence
     assert 'Two more stops would decide it: stop' in found.sentence
     assert sum(found.odds.values()) == pytest.approx(1.0)
 

@@ -20,7 +20,7 @@ REPORT = 'report.html'
 HISTORY = 'history'  # the folder of former results, each in a folder named after its time
 
 FORMATS = {
-    YAML: Format('calibration.yaml: all that is known of the answer; handeye reads it back',
+    YAML: Format('calibration.yaml: the complete answer; handeye reads it',
                  lambda _: calibration_file.NAME, calibration_file.text),
     'urdf': Format('a <joint> with <origin xyz rpy>, for a URDF or a xacro file',
                    lambda _: 'sensor.urdf.xacro', ros.urdf),

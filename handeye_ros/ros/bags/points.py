@@ -32,7 +32,7 @@ def require_unit(points: Array, unit: str) -> None:
     if far.sum() > finite.sum() / 2:
         raise MessageError('PointCloud2', f'coordinates reach {reach[far].max():.3g} m'
                            + (': set profile.unit to mm' if unit == 'm' else
-                              ', but metres and millimetres are all that profile.unit knows'))
+                              ', but profile.unit is m or mm'))
     largest = reach[finite & ~far].max(initial=0.0)
     if unit == 'mm' and 0.0 < largest < NEAR:
         raise MessageError('PointCloud2', f'no coordinate is larger than {largest * 1e3:.3g} mm: '

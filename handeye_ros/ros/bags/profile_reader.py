@@ -182,7 +182,7 @@ def returns_of(data: bytes, config: ProfileConfig) -> Iterator[Profile]:
         yield returns_from_cloud(cloud, config)
         return
     if not config.period:
-        raise MessageError('PointCloud2', f'it holds {rows} profiles, and nobody knows when each '
+        raise MessageError('PointCloud2', f'it holds {rows} profiles, and does not say when each '
                            'was taken: set profile.period')
     whole = RawProfile(stamp_of(cloud.header), '', partial(bytes, data), profile_from_cdr, config,
                        rows=rows)

@@ -96,7 +96,7 @@ def why_silent(node: Node, key: str, topic: str, wanted: str) -> str:
         return ''
     hints = ''.join(HINTS.get(kind, '') for kind in sorted(types))
     why = (f'it carries {", ".join(sorted(types))}, expected {wanted}{hints}' if types else
-           f'nobody publishes {name}')
+           f'{name} has no publisher')
     others = topics_of(node, wanted)
     return why + (f'; {wanted} is on {", ".join(others[:LISTED])}: set {key}' if others else '')
 

@@ -233,8 +233,8 @@ class LiveSession:
                                  self.config.save.formats)
         self.answer.saved(calibration, str(saved.files[0]))
         self.on_change()
-        anew = COMPUTED in self.progress.text
-        again = f'; {COMPUTED} anew: save it again after that' if anew else ''
+        computing = COMPUTED in self.progress.text
+        again = f'; {COMPUTED} again: save it again after that' if computing else ''
         return f'{saved}{self.answer.changes(now)}{again}'
 
     # what is set

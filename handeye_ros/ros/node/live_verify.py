@@ -65,7 +65,7 @@ class LiveVerification:
         """Return that it goes on."""
         course = self._course
         return () if course is None else (
-            f'a verification ({course.routine.name}) goes on: stops are no samples until '
+            f'a verification ({course.routine.name}) continues: stops are not samples until '
             '~/verify_result',)
 
     # what comes in

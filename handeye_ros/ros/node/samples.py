@@ -143,7 +143,7 @@ class LiveSamples:
             while self._stale:
                 with self.work, self.streams.lock:  # nothing is judged by the settings before
                     self._stale, outcomes = False, self.streams.session.outcomes
-                with self._progress.doing('the samples are extracted anew from their profiles'):
+                with self._progress.doing('the samples are extracted again from their profiles'):
                     fresh = [self.judge.again(outcome, self.config) for outcome in outcomes]
                     with self.streams.lock:
                         self.streams.session.replace(fresh)

@@ -98,7 +98,7 @@ def _silence(live: LiveSession, kind: str, place: str, obstacle: Obstacle) -> st
 def _motion(session: Session) -> MotionState:
     motion = session.motion
     if motion is None:
-        return MotionState(False, 0.0, 0.0, 0.0, 'too few poses have come to tell')
+        return MotionState(False, 0.0, 0.0, 0.0, 'too few poses have come to measure its motion')
     return MotionState(session.is_standing, motion.speed, motion.turning, motion.still,
                        motion.sentence)
 

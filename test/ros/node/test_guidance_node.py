@@ -28,7 +28,7 @@ def test_the_next_pose_and_the_words_for_it(tmp_path: Path, client: Client) -> N
     with running_node(tmp_path, '--params-file', str(PLATE), '-p', 'guidance.accuracy:=1e-5'):
         client.connect()
         client.until(lambda: texts, 'there is advice before the first sample')
-        assert texts[0].data.startswith('Take the first sample: look squarely at the target')
+        assert texts[0].data.startswith('Take the first sample: hold the sensor square')
         replay(ROOT / 'bags' / 'plate')
         client.until(lambda: poses, 'a pose is proposed')
         client.until(lambda: 'points in view are known to' in texts[-1].data.lower(),

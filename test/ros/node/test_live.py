@@ -297,8 +297,8 @@ def test_nobody_asked_for_a_sample() -> None:
     manual = with_values(SPHERE.config, {'sampling.mode': 'manual'}, 'test')
     live = fed(manual)
     trouble = state_of(live).session.trouble
-    assert 'nobody asked for a sample: sampling.mode is manual' in trouble
-    with pytest.raises(DataError, match='nobody asked for a sample'):
+    assert 'no sample was requested: sampling.mode is manual' in trouble
+    with pytest.raises(DataError, match='no sample was requested'):
         live.compute()
     changed(live, sampling__mode='still')
 

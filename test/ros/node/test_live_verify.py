@@ -69,7 +69,7 @@ def test_stops_after_the_start_verify_and_are_no_samples(tmp_path: Path, parts) 
     live.compute()
     before = [outcome.number for outcome in live.copied().outcomes]
     assert live.verification.begin().startswith('sphere: 0 usable stops of 0; move on')
-    assert 'stops are no samples' in ' '.join(state_of(live).session.notes)
+    assert 'stops are not samples' in ' '.join(state_of(live).session.notes)
     feed(live, *parts[1])
     text = live.verification.result()
     assert text.startswith('sphere: PASS, 6 stations; radius ')

@@ -91,7 +91,7 @@ def everything_else(live: LiveSession) -> None:
     live.configure(changed(live.config, 'limits.translation', 0.004))
     saved = live.save()
     assert str(live.place.folder(live.config)) in saved
-    assert saved.endswith('the calibration is computed anew: save it again after that')
+    assert saved.endswith('the calibration is computed again: save it again after that')
 
 
 def test_nobody_waits_for_a_solve(tmp_path: Path) -> None:
@@ -166,7 +166,7 @@ def test_a_verification_that_was_ended_meanwhile_is_told_and_stays_ended(tmp_pat
         live.configure(changed(live.config, 'verify.routine', 'sphere'))
         live.verification.begin()
     assert told[0].startswith('sphere: PASS, ')
-    assert any('a verification (sphere) goes on' in note for note in live.warnings), 'the next one'
+    assert any('verification (sphere) continues' in note for note in live.warnings), 'the next'
 
 
 def test_that_the_robot_moves_is_told_while_stops_wait_to_be_judged(tmp_path: Path) -> None:
