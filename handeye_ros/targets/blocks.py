@@ -14,7 +14,7 @@ import numpy as np
 FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}  # share of the RMS of each degree: the first are the largest
 
 GRAZING = 0.64  # cosine of the incidence from which on the range of a face may be wrong
-STEEPNESS = np.array([8, 16])  # powers of the least cosine over that of a point: how it grows
+STEEPNESS = np.array([8, 16, 32])  # powers of the least cosine over that of a point: how it grows
 
 
 def of_faces_and_edges(first: Linear) -> Blocks:
