@@ -32,7 +32,7 @@ def offset_notes(solution: Solution) -> list[str]:
                      f'only, that is {offset.std * FAST * 1e3:.2f} mm at {FAST * 1e3:.0f} mm/s')
     if lag and abs(lag.value) > max(SURE * lag.std, LARGE_LAG):
         notes.append(f'the robot reports its rotation {lag.value * 1e3:.2f} ms later than its '
-                     'position, which a scan does not allow for: do not turn the tool in scans')
+                     'position: a scan with this calibration allows for it')
     return notes
 
 

@@ -60,7 +60,7 @@ class ScanNode(Node):
         super().__init__('handeye_scan')
         self._config = config
         self._scanner = Scanner(calibration, config, options)
-        self._offset = round(config.time_offset * 1e9)
+        self._offset = round((config.time_offset + max(self._scanner.lag, 0.0)) * 1e9)
         self._profiles: deque[Profile] = deque(maxlen=KEPT_PROFILES)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_POSES)
         self._dropped = 0

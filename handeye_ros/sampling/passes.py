@@ -113,13 +113,7 @@ class Pairing:
 
     def at(self, offset: float, lag: float = 0.0) -> Instants:
         """Return where the flange was at each sample, with an offset and a lag (s)."""
-        stamps = self.stamps[self.moving] + round(offset * 1e9)
-        found = self.motion.at(stamps)
-        if lag:
-            late = self.motion.at(stamps + round(lag * 1e9))
-            found.T_base_flange[:, :3, :3] = late.T_base_flange[:, :3, :3]
-            found.twists[:, 3:] = late.twists[:, 3:]
-            found = replace(found, inside=found.inside & late.inside)
+        found = self.motion.at(self.stamps[self.moving] + round(offset * 1e9), lag)
         n = len(self.stamps)
         every = Instants(self.T_base_flange.copy(), np.zeros((n, 6)), np.ones(n, dtype=bool))
         for name in ('T_base_flange', 'twists', 'inside'):

@@ -10,7 +10,7 @@ told by generalised cross-validation (Craven and Wahba 1979, Numer. Math. 31:377
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -76,8 +76,17 @@ class Trajectory:
         parts = zip(np.split(self.stamps, ends), np.split(self.values, ends), strict=True)
         return tuple(_fitted(stamps, values) for stamps, values in parts if len(stamps) >= FEWEST)
 
-    def at(self, stamps: NDArray[np.int64]) -> Instants:
-        """Return where the flange was at stamps (n,)."""
+    def at(self, stamps: NDArray[np.int64], lag: float = 0.0) -> Instants:
+        """Return where the flange was at stamps (n,); lag: of the reported rotation (s)."""
+        found = self._reported(stamps)
+        if not lag:
+            return found
+        late = self._reported(stamps + round(lag * 1e9))
+        found.T_base_flange[:, :3, :3] = late.T_base_flange[:, :3, :3]
+        found.twists[:, 3:] = late.twists[:, 3:]
+        return replace(found, inside=found.inside & late.inside)
+
+    def _reported(self, stamps: NDArray[np.int64]) -> Instants:
         T, twists = np.tile(np.eye(4), (len(stamps), 1, 1)), np.zeros((len(stamps), 6))
         inside = np.zeros(len(stamps), dtype=bool)
         for piece, chosen in self._by_piece(stamps):

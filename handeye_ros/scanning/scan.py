@@ -2,9 +2,10 @@
 Profiles and poses to points in the robot's base: a scan.
 
 With eye_on_base the points are in the flange, which carries the workpiece past the sensor. The
-pose is that of a spline through the poses, at each profile's own stamp plus time_offset; a profile
-outside of them or in a gap gives no points. Memory does not grow with the length of a recording,
-but for its poses.
+pose is that of a spline through the poses, at each profile's own stamp plus time_offset, with the
+rotation of so much later as the calibration found the robot to report it late; a profile outside
+of them or in a gap gives no points. Memory does not grow with the length of a recording, but for
+its poses.
 """
 from __future__ import annotations
 
@@ -12,6 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
+from handeye_ros.checks.time_offset import ROTATION_LAG
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Profile
 from handeye_ros.sampling.trajectory import Trajectory
@@ -75,6 +77,7 @@ class Scanner:
         self.calibration, self.config = calibration, config
         self.options = options or ScanOptions()
         self.count = ScanCount()
+        self.lag = float(calibration.target.get(ROTATION_LAG, 0.0))  # s
         self._intensity: bool | None = None  # whether the driver gives it
         self._variance = variance_polynomial(calibration, config.noise)
         self._thinning = Thinning(self.options.voxel) if self.options.voxel > 0 else None
@@ -95,7 +98,7 @@ class Scanner:
         """Return the points of some profiles: x, y, z in the frame (m), intensity, std."""
         offset = round(self.config.time_offset * 1e9)
         stamps = np.array([p.stamp + offset for p in profiles], dtype=np.int64)
-        flange = track.at(stamps)
+        flange = track.at(stamps, self.lag)
         if self._intensity is None and profiles:
             self._intensity = profiles[0].intensity is not None
         used = [p for p, inside in zip(profiles, flange.inside, strict=True) if inside]

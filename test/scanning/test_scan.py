@@ -46,6 +46,15 @@ def test_the_time_offset_is_added_to_the_stamps():
     np.testing.assert_allclose(xyz(scanned(scanner, early, moving(200)))[:, 2], 0.1, atol=2e-7)
 
 
+def test_a_rotation_that_is_reported_late_is_allowed_for_as_calibrated():
+    there, before = moving(200), moving(200)[:-4]
+    late = [replace(p, quaternion=q.quaternion) for p, q in zip(there[4:], before, strict=True)]
+    scanner = Scanner(replace(calibration(), target={'rotation_lag': 0.020}), Config())
+    cloud = xyz(scanned(scanner, plane_profiles(180)[30:], late))
+    assert len(cloud) == 150 * 50
+    np.testing.assert_allclose(cloud[:, 2], 0.1, atol=2e-7)
+
+
 def test_profiles_without_a_pose_on_both_sides_are_dropped_and_counted():
     poses = moving(200)
     poses = [p for p in poses if not 50 * STEP < p.stamp - T0 < 100 * STEP]
