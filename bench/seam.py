@@ -1,12 +1,14 @@
 """
 The seam of simulated joints and curved preforms against the truth.
 
-usage: .venv/bin/python bench/seam.py [SEEDS]
+usage: .venv/bin/python bench/seam.py [SEEDS] [KIND...]
 
 A preform of 200 mm with a lap of 5 mm (or a butt seam with a gap of 3 mm), points 0.4 mm apart
 with 0.1 mm of noise on each axis: centre line against the true one (RMS and largest distance,
 square to the seam), approach against the true normal, over SEEDS (default 20) seeds; the worst is
-told. Then the joints of bench/joints.py, as a leaning sensor sees them, over as many seeds.
+told. Then the joints of bench/joints.py, as a leaning sensor sees them, over as many seeds: the
+largest errors where a seam was found, and how often it was refused. KIND: preform, or the first
+word of a joint (butt, lap, vee, tee); all if none is given.
 """
 from __future__ import annotations
 
@@ -36,8 +38,8 @@ def errors(truth: PreformCloud | Scanned, T_base_tool: Array) -> tuple[Array, Ar
     return np.linalg.norm(offset, axis=1), np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
-def main() -> None:
-    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 20
+def preforms(seeds: int) -> None:
+    """Print the errors of the curved preforms."""
     print(f'{"":6} centre line [mm]                     approach [degrees]     time [s]')
     print(f'{"":6} RMS: median worst  largest anywhere   median worst           median')
     for kind in ('lap', 'butt'):
@@ -53,14 +55,21 @@ def main() -> None:
             angle.append(turned.max())
         print(f'{kind:6} {np.median(rms):11.3f} {max(rms):5.3f}  {max(largest):16.3f} '
               f'{np.median(angle):8.2f} {max(angle):5.2f} {np.median(seconds):16.1f}')
+
+
+def joints(seeds: int, kinds: list[str]) -> None:
+    """Print the errors of the joints whose first word is one of kinds."""
     print(f'\n{"":36} kind   largest off the line [mm], approach [degrees], missing at ends [mm]')
-    for name, joint in JOINTS.items():
+    for name in (name for name in JOINTS if name.split()[0] in kinds):
+        joint = JOINTS[name]
         told = [of_joint(scanned(joint, np.random.default_rng(seed)), joint.length)
                 for seed in range(seeds)]
-        worst = np.max([numbers for _, numbers in told], axis=0)
-        kinds = ', '.join(sorted({kind for kind, _ in told}))
-        print(f'{name:36} {kinds:6} ' + ('  '.join(f'{v:.3f}' for v in worst)
-                                         if np.isfinite(worst).any() else ''))
+        found = np.array([numbers for _, numbers in told if np.isfinite(numbers).all()])
+        said = sorted({kind for kind, _ in told})
+        print(f'{name:36} {", ".join(said):6} ' + '  '.join(
+            f'{v:.3f}' for v in found.max(axis=0, initial=-np.inf) if len(found))
+            + f'  {len(told) - len(found)} of {len(told)} refused' * (len(found) < len(told)),
+            flush=True)
 
 
 def of_joint(truth: Scanned, length: float) -> tuple[str, tuple[float, float, float]]:
@@ -71,6 +80,14 @@ def of_joint(truth: Scanned, length: float) -> tuple[str, tuple[float, float, fl
         return f'refused: {str(refusal)[:60]}', (np.nan, np.nan, np.nan)
     away, turned = errors(truth, tool_frames(seam, 5e-3).T_base_tool)
     return seam.kind, (1e3 * away.max(), turned.max(), length - 1e3 * seam.curve.length)
+
+
+def main() -> None:
+    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 20
+    kinds = sys.argv[2:] or ['preform', 'butt', 'lap', 'vee', 'tee']
+    if 'preform' in kinds:
+        preforms(seeds)
+    joints(seeds, kinds)
 
 
 if __name__ == '__main__':

@@ -22,7 +22,7 @@ from functools import partial
 from itertools import product
 
 from handeye_ros import pipeline, se3
-from handeye_ros.config import Config, NoiseConfig
+from handeye_ros.config import Config, NoiseConfig, VerifyConfig
 from handeye_ros.data import Array, Calibration, Quality, Sample
 from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.simulate import gauges
@@ -30,7 +30,7 @@ from handeye_ros.simulate.measuring import Pass, rendered
 from handeye_ros.simulate.scenario import RobotModel, Scenario, SensorModel
 from handeye_ros.simulate.stations import Stops
 from handeye_ros.verification.routines import Routine, ROUTINES, TEETH
-from handeye_ros.verification.shapes import Nominal, Seen
+from handeye_ros.verification.shapes import Seen
 from handeye_ros.verification.tooth_gauge import seen_in_pass
 from handeye_ros.verification.verification import Verification
 from handeye_ros.verification.verify import seen_in, settings_for, verify
@@ -78,26 +78,27 @@ def scanned(made: gauges.Measured, config: Config) -> list[Seen]:
     return [seen_in_pass(part.profiles, track_of(part.poses, 0.5), config) for part in made.passes]
 
 
-def stops_of(routine: Routine, made: gauges.Measured, config: Config, nominal: Nominal
+def stops_of(routine: Routine, made: gauges.Measured, config: Config
              ) -> list[tuple[Sample, ...]]:
     """Return the samples of each bag, where the robot stops."""
     if not made.passes:
         return list(made.bags)
-    settings = settings_for(routine, config, nominal, len(made.passes))
+    settings = settings_for(routine, config, len(made.passes))
     return [pipeline.gather(part.profiles, part.poses, settings).samples for part in made.passes]
 
 
 def runs(routine: Routine, made: gauges.Measured, found: tuple[Calibration, ...], aim: float
          ) -> list[Verification]:
     """Return what a routine says of calibrations."""
-    config, radius = Config(noise=NOISE), RADIUS if routine.target == 'sphere' else 0.0
-    nominal = Nominal(made.lengths, radius, made.reference, aim)
+    radius = RADIUS if routine.target == 'sphere' else 0.0
+    config = Config(noise=NOISE, verify=VerifyConfig(
+        lengths=made.lengths, radius=radius, reference=made.reference, aim=aim))
     if routine.target == TEETH:
         bags = scanned(made, config)
-        return [verify(routine, bags, one, config, nominal) for one in found]
-    bags = stops_of(routine, made, config, nominal)
+        return [verify(routine, bags, one, config) for one in found]
+    bags = stops_of(routine, made, config)
     return [verify(routine, [seen_in(routine, samples, one, config) for samples in bags], one,
-                   config, nominal) for one in found]
+                   config) for one in found]
 
 
 def within(found: Verification) -> bool:

@@ -85,7 +85,7 @@ def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Chec
 
     from handeye_ros import pipeline
     from handeye_ros.sampling.errors import NoStationsError
-    from handeye_ros.verification import check, clock
+    from handeye_ros.verification import check
     recording = read_bag(bag, settings)
     with doing('finding the stations'):
         try:
@@ -100,5 +100,5 @@ def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Chec
         return check.check(session.samples, calibration, settings, reason)
     now, used, _ = pipeline.solved(session.samples, session.rejects, session.with_base(settings),
                                    session.frame_id)
-    found = check.check(clock.some_of(used), calibration, settings, reason)
-    return clock.with_offset(found, now.time_offset, calibration) if now.time_offset else found
+    found = check.check(check.some_of_sweep(used), calibration, settings, reason)
+    return check.with_offset(found, now.time_offset, calibration) if now.time_offset else found

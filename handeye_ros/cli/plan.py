@@ -58,16 +58,14 @@ def plan(
     from handeye_ros.results.calibration_file import write_whole
     from handeye_ros.verification import plan as planning
     from handeye_ros.verification.routines import routine_of
-    from handeye_ros.verification.verify import nominal_of, tolerances_of
     found, settings = calibrated(calibration, config, assignments)
     settings = with_values(settings, keys({
         'lengths': length, 'radius': radius, 'aim': aim, 'certificate': certificate,
         'tolerance': tolerance}, angle_tolerance), 'the options')
     near, far = (units.length(text, '--range', USUAL['near']) for text in limits)
     place = [units.length(text, '--at', USUAL['near']) for text in at]
-    planned = partial(
-        planning.plan, routine_of(name), found, settings, nominal_of(settings),
-        tolerances_of(settings), place, turns=math.radians(turns), limits=(near, far))
+    planned = partial(planning.plan, routine_of(name), found, settings, place,
+                      turns=math.radians(turns), limits=(near, far))
     best = planned(stops=stops)
     for sentence in planning.sentences(best, [planned(stops=n) for n in COUNTS if n != stops]):
         typer.echo(sentence)

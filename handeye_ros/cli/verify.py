@@ -134,15 +134,8 @@ def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
               config: 'Config') -> 'Verification':
     from handeye_ros import pipeline
     from handeye_ros.verification.routines import TEETH
-    from handeye_ros.verification.verify import (
-        nominal_of,
-        seen_in,
-        settings_for,
-        tolerances_of,
-        verify,
-    )
-    nominal = nominal_of(config)
-    settings = settings_for(routine, config, nominal, len(bags))
+    from handeye_ros.verification.verify import seen_in, settings_for, verify
+    settings = settings_for(routine, config, len(bags))
     scanned = routine.target == TEETH
     seen, reason = [], ''
     for bag in bags:
@@ -155,8 +148,7 @@ def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
         _warn_of_used(bag, calibration, session.samples)
         reason = reason or next((reject.reason for reject in session.rejects), '')
         seen.append(seen_in(routine, session.samples, calibration, settings))
-    result = verify(routine, seen, calibration, settings, nominal, tolerances_of(config),
-                    reason)
+    result = verify(routine, seen, calibration, settings, reason)
     return replace(result, inputs=tuple(map(str, bags)))
 
 

@@ -8,14 +8,14 @@ stops that would; where nothing changed, it says what change would have shown.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 import math
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration, Sample
+from handeye_ros.data import Array, Calibration, Sample, TimeOffset
 from handeye_ros.errors import mm
 from handeye_ros.estimation.model import Method
 from handeye_ros.results.outcome import mounted, sensor_axes
@@ -37,6 +37,9 @@ import numpy as np
 FORMAT = 'handeye_ros/check/2'
 LEAST_STATIONS = 4
 SURE = 0.95  # probability with which one cause, or some together, are named
+CLOCK_SURE = 4.0  # sigmas of a change of the time offset
+CLOCK_SMALLEST = 1e-4  # s: of no matter to a scan
+KEPT = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN = 0.01  # m: a shift that would show only from here on is called unseen
 TURNS = np.deg2rad([[0, 0, 90], [0, 0, 180], [0, 0, -90], [25, 0, 0], [-25, 0, 0], [0, 25, 0],
                     [0, -25, 0]])  # of a stop that may decide, about the sensor's axes
@@ -210,6 +213,30 @@ def _deciding(it: Comparison, named: Sequence[Cause]) -> str:
         f'stop {int(obs.station[row]) + 1} again with the sensor turned by '
         f'{np.degrees(np.abs(best[row][1]).max()):.0f} degrees about its '
         f'{"xyz"[int(np.argmax(np.abs(best[row][1])))]}' for row in stops)
+
+
+def with_offset(found: Check, now: TimeOffset, calibration: Calibration) -> Check:
+    """Return a check with what a sweep says of the time offset."""
+    before = calibration.time_offset
+    if before is None:
+        return found
+    change, std = now.value - before.value, math.hypot(now.std, before.std)
+    found = replace(found, time_offset_changed=change, time_offset_changed_std=std)
+    told = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
+    if abs(change) <= max(CLOCK_SURE * std, CLOCK_SMALLEST):
+        return replace(found, sentence=f'{found.sentence}. The time offset is as it was: {told}')
+    said = (f'the time offset has changed by {told}: the clock or the delay of sensor or robot is '
+            f'another; set time_offset to {now.value:.5f}, or calibrate again')
+    if found.verdict == 'unchanged':
+        return replace(found, verdict='clock', sentence=f'{said}. Apart from it {found.sentence}')
+    return replace(found, verdict=f'{found.verdict} and clock',
+                   sentence=f'{found.sentence}; {said}')
+
+
+def some_of_sweep(samples: Sequence[Sample]) -> list[Sample]:
+    """Return some of the samples of a sweep, evenly spread, as if the robot had stopped there."""
+    every = -(-len(samples) // KEPT)
+    return [replace(sample, motion=None) for sample in samples[every // 2::every]]
 
 
 def values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str, Any]:

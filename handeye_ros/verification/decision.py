@@ -28,18 +28,6 @@ LARGE = 0.01  # m: a tolerance that is questioned
 
 
 @dataclass(frozen=True)
-class Tolerances:
-    """What the errors may reach: of lengths (m) and of angles (rad)."""
-
-    length: float = VerifyConfig.tolerance
-    angle: float = VerifyConfig.angle_tolerance
-
-    def of(self, unit: str) -> float:
-        """Return that of a unit."""
-        return self.length if unit == 'm' else self.angle
-
-
-@dataclass(frozen=True)
 class Sensitivity:
     """
     The smallest error of the calibration that shows, in the direction that shows least.
@@ -79,30 +67,30 @@ def _axis(direction: Array) -> str:
 
 
 def decide(found: FixedFit, shown: Sensitivity, quantities: Sequence[Quantity],
-           stations: Sequence[StationResult], tolerances: Tolerances
+           stations: Sequence[StationResult], limits: VerifyConfig
            ) -> tuple[str, tuple[str, ...]]:
     """Return the verdict (pass, fail, undecided or insensitive), and the reasons as sentences."""
-    notes = _notes(found, stations, tolerances)
-    failed = [*_failed(quantities, stations, tolerances), *_implied(found, tolerances)]
+    notes = _notes(found, stations, limits)
+    failed = [*_failed(quantities, stations, limits), *_implied(found, limits)]
     if failed:
         return 'fail', (*failed, *notes)
     used = sum(station.used for station in stations)
-    if shown.size > tolerances.length:
-        more = math.ceil(used * (shown.size / tolerances.length) ** 2)
+    if shown.size > limits.tolerance:
+        more = math.ceil(used * (shown.size / limits.tolerance) ** 2)
         return 'insensitive', (
             f'an error of the calibration would show only from {mm(shown.size)} on '
-            f'({shown.direction}), and the tolerance is {mm(tolerances.length)}: turn the sensor '
+            f'({shown.direction}), and the tolerance is {mm(limits.tolerance)}: turn the sensor '
             f'more between the stops, or measure at about {more} stops like these', *notes)
-    unsure = _unsure(quantities, tolerances, used) + _suggested(found, shown, tolerances)
+    unsure = _unsure(quantities, limits, used) + _suggested(found, shown, limits)
     return ('undecided', (*unsure, *notes)) if unsure else ('pass', notes)
 
 
-def _suggested(found: FixedFit, shown: Sensitivity, tolerances: Tolerances) -> list[str]:
+def _suggested(found: FixedFit, shown: Sensitivity, limits: VerifyConfig) -> list[str]:
     """Return a sentence where the points show an error that may exceed the tolerance."""
     for size, std, is_seen in (
             (found.implied, found.implied_std, found.p_no_error < SIGNIFICANT),
             (shown.estimate, shown.std, shown.estimate > NORMAL_95 * shown.std)):
-        if is_seen and size + ONE_SIDED_95 * std > tolerances.length:
+        if is_seen and size + ONE_SIDED_95 * std > limits.tolerance:
             return [f'the points suggest an error of the calibration of {mm(size)} ± '
                     f'{mm(K * std)} (k = {K:g}), which may exceed the tolerance: measure at more '
                     'stops']
@@ -110,12 +98,12 @@ def _suggested(found: FixedFit, shown: Sensitivity, tolerances: Tolerances) -> l
 
 
 def _failed(quantities: Sequence[Quantity], stations: Sequence[StationResult],
-            tolerances: Tolerances) -> list[str]:
+            limits: VerifyConfig) -> list[str]:
     failed = [f'{q.name} is off by {_shown(q.error, q.unit)} ± {_shown(q.expanded, q.unit)} '
               f'(k = {K:g})' for q in quantities
-              if q.error is not None and abs(q.error) - q.expanded > tolerances.of(q.unit)]
-    far = [s for s in stations if s.used and K * s.std <= tolerances.length
-           and s.distance - K * s.std > tolerances.length]
+              if q.error is not None and abs(q.error) - q.expanded > _tolerance(q, limits)]
+    far = [s for s in stations if s.used and K * s.std <= limits.tolerance
+           and s.distance - K * s.std > limits.tolerance]
     if far:
         worst = max(far, key=lambda s: s.distance)
         failed.append(f'points of {len(far)} of {len(stations)} stops lie up to '
@@ -123,31 +111,31 @@ def _failed(quantities: Sequence[Quantity], stations: Sequence[StationResult],
     return failed
 
 
-def _implied(found: FixedFit, tolerances: Tolerances) -> list[str]:
+def _implied(found: FixedFit, limits: VerifyConfig) -> list[str]:
     """Return a sentence when the points show that the calibration is off by more."""
     if found.p_no_error > SIGNIFICANT or (
-            found.implied - ONE_SIDED_95 * found.implied_std <= tolerances.length):
+            found.implied - ONE_SIDED_95 * found.implied_std <= limits.tolerance):
         return []
     return [f'the pattern of the distances matches a calibration error of {mm(found.implied)} ± '
             f'{mm(K * found.implied_std)} (k = {K:g}) at the points']
 
 
-def _unsure(quantities: Sequence[Quantity], tolerances: Tolerances, used: int) -> list[str]:
+def _unsure(quantities: Sequence[Quantity], limits: VerifyConfig, used: int) -> list[str]:
     unsure = []
     for q in quantities:
-        left = None if q.error is None else tolerances.of(q.unit) - abs(q.error)
+        left = None if q.error is None else _tolerance(q, limits) - abs(q.error)
         if left is None or q.expanded <= left:
             continue
         more = math.ceil(used * (q.expanded / left) ** 2) if left > 0 else 0
         unsure.append(
             f'{q.name} is off by {_shown(q.error, q.unit)}, its uncertainty is '
             f'{_shown(q.expanded, q.unit)} (k = {K:g}), and together they exceed the tolerance '
-            f'of {_shown(tolerances.of(q.unit), q.unit)}'
+            f'of {_shown(_tolerance(q, limits), q.unit)}'
             + (f': measure at about {more} stops' if 0 < more < 100 * used else ''))
     return unsure
 
 
-def _notes(found: FixedFit, stations: Sequence[StationResult], tolerances: Tolerances
+def _notes(found: FixedFit, stations: Sequence[StationResult], limits: VerifyConfig
            ) -> tuple[str, ...]:
     notes = [f'{s.name} is left out: {s.reason}' for s in stations if not s.used]
     if found.p < INCONSISTENT:
@@ -157,8 +145,8 @@ def _notes(found: FixedFit, stations: Sequence[StationResult], tolerances: Toler
     claim = claim_p(found)
     if claim < SIGNIFICANT:
         notes.append(f'the deviations are larger than the calibration claims (p = {claim:.1g})')
-    if tolerances.length > LARGE:
-        notes.append(f'the tolerance is {mm(tolerances.length)}: verify.tolerance and --tolerance '
+    if limits.tolerance > LARGE:
+        notes.append(f'the tolerance is {mm(limits.tolerance)}: verify.tolerance and --tolerance '
                      'are in metres unless a unit is given')
     return tuple(notes)
 
@@ -166,6 +154,10 @@ def _notes(found: FixedFit, stations: Sequence[StationResult], tolerances: Toler
 def claim_p(found: FixedFit) -> float:
     """Return how often deviations are as large with the calibration's claimed covariance."""
     return float(chi2_sf(found.region, found.freedom)) if found.freedom else 1.0
+
+
+def _tolerance(q: Quantity, limits: VerifyConfig) -> float:
+    return limits.tolerance if q.unit == 'm' else limits.angle_tolerance
 
 
 def _shown(value: float | None, unit: str) -> str:

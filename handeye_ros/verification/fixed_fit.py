@@ -14,7 +14,7 @@ from functools import partial
 from typing import TypeAlias
 
 from handeye_ros import se3
-from handeye_ros.config import NoiseConfig
+from handeye_ros.config import NoiseConfig, VerifyConfig
 from handeye_ros.data import Array
 from handeye_ros.estimation.outliers import chi2_sf
 from handeye_ros.estimation.solver import least_squares, White
@@ -22,12 +22,12 @@ from handeye_ros.verification.errors import BadCovarianceError
 from handeye_ros.verification.shapes import (
     derivatives,
     groups_of,
-    Nominal,
     Seen,
     Shape,
     STEP,
     system_of,
 )
+from handeye_ros.verification.verification import K
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg
@@ -37,7 +37,7 @@ FARTHEST = 0.1  # m: an error beyond it is none of a calibration
 LEAST_NOISE = 1e-8  # m of any distance
 DRAWS = 4000  # for the distribution of an RMS
 MOST_DISTANCES = 1500  # whose distribution is simulated
-NOTHING_KNOWN = Nominal()
+NOTHING_KNOWN = VerifyConfig()
 LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
 RANK = 1e-8  # relative singular value of an unknown that the points do not show
 
@@ -90,7 +90,7 @@ def points_in_base(seen: Seen, X: Array) -> Array:
 
 
 def fit(seen: Seen, X: Array, C: Array, noise: NoiseConfig, shape: Shape,
-        nominal: Nominal = NOTHING_KNOWN) -> FixedFit:
+        nominal: VerifyConfig = NOTHING_KNOWN) -> FixedFit:
     """
     Return the fit of a shape.
 
@@ -113,11 +113,11 @@ def fit(seen: Seen, X: Array, C: Array, noise: NoiseConfig, shape: Shape,
     groups = groups_of(seen)[obs.station]
     at = system.rows(q)
     return _result(shape, q, at.residuals, at.jacobian(), G, C, blocks, by_X, groups,
-                   nominal.std)
+                   nominal.certificate / K)
 
 
 def refit(seen: Seen, X: Array, C: Array, noise: NoiseConfig, shape: Shape,
-          nominal: Nominal = NOTHING_KNOWN) -> tuple[FixedFit, Array]:
+          nominal: VerifyConfig = NOTHING_KNOWN) -> tuple[FixedFit, Array]:
     """Return the fit with the calibration's error estimated too, and that error (6,)."""
     moved = X
     for _ in range(REFITS):

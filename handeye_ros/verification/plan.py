@@ -15,10 +15,8 @@ from handeye_ros.results.outcome import sensor_axes
 from handeye_ros.results.verified import shown
 from handeye_ros.simulate import gauges, SCENARIOS
 from handeye_ros.simulate.scenario import RobotModel
-from handeye_ros.verification.decision import Tolerances
 from handeye_ros.verification.errors import NoPlanError
 from handeye_ros.verification.routines import Routine
-from handeye_ros.verification.shapes import Nominal
 from handeye_ros.verification.verification import K, Verification
 from handeye_ros.verification.verify import seen_in, settings_for, verify
 import numpy as np
@@ -51,8 +49,8 @@ class Plan:
     T_base_flange: tuple[Array, ...]
 
 
-def plan(routine: Routine, calibration: Calibration, config: Config, nominal: Nominal,
-         tolerances: Tolerances, place: Sequence[float], stops: int, turns: float,
+def plan(routine: Routine, calibration: Calibration, config: Config,
+         place: Sequence[float], stops: int, turns: float,
          limits: tuple[float, float] = SCENARIOS['plane'].sensor.range) -> Plan:
     """
     Return the best of some sets of stops, each simulated with the noise of the configuration.
@@ -63,10 +61,11 @@ def plan(routine: Routine, calibration: Calibration, config: Config, nominal: No
     """
     if routine.name not in ARTEFACTS:
         raise NoPlanError(routine.name, list(ARTEFACTS))
-    nominal = replace(nominal, lengths=nominal.lengths or {
+    nominal = replace(config.verify, lengths=config.verify.lengths or {
         'step': HEIGHTS, 'ball_bar': BAR}.get(routine.name, ()), reference=(),
-        radius=nominal.radius or RADIUS * (routine.target == 'sphere'))
-    standard = replace(config, profile=ProfileConfig(), calibration_type='eye_in_hand')
+        radius=config.verify.radius or RADIUS * (routine.target == 'sphere'))
+    standard = replace(config, profile=ProfileConfig(), calibration_type='eye_in_hand',
+                       verify=nominal)
     X = calibration.T_flange_sensor @ sensor_axes(config)
     if config.profile.range_sign < 0:  # its zero is taken to be in the middle of the range
         X = X @ TURNED_OVER @ se3.transform(np.eye(3), np.array([0, 0, -np.mean(limits)]))
@@ -78,9 +77,9 @@ def plan(routine: Routine, calibration: Calibration, config: Config, nominal: No
     plans = []
     for seed in range(TRIES):
         made = ARTEFACTS[routine.name](np.random.default_rng(seed), nominal, **cell)
-        settings = settings_for(routine, standard, nominal, len(made.bags))
+        settings = settings_for(routine, standard, len(made.bags))
         seen = [seen_in(routine, samples, exact, settings) for samples in made.bags]
-        plans.append(Plan(verify(routine, seen, exact, settings, nominal, tolerances),
+        plans.append(Plan(verify(routine, seen, exact, settings),
                           tuple(np.array([s.T_base_flange for s in part]) for part in made.bags)))
     best = min(plans, key=lambda one: one.expected.smallest_error)
     if config.calibration_type == 'eye_on_base':

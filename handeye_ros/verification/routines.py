@@ -7,14 +7,16 @@ from functools import partial
 import math
 
 from handeye_ros import se3
-from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Sample
+from handeye_ros.config import VerifyConfig
+from handeye_ros.data import Array, EdgePoint, Sample
 from handeye_ros.errors import UnknownNameError
 from handeye_ros.estimation.model import Observations
 from handeye_ros.profiles.circles import fit_circle
-from handeye_ros.targets.common import add_face, edge_noise, ObservationRows, SOURCES
+from handeye_ros.targets import METHODS
+from handeye_ros.targets.common import edge_noise, ObservationRows
 from handeye_ros.verification import shapes, tooth_gauge
 from handeye_ros.verification.fixed_fit import FixedFit, points_in_base
-from handeye_ros.verification.shapes import BAGS, Kinds, Nominal, Seen, Shape
+from handeye_ros.verification.shapes import BAGS, Kinds, Seen, Shape
 from handeye_ros.verification.verification import Quantity
 import numpy as np
 
@@ -28,11 +30,11 @@ class Routine:
     A way to verify a calibration.
 
     says: what it measures. target: the target.type whose features the stations give, or TEETH
-    where points are taken while the robot moves. bags: how many, least and most; lengths: of
-    Nominal, how many there may be for so many bags. observe(samples, poses (n, 4, 4), X): the
-    conditions of one bag; shape(seen, points (m, 3), nominal): what is fitted, and what takes
-    part. names(bags, values): name, unit and characteristic (see Quantity) of each value;
-    spread(seen, X, fit): what single stations show beside the fit.
+    where points are taken while the robot moves. bags: how many, least and most; lengths: how
+    many of verify.lengths there may be for so many bags. observe(samples, poses (n, 4, 4), X): the
+    conditions of one bag, where the robot stops; shape(seen, points (m, 3), nominal): what is
+    fitted, and what takes part. names(bags, values): name, unit and characteristic (see Quantity)
+    of each value; spread(seen, X, fit): what single stations show beside the fit.
     """
 
     name: str
@@ -40,7 +42,7 @@ class Routine:
     target: str
     bags: tuple[int, int]
     observe: Callable[[Sequence[Sample], Array, Array], Observations]
-    shape: Callable[[Seen, Array, Nominal], tuple[Seen, Shape]]
+    shape: Callable[[Seen, Array, VerifyConfig], tuple[Seen, Shape]]
     names: Callable[[int, int], Iterator[tuple[str, str, str]]]
     lengths: Callable[[int], tuple[int, ...]] = lambda bags: (0,)
     spread: Callable[[Seen, Array, FixedFit], tuple[Quantity, ...]] = lambda seen, X, found: ()
@@ -48,37 +50,20 @@ class Routine:
 
 def faces(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
     """Return the normal points of each face line."""
-    rows = ObservationRows()
-    for station, sample in enumerate(samples):
-        for i, line in enumerate(f for f in sample.features if isinstance(f, FaceLine)):
-            add_face(rows, station, line, SOURCES * i)
-    return rows.observations()
+    return METHODS['plane'].features.observe(samples)
 
 
 def arcs(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
     """Return the normal points of each arc."""
-    rows = ObservationRows()
-    for station, sample in enumerate(samples):
-        for arc in (f for f in sample.features if isinstance(f, Arc)):
-            outward = arc.points - arc.centre
-            outward = outward / np.linalg.norm(outward, axis=1)[:, None]
-            for i, (point, std) in enumerate(zip(arc.points, arc.std, strict=True)):
-                noise = np.column_stack([outward[i] * std, np.zeros(2)])
-                rows.add(station, point, 0, noise, i)
-    return rows.observations()
+    return METHODS['sphere'].features.observe(samples)
 
 
-def edge(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
-    """Return two distances of one edge point of each station: the one on the common line."""
-    return _edge_points(samples, poses, X, line=True)
+def edge_points(samples: Sequence[Sample], poses: Array, X: Array, line: bool) -> Observations:
+    """
+    Return the distances of one edge point of each station: the one at the common line or point.
 
-
-def corner(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
-    """Return three distances of one edge point of each station: the one at the common point."""
-    return _edge_points(samples, poses, X, line=False)
-
-
-def _edge_points(samples: Sequence[Sample], poses: Array, X: Array, line: bool) -> Observations:
+    line: two distances from a line, else three from a point.
+    """
     found = [(station, f) for station, sample in enumerate(samples)
              for f in sample.features if isinstance(f, EdgePoint)]
     rows = ObservationRows()
@@ -116,10 +101,10 @@ def _common(p: Array, station: Array, line: bool) -> list[int]:
     return [int(k) for k in chosen]
 
 
-def whole(shape: Callable[[Array, Kinds, Nominal], Shape]
-          ) -> Callable[[Seen, Array, Nominal], tuple[Seen, Shape]]:
+def whole(shape: Callable[[Array, Kinds, VerifyConfig], Shape]
+          ) -> Callable[[Seen, Array, VerifyConfig], tuple[Seen, Shape]]:
     """Return how a shape is fitted in which all observations take part."""
-    def fitted(seen: Seen, p: Array, nominal: Nominal) -> tuple[Seen, Shape]:
+    def fitted(seen: Seen, p: Array, nominal: VerifyConfig) -> tuple[Seen, Shape]:
         return seen, shape(p, seen.observations.kind, nominal)
 
     return fitted
@@ -176,11 +161,6 @@ def _spread(name: str, value: float, freedom: int, symbol: str = '') -> Quantity
                     characteristic=symbol)
 
 
-def no_samples(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
-    """Return nothing: what is seen while the robot moves is no sample."""
-    return ObservationRows().observations()
-
-
 def _named(*names: tuple[str, str, str]) -> Callable[[int, int], Iterator[tuple[str, str, str]]]:
     """Return the same name, unit and characteristic for each value, whatever was measured."""
     return lambda bags, values: iter(names)
@@ -208,12 +188,12 @@ def _balls(bags: int, values: int) -> Iterator[tuple[str, str, str]]:
 
 
 ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
-    Routine('line', 'distances of edge points from a straight edge', 'line', (1, 1), edge,
-            whole(shapes.line), _named()),
+    Routine('line', 'distances of edge points from a straight edge', 'line', (1, 1),
+            partial(edge_points, line=True), whole(shapes.line), _named()),
     Routine('plane', 'distances of points from a flat face', 'plane', (1, 1), faces,
             whole(shapes.free_planes), _named(), spread=partial(_form, 'flatness of face', 'F')),
     Routine('point', 'one point seen from everywhere: scatter, and bias of a touched one', 'line',
-            (1, 1), corner, whole(shapes.point),
+            (1, 1), partial(edge_points, line=False), whole(shapes.point),
             _named(('x', 'm', ''), ('y', 'm', ''), ('z', 'm', '')), spread=_points_spread),
     Routine('sphere', 'radius of a ball', 'sphere', (1, 1), arcs, whole(shapes.spheres), _balls,
             spread=_balls_spread),
@@ -225,7 +205,7 @@ ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
             whole(shapes.free_planes), _named(('angle between the faces', 'rad', '')),
             spread=partial(_form, 'flatness of face', 'F')),
     Routine('tooth', 'pitch and height of a tooth gauge, scanned in passes', TEETH, (2, 20),
-            no_samples, tooth_gauge.fitted, _named(('pitch', 'm', 'E'), ('height', 'm', 'E')),
+            faces, tooth_gauge.fitted, _named(('pitch', 'm', 'E'), ('height', 'm', 'E')),
             lambda bags: (2,)),
 )}
 """What `handeye verify` knows."""

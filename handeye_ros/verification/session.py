@@ -21,14 +21,7 @@ from handeye_ros.verification.routines import Routine, routine_of, TEETH
 from handeye_ros.verification.shapes import Seen
 from handeye_ros.verification.tooth_gauge import seen_in_pass
 from handeye_ros.verification.verification import Verification
-from handeye_ros.verification.verify import (
-    nominal_of,
-    parts_of,
-    seen_in,
-    settings_for,
-    tolerances_of,
-    verify,
-)
+from handeye_ros.verification.verify import parts_of, seen_in, settings_for, verify
 
 MOST_PROFILES = 500  # of a pass that are kept, evenly spread
 MOST_POSES = 200_000  # of a pass
@@ -80,7 +73,7 @@ class VerificationSession:
         if not config.verify.routine:
             raise NoRoutineError
         self._name = routine_of(config.verify.routine).name
-        self._least, self._most = parts_of(self.routine, nominal_of(config))
+        self._least, self._most = parts_of(self.routine, len(config.verify.lengths))
         self._settings(config)
         self.parts = [Part()]
 
@@ -137,11 +130,10 @@ class VerificationSession:
                 for part in self.parts]
         reason = next((s.reason for part in self.parts for s in part.stops.values()
                        if isinstance(s, Reject)), '')
-        return verify(self.routine, bags, calibration, settings, nominal_of(config),
-                      tolerances_of(config), reason)
+        return verify(self.routine, bags, calibration, settings, reason)
 
     def _settings(self, config: Config, parts: int = 0) -> Config:
-        return settings_for(self.routine, config, nominal_of(config), parts or self._least)
+        return settings_for(self.routine, config, parts or self._least)
 
     def _scanned(self, part: Part, config: Config) -> Seen:
         if len(part.poses) > MOST_POSES:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array
 from handeye_ros.estimation.model import Observations
 from handeye_ros.estimation.solver import as_they_are, Rows, System, White
@@ -47,25 +48,6 @@ class Seen:
         obs = self.observations
         left = np.isin(groups_of(self)[obs.station], list(groups), invert=True)
         return replace(self, observations=obs.select(left)) if len(groups) else self
-
-
-@dataclass(frozen=True)
-class Nominal:
-    """
-    What is known of the artefact; metres.
-
-    lengths: of the ball bar, heights of the steps, or pitch and height of the teeth; radius: of
-    the spheres (0: unknown); reference: the touched point; aim: 1 sigma of how exactly the laser
-    was put to the point; flank: horizontal way of a tooth's flank (0: unknown); std: 1 sigma of
-    all these values, as the artefact's certificate states it.
-    """
-
-    lengths: tuple[float, ...] = ()
-    radius: float = 0.0
-    reference: tuple[float, ...] = ()
-    aim: float = 0.0
-    flank: float = 0.0
-    std: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +103,7 @@ def stacked(seen: Sequence[Seen]) -> Seen:
         '; '.join(f'recording {k}: {s.surface}' for k, s in enumerate(seen, 1) if s.surface))
 
 
-def line(p: Array, kind: Kinds, nominal: Nominal) -> Shape:
+def line(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
     """Return a straight line; kinds 0 and 1 are its two distances."""
     middle = p.mean(axis=0)
     frame = np.linalg.svd(p - middle)[2].T
@@ -174,7 +156,7 @@ def planes(p: Array, kind: Kinds, of: Kinds) -> Planes:
     return Planes(np.zeros(2 * sets + len(of)), distance, normals, heights)
 
 
-def parallel_planes(p: Array, kind: Kinds, nominal: Nominal) -> Shape:
+def parallel_planes(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
     """Return blocks of parallel planes: heights over the first of each block."""
     bags = int((kind // BAGS).max()) + 1
     of = np.arange(bags) // (bags // (bags - len(nominal.lengths)))
@@ -188,7 +170,7 @@ def parallel_planes(p: Array, kind: Kinds, nominal: Nominal) -> Shape:
     return Shape(made.start, made.distance, values, tuple(nominal.lengths))
 
 
-def free_planes(p: Array, kind: Kinds, nominal: Nominal) -> Shape:
+def free_planes(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
     """Return planes that do not depend on each other: of two, the angle between them."""
     of = np.arange(int((kind // BAGS).max()) + 1)
     made = planes(p, kind, of)
@@ -201,7 +183,7 @@ def free_planes(p: Array, kind: Kinds, nominal: Nominal) -> Shape:
     return Shape(made.start, made.distance, values, (np.pi / 2,) * (len(of) == 2))
 
 
-def point(p: Array, kind: Kinds, nominal: Nominal) -> Shape:
+def point(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
     """Return one point; kinds 0 to 2 are its distances along x, y and z."""
     middle = p.mean(axis=0)
 
@@ -212,7 +194,7 @@ def point(p: Array, kind: Kinds, nominal: Nominal) -> Shape:
     return Shape(np.zeros(3), distance, lambda q: np.asarray(middle + q), known)
 
 
-def spheres(p: Array, kind: Kinds, nominal: Nominal) -> Shape:
+def spheres(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
     """Return one sphere of each bag; values: the radii, and the distance of two centres."""
     bag = kind // BAGS
     count = int(bag.max()) + 1

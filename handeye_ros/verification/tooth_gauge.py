@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from handeye_ros import se3
-from handeye_ros.config import Config
+from handeye_ros.config import Config, VerifyConfig
 from handeye_ros.data import Array, Profile
 from handeye_ros.estimation.model import Observations
 from handeye_ros.estimation.solver import least_squares
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.verification.errors import NoTeethError
-from handeye_ros.verification.shapes import BAGS, Kinds, Nominal, Seen, Shape, system_of
+from handeye_ros.verification.shapes import BAGS, Kinds, Seen, Shape, system_of
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,7 +59,7 @@ def seen_in_pass(profiles: Sequence[Profile], track: Trajectory, config: Config)
     return Seen(T[chosen], obs, np.zeros(len(chosen), dtype=np.intp))
 
 
-def fitted(seen: Seen, p: Array, nominal: Nominal) -> tuple[Seen, Shape]:
+def fitted(seen: Seen, p: Array, nominal: VerifyConfig) -> tuple[Seen, Shape]:
     """
     Return the points (m, 3) that are of the gauge, with their faces, and its shape.
 

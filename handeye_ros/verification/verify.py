@@ -3,12 +3,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 
-from handeye_ros.config import Config, with_values
+from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.estimation.outliers import chi2_sf
 from handeye_ros.results.outcome import mounted, sensor_axes
 from handeye_ros.verification import surfaces
-from handeye_ros.verification.decision import claim_p, decide, sensitivity, Tolerances
+from handeye_ros.verification.decision import claim_p, decide, sensitivity
 from handeye_ros.verification.errors import (
     any_of,
     NotTheArtefactError,
@@ -18,7 +18,7 @@ from handeye_ros.verification.errors import (
 )
 from handeye_ros.verification.fixed_fit import fit, FixedFit, points_in_base, refit
 from handeye_ros.verification.routines import Routine, TEETH
-from handeye_ros.verification.shapes import groups_of, Nominal, Seen, Shape, stacked
+from handeye_ros.verification.shapes import groups_of, Seen, Shape, stacked
 from handeye_ros.verification.verification import (
     K,
     Quantity,
@@ -37,37 +37,37 @@ FOREIGN = 1e-6  # p of points that no error of the calibration explains
 
 
 def verify(routine: Routine, bags: Sequence[Seen], calibration: Calibration, config: Config,
-           nominal: Nominal, tolerances: Tolerances | None = None, reason: str = ''
-           ) -> Verification:
+           reason: str = '') -> Verification:
     """
-    Return what a routine says of a calibration.
+    Return what a routine says of a calibration, by what config.verify states of the artefact.
 
     bags: what was seen, in the order that the routine wants; reason: why other stations gave
     nothing. Raises TooFewSeenError, SameRecordingError and NotTheArtefactError.
     """
-    seen, tolerances = stacked(bags), tolerances or Tolerances()
+    seen, nominal = stacked(bags), config.verify
     if min(len(np.unique(bag.observations.station)) for bag in bags) < LEAST_STATIONS:
         raise TooFewSeenError(len(np.unique(seen.observations.station)),
                               LEAST_STATIONS * len(bags), reason)
     _require_different(bags)
     X = calibration.T_flange_sensor @ sensor_axes(config)
-    used, shape, found, left_out = _agreeing(routine, seen, X, calibration, config, nominal)
+    used, shape, found, left_out = _agreeing(routine, seen, X, calibration, config)
     if found.p_error < FOREIGN and routine.target != TEETH:
         freed, _ = refit(used, X, calibration.covariance, config.noise, shape, nominal)
         largest = float(np.abs(freed.distances).max())
-        if freed.p_error < FOREIGN and largest > tolerances.length:
+        if freed.p_error < FOREIGN and largest > nominal.tolerance:
             raise NotTheArtefactError(routine.name, largest)
     quantities = (*_quantities(routine, found, shape.nominals, len(bags)),
                   *routine.spread(used, X, found))
-    stations = _station_results(seen, used, found, left_out, tolerances)
+    stations = _station_results(seen, used, found, left_out, nominal)
     shown = sensitivity(found)
-    verdict, reasons = decide(found, shown, quantities, stations, tolerances)
+    verdict, reasons = decide(found, shown, quantities, stations, nominal)
     return Verification(
-        routine.name, calibration.name, verdict, reasons, tolerances.length, tolerances.angle,
-        len(np.unique(used.observations.station)), quantities, _scatter(found), shown.size,
-        shown.direction, found.region, found.freedom, claim_p(found), stations, seen.surface,
-        says=routine.says, recorded=time_of(int(seen.stamps.min())),
-        certificate=K * nominal.std, record=config.record)
+        routine.name, calibration.name, verdict, reasons, nominal.tolerance,
+        nominal.angle_tolerance, len(np.unique(used.observations.station)), quantities,
+        _scatter(found), shown.size, shown.direction, found.region, found.freedom,
+        claim_p(found), stations, seen.surface, says=routine.says,
+        recorded=time_of(int(seen.stamps.min())), certificate=nominal.certificate,
+        record=config.record)
 
 
 def _require_different(bags: Sequence[Seen]) -> None:
@@ -79,8 +79,8 @@ def _require_different(bags: Sequence[Seen]) -> None:
                 raise SameRecordingError(other + 1, k + 1)
 
 
-def _agreeing(routine: Routine, seen: Seen, X: Array, calibration: Calibration, config: Config,
-              nominal: Nominal) -> tuple[Seen, Shape, FixedFit, dict[int, float]]:
+def _agreeing(routine: Routine, seen: Seen, X: Array, calibration: Calibration, config: Config
+              ) -> tuple[Seen, Shape, FixedFit, dict[int, float]]:
     """
     Return the stations that agree, the shape and its fit, and the p of each that is left out.
 
@@ -88,8 +88,9 @@ def _agreeing(routine: Routine, seen: Seen, X: Array, calibration: Calibration, 
     """
     def fitted(out: Collection[int]) -> tuple[Seen, Shape, FixedFit]:
         some = seen.without(out)
-        used, shape = routine.shape(some, points_in_base(some, X), nominal)
-        return used, shape, fit(used, X, calibration.covariance, config.noise, shape, nominal)
+        used, shape = routine.shape(some, points_in_base(some, X), config.verify)
+        return used, shape, fit(used, X, calibration.covariance, config.noise, shape,
+                                config.verify)
 
     left_out = dict[int, float]()
     everything = found = fitted(())
@@ -118,7 +119,7 @@ def _worst(found: FixedFit) -> tuple[int, float]:
 
 
 def _station_results(seen: Seen, used: Seen, found: FixedFit, left_out: dict[int, float],
-                     tolerances: Tolerances) -> tuple[StationResult, ...]:
+                     limits: VerifyConfig) -> tuple[StationResult, ...]:
     """Return what each stop, or pass, showed."""
     groups, results = groups_of(seen), []
     of_row = groups_of(used)[used.observations.station]
@@ -135,7 +136,7 @@ def _station_results(seen: Seen, used: Seen, found: FixedFit, left_out: dict[int
         elif len(rows):
             worst = rows[np.argmax(np.abs(found.distances[rows]))]
             std = float(found.distance_std[worst])
-            note = 'its uncertainty exceeds the tolerance' if K * std > tolerances.length else ''
+            note = 'its uncertainty exceeds the tolerance' if K * std > limits.tolerance else ''
             results.append(StationResult(*at, float(abs(found.distances[worst])), std,
                                          p_of.get(group, 1.0), reason=note))
     return tuple(results)
@@ -159,7 +160,7 @@ def seen_in(routine: Routine, samples: Sequence[Sample], calibration: Calibratio
                 surface=note)
 
 
-def settings_for(routine: Routine, config: Config, nominal: Nominal, bags: int) -> Config:
+def settings_for(routine: Routine, config: Config, bags: int) -> Config:
     """
     Return the settings that find the features of a routine; raises WrongCountError.
 
@@ -168,35 +169,22 @@ def settings_for(routine: Routine, config: Config, nominal: Nominal, bags: int) 
     least, most = routine.bags
     if not least <= bags <= most:
         raise WrongCountError(routine.name, 'bags', bags, any_of(range(least, most + 1)))
-    lengths = routine.lengths(bags)
-    if len(nominal.lengths) not in lengths:
-        raise WrongCountError(routine.name, LENGTHS, len(nominal.lengths), any_of(lengths))
+    lengths, given = routine.lengths(bags), len(config.verify.lengths)
+    if given not in lengths:
+        raise WrongCountError(routine.name, LENGTHS, given, any_of(lengths))
     if routine.target == TEETH:
         return config
-    return with_values(config, {'target.type': routine.target, 'target.radius': nominal.radius,
-                                'method': 'auto'}, routine.name)
+    return with_values(config, {'target.type': routine.target, 'method': 'auto',
+                                'target.radius': config.verify.radius}, routine.name)
 
 
-def parts_of(routine: Routine, nominal: Nominal) -> tuple[int, int]:
+def parts_of(routine: Routine, lengths: int) -> tuple[int, int]:
     """Return how many bags fit the lengths, least and most; raises WrongCountError."""
     least, most = routine.bags
-    fit = [n for n in range(least, most + 1) if len(nominal.lengths) in routine.lengths(n)]
+    fit = [n for n in range(least, most + 1) if lengths in routine.lengths(n)]
     if not fit:
-        raise WrongCountError(routine.name, LENGTHS, len(nominal.lengths),
-                              any_of(routine.lengths(least)))
+        raise WrongCountError(routine.name, LENGTHS, lengths, any_of(routine.lengths(least)))
     return fit[0], fit[-1]
-
-
-def nominal_of(config: Config) -> Nominal:
-    """Return what the settings tell of the artefact."""
-    known = config.verify
-    return Nominal(known.lengths, known.radius, known.reference, known.aim, known.flank,
-                   known.certificate / K)
-
-
-def tolerances_of(config: Config) -> Tolerances:
-    """Return the tolerances of the settings."""
-    return Tolerances(config.verify.tolerance, config.verify.angle_tolerance)
 
 
 def _quantities(routine: Routine, found: FixedFit, nominals: tuple[float | None, ...], bags: int

@@ -4,13 +4,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros import se3
-from handeye_ros.config import Config, with_values
+from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.simulate import gauges
-from handeye_ros.verification.decision import Tolerances
 from handeye_ros.verification.errors import NoPlanError
 from handeye_ros.verification.plan import csv_text, plan, sentences
 from handeye_ros.verification.routines import ROUTINES
-from handeye_ros.verification.shapes import Nominal
 import numpy as np
 import pytest
 from test_verify import bench, result
@@ -19,23 +17,23 @@ PLACE = (0.7, 0.1, 0.2)
 CONFIG = Config(noise=bench.NOISE)
 
 
-def planned(name, stops, turns, nominal=None, config=CONFIG, seed=0):
+def planned(name, stops, turns, config=CONFIG, seed=0, **stated):
     X = gauges.sensor_on_flange(np.random.default_rng(seed))
     found = bench.calibration(X, bench.covariance(np.random.default_rng(seed)))
-    return found, plan(ROUTINES[name], found, config, nominal or Nominal(), Tolerances(), PLACE,
-                       stops, np.deg2rad(turns))
+    config = replace(config, verify=VerifyConfig(**stated))
+    return found, plan(ROUTINES[name], found, config, PLACE, stops, np.deg2rad(turns))
 
 
 @pytest.mark.parametrize(('name', 'lengths'), [('plane', ()), ('step', (0.025, 0.05, 0.1))])
 def test_a_prediction_is_what_the_stops_show(name, lengths):
-    found, told = planned(name, 20, 40, Nominal(lengths))
+    found, told = planned(name, 20, 40, lengths=lengths)
     shown = []
     for seed in range(10, 16):
         made = bench.SCENES[name](np.random.default_rng(seed), count=20, tilt=np.deg2rad(40))
         exact = replace(found, T_flange_sensor=made.T_flange_sensor)
         shown.append(result(name, made, exact).smallest_error)
     assert 0.6 * np.median(shown) < told.expected.smallest_error < 1.2 * np.median(shown)
-    assert planned(name, 40, 40, Nominal(lengths))[1].expected.smallest_error < (
+    assert planned(name, 40, 40, lengths=lengths)[1].expected.smallest_error < (
         0.85 * told.expected.smallest_error)
 
 
@@ -50,7 +48,7 @@ def test_too_few_stops_are_called_so_before_anything_is_measured():
     {'calibration_type': 'eye_on_base'}])
 def test_the_stops_look_at_the_artefact(values):
     config = with_values(CONFIG, values, 'test')
-    found, told = planned('sphere', 12, 30, Nominal(radius=0.02), config)
+    found, told = planned('sphere', 12, 30, config, radius=0.02)
     T = told.T_base_flange[0]
     T = se3.inverse(T) if config.calibration_type == 'eye_on_base' else T
     centre = se3.apply(se3.inverse(T @ found.T_flange_sensor), np.array([PLACE]))[:, 0]
@@ -65,4 +63,4 @@ def test_the_stops_look_at_the_artefact(values):
 
 def test_what_is_not_planned_is_refused():
     with pytest.raises(NoPlanError, match='not for "tooth"'):
-        planned('tooth', 12, 30, Nominal((0.015, 0.005)))
+        planned('tooth', 12, 30, lengths=(0.015, 0.005))

@@ -8,7 +8,7 @@ import re
 
 from command import assert_refused, handeye
 from handeye_ros import se3
-from handeye_ros.config import Config, with_values
+from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import FaceLine, Sample
 from handeye_ros.results import protocol
 from handeye_ros.results.calibration_file import write_calibration
@@ -19,7 +19,6 @@ from handeye_ros.simulate.scenario import PlateTarget
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.verification import tooth_gauge, verification
-from handeye_ros.verification.decision import Tolerances
 from handeye_ros.verification.errors import (
     BadCovarianceError,
     NoTeethError,
@@ -29,7 +28,6 @@ from handeye_ros.verification.errors import (
     WrongCountError,
 )
 from handeye_ros.verification.routines import ROUTINES
-from handeye_ros.verification.shapes import Nominal
 from handeye_ros.verification.verify import seen_in, settings_for, verify
 import numpy as np
 import pytest
@@ -63,12 +61,17 @@ def measured(name, seed=0, **values):
     return made, bench.calibration(made.T_flange_sensor, bench.covariance(rng))
 
 
-def result(name, made, found, nominal=None, tolerances=None, config=None):
+def result(name, made, found, config=None, **stated):
     routine, config = ROUTINES[name], config or Config(noise=bench.NOISE)
+    config = replace(config, verify=replace(config.verify, **{
+        'lengths': made.lengths, 'radius': bench.RADIUS if 'ball' in name else 0.0,
+        'reference': made.reference, 'aim': gauges.AIM if name == 'point' else 0.0} | stated))
     bags = [seen_in(routine, samples, found, config) for samples in made.bags]
-    nominal = nominal or Nominal(made.lengths, bench.RADIUS if 'ball' in name else 0.0,
-                                 made.reference, gauges.AIM if name == 'point' else 0.0)
-    return verify(routine, bags, found, config, nominal, tolerances)
+    return verify(routine, bags, found, config)
+
+
+def of_lengths(*lengths):
+    return Config(noise=bench.NOISE, verify=VerifyConfig(lengths=lengths))
 
 
 def rendered_step(rng, width, height=0.025):
@@ -137,15 +140,14 @@ def test_the_three_directions_of_a_step_block_give_one_result():
     assert max(abs(q.error) for q in told.quantities) < 5e-5
     assert result('step', replace(made, lengths=(0.025, 0.05, 0.1005)), found).verdict == 'fail'
     with pytest.raises(WrongCountError, match='needs 3 or 4 or 5 lengths'):
-        settings_for(ROUTINES['step'], Config(), Nominal((0.025,)), 6)
+        settings_for(ROUTINES['step'], of_lengths(0.025), 6)
 
 
 def test_the_protocol_says_what_an_inspector_asks_for():
     made, found = measured('ball_bar')
     config = with_values(Config(noise=bench.NOISE), {
         'record.operator': 'A. <Nother>', 'record.artefact_serial': 'KB-17'}, 'test')
-    nominal = Nominal(made.lengths, bench.RADIUS, std=1e-6)
-    told = verification.values(result('ball_bar', made, found, nominal, config=config))
+    told = verification.values(result('ball_bar', made, found, config, certificate=2e-6))
     page = protocol.html(yaml.safe_load(yaml.safe_dump(told)))
     rows = re.sub(r'<[^>]+>', ' ', page)
     for words in ('A. &lt;Nother&gt;', 'Artefact serial', 'KB-17', 'ISO 14253-1', '@media print'):
@@ -190,7 +192,7 @@ def test_a_motion_that_could_not_have_shown_an_error_is_no_pass():
     T[:, :3, 3] += first.T_base_flange[:3, :3] @ found.T_flange_sensor[:3, 1] * np.linspace(
         0, 0.02, 8)[:, None]
     alike = tuple(Sample(k, T[k], first.features) for k in range(8))
-    told = result('plane', replace(made, bags=(alike,)), found, tolerances=Tolerances(1e-2))
+    told = result('plane', replace(made, bags=(alike,)), found, tolerance=1e-2)
     assert told.verdict in ('insensitive', 'fail')
     made, found = measured('plane', count=5)
     told = result('plane', made, found)
@@ -202,7 +204,7 @@ def test_what_must_show_is_an_error_as_large_as_the_tolerance():
     made, found = measured('step', count=12)
     shown = result('step', made, found).smallest_error
     for tolerance, verdict in ((0.8 * shown, 'insensitive'), (2.0 * shown, 'pass')):
-        assert result('step', made, found, tolerances=Tolerances(tolerance)).verdict == verdict
+        assert result('step', made, found, tolerance=tolerance).verdict == verdict
 
 
 def test_the_calibration_s_claim_takes_no_part_in_the_decision():
@@ -216,8 +218,7 @@ def test_the_calibration_s_claim_takes_no_part_in_the_decision():
     judged = result('point', off, bold)
     assert judged.verdict == 'pass' and 'larger than the calibration claims' in judged.reasons[0]
     # the certificate's uncertainty is part of the measurement's
-    nominal = Nominal((), 0.0, off.reference, gauges.AIM, std=2e-4)
-    assert result('point', off, bold, nominal).verdict == 'undecided'
+    assert result('point', off, bold, certificate=4e-4).verdict == 'undecided'
 
 
 def test_a_stop_that_contradicts_the_others_is_left_out_and_named():
@@ -267,7 +268,7 @@ def test_the_wrong_artefact_and_the_same_recording_twice_are_named():
 
 def test_a_tolerance_below_the_uncertainty_is_undecided_and_never_a_pass():
     made, found = measured('ball_bar')
-    told = result('ball_bar', made, found, tolerances=Tolerances(1e-5))
+    told = result('ball_bar', made, found, tolerance=1e-5)
     assert told.verdict in ('undecided', 'insensitive', 'fail')
 
 
@@ -293,9 +294,9 @@ def test_too_few_stations_and_wrong_counts_are_refused():
         result('sphere', made, found)
     routine = ROUTINES['step']
     with pytest.raises(WrongCountError, match='2 to 12 bags'):
-        settings_for(routine, Config(), Nominal((0.1,)), 1)
+        settings_for(routine, of_lengths(0.1), 1)
     with pytest.raises(WrongCountError, match=r'2 lengths \(--length, .*, and got 1'):
-        settings_for(routine, Config(), Nominal((0.1,)), 3)
+        settings_for(routine, of_lengths(0.1), 3)
 
 
 def test_the_edge_of_one_line_is_told_from_others():
@@ -347,10 +348,9 @@ def test_a_cell_is_calibrated_verified_and_measures_a_gauge(tmp_path):
 @pytest.mark.parametrize('lengths', [(0.004, 0.02), (0.0155, 0.005), (0.015, 0.0055)])
 def test_teeth_of_another_gauge_never_pass(lengths):
     made, found = measured('tooth')
-    config = Config(noise=bench.NOISE)
+    config = of_lengths(*lengths)
     try:
-        told = verify(ROUTINES['tooth'], bench.scanned(made, config), found, config,
-                      Nominal(lengths))
+        told = verify(ROUTINES['tooth'], bench.scanned(made, config), found, config)
     except NoTeethError:
         return
     assert told.verdict == 'fail'
