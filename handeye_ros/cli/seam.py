@@ -129,7 +129,7 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
 def _more(found: 'Seam', frames: 'ToolFrames', frame: str, out: Path, robots: Sequence[str],
           bag: bool, picture: bool) -> None:
     from handeye_ros.results.calibration_file import write_whole
-    from handeye_ros.scanning.seam_programs import PROGRAMS
+    from handeye_ros.scanning.seam_files import PROGRAMS
     for robot in robots:
         name, program = PROGRAMS[robot]
         write_whole(out / name, program(frames, frame))
@@ -139,5 +139,5 @@ def _more(found: 'Seam', frames: 'ToolFrames', frame: str, out: Path, robots: Se
         from handeye_ros.ros.bags.bag_write import write_path
         write_path(out / 'path', frames.T_base_tool, frame, time.time_ns(), force=True)
     if picture:
-        from handeye_ros.scanning.seam_picture import draw
-        draw(found, frames, out / 'seam.png')
+        from handeye_ros.scanning.pictures import draw_seam
+        draw_seam(found, frames, out / 'seam.png')

@@ -92,15 +92,16 @@ def fit_cubic(points: Array) -> Array:
     return np.asarray(np.polyfit(t, points, 3).T)
 
 
-def position(coefficients: Array, t: float) -> Array:
-    """Return the point (3,) of the curve at t (eq. 7)."""
-    return np.asarray(coefficients @ [t ** 3, t ** 2, t, 1.0])
+def position(coefficients: Array, t: float | Array) -> Array:
+    """Return the points (..., 3) of the curve at t (...) (eq. 7)."""
+    return np.asarray(np.stack([t ** 3, t ** 2, t, np.ones_like(t)], axis=-1) @ coefficients.T)
 
 
-def advance(coefficients: Array, t: float) -> Array:
-    """Return the unit tangent n (3,) of the curve at t (eq. 8)."""
-    tangent = coefficients @ [3.0 * t ** 2, 2.0 * t, 1.0, 0.0]
-    return np.asarray(tangent / np.linalg.norm(tangent))
+def advance(coefficients: Array, t: float | Array) -> Array:
+    """Return the unit tangents n (..., 3) of the curve at t (...) (eq. 8)."""
+    one = np.ones_like(t)
+    tangent = np.stack([3.0 * t ** 2, 2.0 * t, one, 0.0 * one], axis=-1) @ coefficients.T
+    return np.asarray(tangent / np.linalg.norm(tangent, axis=-1, keepdims=True))
 
 
 def approach(neighbours: Array) -> Array:

@@ -3,7 +3,7 @@
 OFFERED = (
     'cloud_files.FORMATS', 'cloud_files.Points', 'cloud_files.cloud_writer',
     'cloud_files.header_of', 'cloud_files.read_cloud', 'errors.NeedsCalibrationError',
-    'pictures.figure', 'pictures.save', 'scan.ScanCount', 'scan.ScanOptions', 'scan.Scanner',
-    'seam.Seam', 'seam.ToolFrames', 'seam.find_seam', 'seam.tool_frames', 'seam_files',
-    'seam_picture.draw', 'seam_programs.PROGRAMS',
+    'pictures.draw_seam', 'pictures.figure', 'pictures.save', 'scan.ScanCount',
+    'scan.ScanOptions', 'scan.Scanner', 'seam.Seam', 'seam.ToolFrames', 'seam.find_seam',
+    'seam.tool_frames', 'seam_files',
 )

@@ -26,21 +26,22 @@ class Curve:
     """
     A curve in space, over t from first to last.
 
-    kind: cubic or spline; position(t): a point (3,); advance(t): the unit tangent (3,). std(t):
-    1 sigma of the points (k,) by the scatter about the curve, in 3 dimensions; of a cubic nothing.
+    kind: cubic or spline; position(t): points (..., 3); advance(t): unit tangents (..., 3);
+    std(t): 1 sigma of the points (k,) by the scatter about the curve, in 3 dimensions; of a cubic
+    nothing.
     """
 
     kind: str
     first: float
     last: float
-    position: Callable[[float], Array]
-    advance: Callable[[float], Array]
+    position: Callable[[float | Array], Array]
+    advance: Callable[[float | Array], Array]
     std: Callable[[Array], Array] = np.zeros_like
 
     def sampled(self, count: int = FINE) -> tuple[Array, Array]:
         """Return count values of t spread evenly, and the points (count, 3) there."""
         t = np.linspace(self.first, self.last, count)
-        return t, np.array([self.position(v) for v in t])
+        return t, self.position(t)
 
     def by_length(self, lengths: Array) -> Array:
         """Return t (n,) at arc lengths (n,) from the first point."""
@@ -86,9 +87,9 @@ def spline(t: Array, points: Array) -> Curve:
         b = BSpline.design_matrix(at, knots, 3, extrapolate=True).toarray()
         return np.asarray(np.sqrt(np.einsum('ki,ij,kj->k', b, C, b)))
 
-    def advance(at: float) -> Array:
+    def advance(at: float | Array) -> Array:
         way = tangent(at)
-        return np.asarray(way / np.linalg.norm(way))
+        return np.asarray(way / np.linalg.norm(way, axis=-1, keepdims=True))
 
     return Curve('spline', float(t[0]), float(t[-1]),
                  lambda at: np.asarray(fitted(at)), advance, std)
@@ -107,5 +108,5 @@ def through(points: Array) -> Curve:
     """Return the cubic through points (k, 3) where it runs as a spline does, else the spline."""
     t = np.arange(1.0, len(points) + 1.0)
     simple, flexible = cubic(points), spline(t, points)
-    apart = np.array([simple.position(v) - flexible.position(v) for v in t])
+    apart = simple.position(t) - flexible.position(t)
     return simple if np.sqrt((apart ** 2).sum(axis=1).mean()) < SAME else flexible

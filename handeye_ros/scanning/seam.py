@@ -116,10 +116,9 @@ def _smoothed(found: Edges, line: str) -> tuple[Array, Array, Array, Array, Arra
     curves = {name: spline(found.at, values) for name, values in (
         ('first', found.first), ('second', found.second), ('root', found.root),
         ('centre', wu2017.centre_line(found.first, found.second)))}
-    first, second, root, _ = (
-        np.array([curve.position(t) for t in grid]) for curve in curves.values())
+    first, second, root, _ = (curve.position(grid) for curve in curves.values())
     turning = spline(found.at, normals)  # not beyond the sections, where it is uncertain
-    normals = np.array([turning.position(t) for t in np.clip(grid, found.at[0], found.at[-1])])
+    normals = turning.position(np.clip(grid, found.at[0], found.at[-1]))
     raw = np.array([np.interp(found.at, grid, column) for column in root.T]).T
     away = np.linalg.norm(raw - found.root, axis=1)
     std = np.column_stack([curves[line].std(grid), turning.std(grid)])

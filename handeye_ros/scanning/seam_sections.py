@@ -123,7 +123,7 @@ def _line(rims: Rims, rough: Course, spacing: float) -> _Line:
     t, index = np.unique(t, return_index=True)
     points, pairs = rough.middle[index], rough.pairs[index]
     curve = spline(t, points)
-    at = np.array([curve.position(v) for v in t])
+    at = curve.position(t)
     away = np.linalg.norm(at - points, axis=1)
     widest = float(np.quantile(away, 0.95))
     if widest > WIDEST_LINE * spacing:
@@ -131,7 +131,7 @@ def _line(rims: Rims, rough: Course, spacing: float) -> _Line:
     i, j = pairs.T
     up = (-rims.outlook[i] - rims.outlook[j] if rough.kind in ('v', 'fillet')
           else rims.normals[i] + rims.normals[j])
-    across = np.cross(up, np.array([curve.advance(v) for v in t]))
+    across = np.cross(up, curve.advance(t))
     turned = ((rims.outlook[i] - rims.outlook[j]) * across).sum(axis=1) < 0
     return _Line(curve, t, at, (np.where(turned, j, i), np.where(turned, i, j)))
 

@@ -14,8 +14,7 @@ from handeye_ros.ros.bags import bag_write
 from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.cloud_files import cloud_writer, read_cloud
 from handeye_ros.scanning.errors import CloudFileError, EmptyScanError, NoPosesAroundError
-from handeye_ros.scanning.point_std import point_std, variance_polynomial
-from handeye_ros.scanning.scan import Scanner, ScanOptions
+from handeye_ros.scanning.scan import point_std, Scanner, ScanOptions, variance_polynomial
 from moving_scan import calibration, moving, plane_profiles, STEP, T0, true_flange
 import numpy as np
 from plyfile import PlyData, PlyElement

@@ -26,7 +26,6 @@ from handeye_ros.scanning.errors import (
     UncertainSeamError,
 )
 from handeye_ros.scanning.seam import find_seam, tool_frames
-from handeye_ros.scanning.seam_programs import PROGRAMS
 from handeye_ros.simulate.preform import Preform, preform_cloud
 import numpy as np
 import pytest
@@ -139,7 +138,7 @@ def test_programs_hold_the_frames_as_each_robot_writes_them():
     T = frames.T_base_tool[1]
     tool = np.column_stack([T[:3, 0], np.cross(T[:3, 1], T[:3, 0]), T[:3, 1]])
     number = r'(-?\d+\.\d+)'
-    krl, rapid, ur = (program(frames, 'base') for _, program in PROGRAMS.values())
+    krl, rapid, ur = (program(frames, 'base') for _, program in seam_files.PROGRAMS.values())
     x, y, z, a, b, c = map(float, re.findall(rf'[XYZABC] {number}', krl.split('LIN {')[2]))
     R = Rotation.from_euler('z', a, True) * Rotation.from_euler('y', b, True) * (
         Rotation.from_euler('x', c, True))
