@@ -129,9 +129,9 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
 def _more(found: 'Seam', frames: 'ToolFrames', frame: str, out: Path, robots: Sequence[str],
           bag: bool, picture: bool) -> None:
     from handeye_ros.results.calibration_file import write_whole
-    from handeye_ros.scanning.seam_files import PROGRAMS
+    from handeye_ros.scanning import seam_files
     for robot in robots:
-        name, program = PROGRAMS[robot]
+        name, program = seam_files.PROGRAMS[robot]
         write_whole(out / name, program(frames, frame))
     if bag:
         import time
