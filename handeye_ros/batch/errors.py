@@ -20,6 +20,13 @@ class NoSchedulerError(InputError):
                          'scheduler" and workers with "dask worker ADDRESS --nthreads 1"')
 
 
+class BadMemoryError(InputError):
+    """A limit of memory that is none."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(f'"{text}" is no size of memory: give one such as 2GB or 500MB, or auto')
+
+
 class JobListError(InputError):
     """A list of jobs that cannot be read."""
 

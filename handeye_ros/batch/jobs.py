@@ -28,6 +28,7 @@ OUTPUTS = {'solve': '', 'verify': 'verification.yaml', 'check': 'check.yaml',
            'compare': 'comparison.yaml'}  # below --out
 NOT_FIGURES = ('format', 'version', 'name', 'input', 'against', 'sentence', 'routine',
                'parent_frame', 'child_frame')
+UNREADABLE = 2  # exit code
 CRASHED = 70  # exit code of a job that ended in an error of the program (sysexits.h)
 
 
@@ -80,7 +81,8 @@ def run(job: Job, out: Path, verb: Verb) -> Row:
             key = str(error)
         try:
             previous = json.loads((folder / JOB).read_text(encoding='utf-8'))
-            if previous['key'] == key:
+            lost = is_remote(job.bag) and previous['row']['exit_code'] == UNREADABLE
+            if previous['key'] == key and not lost:  # its connection may be there again
                 return {**previous['row'], 'computed': False}
         except (OSError, ValueError, KeyError):
             pass

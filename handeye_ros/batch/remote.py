@@ -23,8 +23,10 @@ def opened(url: str) -> Iterator[tuple[Any, str]]:
     except ImportError as error:
         raise NoDaskError('fsspec') from error
     try:
-        yield url_to_fs(url)
-    except (OSError, ValueError, ImportError) as error:
+        system, path = url_to_fs(url)
+        system.invalidate_cache()  # a worker that lives long keeps what it listed before
+        yield system, path
+    except Exception as error:  # each file system raises errors of its own
         raise RemoteError(url, f'{type(error).__name__}: {error}') from error
 
 
@@ -43,7 +45,8 @@ def files_below(source: str) -> list[str] | None:
 def fingerprint(url: str) -> str:
     """Return what changes when a remote recording does, by its file system, without reading it."""
     with opened(url) as (system, path):
-        return ' '.join(system.ukey(file) for file in sorted(system.find(path)))
+        state = system.info if 'http' in system.protocol else system.ukey  # ukey: of the URL alone
+        return ' '.join(str(state(file)) for file in sorted(system.find(path)))
 
 
 @contextmanager
@@ -53,7 +56,10 @@ def local_copy(source: str) -> Iterator[str]:
         yield source
         return
     with tempfile.TemporaryDirectory(prefix='handeye_batch_') as folder:
+        copy = Path(folder, PurePosixPath(source).name)
+        below = files_below(source)
         with opened(source) as (system, path):
-            copy = Path(folder, PurePosixPath(path).name)
-            system.get(path, str(copy), recursive=system.isdir(path))
+            for file in [''] if below is None else below:
+                (copy / file).parent.mkdir(parents=True, exist_ok=True)
+                system.get_file(f'{path}/{file}'.rstrip('/'), str(copy / file))
         yield str(copy)

@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from handeye_ros.batch.errors import NoDaskError, NoSchedulerError
+from handeye_ros.batch.errors import BadMemoryError, NoDaskError, NoSchedulerError
 from handeye_ros.batch.jobs import CRASHED, Job, Row, run, Verb
 
 AHEAD = 1000  # jobs that are handed over before others are done; the scheduler holds them
@@ -33,7 +33,7 @@ def client_of(scheduler: str, *, workers: int = 0, memory: str = 'auto', dashboa
     Give a client of Dask: of a cluster of this machine (`local`), or of one that is there.
 
     workers, memory: of this machine, 0: one for each core; the memory that each may use.
-    Raises NoDaskError, NoSchedulerError.
+    Raises NoDaskError, NoSchedulerError, BadMemoryError.
     """
     try:
         import dask
@@ -41,6 +41,10 @@ def client_of(scheduler: str, *, workers: int = 0, memory: str = 'auto', dashboa
     except ImportError as error:
         raise NoDaskError('distributed') from error
     if scheduler == 'local':
+        try:
+            dask.utils.parse_bytes(0 if memory == 'auto' else memory)
+        except ValueError as error:
+            raise BadMemoryError(memory) from error
         with dask.config.set(LOCAL), \
                 LocalCluster(n_workers=workers or len(os.sched_getaffinity(0)),
                              threads_per_worker=1, memory_limit=memory, silence_logs=50,

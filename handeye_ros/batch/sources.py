@@ -15,6 +15,7 @@ import yaml
 
 BAGS = ('.mcap', '.db3')
 LISTS = ('.csv', '.yaml', '.yml')
+COLUMNS = {'bag', 'label', 'config', 'settings', 'args'}
 
 
 def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
@@ -44,6 +45,8 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
 def _bags_in(source: str, several: bool) -> Iterator[tuple[str, str]]:
     """Yield the bags that a path or a URL is or holds, and their names; several: of folders."""
     below = files_below(source)
+    if below is None and not is_remote(source) and not Path(source).exists():
+        raise NoJobsError(source)
     if below is None or 'metadata.yaml' in below:
         yield _absolute(source), PurePosixPath(source).stem
         return
@@ -73,6 +76,8 @@ def _listed(path: Path, base: Job) -> Iterable[Job]:
         rows = (list(csv.DictReader(io.StringIO(text), skipinitialspace=True))
                 if path.suffix == '.csv' else yaml.safe_load(text))
         for row in rows:
+            if 'bag' not in row or not COLUMNS.issuperset(row):
+                raise JobListError(path, f'it has {", ".join(map(str, row))}')
             settings = row.get('settings') or ''
             assignments = settings.split() if isinstance(settings, str) else [
                 f'{k}={v}' for k, v in settings.items()]

@@ -8,7 +8,8 @@ import sys
 from typing import Annotated, Any, TYPE_CHECKING
 
 from handeye_ros.cli.app import app
-from handeye_ros.cli.common import Assignments, ConfigFile
+from handeye_ros.cli.common import Assignments, ConfigFile, configuration
+from handeye_ros.errors import UnwritableError
 import typer
 
 if TYPE_CHECKING:
@@ -113,14 +114,22 @@ def batch(
         '--dashboard', help='Show the page of Dask at port 8787 (local).')] = False,
 ) -> None:
     """Take many recordings through one verb, in parallel; again: only what is new or changed."""
-    from handeye_ros.batch.jobs import Job
+    from handeye_ros.batch.jobs import Job, LOCKS
     from handeye_ros.batch.run import client_of
     from handeye_ros.batch.sources import jobs_of, words_of
     if verb not in VERBS:
         raise typer.BadParameter(f'{verb!r} is not one of {", ".join(VERBS)}', param_hint='--verb')
     jobs = jobs_of(sources, Job('', '', verb, words_of(args, Path()),
                                 str(config.absolute()) if config else '', tuple(assignments)))
+    if len({(job.config, job.settings) for job in jobs}) == 1:
+        configuration(config, assignments)  # a fault of it is one of all jobs
     out = out.absolute()
-    out.mkdir(parents=True, exist_ok=True)
-    with client_of(scheduler, memory=memory, dashboard=dashboard) as client:
-        typer.echo(_run_all(client, jobs, out))
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / LOCKS).touch()
+        with client_of(scheduler, memory=memory, dashboard=dashboard) as client:
+            typer.echo(_run_all(client, jobs, out))
+    except OSError as error:
+        if error.filename is None:
+            raise
+        raise UnwritableError(error.filename, error.strerror or str(error)) from error

@@ -3,19 +3,22 @@ from __future__ import annotations
 
 import csv
 from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 import json
 import multiprocessing
 import os
 from pathlib import Path
+import threading
 import time
 
 from command import assert_refused, handeye
 from handeye_ros.batch.cells import cell_of, cells_of
-from handeye_ros.batch.errors import JobListError, NoJobsError
+from handeye_ros.batch.errors import JobListError, NoJobsError, RemoteError
 from handeye_ros.batch.jobs import CRASHED, Job, run
 from handeye_ros.batch.report import write_report
 from handeye_ros.batch.run import client_of, rows_of, write_rows
 from handeye_ros.batch.sources import jobs_of
+from handeye_ros.cli.batch import run_verb
 import pytest
 
 pytest.importorskip('distributed', reason='needs distributed')
@@ -43,6 +46,18 @@ def pretended(words: list[str]) -> int:
         return 3
     (out / 'calibration.yaml').write_text(f'method: plate\nquality: {{residual_rms: {text}}}\n')
     return 0
+
+
+def counting(words: list[str]) -> int:
+    """Do as a verb does that wants a bag of two files."""
+    return 0 if len(os.listdir(words[1])) == 2 else 2
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    """Files by HTTP, without a log."""
+
+    def log_message(self, *arguments):
+        pass
 
 
 @pytest.fixture(scope='module')
@@ -131,6 +146,7 @@ def test_recordings_are_taken_by_url(tmp_path):
                  '/nights/cell/b/b.mcap': b'2.0'})
     jobs = jobs_of(['memory://nights'], Job('', '', 'solve'))
     assert [job.label for job in jobs] == ['cell/a', 'cell/b']
+    (tmp_path / 'c.mcap').touch()
     assert [job.label for job in jobs_of(['memory://nights/cell', str(tmp_path / 'c.mcap')],
                                          jobs[0])] == ['cell/a', 'cell/b', 'c']
     row = run(jobs[0], tmp_path / 'out', pretended)
@@ -138,8 +154,32 @@ def test_recordings_are_taken_by_url(tmp_path):
     assert not run(jobs[0], tmp_path / 'out', pretended)['computed']
     system.pipe('/nights/cell/a.mcap', b'3.0')
     assert run(jobs[0], tmp_path / 'out', pretended)['residual_rms'] == 3.0
+    for _ in range(2):  # what is unreadable at its URL is tried again
+        assert run(jobs[1], tmp_path / 'out', lambda words: 2)['computed']
     missing = run(Job('memory://nights/none.mcap', 'none', 'solve'), tmp_path / 'out', pretended)
     assert missing['exit_code'] == 2 and 'memory://nights/none.mcap' in missing['cause']
+
+
+def test_a_web_server_gives_folders_and_is_missed_in_a_sentence(tmp_path):
+    (tmp_path / 'nights/b').mkdir(parents=True)
+    (tmp_path / 'nights/b/metadata.yaml').write_text('a')
+    (tmp_path / 'nights/b/b.mcap').write_text('2.0')
+    with ThreadingHTTPServer(('127.0.0.1', 0), partial(
+            Quiet, directory=str(tmp_path))) as server:
+        threading.Thread(target=server.serve_forever).start()
+        job, = jobs_of([f'http://127.0.0.1:{server.server_port}/nights'], Job('', '', 'solve'))
+
+        def computed() -> bool:
+            return run(job, tmp_path / 'out', counting)['computed']
+
+        assert job.label == 'b' and computed() and not computed()
+        (tmp_path / 'nights/b/metadata.yaml').write_text('changed')
+        assert computed()
+        server.shutdown()
+    row = run(job, tmp_path / 'out', counting)
+    assert row['exit_code'] == 2 and row['cause'].startswith(f'{job.bag} cannot be read (')
+    with pytest.raises(RemoteError, match='cannot be read'):
+        jobs_of([job.bag], job)
 
 
 def test_each_cell_is_shown_through_time(tmp_path):
@@ -172,8 +212,12 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
     with pytest.raises(JobListError):
         jobs_of([str(tmp_path / 'jobs.yaml')], Job('', '', 'solve'))
     (tmp_path / 'empty').mkdir()
-    with pytest.raises(NoJobsError):
-        jobs_of([str(tmp_path / 'empty')], Job('', '', 'solve'))
+    for source in ('empty', 'missing.csv'):
+        with pytest.raises(NoJobsError):
+            jobs_of([str(tmp_path / source)], Job('', '', 'solve'))
+    (tmp_path / 'jobs.csv').write_text('bag,lable\na,first\n')
+    with pytest.raises(JobListError, match='it has bag, lable; expected'):
+        jobs_of([str(tmp_path / 'jobs.csv')], Job('', '', 'solve'))
 
 
 @pytest.mark.once
@@ -182,3 +226,13 @@ def test_a_scheduler_that_is_not_there_is_said(tmp_path):
     run_ = handeye('batch', 'a.mcap', '--out', 'out', '--scheduler', 'tcp://127.0.0.1:9',
                    cwd=tmp_path)
     assert_refused(run_, 2, 'no Dask scheduler answers')
+
+
+@pytest.mark.parametrize(('words', 'sentence'), [
+    (('--out', 'a.mcap'), 'cannot write'), (('--out', 'out', '--memory', 'lots'), '"lots" is no'),
+    (('--out', 'out', '--set', 'foo=1'), 'unknown key "foo"')])
+def test_a_fault_of_all_jobs_is_said_at_once(words, sentence, tmp_path, capsys, monkeypatch):
+    (tmp_path / 'a.mcap').write_text('x')
+    monkeypatch.chdir(tmp_path)
+    assert run_verb(['batch', 'a.mcap', *words]) == 2
+    assert sentence in capsys.readouterr().err
