@@ -6,12 +6,11 @@ corner that turns away stands in front of the face instead, and there is no edge
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from handeye_ros.config import Config, flipped_range
-from handeye_ros.data import Array, EdgePoint, Feature, Reject, Sample
-from handeye_ros.profiles.errors import FeatureError, range_sign_hint
+from handeye_ros.config import Config
+from handeye_ros.data import EdgePoint, Feature, Reject, Sample
 
 EDGES = ('roof', 'step', 'shadow', 'gap')
 TURNED_EDGES = ('roof', 'step', 'shadow')  # that the way of counting makes, or takes away
@@ -47,7 +46,11 @@ class RangeSignEvidence:
         """Return the sentence that says so, empty when the stations do not."""
         if not self.against:
             return ''
-        return range_sign_hint(config.profile.range_sign, self.as_set, self.flipped, self.total)
+        sign = config.profile.range_sign
+        return (f'with profile.range_sign {sign}, {self.as_set} of {self.total} stations show an '
+                f'edge; counted the other way {self.flipped} of {self.total} do: set '
+                f'profile.range_sign to {-sign} (or, if it is right, remove what is higher '
+                'beside the target)')
 
 
 def range_sign_evidence(stations: Iterable[Sample | Reject]) -> RangeSignEvidence:
@@ -62,22 +65,6 @@ def range_sign_evidence(stations: Iterable[Sample | Reject]) -> RangeSignEvidenc
              _has_edge(s.flipped, TURNED_EDGES)) for s in stations]
     return RangeSignEvidence(sum(a for a, _ in seen), sum(b for _, b in seen),
                              sum(a and b for a, b in seen), len(seen))
-
-
-def edge_either_way(points: Array, config: Config,
-                    extract: Callable[[Array, Config], tuple[Feature, ...]]
-                    ) -> tuple[bool, bool]:
-    """
-    Return whether one profile shows an edge, as set and with the range counted the other way.
-
-    points: (n, 2) in the sensor plane; extract: gives a method's features of it.
-    """
-    def found(config: Config, kinds: Sequence[str]) -> bool:
-        try:
-            return _has_edge(extract(points, config), kinds)
-        except FeatureError:
-            return False
-    return found(config, EDGES), found(flipped_range(config), TURNED_EDGES)
 
 
 def _has_edge(features: Iterable[Feature], kinds: Sequence[str]) -> bool:

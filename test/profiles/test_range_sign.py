@@ -7,13 +7,10 @@ from cells import recorded
 from handeye_ros import pipeline
 from handeye_ros.checks.errors import RangeSignError
 from handeye_ros.config import Config, flipped_range
-from handeye_ros.data import Array, Reject, Sample
+from handeye_ros.data import Array, Feature, Reject, Sample
+from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.profiles.range_sign import (
-    edge_either_way,
-    range_sign_evidence,
-    RangeSignEvidence,
-)
+from handeye_ros.profiles.range_sign import range_sign_evidence, RangeSignEvidence
 import numpy as np
 from profiles import drawn, face, gap_up_to, roof, step_up_to
 import pytest
@@ -22,17 +19,23 @@ RIGHT = Config()
 WRONG = flipped_range(RIGHT)
 
 
+def station(points: Array, config: Config, number: int = 0) -> Sample | Reject:
+    """Return what a session makes of a stop with one profile."""
+    def shown(config: Config) -> tuple[Feature, ...]:
+        try:
+            return face_features(points, config)
+        except FeatureError:
+            return ()
+    features, flipped = shown(config), shown(flipped_range(config))
+    return (Sample(number, np.eye(4), features, flipped=flipped) if features
+            else Reject(number, 'none', flipped))
+
+
 def stations(shape: Callable[..., Callable[[Array], Array]], config: Config, count: int = 12
              ) -> list[Sample | Reject]:
     """Return what a session makes of a profile each of so many stops."""
-    made: list[Sample | Reject] = []
-    for seed in range(count):
-        points = drawn(shape(-0.004 + 0.001 * seed), seed)
-        as_set, flipped = edge_either_way(points, config, face_features)
-        other = face_features(points, flipped_range(config)) if flipped else ()
-        made.append(Sample(seed, np.eye(4), face_features(points, config), flipped=other)
-                    if as_set else Reject(seed, 'none', other))
-    return made
+    return [station(drawn(shape(-0.004 + 0.001 * seed), seed), config, seed)
+            for seed in range(count)]
 
 
 def test_corners_read_the_wrong_way_speak_against_it() -> None:
@@ -65,10 +68,12 @@ def test_the_sign_must_be_the_one_thing_that_parts_them(evidence: RangeSignEvide
     assert evidence.against is against
 
 
-def test_one_profile_says_which_way_it_shows_an_edge() -> None:
-    assert edge_either_way(drawn(roof(0.003)), RIGHT, face_features) == (True, False)
-    assert edge_either_way(drawn(roof(0.003)), WRONG, face_features) == (False, True)
-    assert edge_either_way(drawn(face), RIGHT, face_features) == (False, False)
+@pytest.mark.parametrize('shape, config, as_set, flipped', [
+    (roof(0.003), RIGHT, 1, 0), (roof(0.003), WRONG, 0, 1), (face, RIGHT, 0, 0)])
+def test_one_profile_says_which_way_it_shows_an_edge(
+        shape: Callable[[Array], Array], config: Config, as_set: int, flipped: int) -> None:
+    evidence = range_sign_evidence([station(drawn(shape), config)])
+    assert (evidence.as_set, evidence.flipped) == (as_set, flipped)
 
 
 def test_the_rejects_of_a_recording_carry_what_the_other_way_shows() -> None:
