@@ -138,24 +138,20 @@ def robot_scale(first: Linear) -> Blocks:
 
 
 def robot_smooth(first: Linear) -> Blocks:
-    """Return the blocks of the robot's smooth errors of position and of rotation."""
+    """Return the block of the robot's smooth errors: joints that shift the flange turn it too."""
     size = first.problem.config.noise.robot_smooth
+    axes = np.diag(np.repeat([1.0, 1 / TURN_LENGTH], 3))
 
-    @cache
-    def by_poses(linear: Linear) -> Array:
-        field = box(linear.points_on_target, (-1, 0, 1))
-        problem = linear.problem
+    def best_fit(linear: Linear) -> Array:
+        problem, field = linear.problem, box(linear.points_on_target, (-1, 0, 1))
         motions = motions_by_poses(problem.poses, linear.estimate.X, field, problem.in_hand)
-        return np.asarray(np.einsum('xna,nk->xak', motions, problem.smooth))
+        return np.einsum('xna,nk->xak', motions @ axes, problem.smooth).reshape(6, -1)
 
     def at(linear: Linear) -> Iterator[ParameterBlock]:
-        for name, axes, std in (('robot_position', slice(0, 3), size),
-                                ('robot_rotation', slice(3, 6), size / TURN_LENGTH)):
-            twists = np.broadcast_to(np.eye(6)[:, axes], (len(linear.problem.poses), 6, 3))
-            yield ParameterBlock(
-                name, linear.by_pose[:, axes] * std, std, linear.problem.smooth, twists,
-                partial(_motions_of_axes, by_poses, axes),
-                report=f'{name}_error')
+        twists = np.broadcast_to(axes, (len(linear.problem.poses), 6, 6))
+        yield ParameterBlock('robot_smooth', linear.by_pose @ axes * size, size,
+                             linear.problem.smooth, twists, best_fit,
+                             report='robot_position_error')
     return at if size else _none
 
 
@@ -178,10 +174,6 @@ def sensor_distortion(first: Linear) -> Blocks:
                 best_fit=partial(_motions_of_degree, motions, i),
                 report='distortion_error')
     return at if std else _none
-
-
-def _motions_of_axes(by_poses: Callable[[Linear], Array], axes: slice, linear: Linear) -> Array:
-    return by_poses(linear)[:, axes].reshape(6, -1)
 
 
 def _motions_of_degree(motions: Callable[[Linear], list[Array]], i: int, linear: Linear) -> Array:

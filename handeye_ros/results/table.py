@@ -24,7 +24,6 @@ MOST_REASONS = 10  # of samples left out, that are told in full
 # Sizes of smooth errors that the samples show: how they are told.
 FOUND = {
     'robot_position_error': ('robot, smooth error', 1e3, 'mm'),
-    'robot_rotation_error': ('robot, smooth turn', math.degrees(1), 'degrees'),
     'tracking_position_error': ('robot, error in motion', 1e3, 'mm'),
     'tracking_rotation_error': ('robot, turn in motion', math.degrees(1), 'degrees'),
     'distortion_error': ('sensor, bent field', 1e3, 'mm'),

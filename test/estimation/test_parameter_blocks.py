@@ -190,8 +190,7 @@ def test_every_doubt_has_a_prior_and_what_is_certain_is_none() -> None:
     made = cell('plate', 0, **ALL_BLOCKS)
     solution = solved(made.problem)
     names = [d.name for d in found_at(solution)]
-    assert {'scale', 'robot_position', 'robot_rotation', 'distortion_1', 'flatness_2',
-            'edge_angle'} <= set(names)
+    assert {'scale', 'robot_smooth', 'distortion_1', 'flatness_2', 'edge_angle'} <= set(names)
     certain = solved(cell('plate', 0).problem)
     assert not found_at(certain)
 
