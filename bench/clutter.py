@@ -18,9 +18,9 @@ from collections.abc import Callable
 
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Array, FaceLine
+from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.corners import corner_features
-from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.profiles.faces import face_features
 import numpy as np
 

@@ -41,7 +41,7 @@ from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import EdgePoint, Feature, Profile, Sample
 from handeye_ros.diagnosis.crossing import flat_crossing
-from handeye_ros.errors import DataError
+from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.estimation.consensus import consensus, refine, SUBSETS, without_outliers
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.search import refined
@@ -51,7 +51,6 @@ from handeye_ros.guidance.limits import limits_of
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.score import mapping
 from handeye_ros.guidance.view import extremes, learn_view, View
-from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.results.outcome import mounted
 from handeye_ros.results.truth_errors import mapped_point_error
 from handeye_ros.sampling import station_features

@@ -48,6 +48,10 @@ class DataError(HandeyeError):
     exit_code = 3
 
 
+class FeatureError(DataError):
+    """A profile does not show what the method needs; the message says what is missing."""
+
+
 def nearest(word: str, known: Sequence[str]) -> str:
     """Return a hint at the known word nearest to word, or whose last part it is, or nothing."""
     close = difflib.get_close_matches(word, known, n=1, cutoff=0.65) or [

@@ -15,9 +15,8 @@ from handeye_ros.checks.alternatives import Fit, Hypothesis, require_stated
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, Sample
 from handeye_ros.diagnosis.refit import fit_of
-from handeye_ros.errors import DataError, UnusableMessageError
+from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
 from handeye_ros.estimation.solution import redundancy
-from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.sampling import station_features
 from handeye_ros.sampling.dwells import interpolate, NS
 from handeye_ros.sampling.errors import ClocksDifferError

@@ -145,7 +145,7 @@ def robot_smooth(first: Linear) -> Blocks:
     def best_fit(linear: Linear) -> Array:
         problem, field = linear.problem, box(linear.points_on_target, (-1, 0, 1))
         motions = motions_by_poses(problem.poses, linear.estimate.X, field, problem.in_hand)
-        return np.einsum('xna,nk->xak', motions @ axes, problem.smooth).reshape(6, -1)
+        return np.asarray(np.einsum('xna,nk->xak', motions @ axes, problem.smooth).reshape(6, -1))
 
     def at(linear: Linear) -> Iterator[ParameterBlock]:
         twists = np.broadcast_to(axes, (len(linear.problem.poses), 6, 6))

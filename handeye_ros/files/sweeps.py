@@ -12,11 +12,10 @@ from dataclasses import replace
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Arc, Array, TimedPose
-from handeye_ros.errors import UnusableMessageError
+from handeye_ros.errors import FeatureError, UnusableMessageError
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.tracker_model import Sweep, SWEPT
 from handeye_ros.profiles.arcs import arc_features
-from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.profiles.segment import noise_level, Segment, straight_segments
 from handeye_ros.sampling.dwells import interpolate
 import numpy as np

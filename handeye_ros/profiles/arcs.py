@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array
+from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.circles import (
     arc_points,
     candidates,
@@ -19,7 +20,6 @@ from handeye_ros.profiles.circles import (
     fit_circle,
     REFIT_WIDTHS,
 )
-from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.segment import MOST_NOISE, noise_level, returned, without_clutter
 import numpy as np

@@ -9,7 +9,7 @@ from itertools import combinations
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine
-from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.lines import face_line
 from handeye_ros.profiles.segment import Segment, straight_segments
 import numpy as np

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Profile, Reject, Sample
-from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.errors import FeatureError
 import numpy as np
 from numpy.typing import NDArray
 

@@ -13,10 +13,9 @@ from functools import partial
 from handeye_ros import targets
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Arc, Array, EdgePoint, FaceLine, Feature, Profile
-from handeye_ros.errors import DataError
+from handeye_ros.errors import DataError, FeatureError, mm
 from handeye_ros.estimation.model import Method
 from handeye_ros.profiles.arcs import normal_points
-from handeye_ros.profiles.errors import DisagreeingProfilesError, FeatureError
 from handeye_ros.profiles.lines import combined_line, on_line
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +26,15 @@ LEAST_AGREEING = 0.6  # of the profiles of a stop
 ALONG = 0.1  # of a distance along a surface, in one across it, that tells two surfaces apart
 MOST_TIMES = 4  # that profiles of one stop say more of an edge than a single one
 MOST_RAW = 50_000  # points of an arc that are held for its residuals: 0.8 MB of a sample
+
+
+class DisagreeingProfilesError(FeatureError):
+    """The profiles of one stop show the target at different places."""
+
+    def __init__(self, what: str, apart: float) -> None:
+        super().__init__(f'the profiles of this station do not agree on {what}: they are '
+                         f'{mm(apart)} apart; something moved, or some of them show another '
+                         'object; take the sample again')
 
 
 def of_station(profiles: Sequence[Profile], method: Method, config: Config

@@ -14,8 +14,7 @@ from functools import partial
 from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Profile, RawProfile, Reject, Sample, TimedPose
-from handeye_ros.errors import UnusableMessageError
-from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.errors import FeatureError, UnusableMessageError
 from handeye_ros.sampling.dwells import around, Dwell, interpolate, NS
 from handeye_ros.sampling.errors import NoProfilesError
 from handeye_ros.sampling.field_of_view import require_inside

@@ -6,9 +6,9 @@ import warnings
 
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Array
+from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.arcs import arc_features, arcs_of_each, NORMAL_POINTS, normal_points
 from handeye_ros.profiles.circles import fit_circle
-from handeye_ros.profiles.errors import FeatureError
 from handeye_ros.sampling.station_features import combine
 from hypothesis import given
 import numpy as np

@@ -8,7 +8,7 @@ from handeye_ros import pipeline
 from handeye_ros.checks.errors import RangeSignError
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Array, Feature, Reject, Sample
-from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.profiles.range_sign import range_sign_evidence, RangeSignEvidence
 import numpy as np

@@ -4,7 +4,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros.data import Profile
-from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.errors import FeatureError
 from handeye_ros.sampling.dwells import MAX_DWELL, NS
 from handeye_ros.sampling.errors import (
     MovingError,

@@ -7,7 +7,7 @@ from cells import config as settings_of
 from cells import recorded
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
-from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.station_features import combine

@@ -8,7 +8,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import OneAxisError
 from handeye_ros.config import Config
 from handeye_ros.data import FaceLine
-from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features, plane_features
 from handeye_ros.simulate import SCENARIOS
 import numpy as np

@@ -13,8 +13,7 @@ import threading
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.diagnosis.summaries import count_of, sample_summary
-from handeye_ros.errors import HandeyeError, InputError
-from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.errors import FeatureError, HandeyeError, InputError
 from handeye_ros.ros.node.answer import changes_samples
 from handeye_ros.ros.node.streams import StopConsumer, Streams
 from handeye_ros.ros.node.threads import Progress

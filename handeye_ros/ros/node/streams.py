@@ -15,8 +15,7 @@ from typing import Protocol
 from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Feature, TimedPose
-from handeye_ros.errors import UnusableMessageError
-from handeye_ros.profiles.errors import FeatureError
+from handeye_ros.errors import FeatureError, UnusableMessageError
 from handeye_ros.sampling.dwells import interpolate
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
