@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import shutil
 from typing import Any
 
+from command import PATIENCE
 import pytest
 
 
@@ -24,6 +25,7 @@ def chromium(width: int = 1000, height: int = 1400) -> Iterator[Any]:
         options.add_argument(word)
     options.set_capability('goog:loggingPrefs', {'browser': 'ALL'})
     browser = webdriver.Chrome(options, webdriver.ChromeService(driver))
+    browser.set_script_timeout(PATIENCE)  # a report is drawn when it is asked for
     try:
         yield browser
     finally:

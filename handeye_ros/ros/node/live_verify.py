@@ -82,10 +82,15 @@ class LiveVerification:
         if course and course.scans:
             course.parts[-1].add_poses(poses)
 
-    def count(self, stop: Stop) -> str:
-        """Let a stop count for the verification; return what to say."""
+    def count(self, stop: Stop, over: bool = True) -> str:
+        """
+        Let a stop count for the verification; return what to say.
+
+        One that the robot still stands in counts as it is now, and again when it is over.
+        """
         course = self._course
-        self._samples.leave(stop)
+        if over:
+            self._samples.leave(stop)
         if course is None:  # it was ended this moment
             return NO_ROUTINE
         if course.scans:

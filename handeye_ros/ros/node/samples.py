@@ -81,7 +81,7 @@ class LiveSamples:
             while self.streams.waiting:
                 self._judge(self.streams.waiting.popleft())
             early, self.streams.early = self.streams.early, None
-            if early and not self.consumer:
+            if early:
                 self._judge(early, over=False)
 
     def judge_rest(self) -> None:
@@ -93,13 +93,15 @@ class LiveSamples:
 
     def _judge(self, stop: Stop, over: bool = True) -> None:
         """Let a stop give a sample, or another one where it was judged before it was over."""
+        if not over and self.streams.is_taken(stop):  # while it waited to be judged
+            return
         if consumer := self.consumer:
-            consumer.count(stop)
+            consumer.count(stop, over)
             return
         result = self.judge.result(stop, self.config)
         with self.streams.lock:
             session = self.streams.session
-            if not over and session.is_taken(stop):  # while it waited to be judged
+            if not over and session.is_taken(stop):  # while it was judged
                 return
             outcome = session.outcome(stop, result)
             before = [o for o in session.outcomes if o.number == outcome.number]

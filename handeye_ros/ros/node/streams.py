@@ -158,8 +158,8 @@ class Latest:
 class StopConsumer(Protocol):
     """Takes the stops of the robot that would be samples otherwise."""
 
-    def count(self, stop: Stop) -> str:
-        """Take a stop that is over; return what to say."""
+    def count(self, stop: Stop, over: bool = True) -> str:
+        """Take a stop; over: it does not come again; return what to say."""
 
     def take(self, stop: Stop) -> str:
         """Take a stop that was asked for; raises UnusableStopError."""
@@ -214,6 +214,11 @@ class Streams:
             self._skipped += 1
         if self.waiting or self.early:
             self.wake.set()
+
+    def is_taken(self, stop: Stop) -> bool:
+        """Return whether a stop is given no more."""
+        with self.lock:
+            return self.session.is_taken(stop)
 
     def copied(self) -> Session:
         """Return the session of this moment."""

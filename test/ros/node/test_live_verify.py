@@ -71,6 +71,8 @@ def test_stops_after_the_start_verify_and_are_no_samples(tmp_path: Path, parts) 
     assert live.verification.begin().startswith('sphere: 0 usable stops of 0; move on')
     assert 'stops are not samples' in ' '.join(state_of(live).session.notes)
     feed(live, *parts[1])
+    # the last one too, while the robot stands there
+    assert live.verification.text == 'sphere: 6 usable stops of 6'
     text = live.verification.result()
     assert text.startswith('sphere: PASS, 6 stations; radius ')
     assert [outcome.number for outcome in live.copied().outcomes] == before

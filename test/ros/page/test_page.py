@@ -11,10 +11,13 @@ from typing import Any
 
 from browser import chromium, complaints
 from command import PATIENCE
+from handeye_ros.data import Calibration, Quality
 from handeye_ros.results import table
-from handeye_ros.results.calibration_file import read_calibration
+from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.results.report import page
 from handeye_ros.results.report.evidence import Evidence
+from handeye_ros.results.truth_file import true_transform
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
@@ -133,6 +136,39 @@ def went_on(browser: Any, count: int) -> None:
     press(browser, '[name=mode][value=manual]', 'sampling.mode is manual')
     wait(browser, "document.getElementById('link').textContent === 'gemessen wird auf Knopfdruck'",
          'it says so')
+
+
+@pytest.mark.thorough
+def test_a_verification_by_clicking(tmp_path: Path, client: Client) -> None:
+    port, bag = free_port(), ROOT / 'bags' / 'sphere'
+    right = tmp_path / 'right.yaml'
+    write_calibration(Calibration(
+        'right', 'sphere', 'flange', 'laser', true_transform(bag),
+        np.diag(np.repeat([3e-5, 1.7e-4], 3) ** 2), {}, Quality(0, 0, 0.0, 0.0, '', 0.0), ()),
+        right)
+    with chromium(1280, 900) as browser, running_node(
+            tmp_path, '--params-file', str(ROOT / 'config' / 'sphere.yaml'), '-p',
+            f'page.port:={port}', '-p', f'verify.calibration:={right}'):
+        client.connect()
+        browser.get(f'http://127.0.0.1:{port}/')
+        wait(browser, "typeof told === 'object' && told", 'the page')
+        wait(browser, "document.getElementById('set-verify.routine')", 'the settings')
+        browser.execute_script(
+            "for (const [key, value] of [['routine', 'sphere'], ['radius', '0.04']]) {"
+            "const input = document.getElementById('set-verify.' + key);"
+            "input.value = value; input.dispatchEvent(new Event('change'));}")
+        press(browser, '#verify-start', '0 usable stops of 0')
+        wait(browser, "!document.getElementById('verify-result').disabled", 'that it goes on')
+        press(browser, '#verify-result', 'fewer than 4')
+        replay(bag)
+        wait(browser, "/1[0-9] usable stops/.test(document.getElementById('course').textContent)",
+             'the stops that count')
+        verdict = press(browser, '#verify-result', 'sphere: PASS')
+        assert words(browser, 'verdict') == verdict
+        assert 'good' in browser.find_element('id', 'verdict').get_attribute('class')
+        wait(browser, "document.getElementById('course').textContent === ''", 'that it has ended')
+        assert complaints(browser) == []
+    assert 'verdict: pass' in (tmp_path / 'sphere' / 'verification_sphere.yaml').read_text()
 
 
 PAINTED = ("(() => {const c = document.querySelector('NAME');"

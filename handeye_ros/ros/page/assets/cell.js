@@ -77,7 +77,7 @@ function showVerification({ running, verdict }) {
   text('course', running);
   text('verdict', verdict ? said(verdict) : '');
   $('verdict').hidden = !verdict;
-  $('verdict').className = 'figure ' + (verdict.includes(': PASS') ? 'good' : 'bad');
+  $('verdict').className = 'figure ' + (verdict.includes(': PASS') ? 'good' : verdict.includes(': FAIL') ? 'bad' : '');
   $('verify-result').disabled = !running;
   $('verify-start').textContent = label(running ? 'Next part' : 'Start');
 }

@@ -165,7 +165,7 @@ function showSteps(state) {
   const taken = state.samples.filter(s => s.taken).length;
   const missing = [state.profiles, state.poses].filter(stream => !flows(stream))
     .map(stream => label('no {0}s', stream.kind));
-  const failed = verdict && !verdict.includes(': PASS');
+  const failed = verdict.includes(': FAIL');
   const done = {
     connect: [!missing.length, missing.join(', ') || [state.profiles, state.poses].map(rate).join(', ')],
     samples: [Boolean(state.guidance && state.guidance.enough), String(taken)],
