@@ -195,10 +195,10 @@ def calibrate(cell: LiveCell, pictures: Pictures, stops: int) -> None:
     pictures.until("told.verification.routine === 'plane'")
     pictures.click('verify-start')
     world = cell.world
-    for tilt in ((0.2, 0.1, 0.1), (-0.2, 0.2, 0.3), (0.1, -0.3, -0.3), (-0.1, -0.1, 0.6),
-                 (0.3, 0.0, -0.6), (-0.3, 0.2, 0.0)):
+    for turn in np.arange(12):
+        tilt = np.array([0.6 * np.cos(2.4 * turn), 0.6 * np.sin(2.4 * turn), 0.5 * turn])
         before = browser.execute_script('return told.verification.running')
-        cell.go(world.looking(world.facing(0) @ se3.exp_rotation(np.array(tilt)), world.spot(0),
+        cell.go(world.looking(world.facing(0) @ se3.exp_rotation(tilt), world.spot(0),
                               (world.view.low + world.view.high) / 2))
         pictures.until(f'told.verification.running !== {before!r}')
     pictures.click('verify-result')

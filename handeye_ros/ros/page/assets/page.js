@@ -165,12 +165,12 @@ function showSteps(state) {
   const taken = state.samples.filter(s => s.taken).length;
   const missing = [state.profiles, state.poses].filter(stream => !flows(stream))
     .map(stream => label('no {0}s', stream.kind));
-  const failed = verdict.includes(': FAIL');
+  const passed = verdict.includes(': PASS'), failed = verdict.includes(': FAIL');
   const done = {
     connect: [!missing.length, missing.join(', ') || [state.profiles, state.poses].map(rate).join(', ')],
     samples: [Boolean(state.guidance && state.guidance.enough), String(taken)],
     answer: [c.state === 'current', label(STATES[c.state].split(':')[0])],
-    verify: [verdict && !failed, running || verdict.replace(/,.*/, '') || label('if you like')],
+    verify: [passed, running || verdict.replace(/,.*/, '') || label('if you like')],
     save: [Boolean(c.saved), label(c.saved ? 'saved' : 'not yet')],
   };
   let now = '';
