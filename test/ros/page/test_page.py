@@ -164,6 +164,7 @@ def test_a_verification_by_clicking(tmp_path: Path, client: Client) -> None:
         wait(browser, "/1[0-9] usable stops/.test(document.getElementById('course').textContent)",
              'the stops that count')
         verdict = press(browser, '#verify-result', 'sphere: PASS')
+        wait(browser, "document.getElementById('verdict').textContent", 'it at its place')
         assert verdict.startswith(words(browser, 'verdict'))
         assert 'good' in browser.find_element('id', 'verdict').get_attribute('class')
         wait(browser, "document.getElementById('course').textContent === ''", 'that it has ended')
