@@ -75,7 +75,9 @@ async function startVerification() {
 
 function showVerification({ running, verdict }) {
   text('course', running);
-  text('verdict', verdict ? said(verdict) : '');
+  const [head, ...figures] = verdict.split('; ');
+  text('verdict', said(head));
+  text('verdict-figures', said(figures.join('; ')));
   $('verdict').hidden = !verdict;
   $('verdict').className = 'figure ' + (verdict.includes(': PASS') ? 'good' : verdict.includes(': FAIL') ? 'bad' : '');
   $('verify-result').disabled = !running;
