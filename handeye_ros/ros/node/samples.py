@@ -93,15 +93,14 @@ class LiveSamples:
 
     def _judge(self, stop: Stop, over: bool = True) -> None:
         """Let a stop give a sample, or another one where it was judged before it was over."""
-        if not over and self.streams.is_taken(stop):  # while it waited to be judged
-            return
         if consumer := self.consumer:
-            consumer.count(stop, over)
+            if over or not self.streams.is_taken(stop):  # while it waited to be judged
+                consumer.count(stop, over)
             return
         result = self.judge.result(stop, self.config)
         with self.streams.lock:
             session = self.streams.session
-            if not over and session.is_taken(stop):  # while it was judged
+            if not over and session.is_taken(stop):  # while it waited to be judged
                 return
             outcome = session.outcome(stop, result)
             before = [o for o in session.outcomes if o.number == outcome.number]
@@ -135,8 +134,7 @@ class LiveSamples:
 
     def leave(self, stop: Stop) -> None:
         """Let a stop give no sample."""
-        with self.streams.lock:
-            self.streams.session.leave(stop)
+        self.streams.leave(stop)
 
     def extract_again(self) -> None:
         """Let the stored profiles give what the settings of now make of them, if these ask."""

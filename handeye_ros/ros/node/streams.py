@@ -220,6 +220,11 @@ class Streams:
         with self.lock:
             return self.session.is_taken(stop)
 
+    def leave(self, stop: Stop) -> None:
+        """Let a stop be given no more."""
+        with self.lock:
+            self.session.leave(stop)
+
     def copied(self) -> Session:
         """Return the session of this moment."""
         with self.lock:
