@@ -71,7 +71,6 @@ MECHANISMS: dict[str, tuple[Switch, ...]] = {
     'graduated non-convexity': (
         (search, 'graduated', lambda start, squares, refit: refit(start, np.ones(
             len(squares(start))))),),
-    'taking stations back': ((pipeline, 'refine', consensus._refined),),
     'freed shape': ((pipeline, 'believable_shape', lambda problem, agreed, rng: agreed),),
     'one edge shape for all': (
         (pipeline, 'consistent_edges', lambda samples: (list(samples), [])),),

@@ -12,11 +12,11 @@ from handeye_ros import targets
 from handeye_ros.checks.change_point import moved_slightly
 from handeye_ros.checks.conventions import require_conventions, require_range_sign
 from handeye_ros.checks.errors import CountedWrongWayError, LeftOutError, TooUncertainError
-from handeye_ros.checks.frames import require_own_frame
 from handeye_ros.checks.misfit import require_consistent, require_edges
 from handeye_ros.checks.motion import (
     require_certain,
     require_judged,
+    require_own_frame,
     require_rotations,
     require_samples,
 )

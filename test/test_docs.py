@@ -1,6 +1,7 @@
 """Every command line of the README and the docs is run, or its names are looked up."""
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterator
 from pathlib import Path
 import re
@@ -61,6 +62,17 @@ def test_commands_are_found_by_their_name(page: Path) -> None:
     lines = page.read_text(encoding='utf-8').splitlines()
     named = [line.strip() for line in lines if '.venv/bin' in line]
     assert named == (['source .venv/bin/activate'] if page.name == 'README.md' else [])
+
+
+def test_every_equation_of_the_estimator_is_some_functions_and_the_other_way_round() -> None:
+    page = (ROOT / 'docs' / 'estimator.md').read_text(encoding='utf-8')
+    files = [file for room in ('estimation', 'checks')
+             for file in (ROOT / 'handeye_ros' / room).glob('*.py')]
+    texts = [ast.get_docstring(node) or '' for file in files
+             for node in ast.walk(ast.parse(file.read_text(encoding='utf-8')))
+             if isinstance(node, (ast.FunctionDef, ast.ClassDef))]
+    named = {number for text in texts for number in re.findall(r', \((\d+)\)', text)}
+    assert named == set(re.findall(r'\\tag\{(\d+)\}', page))
 
 
 def test_there_are_commands() -> None:

@@ -19,7 +19,8 @@ from dataclasses import dataclass
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import Consensus, fast_consensus
 from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.outliers import chi2_isf
+from handeye_ros.estimation.outliers import chi2_isf, FALSE_ALARM
+from handeye_ros.estimation.search import CONVINCING
 import numpy as np
 
 RARE = 1e-5  # chance of naming a cause that is none
@@ -27,9 +28,7 @@ RARE = 1e-5  # chance of naming a cause that is none
 # is what is asked for before a cause is named.
 VERY_STRONG, DECISIVE = 10.0, -2 * float(np.log(RARE))
 WEAK = -2 * float(np.log(9))  # a chance of one in ten, at even odds beforehand
-OUTLIER = 1e-4  # chance of one of the good stations being taken for an outlier
 SMALLEST = 1e-2  # variance factor, nuisance parameters as noise, of samples without any error
-BELIEVABLE = 4.0  # variance factor of an explanation: more explains nothing
 LARGEST_DROPPED_SHARE = 0.34  # of the stations, that an explanation may leave out
 
 Fit = tuple[Consensus, ...]  # of all stations, or of the parts of a recording
@@ -56,7 +55,7 @@ def of_problem(problem: Problem) -> Fit | None:
 
 def score(fit: Fit) -> float:
     """
-    Return how poorly an explanation does: -2 log of its likelihood, and of its unknowns.
+    Return how poorly an explanation does: -2 log of its marginal likelihood, (13).
 
     One without any fit explains nothing.
     """
@@ -80,13 +79,13 @@ def variance_factor(fit: Fit) -> float:
 def _left_out(part: Consensus, stations: int) -> float:
     """Return what the stations and edges cost that a part leaves out."""
     rank = max(int(np.median(part.solution.ranks)), 1)
-    limit, of_edge = chi2_isf(OUTLIER / stations, np.array([rank, 1])).tolist()
+    limit, of_edge = chi2_isf(FALSE_ALARM / stations, np.array([rank, 1])).tolist()
     return float(limit * len(part.dropped) + of_edge * len(part.unused))
 
 
 def believable(fit: Fit) -> bool:
     """Return whether nearly all stations fit, about as well as the configured noise allows."""
-    return variance_factor(fit) < BELIEVABLE and all(
+    return variance_factor(fit) < CONVINCING and all(
         part.unused_share < LARGEST_DROPPED_SHARE and part.solution.degrees_of_freedom > 0
         for part in fit)
 

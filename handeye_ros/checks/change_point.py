@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 MOST_PARTED = 15  # stations after which a recording is parted and fitted again
 MOST_CHANGES = 40  # stations after which a small move is looked for
 STEP = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
-HOPELESS = -13.0  # evidence under the noise as estimated, with which no other noise finds any
+HOPELESS = VERY_STRONG - DECISIVE  # evidence with which no other noise finds any
 
 
 def require_unmoved(problem: Problem, agreed: Consensus) -> None:
@@ -147,7 +147,7 @@ def _score(solution: Solution) -> float:
 
 def _gains(solution: Solution, changes: NDArray[np.intp]) -> tuple[Array, Array]:
     """
-    Return 2 log of the Bayes factors (2, k) of steps at k stations, and the steps (2, k, 6).
+    Return 2 log of the Bayes factors (2, k) of k steps, (14), and the steps (2, k, 6).
 
     The first are of the sensor, the second of the target.
     """

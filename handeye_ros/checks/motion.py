@@ -1,20 +1,21 @@
-"""What a recording can and cannot say: motions that are missing, in the user's terms."""
+"""Frames of a recording, and the motions that it lacks, in the user's terms."""
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from handeye_ros.checks.errors import (
     missing_spread,
     missing_turn,
     OneAxisError,
     OneOrientationError,
+    SensorFrameError,
     TooFewConditionsError,
     TooFewSamplesError,
     TooUncertainError,
     UnidentifiedOutlierError,
 )
-from handeye_ros.config import Config
+from handeye_ros.config import Config, UNNAMED_FRAME
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.model import Method
@@ -23,10 +24,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 ENOUGH_TURN = 0.12  # rad: RMS about the second axis, of tilts to both sides by 12 degrees
-FEWEST_REDUNDANT = 3  # conditions that judge an answer
-REDUNDANT_DROPPED, REDUNDANT_PER_DROP = 1, 3  # more where stations were left out: a choice
+FEWEST_REDUNDANT = 3  # conditions that judge an answer, and the choice of each dropped station
 CONTAMINATED = 0.1  # probability of one of few samples being wrong that is too large
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
+LARGEST_BESIDE = 1e-3  # m; of profiles beside their plane that need no note
 
 
 def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], method: Method) -> None:
@@ -47,6 +48,33 @@ def target_frame(config: Config) -> str:
     """Return the frame that the target is fixed in."""
     in_hand = config.calibration_type == 'eye_in_hand'
     return config.base_frame if in_hand else config.robot_effector_frame
+
+
+def require_own_frame(frame_id: str, config: Config) -> None:
+    """
+    Refuse profiles in a frame of the robot: the result would be a transform to itself.
+
+    frame_id: of the profiles. Raises SensorFrameError.
+    """
+    for key, robots in (('robot_effector_frame', config.robot_effector_frame),
+                        ('robot_base_frame', config.base_frame)):
+        if frame_id == robots:
+            raise SensorFrameError(frame_id, key)
+
+
+def frame_notes(frame: str | None, beside: float, config: Config) -> Iterator[str]:
+    """
+    Yield what does not fit, one sentence each.
+
+    frame: of the profiles, None before the first; beside: how far they lie beside their plane
+    (metres).
+    """
+    if frame == '':
+        yield f'the profiles have no frame_id: the result calls their frame "{UNNAMED_FRAME}"'
+    if beside > LARGEST_BESIDE:
+        yield (f'the profiles lie up to {beside * 1e3:.1f} mm beside the plane of '
+               f'{" and ".join(config.profile.axes)} in their frame: that coordinate is not '
+               'used, and the result holds for points in the plane')
 
 
 def require_rotations(poses: Array, config: Config, lost: str) -> None:
@@ -151,7 +179,7 @@ def require_judged(agreed: Consensus) -> None:
 
 def _redundant(dropped: int) -> int:
     """Return how many conditions are to judge an answer for which so many samples were dropped."""
-    return FEWEST_REDUNDANT + (REDUNDANT_DROPPED + REDUNDANT_PER_DROP * dropped if dropped else 0)
+    return FEWEST_REDUNDANT * (1 + dropped) + bool(dropped)
 
 
 def missing_motion(poses: Array, frame: str) -> str:

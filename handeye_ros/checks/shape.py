@@ -1,4 +1,4 @@
-"""Whether target, robot and sensor are as stated: nuisance parameters against their priors."""
+"""Nuisance parameters of one number against their priors: target, robot, sensor, clock."""
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -6,16 +6,17 @@ from dataclasses import dataclass, replace
 import math
 from typing import Any
 
-from handeye_ros.checks.alternatives import BELIEVABLE, believable, evidence, RARE, VERY_STRONG
+from handeye_ros.checks.alternatives import believable, evidence, RARE, VERY_STRONG
 from handeye_ros.checks.errors import ScaleError
 from handeye_ros.config import Config
-from handeye_ros.data import Array
+from handeye_ros.data import Array, TimeOffset
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import ParameterBlock, tolerances
 from handeye_ros.estimation.consensus import Consensus, consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.outliers import f_isf
+from handeye_ros.estimation.search import CONVINCING
 from handeye_ros.estimation.solution import redundancy, Solution
 import numpy as np
 
@@ -26,6 +27,11 @@ LARGEST_CHANGE = 0.5  # of a stated measure, relative: more is no tolerance but 
 LARGEST_SCALE_ERROR = 5e-2  # of the robot's lengths: more is another unit, or a wrong answer
 MOST = 0.5  # of the squared residuals
 SMALLEST_SCALE_ERROR = 2e-3  # that is named as what is wrong
+TIME_OFFSET, ROTATION_LAG = 'time_offset', 'rotation_lag'  # blocks
+UNKNOWN = 0.5  # of the prior sigma of the time offset: the motion says nothing of it
+POOR = 5e-4  # s, 1 sigma
+FAST = 0.1  # m/s, for which an offset is given as a length
+LARGE_LAG = 3e-4  # s
 ROUNDING = 1e-12  # of the squared effect of a scale: less is none
 
 
@@ -51,7 +57,7 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
     """Return the consensus with the target's shape free if only that makes the stations agree."""
     config = problem.method.measures.relax(problem.config)
     poor = (agreed.dropped or len(agreed.unused)
-            or agreed.solution.variance_factor > BELIEVABLE)
+            or agreed.solution.variance_factor > CONVINCING)
     if config is None or not poor:
         return agreed
     try:
@@ -165,3 +171,37 @@ def require_not_only_scale(solution: Solution) -> None:
         return
     if explained > left * f_isf(RARE, 1, freedom) / freedom:
         raise ScaleError(abs(scale), std * (left / max(solution.degrees_of_freedom, 1)) ** 0.5)
+
+
+def time_offset_of(solution: Solution) -> TimeOffset | None:
+    """Return the time offset of the stamps as received, None where the robot only stood."""
+    found = _found(solution, TIME_OFFSET)
+    return found and TimeOffset(solution.problem.config.time_offset + found.value, found.std)
+
+
+def offset_notes(solution: Solution) -> list[str]:
+    """Return what is to be said of offset and lag, in words."""
+    offset, lag = _found(solution, TIME_OFFSET), _found(solution, ROTATION_LAG)
+    if offset is None:
+        return []
+    notes = []
+    if offset.std > UNKNOWN * solution.problem.config.time_offset_std:
+        notes.append('the motion says nothing of the time offset, which is as time_offset and '
+                     'time_offset_std state it: sweep across the target, with changes of speed')
+    elif offset.std > POOR:
+        notes.append(f'sweep faster once: the time offset is known to {offset.std * 1e3:.1f} ms '
+                     f'only, that is {offset.std * FAST * 1e3:.2f} mm at {FAST * 1e3:.0f} mm/s')
+    if lag and abs(lag.value) > max(CONTRADICTION * lag.std, LARGE_LAG):
+        notes.append(f'the robot reports its rotation {lag.value * 1e3:.2f} ms later than its '
+                     'position: a scan with this calibration allows for it')
+    return notes
+
+
+def _found(solution: Solution, name: str) -> TimeOffset | None:
+    """Return the value and 1 sigma of a block of one parameter, None where there is none."""
+    best, wide = ({block.name: (value, std) for block, value, std, _ in sizes(one)}
+                  for one in (replace(solution, conservative=None), solution))
+    if name not in best:
+        return None
+    (value, _), (other, std) = best[name], wide[name]
+    return TimeOffset(value, math.hypot(std, other - value))

@@ -14,7 +14,7 @@ from handeye_ros import se3, targets
 from handeye_ros.checks.alternatives import Fit, Hypothesis, require_stated
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, Sample
-from handeye_ros.diagnosis.refit import fit_of
+from handeye_ros.diagnosis.wrong_settings import fit_of
 from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
 from handeye_ros.estimation.solution import redundancy
 from handeye_ros.sampling import station_features

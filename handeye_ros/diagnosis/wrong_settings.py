@@ -14,14 +14,16 @@ from functools import partial
 from itertools import permutations
 
 from handeye_ros import targets
-from handeye_ros.checks.alternatives import believable, Fit, Hypothesis
+from handeye_ros.checks.alternatives import believable, Fit, Hypothesis, of_problem
 from handeye_ros.checks.misfit import residual_rms
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Reject, Sample
-from handeye_ros.diagnosis.refit import fit_of
 from handeye_ros.errors import DataError, mm, NamedCauseError
+from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.solution import redundancy
 from handeye_ros.profiles.range_sign import range_sign_evidence
+from handeye_ros.results.outcome import mounted
+from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.station_features import evenly
 from handeye_ros.sampling.stops import needed, result_of, Seen, Stop
@@ -98,6 +100,16 @@ def _fit(stops: Sequence[Stop], config: Config) -> Fit | None:
     if range_sign_evidence(results).against:
         return None
     return fit_of([result for result in results if isinstance(result, Sample)], config)
+
+
+def fit_of(samples: Sequence[Sample], config: Config) -> Fit | None:
+    """Return what samples agree on, None where they are too few or fit nothing."""
+    method = targets.method_for(config)
+    ordered, _ = consistent_edges(samples)
+    if len(ordered) < method.minimum:
+        return None
+    observations = method.features.observe(ordered)
+    return of_problem(Problem(method, mounted(ordered, config), observations, config))
 
 
 def _conditions(fit: Fit) -> int:

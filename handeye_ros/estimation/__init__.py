@@ -21,6 +21,6 @@ OFFERED = (
     'search.FEW_STATIONS', 'search.best_of', 'search.different', 'search.guesses',
     'search.relabelled', 'search.shows_essential', 'solution', 'solution.Solution',
     'solution.corrected_poses', 'solution.redundancy', 'solution.retracted',
-    'solver.ANNEALING_STEPS', 'solver.NEAR', 'solver.Rows', 'solver.System', 'solver.White',
-    'solver.as_they_are', 'solver.believed', 'solver.graduated', 'solver.least_squares',
+    'solver.Rows', 'solver.System', 'solver.White', 'solver.as_they_are', 'solver.believed',
+    'solver.graduated', 'solver.least_squares', 'solver.reweighted',
 )

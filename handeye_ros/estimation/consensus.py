@@ -1,47 +1,39 @@
 """
 Which stations can be believed.
 
-The first guess is taken when it explains nearly all stations. Otherwise further guesses, and those
-of random subsets, compete by how well all stations are explained. Then stations are dropped one by
+The first guess that explains nearly all stations is taken. Otherwise further guesses, and those of
+random subsets, compete by how well all stations are explained. Then stations are dropped one by
 one, worst first.
 """
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import chain, islice
 from operator import attrgetter
 
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation.influence import contamination, MANY
-from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.influence import contamination
+from handeye_ros.estimation.linearise import MANY, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise
-from handeye_ros.estimation.outliers import outliers, shared_scale
-from handeye_ros.estimation.posterior import evaluated, map_solution
+from handeye_ros.estimation.outliers import GROSS, outliers, shared_scale
+from handeye_ros.estimation.posterior import map_solution
 from handeye_ros.estimation.search import (
-    CONVINCING,
     far,
     guesses,
     LARGEST_SQUARE,
-    mean_squares,
     Refined,
     refined,
-    relabelled,
     unused_essential,
 )
 from handeye_ros.estimation.solution import evaluate, fitted, Solution, station_statistic
 import numpy as np
 from numpy.typing import NDArray
 
-SUBSETS = 20
-SUBSET_SIZE = 6
-SAME_LOSS, ENOUGH_AGREEING = 0.01, 4  # of answers from subsets, that end the search of them
-ENOUGH_STARTS = 10  # of which the best is taken if it is not poor
-ENOUGH_FAR = 8  # subsets that lead nowhere, after which none will
+SUBSETS, SUBSET_SIZE = 20, 6
 FAST_STARTS = 2
-PROMISING = 16.0  # squared residual of most stations, in variances, that may become a good one
 MOST_FREEDOM = 6  # of a station's residuals: a pose has no more
 
 
@@ -89,15 +81,11 @@ def consensus(problem: Problem, rng: np.random.Generator, subsets: int = 0,
     """
     if start is not None:
         return without_outliers(refined(problem, start))
-    starts = guesses(problem, rng)
+    starts = chain(guesses(problem, rng), subset_starts(problem, subsets, rng))
     best = refined(problem, next(starts))
-    tried = 1
-    while not best.conclusive and not (best.accepted and tried >= ENOUGH_STARTS) and (
-            other := next(starts, None)):
+    while not best.accepted and (other := next(starts, None)):
         if not far(problem, other):
-            best, tried = min(best, refined(problem, other), key=attrgetter('loss')), tried + 1
-    if not best.accepted:
-        best = _best_of_subsets(problem, best, subsets, rng)
+            best = min(best, refined(problem, other), key=attrgetter('loss'))
     return without_outliers(best)
 
 
@@ -108,33 +96,11 @@ def fast_consensus(problem: Problem, seed: int = 0) -> Consensus | None:
             if far(problem, start):
                 continue
             trial = refined(problem, start)
-            if trial.misfit < PROMISING:
+            if trial.misfit < LARGEST_SQUARE:
                 return without_outliers(trial)
     except (HandeyeError, np.linalg.LinAlgError):
         pass
     return None
-
-
-def _best_of_subsets(problem: Problem, best: Refined, subsets: int, rng: np.random.Generator
-                     ) -> Refined:
-    """
-    Return the best trial that a few stations lead to, until one convinces or several agree.
-
-    Where the first ones lead nowhere near the others, nothing will.
-    """
-    agreeing, near = 0, 0
-    for count, start in enumerate(subset_starts(problem, subsets, rng)):
-        if (best.accepted or agreeing == ENOUGH_AGREEING
-                or count == ENOUGH_FAR and not near):
-            break
-        if far(problem, start):
-            continue
-        other, near = refined(problem, start), near + 1
-        if other.loss < best.loss - SAME_LOSS:
-            best, agreeing = other, 0
-        elif other.loss < best.loss + SAME_LOSS:
-            agreeing += 1
-    return best
 
 
 def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Iterator[Estimate]:
@@ -148,7 +114,7 @@ def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Ite
 def without_outliers(trial: Refined) -> Consensus:
     """Return the consensus after dropping, one by one, the stations that do not fit."""
     n, minimum = len(trial.problem.poses), trial.problem.method.minimum
-    good = trial.squares <= LARGEST_SQUARE * 4 * max(1.0, trial.spread)
+    good = trial.squares <= GROSS * max(1.0, trial.spread)
     good[np.argsort(trial.squares, kind='stable')[:minimum]] = True
     used = np.flatnonzero(good)
     dropped = {int(i): float(trial.squares[i]) for i in np.setdiff1d(np.arange(n), used)}
@@ -170,33 +136,10 @@ def refine(agreed: Consensus, minimum: int) -> Consensus:
     """
     Return the consensus with all nuisance blocks in its solution, outliers dropped.
 
-    What fits only now, as the target is not as stated, is taken back. Of few stations each may
-    be wrong without being seen to be: the stated covariance holds that.
+    Of few stations each may be wrong without being seen to be: the reported covariance holds that.
     """
-    first = _refined(agreed, minimum)
-    labelled = relabelled(agreed.whole, first.solution.estimate)
-    near = mean_squares(labelled, first.solution.estimate) <= CONVINCING
-    back = [i for i in first.dropped if near[i] and i in labelled.observations.station]
-    used = np.union1d(first.used, np.array(back, dtype=np.intp))
-    part, noise = labelled.subset(used), first.solution.noise
-    if not (back or len(first.unused)) or _misfits(part, first):
-        return first
-    dropped = {i: square for i, square in first.dropped.items() if i not in back}
-    start = replace(first.solution, problem=part, estimate=agreed.solution.estimate)
-    again = _refined(replace(first, solution=start, used=used, dropped=dropped), minimum, noise)
-    return again if again.explained > first.explained else first
-
-
-def _misfits(part: Problem, found: Consensus) -> bool:
-    """Return whether a station of a problem does not fit what was found, by its noise."""
-    solution = evaluated(part, found.solution.estimate, found.solution.noise)
-    return len(outliers(*_mean_squares(solution), len(found.whole.poses), 1)) > 0
-
-
-def _refined(agreed: Consensus, minimum: int, noise: Noise | None = None) -> Consensus:
-    """Return the consensus with all blocks in its solution, and what does not fit dropped."""
     used, dropped, part = agreed.used, dict(agreed.dropped), agreed.solution.problem
-    total, estimate = len(used) + len(dropped), agreed.solution.estimate
+    total, estimate, noise = len(used) + len(dropped), agreed.solution.estimate, None
     while True:
         solution = map_solution(part, estimate, noise)
         mean_square, freedom = _mean_squares(solution.conservative or solution)

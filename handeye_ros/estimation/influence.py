@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.linalg import inverse
+from handeye_ros.estimation.linearise import MANY
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
 from handeye_ros.estimation.outliers import chi2_sf, leave_own_out
@@ -20,7 +21,6 @@ from handeye_ros.estimation.solution import corrected_poses, retracted, Solution
 import numpy as np
 from numpy.typing import NDArray
 
-MANY = 200  # stations from which on this fades, to nothing at twice as many: under 1 % of a sigma
 POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # of a wrong station (m, rad; 1 sigma of each axis)
 WRONG = 0.05  # share of stations that are wrong
 SURE = 100.0  # times as likely as anything else is that the station is wrong which is
@@ -62,9 +62,10 @@ class Contamination:
 
 def contamination(solution: Solution, dropped: int) -> Contamination | None:
     """
-    Return which station of a solution may be wrong, None of very many: this fades with them.
+    Return which station of a solution may be wrong, None of very many.
 
-    dropped: how many are known to have been wrong, which makes another one likelier.
+    From MANY on this fades, to nothing at twice as many. dropped: how many are known to have
+    been wrong, which makes another one likelier.
     """
     n = len(solution.problem.poses)
     weight = min(1.0, 2 - n / MANY)

@@ -6,8 +6,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 LARGEST_STD = 1e3  # stands for infinity (m or rad)
-FREE = 1e-13  # relative information of a direction that is not seen
-SMALLEST_SHARE = 1e-14  # of a covariance, which rounding may make negative
+FREE = 1e-13  # relative information, or variance, that is rounding: nothing is known of it
 NOTHING = 1e-280  # information, so small that its inverse is still a number
 
 
@@ -70,7 +69,7 @@ def covering(first: Array, second: Array) -> Array:
     """Return the least covariance (k, k) of which neither of two has more in any direction."""
     std = np.sqrt(np.diag(first))
     values, vectors = np.linalg.eigh(first / np.outer(std, std))
-    roots = np.sqrt(np.maximum(values, SMALLEST_SHARE))
+    roots = np.sqrt(np.maximum(values, FREE))
     root, inverse = std[:, None] * vectors * roots, (vectors / roots).T / std
     values, vectors = np.linalg.eigh(inverse @ second @ inverse.T)
     along = root @ vectors

@@ -19,7 +19,7 @@ from handeye_ros.estimation.stations import products, Stations, stations_of
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_DISTINCT = 100  # poses that are counted: that many leave nothing free
+MANY = 200  # stations: what so many show, further ones do not change by 1 % of a sigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +74,8 @@ class Problem:
 
     @cached_property
     def distinct(self) -> list[int]:
-        """Return stations of poses that differ, MOST_DISTINCT at most: one may be taken again."""
-        return farthest_points(self.pose_features, MOST_DISTINCT)
+        """Return stations of poses that differ, MANY at most: one may be taken again."""
+        return farthest_points(self.pose_features, MANY)
 
     @property
     def in_hand(self) -> bool:

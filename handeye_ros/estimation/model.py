@@ -102,7 +102,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Conditions:
-    """Values g (m,) that should vanish, and their derivatives by point and target."""
+    """Values g (m,) that should vanish, (1), and their derivatives by point and target."""
 
     g: Array
     dg_dp: Array

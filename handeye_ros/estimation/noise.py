@@ -72,7 +72,7 @@ def _white(factor: Array, values: Array) -> Array:
 
 def covariances(problem: Problem, linear: Linear, at: Stations) -> Array:
     """
-    Return the parts of (3), (4, stations, c, c), for variance factors of 1.
+    Return the parts of the covariance, (3), as (4, stations, c, c), for variance factors of 1.
 
     Of the features' two components, the distortion that is each station's own, and poses.
     """

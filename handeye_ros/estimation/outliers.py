@@ -16,11 +16,11 @@ from typing import Generic, TypeVar
 from handeye_ros.data import Array
 from handeye_ros.estimation.linalg import covariance_of
 from handeye_ros.estimation.solver import (
-    ANNEALING_STEPS,
     believed,
     graduated,
     least_squares,
-    NEAR,
+    reweighted,
+    ROUNDING,
     System,
 )
 from handeye_ros.estimation.stations import groups
@@ -30,10 +30,9 @@ from scipy.special import chdtrc, chdtri, fdtri
 
 S = TypeVar('S')
 
-LOST = 64.0  # squared residual, over that of the believed, of a block that is not asked again
+GROSS = 64.0  # squared residual, over that of the believed, of a block that is wrong at sight
 BATCH = 50  # one of so many blocks is dropped at a time
 FALSE_ALARM = 1e-3  # of good data losing one block
-REGULAR = 1e-9  # keeps what a block fixes alone from being divided by zero
 
 
 def leave_one_out(white: Array, jacobian: Array, covariance: Array, block: NDArray[np.intp]
@@ -56,7 +55,8 @@ def leave_own_out(predicted_covariance: Array, white: Array) -> Array:
 
     white: (s, c) against that of all; seen: (s, c, c) the covariance of what that explains.
     """
-    regular = (1 + REGULAR) * np.eye(predicted_covariance.shape[1]) - predicted_covariance
+    # what a block fixes alone is not to be divided by zero
+    regular = (1 + ROUNDING) * np.eye(predicted_covariance.shape[1]) - predicted_covariance
     return np.asarray(np.linalg.solve(regular, white[..., None])[..., 0])
 
 
@@ -110,11 +110,9 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
         rows = system.rows(state)
         return np.asarray((rows.white()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
 
-    def refit(state: S, weights: Array) -> S:
-        return least_squares(system, state, weights, ANNEALING_STEPS, NEAR)
-    state = graduated(start, squares, refit)
+    state = graduated(start, squares, lambda at, weights: reweighted(system, at, weights))
     now = squares(state)
-    return _without_outliers(system, state, now <= LOST * max(1.0, believed(now)), minimum)
+    return _without_outliers(system, state, now <= GROSS * max(1.0, believed(now)), minimum)
 
 
 def _whitened(system: System[S], state: S) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from functools import cached_property
 from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import ParameterBlock, prepared
 from handeye_ros.estimation.linalg import from_information
-from handeye_ros.estimation.linearise import Linear, linearise, Problem, State
+from handeye_ros.estimation.linearise import Linear, linearise, MANY, Problem, State
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import covariances, Noise, Whitening, whitening
 from handeye_ros.estimation.scales import prior_scales, Scales
@@ -30,15 +30,12 @@ from numpy.typing import NDArray
 
 ROUNDS = 10  # of linearising
 STEPS, LAST_STEPS = 2, 4  # of estimating sizes in each round, and after the last
-STEADY = 0.03  # relative change of a variance that changes no answer
 STEADY_NOISE = 0.1  # the same, of the noise, on the way
-ASKED = 300  # stations that at most are asked for the noise
-CONVERGED = 0.02  # step in sigmas
+CONVERGED = 0.02  # step in sigmas; relative change of a variance
 DIVERGED = 4.0  # of a step over the smallest before
 SIZING = 1  # rounds in which a block may turn out so large that the step grows
 BELIEF_NOISE = 4.0  # in the configured noise, in degrees of freedom
-CONFIGURED, MAP = np.ones(4), np.array([1.0, 1.0, 1e-4, 1.0])  # factors that are believed in
-MAP_STEPS = 3  # of estimating the noise that an estimate is best made with
+MAP = np.array([1.0, 1.0, 1e-4, 1.0])  # factors that an estimate is best made with
 SMALLEST, LARGEST = 1e-4, 1e8
 
 
@@ -48,7 +45,7 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) 
 
     noise: to start from, None: as configured. Of very many stations some lead near it first.
     """
-    noise, every = noise or Noise(lumped=False), len(problem.poses) // ASKED
+    noise, every = noise or Noise(lumped=False), len(problem.poses) // MANY
     state = State.of(problem, start)
     if every > 1:
         some = problem.subset(np.arange(0, len(problem.poses), every))
@@ -92,7 +89,7 @@ def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
 @dataclass(frozen=True, eq=False)
 class _System:
     """
-    The whitened least squares at an estimate.
+    The whitened least squares at an estimate, (4).
 
     r: (m,), of which the blocks are not taken out; columns: derivatives by u unknowns and by q
     nuisance parameters in prior sigmas; gradient: (u + q,) by all of them; group: (q,) the
@@ -181,7 +178,7 @@ class _System:
         system, found = self, None
         for _ in range(steps if self.blocks else 0):
             before, found = system.variances, system.shown
-            if np.abs(np.log(found.conservative / before)).max() < STEADY:
+            if np.abs(np.log(found.conservative / before)).max() < CONVERGED:
                 break
             system = system.with_sizes(found.conservative)
         return system, found
@@ -193,10 +190,10 @@ class _System:
         largest = np.array([d.largest for d in self.blocks])
         return prior_scales(covariance[u:, u:], x[u:], self.first, self.variances, largest)
 
-    def with_noise(self, x: Array, covariance: Array, believed: Array = CONFIGURED) -> Noise:
+    def with_noise(self, x: Array, covariance: Array, believed: Array | float = 1.0) -> Noise:
         """Return the noise with the factors that residuals show, held to those believed, (7)."""
         sums, columns = np.zeros((4, 2)), self.columns.scaled(self.scales)
-        every = -(-len(self.problem.poses) // ASKED)
+        every = -(-len(self.problem.poses) // MANY)
         for stations, factors in zip(self.problem.stations, self.white.factors, strict=True):
             at, root = stations.every(every), factors[::every]
             V = covariances(self.problem, self.linear, at)
@@ -236,7 +233,7 @@ class _System:
         _, found = self.sized(LAST_STEPS)
         likely, wide = (self, self) if found is None else (
             self.with_sizes(found.map_scales), self.with_sizes(found.conservative))
-        for _ in range(MAP_STEPS):
+        for _ in range(LAST_STEPS):
             likely = likely.weighed(likely.with_noise(*likely.solved, MAP))
         there = self.at(likely.moved(likely.solved[0]), likely.noise)
         wide = there.weighed(wide.noise)

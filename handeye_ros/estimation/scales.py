@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SCALES = np.geomspace(0.001, 1e4, 43)  # that are summed over
-VARIANCES = SCALES ** 2
+VARIANCES = np.square(SCALES)
 LOGARITHMS = np.log(VARIANCES)
 STEPS = 30  # of estimating variance components
 CONVERGED = 1e-2  # relative change of a variance that changes no answer

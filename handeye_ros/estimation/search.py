@@ -16,13 +16,11 @@ from handeye_ros.estimation.model import Estimate, UNUSED
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.solution import evaluate, retracted, system, Weighed, weighed
 from handeye_ros.estimation.solver import (
-    ANNEALING_STEPS,
     believed,
     BELIEVED_SHARE,
     graduated,
-    least_squares,
     many_least_squares,
-    NEAR,
+    reweighted,
     States,
 )
 import numpy as np
@@ -31,7 +29,6 @@ from numpy.typing import NDArray
 LOST_SHARE = 0.1  # of the stations far from an estimate, from which another is looked for
 FAR, FAR_RATIO = 5e-3, 5.0  # residual (m; over the largest of an answer) of a hopeless start
 UNUSED_SQUARE = 8.0  # squared residual of a station whose essential observations are all unused
-SURE = 0.5  # squared residual of the believed share, in variances with all blocks, of no other
 CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good answer
 LARGEST_SQUARE = 16.0  # squared residual, in variances, that a clean recording stays below
 COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on after them
@@ -83,11 +80,6 @@ class Refined:
         return self.misfit <= CONVINCING and self.far_share <= LOST_SHARE
 
     @property
-    def conclusive(self) -> bool:
-        """Return whether nearly all stations are explained so well that no other need be tried."""
-        return self.accepted and self.misfit <= SURE
-
-    @property
     def far_share(self) -> float:
         """Return the share of stations far from the estimate, or with nothing essential used."""
         far_off = self.squares > LARGEST_SQUARE * max(1.0, self.spread)
@@ -103,7 +95,7 @@ def refined(problem: Problem, estimate: Estimate) -> Refined:
     """Return the trial that graduated non-convexity leads to from an estimate."""
     def refit(at: Weighed, weights: Array) -> Weighed:
         before = at.linear.problem
-        at = least_squares(system(before, at.noise), at, weights, ANNEALING_STEPS, NEAR)
+        at = reweighted(system(before, at.noise), at, weights)
         now = relabelled(problem, at.linear.estimate, before)
         return at if now is before else weighed(now, at.linear.estimate, at.noise)
 
@@ -138,11 +130,6 @@ def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = No
         if known and found.same(known.observations):
             return known
     return replace(problem, observations=found)
-
-
-def mean_squares(problem: Problem, estimate: Estimate) -> Array:
-    """Return the mean squared whitened residual (n,) of each station, 0 of one with none."""
-    return _mean_squares(weighed(problem, estimate, Noise()))
 
 
 def _mean_squares(at: Weighed) -> Array:

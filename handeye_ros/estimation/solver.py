@@ -19,16 +19,14 @@ S = TypeVar('S')
 
 MAX_ITERATIONS = 50
 FIRST_DAMPING, DAMPING_FACTOR, MAX_DAMPINGS = 1e-4, 30.0, 8
-SMALLEST_DAMPING = 1e-15
 CONVERGED = 1e-8  # step length in sigmas
 ROUNDING = 1e-9  # of the sum of squares; residuals are differences of large numbers
-STANDSTILL = 1e-14  # of the same: what is left is the rounding of the derivatives
+STANDSTILL = 1e-14  # of the same: what is left is the rounding of the derivatives; least damping
 BELIEVED_SHARE = 0.65  # of the blocks that a good answer must explain
 SMALLEST_SCALE = 9.0  # squared residual, in variances, from which on a block loses weight
 SCALE = 3.0  # the same, in squared residuals that the believed share stays below
 WIDEST = 100.0  # first control, over the squared residual of the believed share
-MAX_ANNEALINGS, ANNEALING_STEPS = 40, 4
-NEAR = 1e-3  # step length in sigmas that ends a round of annealing
+FEW_ITERATIONS, NEAR = 4, 1e-3  # of one round of weights; step length in sigmas that ends it
 
 States: TypeAlias = tuple[NDArray[Any], ...]
 White: TypeAlias = Callable[[Array], Array]
@@ -99,6 +97,11 @@ def least_squares(system: System[S], start: S, weights: Array | None = None,
     return found
 
 
+def reweighted(system: System[S], state: S, weights: Array) -> S:
+    """Return the state some steps nearer to the least squares with weights (n,) of the blocks."""
+    return least_squares(system, state, weights, FEW_ITERATIONS, NEAR)
+
+
 def many_least_squares(linear: Callable[[States], tuple[Array, Array]],
                        retract: Callable[[States, Array], States], starts: States,
                        iterations: int, converged: float) -> tuple[States, Array]:
@@ -134,7 +137,7 @@ def _descent(starts: States, first: tuple[Array, Array],
         length = np.linalg.norm((J @ step[..., None])[..., 0], axis=1)
         before = np.einsum('km,km->k', r, r)
         tried = _judged(before, after, length, converged)
-        damping = np.maximum(damping * tried.damping, SMALLEST_DAMPING)
+        damping = np.maximum(damping * tried.damping, STANDSTILL)
         taken, refused = taken + tried.better, np.where(tried.better, 0, refused + 1)
         left = ~tried.done & (taken < iterations) & (refused < MAX_DAMPINGS)
         if tried.better.any():
@@ -204,7 +207,7 @@ def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array
     state, now = start, squares(start)
     # of a start that explains most blocks, the few others have little say from the first step on
     control, before = min(float(now.max()), WIDEST * believed(now)), np.inf
-    for _ in range(MAX_ANNEALINGS):
+    for _ in range(MAX_ITERATIONS):
         spread = believed(now)
         scale = max(SMALLEST_SCALE, SCALE * spread)
         if control <= scale and spread > 0.99 * before:

@@ -130,13 +130,7 @@ class FactoredJacobian:
 
     def gradient_of(self, r: Array, rows: Rows) -> Array:
         """Return the gradient (p,) of half the squares of some rows of residuals r (m,)."""
-        c, total = self.single, np.zeros(self.count)
-        for some in rows:
-            local, functions = self.blocks(some)
-            by_station = (r[some][:, None] @ local)[:, 0]
-            total[:c] += by_station[:, :c].sum(axis=0)
-            total[c:] += (by_station[:, c:].T @ functions).ravel()
-        return total
+        return np.sum([self.gradients(r[some], some).sum(axis=0) for some in rows], axis=0)
 
     def gradients(self, r: Array, rows: NDArray[np.intp]) -> Array:
         """Return the gradient (s, p) of each of s stations, of residuals r (s, count)."""

@@ -11,7 +11,7 @@ from handeye_ros.checks.motion import (
     worst_rotation,
     worst_translation,
 )
-from handeye_ros.checks.time_offset import offset_notes
+from handeye_ros.checks.shape import offset_notes
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution

@@ -12,14 +12,7 @@ import math
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.solver import (
-    ANNEALING_STEPS,
-    graduated,
-    least_squares,
-    NEAR,
-    Rows,
-    System,
-)
+from handeye_ros.estimation.solver import graduated, reweighted, Rows, System
 from handeye_ros.kinematics.chain import Chain, REVOLUTE
 from handeye_ros.kinematics.errors import TooFewConfigurationsError
 from handeye_ros.kinematics.estimate import adjusted, Fit, fitted, LEAST_NOISE, MINIMUM, Weights
@@ -49,8 +42,7 @@ def first_fit(data: Points, arm: Arm, most: int = STARTS) -> Fit:
     rough, nothing = Weights(np.full(3, ROUGH), np.zeros(0)), np.zeros((len(data), 0))
 
     def refit(state: State, weights: Array) -> State:
-        system = System(rows, data.moved, data.block)
-        return least_squares(system, state, weights, ANNEALING_STEPS, NEAR)
+        return reweighted(System(rows, data.moved, data.block), state, weights)
 
     def rows(at: State) -> Rows:
         r, J = data.linearised(at, nothing)

@@ -8,8 +8,13 @@ from typing import Any
 from handeye_ros import __version__, se3
 from handeye_ros.checks.misfit import edge_notes
 from handeye_ros.checks.motion import mount_frame, weakest
-from handeye_ros.checks.shape import contradictions, reported_blocks
-from handeye_ros.checks.time_offset import offset_notes, TIME_OFFSET, time_offset_of
+from handeye_ros.checks.shape import (
+    contradictions,
+    offset_notes,
+    reported_blocks,
+    TIME_OFFSET,
+    time_offset_of,
+)
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport
 from handeye_ros.estimation.consensus import Consensus

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 from handeye_ros import targets
-from handeye_ros.checks.time_offset import ROTATION_LAG, TIME_OFFSET
+from handeye_ros.checks.shape import ROTATION_LAG, TIME_OFFSET
 from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import AnyProfile, Array, Feature, Profile, Sample, TimedPose
 from handeye_ros.errors import DataError, UnusableMessageError

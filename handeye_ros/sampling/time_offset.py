@@ -22,11 +22,9 @@ from handeye_ros.estimation.noise import Noise, Whitening, whitening
 from handeye_ros.estimation.search import guesses, relabelled
 from handeye_ros.estimation.solution import retracted
 from handeye_ros.estimation.solver import (
-    ANNEALING_STEPS,
     believed,
     graduated,
-    least_squares,
-    NEAR,
+    reweighted,
     Rows,
     System,
 )
@@ -98,7 +96,7 @@ def _refined(problem: Problem, start: Estimate) -> _At:
     """Return where graduated non-convexity leads to from an estimate, the offset unknown too."""
     def refit(at: _At, weights: Array) -> _At:
         system = System(_At.rows, _At.moved, at.blocks)
-        at = least_squares(system, at, np.append(weights, 1.0), ANNEALING_STEPS, NEAR)
+        at = reweighted(system, at, np.append(weights, 1.0))
         return labelled(at.problem, at.estimate)
 
     def labelled(now: Problem, estimate: Estimate) -> _At:

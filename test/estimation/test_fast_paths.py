@@ -38,7 +38,7 @@ def test_some_of_many_stations_lead_to_the_answer_of_all(monkeypatch: pytest.Mon
     made = cell(replace(SCENARIOS['plate'], stations=(30, 30)), noise__robot_smooth=1e-4)
     start = solved(made.problem).estimate
     plain = map_solution(made.problem, start)
-    monkeypatch.setattr(posterior, 'ASKED', 20)
+    monkeypatch.setattr(posterior, 'MANY', 20)
     quick = map_solution(made.problem, start)
     off = se3.difference(quick.estimate.X, plain.estimate.X)
     std = np.sqrt(np.diag(plain.reported)[:6])

@@ -10,8 +10,7 @@ from collections.abc import Callable, Sequence
 from handeye_ros import pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.diagnosis.crossing import flat_crossing
-from handeye_ros.diagnosis.review import FEWEST, Review, review
+from handeye_ros.diagnosis.review import FEWEST, flat_crossing, Review, review
 from handeye_ros.errors import DataError
 from handeye_ros.guidance.view import extremes
 from handeye_ros.ros.node.answer import changes_advice, changes_answer
