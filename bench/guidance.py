@@ -40,7 +40,7 @@ from handeye_ros import config as configs
 from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import EdgePoint, Feature, Profile, Sample
-from handeye_ros.diagnosis.crossing import flat_crossing
+from handeye_ros.diagnosis.review import flat_crossing
 from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.estimation.consensus import consensus, refine, SUBSETS, without_outliers
 from handeye_ros.estimation.linearise import Problem

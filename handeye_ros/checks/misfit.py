@@ -17,7 +17,7 @@ from handeye_ros.checks.shape import require_not_only_scale
 from handeye_ros.config import LimitsConfig
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import points_in_base, Problem
-from handeye_ros.estimation.noise import covariances, lumped
+from handeye_ros.estimation.noise import expected_rms
 from handeye_ros.estimation.search import shows_essential
 from handeye_ros.estimation.solution import Solution
 import numpy as np
@@ -51,7 +51,7 @@ class Misfit:
 
 def misfit_of(problem: Problem, agreed: Consensus) -> Misfit:
     """Return by how much the samples of a problem contradict what they agree on."""
-    return Misfit(residual_rms(agreed.solution), expected_rms(agreed.solution),
+    return Misfit(residual_rms(agreed.solution), expected_rms(agreed.solution.linear),
                   len(agreed.dropped) / len(problem.poses), agreed.solution.variance_factor,
                   problem.config.limits)
 
@@ -80,16 +80,6 @@ def require_consistent(problem: Problem, agreed: Consensus) -> None:
 def residual_rms(solution: Solution) -> float:
     """Return the RMS of the plain residuals of a solution (m)."""
     return float(np.sqrt((solution.linear.residuals ** 2).mean()))
-
-
-def expected_rms(solution: Solution) -> float:
-    """Return the RMS (m) of residuals from configured noise and nuisance parameters."""
-    total = 0.0
-    for at in solution.problem.stations:
-        parts = covariances(solution.problem, solution.linear, at).sum(axis=0)
-        total += float(np.einsum('nii->', parts + lumped(
-            solution.problem, solution.linear, at)))
-    return float((total / len(solution.white)) ** 0.5)
 
 
 def require_edges(agreed: Consensus) -> None:

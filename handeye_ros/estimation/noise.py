@@ -96,6 +96,14 @@ def lumped(problem: Problem, linear: Linear, at: Stations) -> Array:
                       + _squared(at.of(linear.by_pose), _smooth(noise)))
 
 
+def expected_rms(linear: Linear) -> float:
+    """Return the RMS (m) of residuals from configured noise and nuisance parameters."""
+    problem = linear.problem
+    total = sum(float(np.einsum('nii->', covariances(problem, linear, at).sum(axis=0)
+                                + lumped(problem, linear, at))) for at in problem.stations)
+    return float((total / len(linear.residuals)) ** 0.5)
+
+
 def _total(problem: Problem, linear: Linear, at: Stations, noise: Noise) -> Array:
     """Return the sum (stations, c, c) of covariances, and of what is lumped with them."""
     config, shared = problem.config.noise, float(noise.lumped)

@@ -29,9 +29,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 ROUNDS = 10  # of linearising
-STEPS, LAST_STEPS = 2, 4  # of estimating sizes in each round, and after the last
+STEPS, LAST_STEPS = 2, 3  # of estimating sizes in each round, and after the last
 STEADY_NOISE = 0.1  # the same, of the noise, on the way
-CONVERGED = 0.02  # step in sigmas; relative change of a variance
+CONVERGED = 0.03  # step in sigmas; relative change of a variance
 DIVERGED = 4.0  # of a step over the smallest before
 SIZING = 1  # rounds in which a block may turn out so large that the step grows
 BELIEF_NOISE = 4.0  # in the configured noise, in degrees of freedom
