@@ -130,7 +130,8 @@ class FactoredJacobian:
 
     def gradient_of(self, r: Array, rows: Rows) -> Array:
         """Return the gradient (p,) of half the squares of some rows of residuals r (m,)."""
-        return np.sum([self.gradients(r[some], some).sum(axis=0) for some in rows], axis=0)
+        each = [self.gradients(r[some], some).sum(axis=0) for some in rows]
+        return np.asarray(np.sum(each, axis=0))
 
     def gradients(self, r: Array, rows: NDArray[np.intp]) -> Array:
         """Return the gradient (s, p) of each of s stations, of residuals r (s, count)."""
