@@ -29,7 +29,8 @@ OUTCOMES = ('good', 'wrong', 'refused')
 def outcome(target: str, share: float, size: float, seed: int) -> str:
     """Return what becomes of one recording."""
     scenario, rng = SCENARIOS[target], np.random.default_rng(seed + 100)
-    samples, truth = simulate_samples(scenario, np.random.default_rng(seed))
+    every, truth = simulate_samples(scenario, np.random.default_rng(seed))
+    samples = list(every)
     for i in rng.permutation(len(samples))[:round(share * len(samples))]:
         step = rng.normal(size=6) * size * np.repeat([1, 2], 3)
         samples[i] = replace(samples[i],
