@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from handeye_ros import se3
-from handeye_ros.checks.time_offset import ROTATION_LAG
+from handeye_ros.checks.shape import ROTATION_LAG
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array, Calibration, Profile
 from handeye_ros.sampling.trajectory import Trajectory
