@@ -64,10 +64,10 @@ def joints(seeds: int, kinds: list[str]) -> None:
         joint = JOINTS[name]
         told = [of_joint(scanned(joint, np.random.default_rng(seed)), joint.length)
                 for seed in range(seeds)]
-        found = np.array([numbers for _, numbers in told if np.isfinite(numbers).all()])
+        found = [numbers for _, numbers in told if np.isfinite(numbers).all()]
         said = sorted({kind for kind, _ in told})
         print(f'{name:36} {", ".join(said):6} ' + '  '.join(
-            f'{v:.3f}' for v in found.max(axis=0, initial=-np.inf) if len(found))
+            f'{max(errors):.3f}' for errors in zip(*found, strict=True))
             + f'  {len(told) - len(found)} of {len(told)} refused' * (len(found) < len(told)),
             flush=True)
 

@@ -28,6 +28,7 @@ COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', '
 NEARBY = 0.01  # m along the seam whose sections tell the residual at a frame
 SPEED = 0.01  # m/s, of a program
 BLEND = 5e-4  # m from a frame where the robot may leave the line
+OVERLAP = 0.45  # of the distance to the next frame: what a blend may reach
 ACCELERATION = 0.5  # m/s^2, which URScript wants to know
 WITHIN = 1e-3  # m: the share of a taught path that is nearer is told
 
@@ -144,9 +145,11 @@ def _poses(frames: ToolFrames) -> list[tuple[Array, Rotation]]:
 
 def krl(frames: ToolFrames, frame_id: str) -> str:
     """Return a .src of KRL: mm; A, B, C about z, y', x'' in degrees."""
-    lines = ['DEF seam( )', f'; frames in {frame_id}; set $TOOL before: z into the part',
-             'BAS(#INITMOV,0)', '$BASE=$NULLFRAME', f'$VEL.CP={SPEED:g}',
-             f'$APO.CDIS={1e3 * BLEND:g}']
+    lines = ['DEF seam( )', 'EXT BAS(BAS_COMMAND :IN,REAL :IN)',
+             f'; frames in {frame_id}, which must be $WORLD; start near the first one',
+             'BAS(#INITMOV,0)  ; resets $TOOL',
+             'BAS(#TOOL,1)  ; put the number of your tool here: its z into the part',
+             'BAS(#BASE,0)', f'$VEL.CP={SPEED:g}', f'$APO.CDIS={1e3 * BLEND:g}']
     poses = _poses(frames)
     for k, (p, R) in enumerate(poses):
         names = zip('XYZABC', [*p, *R.as_euler('ZYX', degrees=True)], strict=True)
@@ -166,18 +169,23 @@ def rapid(frames: ToolFrames, frame_id: str) -> str:
         zone = 'fine' if k in (0, len(poses) - 1) else 'z0'
         moves.append(f'    MoveL seam{k},v{1e3 * SPEED:g},{zone},tool;')
     return '\n'.join([
-        'MODULE SeamPath', f'  ! frames in {frame_id}; tool: z into the part', *lines,
+        'MODULE SeamPath', f'  ! frames in {frame_id}, which must be the world frame (wobj0);',
+        '  ! tool: z into the part; start near the first frame', *lines,
         '  PROC followSeam(PERS tooldata tool)', '    ConfL \\Off;', *moves, '    ConfL \\On;',
         '  ENDPROC', 'ENDMODULE', ''])
 
 
 def urscript(frames: ToolFrames, frame_id: str) -> str:
     """Return a .script: metres; rotation vectors in radians."""
-    lines = ['def seam():', f'  # frames in {frame_id}; set_tcp before: z into the part']
+    lines = ['def seam():', f'  # frames in {frame_id}, which must be the base of the robot',
+             '  # set_tcp before: z into the part; start near the first frame']
     poses = _poses(frames)
+    gaps = np.diff(frames.lengths, prepend=-np.inf, append=np.inf)
     for k, (p, R) in enumerate(poses):
         place = ', '.join(f'{v:.7f}' for v in [*(1e-3 * p), *R.as_rotvec()])
-        blend = '' if k in (0, len(poses) - 1) else f', r={BLEND:g}'
+        # blends that overlap are skipped with their frames
+        reach = min(BLEND, OVERLAP * min(gaps[k:k + 2]))
+        blend = '' if k in (0, len(poses) - 1) else f', r={reach:.6f}'
         lines.append(f'  movel(p[{place}], a={ACCELERATION:g}, v={SPEED:g}{blend})')
     return '\n'.join([*lines, 'end', ''])
 

@@ -17,6 +17,7 @@ from handeye_ros.scanning.pictures import figure, save
 from handeye_ros.verification.errors import NoTrendError
 from handeye_ros.verification.verification import time_of
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 
 CHANGED, WARNING = 0.01, 0.05  # p of a difference: to act on, to watch
@@ -93,7 +94,7 @@ def table(entries: Sequence[Entry]) -> Table:
     made = Table(title='differences from the first', title_justify='left')
     for column in ('recorded', 'x [mm]', 'y [mm]', 'z [mm]', 'rotation [degrees]',
                    'p to the first', 'p to the one before', ''):
-        made.add_column(column, justify='right')
+        made.add_column(escape(column), justify='right')  # [mm] is no markup
     for e in entries:
         note = ('CHANGED' if e.p_before < CHANGED else
                 'watch' if min(e.p_before, e.p_first) < WARNING else '')
@@ -174,6 +175,7 @@ def _draw_calibrations(entries: Sequence[Entry], axes: Array) -> None:
             ax.annotate('changed', (place, 1), xycoords=('data', 'axes fraction'), fontsize=8,
                         color='tab:red', va='bottom', ha='center')
         ax.legend(fontsize=8)
+        ax.set_xticks(at, [])  # the dates stand below the last
     draw_chart(axes[2], 1e3 * np.array([e.residual for e in entries]), 'residual RMS [mm]')
     axes[2].set_xticks(at, [e.recorded[:16] or e.path.parent.name for e in entries],
                        rotation=20, ha='right', fontsize=8)

@@ -139,6 +139,9 @@ def test_programs_hold_the_frames_as_each_robot_writes_them():
     tool = np.column_stack([T[:3, 0], np.cross(T[:3, 1], T[:3, 0]), T[:3, 1]])
     number = r'(-?\d+\.\d+)'
     krl, rapid, ur = (program(frames, 'base') for _, program in seam_files.PROGRAMS.values())
+    # what INITMOV resets is set behind it
+    order = [krl.index(word) for word in ('EXT BAS', '#INITMOV', '#TOOL', '#BASE', 'LIN {')]
+    assert order == sorted(order)
     x, y, z, a, b, c = map(float, re.findall(rf'[XYZABC] {number}', krl.split('LIN {')[2]))
     R = Rotation.from_euler('z', a, True) * Rotation.from_euler('y', b, True) * (
         Rotation.from_euler('x', c, True))
@@ -150,6 +153,8 @@ def test_programs_hold_the_frames_as_each_robot_writes_them():
     pose = [float(v) for v in re.findall(r'movel\(p\[(.*?)\]', ur)[1].split(',')]
     np.testing.assert_allclose(Rotation.from_rotvec(pose[3:]).as_matrix(), tool, atol=1e-5)
     np.testing.assert_allclose(pose[:3], T[:3, 3], atol=1e-6)
+    dense = seam_files.urscript(tool_frames(seam, 5e-4), 'base')
+    assert max(float(r) for r in re.findall(r'r=([\d.]+)', dense)) < 2.5e-4
 
 
 def test_the_edges_of_a_gap_are_where_the_sheets_end():

@@ -18,6 +18,7 @@ from handeye_ros.verification import trend
 from handeye_ros.verification.errors import NoCheckError, NoTrendError, TooFewSeenError
 import numpy as np
 import pytest
+from rich.text import Text
 import yaml
 
 spec = importlib.util.spec_from_file_location(
@@ -157,6 +158,12 @@ def test_a_trend_goes_by_the_time_of_the_recordings(tmp_path):
     assert [e.path.parent.name for e in entries] == ['day_1', 'day_2', 'day_0']
     assert entries[0].recorded.startswith('2023-11-14')
     assert len(trend.csv_text(entries).splitlines()) == 4
+
+
+def test_the_columns_of_a_trend_keep_their_units(tmp_path):
+    calibrations(tmp_path, 2)
+    made = trend.table(trend.trend(tmp_path)[0])
+    assert Text.from_markup(str(made.columns[1].header)).plain == 'x [mm]'
 
 
 def test_control_limits_are_those_of_an_individuals_chart():
