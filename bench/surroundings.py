@@ -2,12 +2,13 @@
 """
 What other surfaces and other ends beside the target do to the answer.
 
-usage: python bench/surroundings.py [--seeds N] [--first S] [--only TEXT] [--refusals]
+usage: python bench/surroundings.py [--seeds N] [--first S] [--only TEXT] [--refusals] [--alone]
 
 A row per cell, over N recordings: how many are answered, TRE (mm, median and worst: RMS error of
 points mapped from the field of view, against the truth), the share of the answers whose stated
 95 % region holds the truth, and what most of the others are refused as. The cells:
-  plane    target.type plane, and a plate on a table whose edge most stations cross
+  plane    target.type plane, and a plate on a table whose edge most stations cross;
+           --alone: the same recordings without the other surface
   line     target.type line on a corner of a block, seen by a sensor that is so wide that a face
            also ends where its reach does; every other station is turned around
   wedge    a block on a table, whose foot makes a groove in many profiles
@@ -115,11 +116,14 @@ def main() -> None:
     parser.add_argument('--first', type=int, default=0, help='the first seed')
     parser.add_argument('--only', default='', help='cells whose name holds this text')
     parser.add_argument('--refusals', action='store_true', help='print every refusal')
+    parser.add_argument('--alone', action='store_true', help='no other surfaces (plane)')
     arguments = parser.parse_args()
     print(f'{"cell":36} answered  TRE    worst  in 95 %  most are refused as')
     for name, scenario in cells().items():
         if arguments.only not in name:
             continue
+        if arguments.alone and isinstance(scenario.target, PlateTarget):
+            scenario = replace(scenario, target=replace(scenario.target, table=None, clutter=None))
         outcomes = [trial(scenario, seed) for seed in range(
             arguments.first, arguments.first + arguments.seeds)]
         refused = [o for o in outcomes if isinstance(o, str)]

@@ -3,8 +3,8 @@ Whether sensor or target moved in the middle of a recording.
 
 Where the samples fit no answer, each part of the recording is fitted by itself. Where they do, a
 move after station k is one more term of the model, r = J xi + K n + D_k beta + e with the prior
-beta ~ N(0, S^2), tested to first order at the answer: nothing is fitted again. Twice the log of
-its Bayes factor is that over no move under the noise that explains the samples best without one,
+beta ~ N(0, S^2) of two sizes S, tested to first order at the answer: nothing is fitted again. Twice
+the log of its Bayes factor is that over no move under the noise that explains the samples best without one,
 be it as configured or as it was estimated; so a robot less accurate than stated is no move.
 """
 from __future__ import annotations
@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 MOST_PARTED = 15  # stations after which a recording is parted and fitted again
 MOST_CHANGES = 40  # stations after which a small move is looked for
 STEP = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
+SIZES = (1.0, 0.25)  # over that, as likely beforehand: of a move that only just matters
 HOPELESS = VERY_STRONG - DECISIVE  # evidence with which no other noise finds any
 
 
@@ -162,12 +163,18 @@ def _gains(solution: Solution, changes: NDArray[np.intp]) -> tuple[Array, Array]
     own = _from_each([D[part].T @ D[part] for part in rows])
     cross = _from_each([J[part].T @ D[part] for part in rows])
     slope = _from_each([solution.white[part] @ D[part] for part in rows])
-    both = np.eye(12) + own - np.swapaxes(cross, 1, 2) @ (C @ cross)
+    both = own - np.swapaxes(cross, 1, 2) @ (C @ cross)
     inside = np.stack([both[:, :6, :6], both[:, 6:, 6:]])
     slopes = np.stack([slope[:, :6], slope[:, 6:]])
-    size = np.linalg.solve(inside, slopes[..., None])[..., 0]
-    gains = (slopes * size).sum(axis=2) - np.linalg.slogdet(inside)[1]
-    return gains, -size * STEP
+    gains = np.full(slopes.shape[:2], -np.inf)
+    steps = np.zeros(slopes.shape)
+    for size in SIZES:
+        information = np.eye(6) + size ** 2 * inside
+        step = size ** 2 * np.linalg.solve(information, slopes[..., None])[..., 0]
+        gain = (slopes * step).sum(axis=2) - np.linalg.slogdet(information)[1]
+        steps = np.where((gain > gains)[..., None], -step * STEP, steps)
+        gains = np.maximum(gains, gain)
+    return gains - 2 * np.log(len(SIZES)), steps
 
 
 def _from_each(parts: list[Array]) -> Array:

@@ -86,6 +86,8 @@ def _sensors() -> Iterator[Scenario]:
 def _robots() -> Iterator[Scenario]:
     for error in (0.1, 0.3):
         yield _robot(f'joints and links {error} mm', geometry=error * MM)
+    for base in BASELINES:
+        yield _robot(f'{base.scene}, joints and links 1 mm', base, geometry=1 * MM)
     for error in (0.1, 0.2, 0.3, 1.0):  # radians: what the error is at 0.3 m
         yield _robot(f'smooth {error} mm', systematic=(error * MM, error * MM / 0.3))
     smooth: dict[str, Any] = {'systematic': (0.2 * MM, 0.2 * MM / 0.3)}
