@@ -3,9 +3,10 @@ Whether sensor or target moved in the middle of a recording.
 
 Where the samples fit no answer, each part of the recording is fitted by itself. Where they do, a
 move after station k is one more term of the model, r = J xi + K n + D_k beta + e with the prior
-beta ~ N(0, S^2) of two sizes S, tested to first order at the answer: nothing is fitted again. Twice
-the log of its Bayes factor is that over no move under the noise that explains the samples best without one,
-be it as configured or as it was estimated; so a robot less accurate than stated is no move.
+beta ~ N(0, S^2), of two sizes S, tested to first order at the answer: nothing is fitted again.
+Twice the log of its Bayes factor is that over no move under the noise that explains the samples
+best without one, be it as configured or as it was estimated; so a robot less accurate than stated
+is no move.
 """
 from __future__ import annotations
 
