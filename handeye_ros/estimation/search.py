@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 LOST_SHARE = 0.1  # of the stations far from an estimate, from which another is looked for
 FAR, FAR_RATIO = 5e-3, 5.0  # residual (m; over the largest of an answer) of a hopeless start
-UNUSED_SQUARE = 8.0  # squared residual of a station whose essential observations are all unused
 CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good answer
 LARGEST_SQUARE = 16.0  # squared residual, in variances, that a clean recording stays below
 COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on after them
@@ -103,7 +102,7 @@ def refined(problem: Problem, estimate: Estimate) -> Refined:
     at = graduated(start, _mean_squares, refit)
     labelled, estimate, squares = at.linear.problem, at.linear.estimate, _mean_squares(at)
     unused = unused_essential(problem, labelled)
-    squares = np.where(unused, np.maximum(squares, UNUSED_SQUARE), squares)
+    squares = np.where(unused, np.maximum(squares, LARGEST_SQUARE), squares)
     return Refined(problem, labelled, estimate, squares, _hollow(problem, labelled, estimate))
 
 
