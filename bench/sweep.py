@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 import math
 import time
 
-from accuracy import NO_DOUBTS
+from accuracy import NO_PRIORS
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import HandeyeError
@@ -103,7 +103,7 @@ def trial(job: tuple[str, int, bool]) -> Outcome:
     if job[2]:
         assert scenario.sweep is not None
         smooth = math.hypot(scenario.robot.systematic[0], scenario.sweep.drift[0])
-        values |= NO_DOUBTS | {'noise.robot_smooth': smooth / math.sqrt(3)}
+        values |= NO_PRIORS | {'noise.robot_smooth': smooth / math.sqrt(3)}
         values |= {'noise.distortion': 2e-5} if scenario.scene == 'wedge' else {}
     config = with_values(Config(), values, job[0])
     began = time.process_time()
