@@ -29,6 +29,7 @@ from handeye_ros.verification.causes import (
     EVIDENCE,
     smallest_moves,
 )
+from handeye_ros.verification.clock import compared
 from handeye_ros.verification.errors import NoCheckError, TooFewSeenError
 from handeye_ros.verification.fixed_fit import by_calibration, points_in_base
 from handeye_ros.verification.shapes import Seen
@@ -37,8 +38,6 @@ import numpy as np
 FORMAT = 'handeye_ros/check/2'
 LEAST_STATIONS = 4
 SURE = 0.95  # probability with which one cause, or some together, are named
-CLOCK_SURE = 4.0  # sigmas of a change of the time offset
-CLOCK_SMALLEST = 1e-4  # s: of no matter to a scan
 KEPT = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN = 0.01  # m: a shift that would show only from here on is called unseen
 TURNS = np.deg2rad([[0, 0, 90], [0, 0, 180], [0, 0, -90], [25, 0, 0], [-25, 0, 0], [0, 25, 0],
@@ -222,11 +221,9 @@ def with_offset(found: Check, now: TimeOffset, calibration: Calibration) -> Chec
         return found
     change, std = now.value - before.value, math.hypot(now.std, before.std)
     found = replace(found, time_offset_changed=change, time_offset_changed_std=std)
-    told = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
-    if abs(change) <= max(CLOCK_SURE * std, CLOCK_SMALLEST):
-        return replace(found, sentence=f'{found.sentence}. The time offset is as it was: {told}')
-    said = (f'the time offset has changed by {told}: the clock or the delay of sensor or robot is '
-            f'another; set time_offset to {now.value:.5f}, or calibrate again')
+    changed, said = compared(now, before)
+    if not changed:
+        return replace(found, sentence=f'{found.sentence}. {said[0].upper()}{said[1:]}')
     if found.verdict == 'unchanged':
         return replace(found, verdict='clock', sentence=f'{said}. Apart from it {found.sentence}')
     return replace(found, verdict=f'{found.verdict} and clock',

@@ -7,7 +7,7 @@ from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.estimation.outliers import chi2_sf
 from handeye_ros.results.outcome import mounted, sensor_axes
-from handeye_ros.verification import surfaces
+from handeye_ros.verification import clock, surfaces
 from handeye_ros.verification.decision import claim_p, decide, sensitivity
 from handeye_ros.verification.errors import (
     any_of,
@@ -149,12 +149,15 @@ def seen_in(routine: Routine, samples: Sequence[Sample], calibration: Calibratio
 
     Of several surfaces in sight it takes the nearest; verify.near limits what takes part.
     """
-    poses = mounted(samples, config) if samples else np.empty((0, 4, 4))
     X, note = calibration.T_flange_sensor @ sensor_axes(config), ''
+    if config.sampling.moving and samples:
+        samples, note = clock.at_offset(routine, samples, X, calibration, config)
+    poses = mounted(samples, config) if samples else np.empty((0, 4, 4))
     if config.verify.near and samples:
         samples = surfaces.near(samples, poses, X, config.verify.near)
     if routine.target == 'plane':
-        samples, note = surfaces.nearest(samples, poses, X, config.profile.range_sign)
+        samples, of = surfaces.nearest(samples, poses, X, config.profile.range_sign)
+        note = '; '.join(filter(None, [of, note]))
     return Seen(poses, routine.observe(samples, poses, X),
                 stamps=np.array([sample.stamp for sample in samples], dtype=np.int64),
                 surface=note)

@@ -1,0 +1,42 @@
+"""The time offset of a calibration, verified on a ball or an edge that the robot sweeps over."""
+from __future__ import annotations
+
+from dataclasses import replace
+import re
+
+from handeye_ros import pipeline
+from handeye_ros.config import Config, flatten, with_values
+from handeye_ros.data import Calibration, Quality, TimeOffset
+from handeye_ros.simulate import SCENARIOS, settings, simulate
+from handeye_ros.simulate.scenario import Sweep
+from handeye_ros.verification.routines import ROUTINES
+from handeye_ros.verification.verify import seen_in, settings_for, verify
+import numpy as np
+import pytest
+
+
+@pytest.mark.parametrize('target', ['sphere', 'line'])
+@pytest.mark.parametrize('calibrated', [0.020, 0.017])
+def test_a_sweep_without_turns_tells_whether_the_offset_has_changed(
+        target: str, calibrated: float) -> None:
+    base = SCENARIOS[target]
+    scenario = replace(base, stations=(8, 0), motion='one_orientation', sweep=Sweep(knot=0.9),
+                       sensor=replace(base.sensor, columns=320, delay=-0.020))
+    made = simulate(scenario, np.random.default_rng(5))
+    config = with_values(Config(), settings(scenario) | {
+        'sampling.mode': 'moving', 'time_offset': calibrated,
+        'verify.radius': float(getattr(scenario.target, 'radius', 0.0))}, 'a test')
+    found = Calibration('ball', target, 'flange', 'laser', made.truth.T_flange_sensor,
+                        np.diag([1e-5] * 3 + [1e-4] * 3) ** 2, {}, Quality(0, 0, 0, 0, '', 0), (),
+                        {'config': flatten(config)}, TimeOffset(calibrated, 2e-5))
+    routine = ROUTINES[target]
+    config = settings_for(routine, config, 1)
+    stamped = [replace(p, stamp=p.stamp + round(calibrated * 1e9)) for p in made.profiles]
+    session = pipeline.gather(stamped, made.poses, config)
+    seen = seen_in(routine, session.samples, found, config)
+    change = float(re.search(r'by ([-+.\d]+) ms|was: ([-+.\d]+) ms', seen.surface).expand(
+        r'\1\2'))
+    assert abs(change - (0.020 - calibrated) * 1e3) < 0.2
+    assert ('as it was' in seen.surface) == (calibrated == 0.020)
+    result = verify(routine, [seen], found, config)
+    assert seen.surface in result.surface and result.scatter.rms < 1e-4
