@@ -117,7 +117,7 @@ def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
     """Return that the laser crosses an edge at too small an angle to be used, if it does."""
     edges = [f.point for f in sample.features if isinstance(f, EdgePoint)]
     kinds = solution.problem.method.essential
-    if not edges or not kinds or not _one_condition_each(solution.problem):
+    if not edges or not kinds:
         return ''
     angles = [_crossing([sample], np.array(edges), solution, kind, config) for kind in kinds]
     distance, angle, kind = min(zip(*zip(*angles, strict=True), kinds, strict=True))
@@ -128,13 +128,12 @@ def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
             'degrees), so its edge point cannot count: turn the tool about the range axis')
 
 
-def _one_condition_each(problem: Problem) -> bool:
-    """Tell whether an edge point fulfils one condition: its distance from an edge in a face."""
-    of_edges = [problem.method.kinds.index(name) for name in problem.method.essential]
-    observations = problem.observations
-    rows = np.isin(observations.kind, of_edges)
-    points = np.column_stack([observations.station, observations.source])[rows]
-    return len(np.unique(points, axis=0)) == len(points)
+def _with(problem: Problem, kind: int) -> list[int]:
+    """Return the kinds of all conditions of the edge points of one kind, that one the first."""
+    obs = problem.observations
+    points = obs.station * (obs.source.max() + 1) + obs.source
+    seen = np.unique(obs.kind[np.isin(points, points[obs.kind == kind])])
+    return [kind, *(int(k) for k in seen if k not in (kind, UNUSED))]
 
 
 def _crossing(samples: Sequence[Sample], points: Array, solution: Solution, name: str,
@@ -144,9 +143,12 @@ def _crossing(samples: Sequence[Sample], points: Array, solution: Solution, name
     pose = mounted(samples, config)[0] @ estimate.X
     in_base = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]]
                               ) @ pose[:3, :3].T + pose[:3, 3]
-    kind = np.full(len(points), method.kinds.index(name))
-    found = method.geometry.conditions(in_base, kind, estimate.target, config)
-    nearest = int(np.argmin(np.abs(found.g)))
-    across = found.dg_dp[nearest]
-    steepness = abs(across @ pose[:3, 0]) / np.linalg.norm(across)
-    return float(abs(found.g[nearest])), float(np.arcsin(min(1.0, steepness)))
+    found = [method.geometry.conditions(in_base, np.full(len(points), kind), estimate.target,
+                                        config)
+             for kind in _with(solution.problem, method.kinds.index(name))]
+    distance = np.linalg.norm([one.g for one in found], axis=0)
+    nearest = int(np.argmin(distance))
+    across = np.array([one.dg_dp[nearest] for one in found])
+    along_laser = across @ pose[:3, 0] / np.linalg.norm(across, axis=1)
+    steepness = min(1.0, float(np.linalg.norm(along_laser)))
+    return float(distance[nearest]), float(np.arcsin(steepness))

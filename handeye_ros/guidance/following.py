@@ -157,9 +157,13 @@ def _steep(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
 
 def _facing(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
     """Return which stations look at the target from the side that the prototype saw."""
-    faces = np.abs(batch.seen) > rules.SMALLEST_COSINE
-    along_range = by_point[:, faces, 1] * np.sign(batch.seen[faces])
-    return np.asarray((along_range > rules.SMALLEST_COSINE).all(axis=1))
+    good = np.ones(len(batch), dtype=bool)
+    for rows in batch.groups:  # conditions of one point together, in whatever axes they are
+        size = np.linalg.norm(batch.seen[rows], axis=1)
+        along_range = (by_point[:, rows, 1] * batch.seen[rows]).sum(axis=2)
+        towards = along_range > rules.SMALLEST_COSINE * size
+        good &= (towards | (size <= rules.SMALLEST_COSINE)).all(axis=1)
+    return good
 
 
 def _recognised(batch: Batch) -> NDArray[np.bool_]:

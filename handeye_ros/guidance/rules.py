@@ -78,14 +78,16 @@ def crossing_steeply(linear: Linear, count: int) -> NDArray[np.bool_]:
     """
     Return at which of n stations the laser line crosses the edges steeply enough.
 
-    linear: of count conditions a station, each of an edge within its face, or of something else.
+    linear: of count conditions a station. All conditions of one edge point count together: each
+    of the distances from a line in space depends on the axes in which they are taken.
     """
     problem = linear.problem
-    rows = np.isin(problem.observations.kind, edge_kinds(problem.method)).reshape(-1, count)
-    across = np.linalg.norm(linear.by_base, axis=-1)
-    steepness = np.abs(linear.by_point[:, 0]) / np.maximum(across, 1e-12)
+    _, point = np.unique(problem.observations.points, axis=0, return_inverse=True)
+    along_laser = linear.by_point[:, 0] / np.maximum(np.linalg.norm(linear.by_base, axis=-1), 1e-12)
+    steepness = np.sqrt(np.bincount(point.reshape(-1), along_laser ** 2))[point.reshape(-1)]
     least = np.sin(stricter(problem.config).sampling.min_crossing_angle)
-    return np.asarray((~rows | (steepness.reshape(-1, count) > least)).all(axis=1))
+    of_edges = np.isin(problem.observations.kind, edge_kinds(problem.method))
+    return np.asarray((~of_edges | (steepness > least)).reshape(-1, count).all(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
