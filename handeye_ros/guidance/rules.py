@@ -83,8 +83,9 @@ def crossing_steeply(linear: Linear, count: int) -> NDArray[np.bool_]:
     """
     problem = linear.problem
     _, point = np.unique(problem.observations.points, axis=0, return_inverse=True)
-    along_laser = linear.by_point[:, 0] / np.maximum(np.linalg.norm(linear.by_base, axis=-1), 1e-12)
-    steepness = np.sqrt(np.bincount(point.reshape(-1), along_laser ** 2))[point.reshape(-1)]
+    size = np.maximum(np.linalg.norm(linear.by_base, axis=-1), 1e-12)
+    squares = np.bincount(point.reshape(-1), (linear.by_point[:, 0] / size) ** 2)
+    steepness = np.sqrt(squares)[point.reshape(-1)]
     least = np.sin(stricter(problem.config).sampling.min_crossing_angle)
     of_edges = np.isin(problem.observations.kind, edge_kinds(problem.method))
     return np.asarray((~of_edges | (steepness > least)).reshape(-1, count).all(axis=1))

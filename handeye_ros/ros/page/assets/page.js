@@ -164,7 +164,7 @@ function showSteps(state) {
   const c = state.calibration, { running, verdict } = state.verification;
   const taken = state.samples.filter(s => s.taken).length;
   const missing = [state.profiles, state.poses].filter(stream => !flows(stream))
-    .map(stream => label('no {0}s', stream.kind));
+    .map(stream => label(stream === state.poses ? 'No poses.' : 'No profiles.').replace('.', ''));
   const passed = verdict.includes(': PASS'), failed = verdict.includes(': FAIL');
   const done = {
     connect: [!missing.length, missing.join(', ') || [state.profiles, state.poses].map(rate).join(', ')],
