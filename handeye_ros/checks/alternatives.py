@@ -27,7 +27,6 @@ RARE = 1e-5  # chance of naming a cause that is none
 # Twice the log of a Bayes factor. Very strong evidence is so called by Kass and Raftery; decisive
 # is what is asked for before a cause is named.
 VERY_STRONG, DECISIVE = 10.0, -2 * float(np.log(RARE))
-WEAK = -2 * float(np.log(9))  # a chance of one in ten, at even odds beforehand
 SMALLEST = 1e-2  # variance factor, nuisance parameters as noise, of samples without any error
 LARGEST_DROPPED_SHARE = 0.34  # of the stations, that an explanation may leave out
 
