@@ -29,7 +29,7 @@ from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.estimation.model import Estimate, UNUSED
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.solution import evaluate, fitted
-from handeye_ros.results.outcome import mounted
+from handeye_ros.frames import mounted
 from handeye_ros.se3 import transform
 from handeye_ros.simulate import Scenario, settings, simulate_samples
 from handeye_ros.simulate.scenario import PlateTarget, RobotModel, SensorModel, SphereTarget

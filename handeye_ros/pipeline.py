@@ -31,8 +31,9 @@ from handeye_ros.estimation.consensus import Consensus, consensus, refine, SUBSE
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.solution import Solution
+from handeye_ros.frames import mounted
 from handeye_ros.guidance import advice
-from handeye_ros.results.outcome import describe_calibration, mounted
+from handeye_ros.results.outcome import describe_calibration
 from handeye_ros.results.report.evidence import Evidence, judged
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.passes import problem_of

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from handeye_ros.batch.jobs import Row
 from handeye_ros.errors import HandeyeError
-from handeye_ros.scanning.pictures import figure, save
+from handeye_ros.output import figure, save
 from handeye_ros.verification import trend
 import numpy as np
 

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 from handeye_ros import __version__
 from handeye_ros.batch.remote import fingerprint, is_remote, local_copy
 from handeye_ros.errors import HandeyeError
-from handeye_ros.results.calibration_file import write_whole
+from handeye_ros.output import write_whole
 import yaml
 
 Row: TypeAlias = dict[str, Any]

@@ -8,7 +8,7 @@ import re
 
 from handeye_ros.batch.cells import Cell
 from handeye_ros.batch.jobs import Row
-from handeye_ros.results.calibration_file import write_whole
+from handeye_ros.output import write_whole
 from jinja2 import Environment
 
 WORST = 10

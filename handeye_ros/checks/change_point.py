@@ -23,7 +23,6 @@ from handeye_ros.checks.alternatives import (
     VERY_STRONG,
 )
 from handeye_ros.checks.errors import MovedError
-from handeye_ros.checks.motion import mount_frame, target_frame
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import Consensus, fast_consensus
@@ -32,6 +31,7 @@ from handeye_ros.estimation.noise import Noise, whitening
 from handeye_ros.estimation.outliers import chi2_isf
 from handeye_ros.estimation.posterior import BELIEF_NOISE, evaluated
 from handeye_ros.estimation.solution import Solution
+from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
 from numpy.typing import NDArray
 

@@ -20,6 +20,7 @@ from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.model import Method
 from handeye_ros.estimation.solution import redundancy, Solution
+from handeye_ros.frames import mount_frame
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -36,18 +37,6 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], method
         reasons = [reason for reason, _ in Counter(r.reason for r in rejects).most_common()]
         raise TooFewSamplesError(method.name, len(samples), method.minimum, len(rejects),
                                  reasons[0] if reasons else '')
-
-
-def mount_frame(config: Config) -> str:
-    """Return the frame that the sensor is fixed in, in which its transform is given."""
-    in_hand = config.calibration_type == 'eye_in_hand'
-    return config.robot_effector_frame if in_hand else config.base_frame
-
-
-def target_frame(config: Config) -> str:
-    """Return the frame that the target is fixed in."""
-    in_hand = config.calibration_type == 'eye_in_hand'
-    return config.base_frame if in_hand else config.robot_effector_frame
 
 
 def require_own_frame(frame_id: str, config: Config) -> None:

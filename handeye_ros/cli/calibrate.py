@@ -69,7 +69,7 @@ def solve(
 
 def _target(out: Path | None, settings: 'Config') -> Path:
     """Return the folder of the result, absolute."""
-    from handeye_ros.results.calibration_file import folder_name
+    from handeye_ros.output import folder_name
     return (out or Path(settings.output_dir or 'out') / folder_name(settings)).absolute()
 
 
@@ -139,7 +139,7 @@ def compare(
 
     from handeye_ros.comparison import compare as comparing
     from handeye_ros.comparison import table
-    from handeye_ros.results.calibration_file import write_whole
+    from handeye_ros.output import write_whole
     from handeye_ros.results.truth_file import true_transform
     import yaml
     method, T_true = _file_method(path, settings), true_transform(path)

@@ -61,7 +61,7 @@ def check(
 def _check_bags(bags: list[Path], against: Path, config: Path | None, assignments: list[str],
                 out: Path | None) -> bool:
     """Return whether a recording shows a change."""
-    from handeye_ros.results.calibration_file import write_whole
+    from handeye_ros.output import write_whole
     from handeye_ros.verification import check as checking
     import yaml
     calibration, settings = calibrated(against, config, assignments)

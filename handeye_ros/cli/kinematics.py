@@ -142,7 +142,7 @@ def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[s
 def _proposed(found: 'Answer', count: int, out: Path) -> str:
     """Write the configurations that help most next; return what they promise."""
     from handeye_ros.kinematics.programme import as_csv, as_trajectory, programme
-    from handeye_ros.results.calibration_file import write_whole
+    from handeye_ros.output import write_whole
     made, chain = programme(found.outcome.models[-1].fit, count), found.arm.chain
     write_whole(out / 'programme.csv', as_csv(chain, made.q))
     write_whole(out / 'programme.yaml', as_trajectory(chain, made.q))

@@ -55,7 +55,7 @@ def plan(
     from functools import partial
 
     from handeye_ros.config import with_values
-    from handeye_ros.results.calibration_file import write_whole
+    from handeye_ros.output import write_whole
     from handeye_ros.verification import plan as planning
     from handeye_ros.verification.routines import routine_of
     found, settings = calibrated(calibration, config, assignments)

@@ -44,7 +44,8 @@ def report(
     )] = [],  # noqa: B006 - never changed
 ) -> None:
     """Show a saved calibration, or a verification, and what it comes from in one HTML file."""
-    from handeye_ros.results.calibration_file import file_of, read_calibration, write_whole
+    from handeye_ros.output import write_whole
+    from handeye_ros.results.calibration_file import file_of, read_calibration
     from handeye_ros.results.protocol import html as protocol
     from handeye_ros.results.report import page
     from handeye_ros.results.verified import read

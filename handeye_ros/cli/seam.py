@@ -128,7 +128,7 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
 
 def _more(found: 'Seam', frames: 'ToolFrames', frame: str, out: Path, robots: Sequence[str],
           bag: bool, picture: bool) -> None:
-    from handeye_ros.results.calibration_file import write_whole
+    from handeye_ros.output import write_whole
     from handeye_ros.scanning import seam_files
     for robot in robots:
         name, program = seam_files.PROGRAMS[robot]

@@ -30,7 +30,8 @@ def tell_trend(folder: Path, against: Path | None, picture: Path | None, csv: Pa
     """Print the trends of a folder, and write what is asked for."""
     from functools import partial
 
-    from handeye_ros.results.calibration_file import read_calibration, write_whole
+    from handeye_ros.output import write_whole
+    from handeye_ros.results.calibration_file import read_calibration
     from handeye_ros.verification import charts, trend
     from handeye_ros.verification.errors import NoTrendError
     measured, bad = charts.charts(folder)

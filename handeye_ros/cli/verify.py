@@ -119,7 +119,7 @@ def verify(
 
 def _write(result: 'Verification', out: Path | None, stations: Path | None,
            protocol: Path | None) -> None:
-    from handeye_ros.results.calibration_file import write_whole
+    from handeye_ros.output import write_whole
     from handeye_ros.verification import verification
     if out:
         write_whole(out, verification.yaml_text(result))

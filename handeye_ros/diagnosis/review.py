@@ -16,7 +16,8 @@ from handeye_ros.estimation.consensus import consensus
 from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.estimation.model import UNUSED
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.results.outcome import left_out, Measured, measured_points, mounted
+from handeye_ros.frames import mounted
+from handeye_ros.results.outcome import left_out, Measured, measured_points
 from handeye_ros.sampling.edge_shapes import consistent_edges
 import numpy as np
 

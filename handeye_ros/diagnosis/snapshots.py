@@ -7,7 +7,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.results.outcome import in_mount
+from handeye_ros.frames import in_mount
 from handeye_ros.results.report.evidence import StopSnapshot
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome, Seen

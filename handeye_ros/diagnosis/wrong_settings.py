@@ -21,8 +21,8 @@ from handeye_ros.data import Reject, Sample
 from handeye_ros.errors import DataError, mm, NamedCauseError
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.solution import redundancy
+from handeye_ros.frames import mounted
 from handeye_ros.profiles.range_sign import range_sign_evidence
-from handeye_ros.results.outcome import mounted
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.station_features import evenly

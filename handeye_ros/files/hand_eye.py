@@ -7,13 +7,13 @@ from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.checks.errors import ConventionError
-from handeye_ros.checks.motion import mount_frame
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.files import hand_eye_estimate
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.method import Answer, FileMethod, Index, Input, ReadBag
+from handeye_ros.frames import mount_frame
 from handeye_ros.results.calibration_file import input_values, transform_values
 import numpy as np
 from scipy.spatial.transform import Rotation

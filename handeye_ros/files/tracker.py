@@ -15,9 +15,9 @@ from handeye_ros.files.method import Answer, FileMethod, Index, Input, ReadBag
 from handeye_ros.files.sweeps import sweep_from
 from handeye_ros.files.tables import Table
 from handeye_ros.files.tracker_model import Seen, State, Sweep, SWEPT
+from handeye_ros.frames import sensor_axes
 from handeye_ros.published import jing2020
 from handeye_ros.results.calibration_file import input_values
-from handeye_ros.results.outcome import sensor_axes
 from handeye_ros.results.truth_errors import FIELD, field_points
 import numpy as np
 from numpy.typing import NDArray

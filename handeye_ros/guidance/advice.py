@@ -5,16 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3, targets
-from handeye_ros.checks.motion import (
-    mount_frame,
-    name_direction,
-    worst_rotation,
-    worst_translation,
-)
+from handeye_ros.checks.motion import name_direction, worst_rotation, worst_translation
 from handeye_ros.checks.shape import offset_notes
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution
+from handeye_ros.frames import mount_frame, mounted
 from handeye_ros.guidance.budget import Cause, largest_cause, with_sample
 from handeye_ros.guidance.candidates import Search
 from handeye_ros.guidance.limits import limits_of
@@ -23,7 +19,6 @@ from handeye_ros.guidance.rules import visited
 from handeye_ros.guidance.score import Mapping, mapping
 from handeye_ros.guidance.spread import missing
 from handeye_ros.guidance.view import learn_view
-from handeye_ros.results.outcome import mounted
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -18,10 +18,10 @@ from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
 from handeye_ros.estimation.solution import retracted
+from handeye_ros.frames import in_mount
 from handeye_ros.kinematics.errors import TargetsApartError
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.points import State
-from handeye_ros.results.outcome import in_mount
 import numpy as np
 from numpy.typing import NDArray
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from handeye_ros.kinematics.answer import Answer, UNKNOWN
 from handeye_ros.kinematics.chain import REVOLUTE
 from handeye_ros.kinematics.model import DIRECTION, OFFSET, POSITION
-from handeye_ros.results.calibration_file import write_whole
+from handeye_ros.output import write_whole
 from handeye_ros.results.report.figures import style
 from jinja2 import Environment
 from matplotlib.backends.backend_svg import FigureCanvasSVG

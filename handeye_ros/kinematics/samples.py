@@ -10,6 +10,7 @@ from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, Tim
 from handeye_ros.diagnosis.clocks import require_same_clock
 from handeye_ros.estimation.linalg import covering
 from handeye_ros.estimation.linearise import Problem
+from handeye_ros.frames import in_mount
 from handeye_ros.kinematics.answer import Answer
 from handeye_ros.kinematics.chain import Chain
 from handeye_ros.kinematics.errors import (
@@ -23,7 +24,6 @@ from handeye_ros.kinematics.outcome import AGREEING, Outcome, solve
 from handeye_ros.kinematics.points import judged_joints
 from handeye_ros.kinematics.profiles import misfit, profiles_of
 from handeye_ros.kinematics.starts import cause_of, Change, OTHER_SIDE
-from handeye_ros.results.outcome import in_mount
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.time_offset import synchronised

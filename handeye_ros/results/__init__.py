@@ -6,14 +6,12 @@ rooms of their own.
 """
 
 OFFERED = (
-    'calibration_file', 'calibration_file.file_of', 'calibration_file.folder_name',
-    'calibration_file.input_values', 'calibration_file.read_calibration',
-    'calibration_file.transform_from', 'calibration_file.transform_values',
-    'calibration_file.write_calibration', 'calibration_file.write_whole',
+    'calibration_file', 'calibration_file.file_of', 'calibration_file.input_values',
+    'calibration_file.read_calibration', 'calibration_file.transform_from',
+    'calibration_file.transform_values', 'calibration_file.write_calibration',
     'errors.CalibrationFileError', 'errors.NothingToSaveError', 'folder', 'outcome.Measured',
-    'outcome.describe_calibration', 'outcome.in_mount', 'outcome.left_out',
-    'outcome.measured_points', 'outcome.mounted', 'outcome.sensor_axes', 'protocol.html', 'table',
-    'target_shape.enlargement', 'target_shape.half_axes', 'target_shape.rings',
+    'outcome.describe_calibration', 'outcome.left_out', 'outcome.measured_points', 'protocol.html',
+    'table', 'target_shape.enlargement', 'target_shape.half_axes', 'target_shape.rings',
     'target_shape.shape', 'truth_errors.Errors', 'truth_errors.FIELD',
     'truth_errors.errors_against', 'truth_errors.field_points', 'truth_file',
     'truth_file.true_transform', 'verified.COLUMNS', 'verified.FORMAT', 'verified.Verified',

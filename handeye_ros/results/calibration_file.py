@@ -6,26 +6,23 @@ A file is written beside its final place and then renamed: it is whole or not th
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import asdict, replace
 from datetime import datetime, UTC
 import hashlib
 import math
-import os
 from pathlib import Path
 from typing import Any
 
 from handeye_ros import __version__, se3
-from handeye_ros.config import Config, yaml_content
+from handeye_ros.config import yaml_content
 from handeye_ros.data import Array, Calibration, Quality, SampleReport, TimeOffset
-from handeye_ros.errors import BadValueError, UnwritableError
+from handeye_ros.output import write_whole
 from handeye_ros.results.errors import CalibrationFileError
 from handeye_ros.results.section import Section
 import numpy as np
 from scipy.spatial.transform import Rotation
 import yaml
 
-LONGEST_NAME = 100  # characters of a folder
 FORMAT = 'handeye_ros/calibration/'
 NEWEST = 1
 NAME = 'calibration.yaml'
@@ -61,31 +58,6 @@ def text(calibration: Calibration) -> str:
     header = HEADER.format(parent=calibration.parent_frame, child=calibration.child_frame)
     return header + str(yaml.safe_dump(_content(calibration), sort_keys=False, width=100,
                                        default_flow_style=None, allow_unicode=True))
-
-
-def folder_name(config: Config) -> str:
-    """Return the name of the folder that a calibration is saved in; raises BadValueError."""
-    name = config.name or config.target.type
-    if name in ('', '.', '..') or '/' in name:
-        raise BadValueError('name', name, 'the name of a folder, without "/"')
-    if len(name) > LONGEST_NAME:
-        raise BadValueError('name', f'{name[:20]}...', f'at most {LONGEST_NAME} characters')
-    return name
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file under another name and rename it; raises UnwritableError."""
-    temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            temporary.write_text(text, encoding='utf-8')
-            os.replace(temporary, path)
-        finally:
-            with suppress(OSError):
-                temporary.unlink()
-    except OSError as error:
-        raise UnwritableError(path, error.strerror or str(error)) from error
 
 
 def _content(calibration: Calibration) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from handeye_ros import __version__, se3
 from handeye_ros.checks.misfit import edge_notes
-from handeye_ros.checks.motion import mount_frame, weakest
+from handeye_ros.checks.motion import weakest
 from handeye_ros.checks.shape import (
     contradictions,
     offset_notes,
@@ -22,6 +22,7 @@ from handeye_ros.estimation.influence import predictions
 from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.solution import corrected_poses, Solution
+from handeye_ros.frames import mount_frame, sensor_axes
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,36 +30,6 @@ MOST_POINTS = 200_000
 MOST_FOLDS = 20  # of the left-out check
 ONLY_FACE = ('only its face was used: its edge point lies on no edge of the target, or the laser '
              'crosses the edge at too small an angle')
-
-
-def mounted(samples: Sequence[Sample], config: Config) -> Array:
-    """
-    Return the poses (n, 4, 4) of what carries the sensor, in what carries the target.
-
-    The flange in the base (eye_in_hand), or the base in the flange (eye_on_base).
-    """
-    return in_mount(np.array([sample.T_base_flange for sample in samples]), config)
-
-
-def in_mount(T_base_flange: Array, config: Config) -> Array:
-    """Return poses (..., 4, 4) of the flange in the base, see mounted."""
-    return T_base_flange if config.calibration_type == 'eye_in_hand' else se3.inverse(
-        T_base_flange)
-
-
-def sensor_axes(config: Config) -> Array:
-    """
-    Return T_sensor_plane, (4, 4): the sensor's plane, along the line x and range z.
-
-    Identity for the usual axes [x, z].
-    """
-    columns = []
-    for name in config.profile.axes:
-        unit = np.zeros(3)
-        unit['xyz'.index(name[-1])] = -1.0 if name[0] == '-' else 1.0
-        columns.append(unit)
-    along, across = columns
-    return se3.transform(np.column_stack([along, np.cross(across, along), across]), np.zeros(3))
 
 
 def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], agreed: Consensus,

@@ -21,7 +21,7 @@ from handeye_ros.estimation.blocks import Blocks, by_twists, ParameterBlock
 from handeye_ros.estimation.linearise import Linear, Problem
 from handeye_ros.estimation.model import PoseModel
 from handeye_ros.estimation.noise import TURN_LENGTH
-from handeye_ros.results.outcome import mounted
+from handeye_ros.frames import mounted
 from handeye_ros.sampling.dwells import DwellFinder, interpolate, NS
 from handeye_ros.sampling.errors import NoProfilesError
 from handeye_ros.sampling.station_features import evenly, features_of_each, flipped_features

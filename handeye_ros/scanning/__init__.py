@@ -3,7 +3,6 @@
 OFFERED = (
     'cloud_files.FORMATS', 'cloud_files.Points', 'cloud_files.cloud_writer',
     'cloud_files.header_of', 'cloud_files.read_cloud', 'errors.NeedsCalibrationError',
-    'pictures.draw_seam', 'pictures.figure', 'pictures.save', 'scan.ScanCount',
-    'scan.ScanOptions', 'scan.Scanner', 'seam.Seam', 'seam.ToolFrames', 'seam.find_seam',
-    'seam.tool_frames', 'seam_files',
+    'pictures.draw_seam', 'scan.ScanCount', 'scan.ScanOptions', 'scan.Scanner', 'seam.Seam',
+    'seam.ToolFrames', 'seam.find_seam', 'seam.tool_frames', 'seam_files',
 )

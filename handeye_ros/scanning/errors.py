@@ -120,14 +120,6 @@ class TaughtPathError(InputError):
         super().__init__(f'{path}: {reason}; expected a CSV file with columns x, y, z in metres')
 
 
-class NoMatplotlibError(InputError):
-    """A picture without the library that draws it."""
-
-    def __init__(self) -> None:
-        super().__init__('pictures need matplotlib, which is not installed: install '
-                         'python3-matplotlib (with pip: matplotlib), or ask for no picture')
-
-
 class NeedsCalibrationError(InputError):
     """A bag whose profiles cannot be put into the base."""
 

@@ -1,35 +1,15 @@
-"""Pictures for files; matplotlib is loaded only here, and refused in words where it is missing."""
+"""Pictures of seams for files."""
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from handeye_ros.data import Array
-from handeye_ros.errors import UnwritableError
-from handeye_ros.scanning.errors import NoMatplotlibError
+from handeye_ros.output import figure, save
 from handeye_ros.scanning.seam import Seam, ToolFrames
 import numpy as np
 
 CLOUD_POINTS = 6000  # of a seam that are drawn
 ARROW = 8e-3  # m
-
-
-def figure(rows: int, columns: int, width: float = 9.0, height: float = 3.0) -> tuple[Any, Any]:
-    """Return a figure and its axes; width, height: of one plot (inches)."""
-    try:
-        from matplotlib.figure import Figure
-    except ModuleNotFoundError as error:
-        raise NoMatplotlibError from error
-    drawing = Figure(figsize=(width * columns, height * rows), layout='constrained')
-    return drawing, drawing.subplots(rows, columns)
-
-
-def save(drawing: Any, path: Path) -> None:
-    """Write a figure; the ending of the file says its form. Raises UnwritableError."""
-    try:
-        drawing.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise UnwritableError(path, str(error)) from error
 
 
 def draw_seam(seam: Seam, frames: ToolFrames, path: Path) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.results.calibration_file import write_whole
+from handeye_ros.output import write_whole
 from handeye_ros.scanning.errors import TaughtPathError
 from handeye_ros.scanning.seam import Seam, ToolFrames
 import numpy as np

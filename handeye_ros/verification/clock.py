@@ -8,7 +8,7 @@ import math
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample, TimeOffset
 from handeye_ros.estimation.solver import as_they_are, least_squares, Rows, System
-from handeye_ros.results.outcome import in_mount, mounted
+from handeye_ros.frames import in_mount, mounted
 from handeye_ros.sampling.passes import Pairing, single_samples
 from handeye_ros.sampling.time_offset import evenly_chosen
 from handeye_ros.verification.fixed_fit import points_in_base

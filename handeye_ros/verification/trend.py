@@ -11,9 +11,9 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.data import Array, Calibration
 from handeye_ros.estimation.outliers import chi2_isf, chi2_sf
+from handeye_ros.output import figure, save
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.errors import CalibrationFileError
-from handeye_ros.scanning.pictures import figure, save
 from handeye_ros.verification.errors import NoTrendError
 from handeye_ros.verification.verification import time_of
 import numpy as np

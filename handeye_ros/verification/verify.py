@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Sequence
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.estimation.outliers import chi2_sf
-from handeye_ros.results.outcome import mounted, sensor_axes
+from handeye_ros.frames import mounted, sensor_axes
 from handeye_ros.verification import clock, surfaces
 from handeye_ros.verification.decision import claim_p, decide, sensitivity
 from handeye_ros.verification.errors import (

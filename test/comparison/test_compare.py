@@ -13,7 +13,7 @@ from handeye_ros.comparison.compare import compare, Comparison, Row
 from handeye_ros.comparison.estimators import ESTIMATORS
 from handeye_ros.errors import BadValueError
 from handeye_ros.files import FILE_METHODS
-from handeye_ros.results.outcome import sensor_axes
+from handeye_ros.frames import sensor_axes
 from handeye_ros.results.truth_errors import errors_against
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import METHODS

@@ -12,21 +12,15 @@ from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.files.tables import Table
+from handeye_ros.frames import in_mount
 from handeye_ros.kinematics import profiles
 from handeye_ros.kinematics.answer import corrected_urdf, read_arm
 from handeye_ros.kinematics.chain import chain_of, read_urdf
-from handeye_ros.kinematics.model import (
-    Arm,
-    GEOMETRY,
-    ON_DEMAND,
-    one_configuration,
-    parameters,
-)
+from handeye_ros.kinematics.model import Arm, GEOMETRY, ON_DEMAND, one_configuration, parameters
 from handeye_ros.kinematics.outcome import solve_points
 from handeye_ros.kinematics.points import State
 from handeye_ros.kinematics.samples import outcome_of, source_of
 from handeye_ros.results.calibration_file import read_calibration
-from handeye_ros.results.outcome import in_mount
 from handeye_ros.ros.bags import bag
 from handeye_ros.simulate import arm as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples

@@ -9,6 +9,7 @@ import shutil
 
 from handeye_ros.data import Calibration
 from handeye_ros.errors import UnknownNameError, UnwritableError
+from handeye_ros.output import write_whole
 from handeye_ros.results import calibration_file
 from handeye_ros.results.exports import easy_handeye2, plain, robots, ros
 from handeye_ros.results.exports.format import Format
@@ -71,7 +72,7 @@ def save_all(calibration: Calibration, folder: Path, formats: Sequence[str] = (Y
     ours = {form.file_name(calibration) for form in FORMATS.values()} | {REPORT}
     former = set_aside(folder, sorted(ours), set(texts))
     for name, text in texts.items():
-        calibration_file.write_whole(folder / name, text)
+        write_whole(folder / name, text)
     return Saved(tuple(folder / name for name in texts), former)
 
 
@@ -84,7 +85,7 @@ def export(calibration: Calibration, name: str, file: Path) -> Saved:
     file, text = file.expanduser().absolute(), of(name).text(calibration)
     same = file.is_file() and file.read_bytes() == text.encode()
     former = None if same else set_aside(file.parent, [file.name], {file.name})
-    calibration_file.write_whole(file, text)
+    write_whole(file, text)
     return Saved((file,), former)
 
 

@@ -16,7 +16,8 @@ from handeye_ros import __version__
 from handeye_ros import config as configuration
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
-from handeye_ros.results import calibration_file, table
+from handeye_ros.output import write_whole
+from handeye_ros.results import table
 from handeye_ros.results.exports import REPORT, ros
 from handeye_ros.results.exports.plain import matrix
 from handeye_ros.results.report import figures
@@ -35,7 +36,7 @@ def write(calibration: Calibration, evidence: Evidence, path: Path,
           verified: Sequence[Verified] = ()) -> Path:
     """Write the report of a calibration; return its absolute path. Raises UnwritableError."""
     path = path.expanduser().absolute()
-    calibration_file.write_whole(path, html(calibration, evidence, verified))
+    write_whole(path, html(calibration, evidence, verified))
     return path
 
 

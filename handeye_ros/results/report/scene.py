@@ -7,7 +7,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
-from handeye_ros.results.outcome import sensor_axes
+from handeye_ros.frames import sensor_axes
 from handeye_ros.results.report.evidence import StopSnapshot
 from handeye_ros.results.report.verdict import in_plane
 from handeye_ros.results.target_shape import enlargement, half_axes, rings, shape

@@ -17,7 +17,8 @@ from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, TimedPose
 from handeye_ros.diagnosis.summaries import calibration_summary
 from handeye_ros.errors import DataError, HandeyeError, InputError
-from handeye_ros.results import calibration_file, exports
+from handeye_ros.output import folder_name
+from handeye_ros.results import exports
 from handeye_ros.results.errors import NothingToSaveError
 from handeye_ros.ros.errors import WorkerEndedError
 from handeye_ros.ros.node.answer import Answer, changes_answer
@@ -228,7 +229,7 @@ class LiveSession:
             calibration, now = self.calibration, stamps_of(self.streams.session)
         if calibration is None:
             raise NothingToSaveError
-        name = calibration_file.folder_name(self.config)
+        name = folder_name(self.config)
         saved = exports.save_all(replace(calibration, name=name), self.place.folder(self.config),
                                  self.config.save.formats)
         self.answer.saved(calibration, str(saved.files[0]))

@@ -12,6 +12,7 @@ from pathlib import Path
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Reject, TimedPose
 from handeye_ros.diagnosis.summaries import sample_summary
+from handeye_ros.output import write_whole
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.ros.node.answer import Answer
 from handeye_ros.ros.node.samples import LiveSamples
@@ -187,5 +188,5 @@ class LiveVerification:
         text = verification.yaml_text(replace(found, inputs=(config.profile_topic, poses)))
         file = self._place.folder(config) / f'verification_{found.routine}.yaml'
         former = exports.set_aside(file.parent, [file.name], {file.name})
-        calibration_file.write_whole(file, text)
+        write_whole(file, text)
         return str(exports.Saved((file,), former))

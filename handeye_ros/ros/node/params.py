@@ -13,7 +13,7 @@ from handeye_ros import config as configuration
 from handeye_ros import targets
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD, RECORD_NAMES
 from handeye_ros.errors import InputError, UnknownKeyError
-from handeye_ros.results import calibration_file
+from handeye_ros.output import folder_name
 from handeye_ros.ros.sessions.reading import Stored
 from handeye_ros.ros.sessions.resume import resumed
 from handeye_ros.ros.sessions.store import Place
@@ -122,4 +122,4 @@ def changed(config: Config, changes: Iterable[RosParameter]) -> Config:
 def _check_names(config: Config) -> None:
     """Refuse names that would only fail later; raises BadValueError."""
     targets.method_for(config)
-    calibration_file.folder_name(config)
+    folder_name(config)

@@ -19,7 +19,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.errors import INSTALL_TF2
-from handeye_ros.results.outcome import sensor_axes
+from handeye_ros.frames import sensor_axes
 from handeye_ros.ros.node.diagnostics import diagnostics
 from handeye_ros.ros.node.intake import TFMessage
 from handeye_ros.ros.node.live import LiveSession

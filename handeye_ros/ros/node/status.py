@@ -8,7 +8,7 @@ from handeye_ros.data import Array
 from handeye_ros.diagnosis.review import Agreement
 from handeye_ros.diagnosis.summaries import late_sentence, sample_summary
 from handeye_ros.guidance.advice import Advice
-from handeye_ros.results import calibration_file
+from handeye_ros.output import folder_name
 from handeye_ros.ros.node.live import LiveSession, stamps_of
 from handeye_ros.ros.node.reviewer import Reviewer
 from handeye_ros.sampling.session import Session
@@ -43,7 +43,7 @@ def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '', same_name:
     worst = sorted((s for s in samples if s.left_out is not None),
                    key=lambda s: s.left_out or 0.0, reverse=True)
     return State(
-        calibration_file.folder_name(config),
+        folder_name(config),
         _stream(live, 'profile', config.profile_topic, session.frame_id, obstacle),
         _stream(live, 'pose', config.pose_topic if by_topic else '/tf', '', obstacle),
         _motion(session),

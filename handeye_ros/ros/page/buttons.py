@@ -8,6 +8,7 @@ from typing import Any, Protocol, TYPE_CHECKING
 
 from handeye_ros import config as configuration
 from handeye_ros.errors import HandeyeError
+from handeye_ros.output import folder_name
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.results.errors import NothingToSaveError
 from handeye_ros.ros.bags.contents import CLOUD, POSE
@@ -114,7 +115,7 @@ def file(live: LiveSession, name: str) -> tuple[str, str]:
     if live.calibration is None:
         raise NothingToSaveError
     found = calibration_file.dated(replace(
-        live.calibration, name=calibration_file.folder_name(live.config)))
+        live.calibration, name=folder_name(live.config)))
     if name == exports.REPORT:
         text = live.solver.run(report, found, live.samples.store.path, urgent=True)
         return name, text

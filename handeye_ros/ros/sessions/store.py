@@ -8,7 +8,7 @@ from pathlib import Path
 
 from handeye_ros.config import Config
 from handeye_ros.errors import UnwritableError
-from handeye_ros.results.calibration_file import folder_name
+from handeye_ros.output import folder_name
 from handeye_ros.sampling.stops import Outcome
 
 FOLDER = 'handeye_ros'

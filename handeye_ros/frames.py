@@ -1,0 +1,51 @@
+"""Which frames sensor and target are fixed in, and poses of one in the other."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Sample
+import numpy as np
+
+
+def mount_frame(config: Config) -> str:
+    """Return the frame that the sensor is fixed in, in which its transform is given."""
+    in_hand = config.calibration_type == 'eye_in_hand'
+    return config.robot_effector_frame if in_hand else config.base_frame
+
+
+def target_frame(config: Config) -> str:
+    """Return the frame that the target is fixed in."""
+    in_hand = config.calibration_type == 'eye_in_hand'
+    return config.base_frame if in_hand else config.robot_effector_frame
+
+
+def mounted(samples: Sequence[Sample], config: Config) -> Array:
+    """
+    Return the poses (n, 4, 4) of what carries the sensor, in what carries the target.
+
+    The flange in the base (eye_in_hand), or the base in the flange (eye_on_base).
+    """
+    return in_mount(np.array([sample.T_base_flange for sample in samples]), config)
+
+
+def in_mount(T_base_flange: Array, config: Config) -> Array:
+    """Return poses (..., 4, 4) of the flange in the base, see mounted."""
+    return T_base_flange if config.calibration_type == 'eye_in_hand' else se3.inverse(
+        T_base_flange)
+
+
+def sensor_axes(config: Config) -> Array:
+    """
+    Return T_sensor_plane, (4, 4): the sensor's plane, along the line x and range z.
+
+    Identity for the usual axes [x, z].
+    """
+    columns = []
+    for name in config.profile.axes:
+        unit = np.zeros(3)
+        unit['xyz'.index(name[-1])] = -1.0 if name[0] == '-' else 1.0
+        columns.append(unit)
+    along, across = columns
+    return se3.transform(np.column_stack([along, np.cross(across, along), across]), np.zeros(3))

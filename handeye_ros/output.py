@@ -1,0 +1,55 @@
+"""Files that are written: names of folders, whole files, pictures."""
+from __future__ import annotations
+
+from contextlib import suppress
+import os
+from pathlib import Path
+from typing import Any
+
+from handeye_ros.config import Config
+from handeye_ros.errors import BadValueError, NoMatplotlibError, UnwritableError
+
+LONGEST_NAME = 100  # characters of a folder
+
+
+def folder_name(config: Config) -> str:
+    """Return the name of the folder that a calibration is saved in; raises BadValueError."""
+    name = config.name or config.target.type
+    if name in ('', '.', '..') or '/' in name:
+        raise BadValueError('name', name, 'the name of a folder, without "/"')
+    if len(name) > LONGEST_NAME:
+        raise BadValueError('name', f'{name[:20]}...', f'at most {LONGEST_NAME} characters')
+    return name
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file under another name and rename it; raises UnwritableError."""
+    temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            temporary.write_text(text, encoding='utf-8')
+            os.replace(temporary, path)
+        finally:
+            with suppress(OSError):
+                temporary.unlink()
+    except OSError as error:
+        raise UnwritableError(path, error.strerror or str(error)) from error
+
+
+def figure(rows: int, columns: int, width: float = 9.0, height: float = 3.0) -> tuple[Any, Any]:
+    """Return a figure and its axes; width, height: of one plot (inches)."""
+    try:
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError as error:
+        raise NoMatplotlibError from error
+    drawing = Figure(figsize=(width * columns, height * rows), layout='constrained')
+    return drawing, drawing.subplots(rows, columns)
+
+
+def save(drawing: Any, path: Path) -> None:
+    """Write a figure; the ending of the file says its form. Raises UnwritableError."""
+    try:
+        drawing.savefig(path, dpi=110)
+    except (OSError, ValueError) as error:
+        raise UnwritableError(path, str(error)) from error
