@@ -29,7 +29,7 @@ MOVES = {'sensor 3 mrad': (0.0, 3e-3), 'sensor 0.5 mm': (5e-4, 0.0), 'target 0.5
 MOVED = ('baseline', 'sphere', 'plane', 'wedge')
 GOOD = (*MOVED, 'line', 'distorted 0.02 mm', 'joints and links 0.1 mm', 'joints and links 0.3 mm',
         'smooth 0.2 mm', 'sphere, smooth 0.2 mm', 'plane, smooth 0.2 mm', 'wedge, smooth 0.2 mm',
-        'repeatability 1.3 times told')
+        'repeatability 1.3 times stated')
 
 
 def moved(samples: list[Sample], X: Array, what: str, rng: np.random.Generator) -> list[Sample]:

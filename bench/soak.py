@@ -203,13 +203,13 @@ def free_port() -> int:
 def pulse(folder: str) -> Iterator[Callable[[], np.ndarray]]:
     """Run what tells when a processor stood still; give what returns these times (n, 2)."""
     with ExitStack() as stack:
-        told = [stack.enter_context(telling(PULSING, str(cpu), Path(folder) / f'pulse{cpu}.log'))
+        told = [stack.enter_context(reporting(PULSING, str(cpu), Path(folder) / f'pulse{cpu}.log'))
                 for cpu in os.sched_getaffinity(0)]
         yield lambda: merged(np.concatenate([times() for times in told]))
 
 
 @contextmanager
-def telling(script: str, argument: str, log: Path) -> Iterator[Callable[[], np.ndarray]]:
+def reporting(script: str, argument: str, log: Path) -> Iterator[Callable[[], np.ndarray]]:
     """Run a script that prints times; give what returns them (n, 2)."""
     with log.open('w') as stream, subprocess.Popen([sys.executable, '-c', script, argument],
                                                    stdout=stream) as process:
@@ -267,7 +267,7 @@ def soak(minutes: float, rate: float) -> None:
     watcher, begin = LIVE['Watcher'](), time.monotonic()
     user, memory, port = User(), [], free_port()
     with (tempfile.TemporaryDirectory() as folder, pulse(folder) as still,
-          telling(SYNCING, f'{folder}/synced', Path(folder) / 'synced.log') as synced,
+          reporting(SYNCING, f'{folder}/synced', Path(folder) / 'synced.log') as synced,
           LIVE['listener']('node', folder, f'page.port:={port}') as (node, log)):
         user.wait()
         shared = Path(folder) / 'shared.xml'

@@ -64,7 +64,7 @@ SCENES[TURNED] = replace(SCENES['wedge'], stops=turned_around)
 
 def cell(name: str, base: Scenario, kind: str, **values: Any) -> Scenario:
     """Return a cell whose target is told to be one of some type."""
-    return replace(base, name=name, told=(('target.type', kind),), **values)
+    return replace(base, name=name, stated=(('target.type', kind),), **values)
 
 
 def cells() -> dict[str, Scenario]:

@@ -297,7 +297,7 @@ def test_assignments_are_read_as_yaml(text: str, key: str, value: object) -> Non
     assert flatten(with_assignments(Config(), [text]))[key] == value
 
 
-def test_a_name_that_looks_like_a_number_can_be_given_in_quotes() -> None:
+def test_a_name_that_reads_like_a_number_can_be_given_in_quotes() -> None:
     assert with_assignments(Config(), ['name="2024"']).name == '2024'
 
 

@@ -62,7 +62,7 @@ def test_messages_are_serialised_as_everywhere() -> None:
 
 
 @wheels
-def test_a_machine_without_compilers_is_told_so(tmp_path: Path) -> None:
+def test_a_machine_without_compilers_is_reported_so(tmp_path: Path) -> None:
     run = subprocess.run(
         [sys.executable, TOOL, tmp_path], env={**os.environ, 'PATH': str(tmp_path)},
         capture_output=True, text=True, check=False)

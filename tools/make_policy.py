@@ -36,7 +36,7 @@ def policy(found: dict[tuple[str, str], list[str]]) -> str:
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
 
 
-def settled(observer: Any, process: subprocess.Popen[bytes]) -> dict[tuple[str, str], list[str]]:
+def steady(observer: Any, process: subprocess.Popen[bytes]) -> dict[tuple[str, str], list[str]]:
     """Return what the node uses, once several looks in a row show the same."""
     seen: list[dict[tuple[str, str], list[str]]] = []
     while len(seen) < ALIKE or seen.count(seen[-1]) < ALIKE:
@@ -56,7 +56,7 @@ def main(path: Path) -> None:
     observer = Node('observer')
     with subprocess.Popen([sys.executable, '-m', 'handeye_ros.ros.node']) as process:
         try:
-            path.write_text(policy(settled(observer, process)), encoding='utf-8')
+            path.write_text(policy(steady(observer, process)), encoding='utf-8')
         finally:
             process.terminate()
     rclpy.shutdown()

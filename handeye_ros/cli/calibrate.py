@@ -119,7 +119,7 @@ def _read_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
 
 def _solve_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
                  ) -> tuple['Calibration', 'Array']:
-    """Return the calibration, and the points over which its errors are told."""
+    """Return the calibration, and the points over which its errors are reported."""
     given = _read_files(method, path, settings)
     with doing('solving'):
         from handeye_ros.files.outcome import calibrate

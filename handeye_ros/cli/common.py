@@ -83,7 +83,7 @@ def warn(text: str) -> None:
 
 @contextmanager
 def doing(what: str) -> Iterator[Callable[[str], None]]:
-    """Show on a terminal what takes its time, and what it yields is told; quiet in a pipe."""
+    """Show a task on a terminal, quiet in a pipe; yields what receives its name."""
     if not sys.stderr.isatty():
         yield lambda now: None
         return
@@ -94,7 +94,7 @@ def doing(what: str) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def advancing(what: str) -> Iterator[Callable[[float], None]]:
-    """Show on a terminal a bar of what takes its time; what it yields is told the share done."""
+    """Show a bar on a terminal; yields what receives the share done."""
     if not sys.stderr.isatty():
         yield lambda share: None
         return

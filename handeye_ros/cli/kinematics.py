@@ -68,8 +68,8 @@ def _table(sources: list[Path]) -> bool:
     """Tell whether the source is a table, of which there is one at most."""
     tables = [source for source in sources if source.suffix in TABLES and source.is_file()]
     if tables and len(sources) > 1:
-        raise typer.BadParameter('a table is solved by itself: several points are told apart by '
-                                 'its column "target"')
+        raise typer.BadParameter('give one table only: its column "target" names several '
+                                 'points')
     return bool(tables)
 
 
@@ -110,9 +110,9 @@ def _solve_table(source: Path, urdf: Path, chain: 'Chain', more: list[str], sett
     with doing('solving'):
         outcome = solve_points(data, chain, more, settings.limits.residual)
     calibration = calibration_of(outcome, data, settings)
-    told = (*odd, *([] if data.reported is None else [
+    odd_notes = (*odd, *([] if data.reported is None else [
         compared(data.reported, chain.forward(data.q))]))
-    return Answer.of(outcome, calibration, [input_values(source), input_values(urdf)], told)
+    return Answer.of(outcome, calibration, [input_values(source), input_values(urdf)], odd_notes)
 
 
 def _solve_profiles(paths: Iterable[tuple[Path, Path | None]], urdf: Path, chain: 'Chain',

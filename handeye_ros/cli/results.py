@@ -51,9 +51,9 @@ def report(
     from handeye_ros.results.verified import read
     from handeye_ros.results.verified import written as verification_in
     from handeye_ros.ros.bags.bag import evidence
-    if path.is_file() and (told := verification_in(path)):
+    if path.is_file() and (values := verification_in(path)):
         html = (out or path.with_suffix('.html')).absolute()
-        write_whole(html, protocol(told))
+        write_whole(html, protocol(values))
         typer.echo(f'wrote {html}')
         return
     file, verified = file_of(path), [read(one) for one in verification]

@@ -32,7 +32,7 @@ def calibrate(
     assignments: Assignments = [],  # noqa: B006 - never changed
 ) -> None:
     """Start the node that takes samples at the cell (needs ROS)."""
-    configuration(config, assignments)  # so that a slip is told at once
+    configuration(config, assignments)  # so that a mistake is reported at once
     if find_spec('rclpy') is None:
         raise NoRosError('calibrate', 'rclpy')
     arguments = ['--params-file', str(config)] if config else []

@@ -52,7 +52,7 @@ class Comparison:
     The rows, the target's own method first.
 
     used, rejected: how many stations every estimator was given, and how many not. refusal: why
-    the target's own method has no answer, or None. over: of which points the errors are told.
+    the target's own method has no answer, or None. over: of which points the errors are reported.
     """
 
     rows: tuple[Row, ...]
@@ -92,7 +92,7 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     Return the rows of all estimators for the target, from samples in any order.
 
     rejects: stations that gave no sample; T_true: T_flange_sensor (4, 4), where it is known;
-    folds: how many parts of the stations are left out in turn, 0 for none; progress: is told
+    folds: how many parts of the stations are left out in turn, 0 for none; progress: receives
     what is being done. All estimators are given the stations that the target's own method
     believes. Raises BadValueError for a target or method that does not exist.
     """

@@ -25,8 +25,8 @@ class Given(Protocol):
     """
     Samples that every estimator is given.
 
-    config: the settings. T_sensor_plane: (4, 4), in which the transforms X are told; field:
-    points (k, 3) in that plane over which errors are told.
+    config: the settings. T_sensor_plane: (4, 4), in which the transforms X are reported; field:
+    points (k, 3) in that plane over which errors are reported.
     """
 
     @property
@@ -39,7 +39,7 @@ class Given(Protocol):
 
     @property
     def field(self) -> Array:
-        """Return the points (k, 3) over which errors are told."""
+        """Return the points (k, 3) over which errors are reported."""
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -129,7 +129,7 @@ class Measurements:
 
     @property
     def field(self) -> Array:
-        """Return the points (k, 3) over which errors are told."""
+        """Return the points (k, 3) over which errors are reported."""
         return self.method.field(self.data)
 
     def __len__(self) -> int:

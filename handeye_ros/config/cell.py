@@ -1,4 +1,4 @@
-"""What is told of the cell: profiles, target, stops, samples, tracker, noise."""
+"""Keys of the cell: profiles, target, stops, samples, tracker, noise."""
 from __future__ import annotations
 
 from dataclasses import dataclass

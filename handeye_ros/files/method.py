@@ -86,7 +86,7 @@ class FileMethod(Generic[D]):
     subset(data, indices of samples (ascending)): these alone.
     residuals(data, X, indices fitted, indices measured, config): the distances (k,) in metres of
     the latter with a transform, the target fitted to the former.
-    field(data): points (k, 3) in the sensor frame over which errors are told; over: in words.
+    field(data): points (k, 3) in the sensor frame over which errors are reported; over: in words.
     profiles: whether the values are of profiles, in their plane.
     """
 

@@ -114,13 +114,13 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
     proposal = propose(search, config) or propose(replace(  # where there is no room for a margin
         search, view=view, visited=visited(samples, refused, config, margin=(0.0, 0.0))), config)
     enough, why = judged(sigmas, proposal, largest_cause(solution, known), len(samples))
-    told = [why, *missing(solution, view, limits)[:TOLD * (not enough)]]
+    content = [why, *missing(solution, view, limits)[:TOLD * (not enough)]]
     if proposal and not enough:
-        told.append(_directions(samples[-1].T_base_flange, proposal, config, noun(method)))
+        content.append(_directions(samples[-1].T_base_flange, proposal, config, noun(method)))
     if not proposal and not enough:
-        told.append('no pose within guidance.reach, guidance.tilt and guidance.turn keeps the '
+        content.append('no pose within guidance.reach, guidance.tilt and guidance.turn keeps the '
                     f'{noun(method)} in view: widen them')
-    return Advice(tuple(filter(None, [trouble, *told])), proposal, None, sigmas,
+    return Advice(tuple(filter(None, [trouble, *content])), proposal, None, sigmas,
                   enough and not trouble, why)
 
 
@@ -133,8 +133,8 @@ def _of_sweep(solution: Solution, sigmas: tuple[Sigma, ...], lacking: Sequence[s
               ) -> Advice:
     """Return the advice during a sweep: what it lacks, and no pose to go to."""
     enough, why = judged(sigmas, None, None, len(solution.problem.poses))
-    told = [trouble, why, *offset_notes(solution), *(() if enough else lacking)]
-    return Advice(tuple(filter(None, told)), None, None, sigmas, enough and not trouble, why)
+    content = [trouble, why, *offset_notes(solution), *(() if enough else lacking)]
+    return Advice(tuple(filter(None, content)), None, None, sigmas, enough and not trouble, why)
 
 
 def _stated(solution: Solution) -> Array:
@@ -184,17 +184,18 @@ def judged(sigmas: Sequence[Sigma], proposal: Proposal | None, cause: Cause | No
     over = [s for s in sigmas[:-2] if s.std > s.limit]
     if over:
         return False, f'{over[-1].name} is uncertain by {_figure(over[-1])}'
-    told = f'points in view are known to {1e3 * std:.3f} mm (1 sigma, {1e3 * accuracy:.3f} wanted)'
+    known = (f'points in view are known to {1e3 * std:.3f} mm (1 sigma, {1e3 * accuracy:.3f} '
+             'wanted)')
     if cause:
-        told += f', of which {1e3 * cause.std:.3f} mm is {cause.text} ({cause.key})'
+        known += f', of which {1e3 * cause.std:.3f} mm is {cause.text} ({cause.key})'
     after = f'one more sample would bring {1e3 * proposal.std:.3f} mm' if proposal else ''
     if std <= accuracy:
-        return True, '; '.join(filter(None, [f'enough: {told}', after]))
+        return True, '; '.join(filter(None, [f'enough: {known}', after]))
     if proposal and count >= GOOD_COUNT and proposal.std > (1 - LITTLE) * std:
         remedy = (f'a better {REMEDIES[cause.key]} would' if cause and cause.key in REMEDIES else
                   'noise dominates')
-        return True, f'enough: {told}; more samples bring little, {remedy}'
-    return False, '; '.join(filter(None, [told, after]))
+        return True, f'enough: {known}; more samples bring little, {remedy}'
+    return False, '; '.join(filter(None, [known, after]))
 
 
 def _figure(sigma: Sigma) -> str:

@@ -52,6 +52,6 @@ def twist_of(first: Array, R: Array) -> Array:
 
 def limits_of(first: Array, config: Config) -> Limits:
     """Return the limits of a configuration around the first sample's pose (4, 4), mounted."""
-    told = config.guidance
-    return Limits(first, config.calibration_type == 'eye_in_hand', told.reach, told.tilt,
-                  told.turn)
+    keys = config.guidance
+    return Limits(first, config.calibration_type == 'eye_in_hand', keys.reach, keys.tilt,
+                  keys.turn)

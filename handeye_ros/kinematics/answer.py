@@ -1,4 +1,4 @@
-"""What is told and written of a corrected arm: kinematics.yaml, corrected.urdf."""
+"""What is printed and written of a corrected arm: kinematics.yaml, corrected.urdf."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence

@@ -227,17 +227,17 @@ def _require_same_robot(arm: Arm) -> None:
 
 
 def _warnings(models: Sequence[Model], chosen: Model) -> list[str]:
-    told, last = [], models[-1]
+    content, last = [], models[-1]
     lost = int((~last.fit.used).sum())
     if lost:
-        told.append(f'{lost} of {len(last.fit.used)} points contradict the others and are left '
+        content.append(f'{lost} of {len(last.fit.used)} points contradict the others and are left '
                     'out')
     if chosen is not last:
-        told.append(f'the model with {" and ".join(last.kinds)} predicts left-out points no '
+        content.append(f'the model with {" and ".join(last.kinds)} predicts left-out points no '
                     f'better than {" and ".join(chosen.kinds) or "the URDF as it is"}: the '
                     'simpler one is the answer')
     arm, q = last.fit.state.arm, last.fit.data.q
     if one_configuration(arm, q):
-        told.append('all poses have one configuration of elbow and wrist: other configurations '
+        content.append('all poses have one configuration of elbow and wrist: other configurations '
                     'determine more joint parameters')
-    return told
+    return content

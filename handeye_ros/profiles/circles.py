@@ -184,7 +184,7 @@ def _rim(points: Array, on: NDArray[np.bool_], circle: Array) -> NDArray[np.bool
     Return which points are near an end of the arc where the surface turns away.
 
     The light comes back badly before it stops to come back at all; how steep that is depends on
-    the part of the tilt that a profile does not show, so it is told by where the arc ends.
+    the part of the tilt that a profile does not show, so it is reported by where the arc ends.
     """
     if not on.any():
         return on

@@ -1,4 +1,4 @@
-"""From a solution to what is told of it: transform, target, quality, every sample's fate."""
+"""From a solution to what is reported of it: transform, target, quality, every sample's fate."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -58,13 +58,14 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
 def describe_target(agreed: Consensus, config: Config) -> dict[str, Any]:
     """Return what was estimated of the target, and of all else that was in doubt."""
     solution = agreed.solution
-    told = solution.problem.method.measures.describe(solution.estimate.target, solution.target_std)
-    told |= reported_blocks(solution) | {'joint': _joint(solution)}
-    told = {key: value for key, value in told.items() if not key.startswith(TIME_OFFSET)}
+    described = solution.problem.method.measures.describe(solution.estimate.target,
+                                                          solution.target_std)
+    described |= reported_blocks(solution) | {'joint': _joint(solution)}
+    described = {key: value for key, value in described.items() if not key.startswith(TIME_OFFSET)}
     notes = [*offset_notes(solution), *(shape.note for shape in contradictions(solution, config))]
     notes += edge_notes(agreed)
     notes += [beside] if (beside := other_surfaces(agreed)) else []
-    return told | ({'note': '; '.join(notes)} if notes else {})
+    return described | ({'note': '; '.join(notes)} if notes else {})
 
 
 def other_surfaces(agreed: Consensus) -> str:

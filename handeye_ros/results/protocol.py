@@ -23,32 +23,32 @@ CHARACTERISTICS = {
 WIDTH, HEIGHT, LEFT, BOTTOM = 760.0, 190.0, 60.0, 24.0  # of the picture and its margins
 
 
-def html(told: Mapping[str, Any]) -> str:
-    """Return the protocol; told: the values of a verification."""
+def html(content: Mapping[str, Any]) -> str:
+    """Return the protocol; content: the values of a verification."""
     return templates().get_template('protocol.html').render(
-        t=told, title=title_of(told), columns=COLUMNS, rows=list(rows_of(told)),
-        characteristics=list(_characteristics(told)), conformity=list(_conformity(told)),
-        picture=_picture(told['per_station'], told['tolerance'], told['k']),
+        t=content, title=title_of(content), columns=COLUMNS, rows=list(rows_of(content)),
+        characteristics=list(_characteristics(content)), conformity=list(_conformity(content)),
+        picture=_picture(content['per_station'], content['tolerance'], content['k']),
         now=datetime.now(UTC).isoformat(timespec='seconds'), shown=shown)
 
 
-def _characteristics(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
+def _characteristics(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
     """Yield symbol, meaning, of what, value and U of each characteristic."""
-    for q in told['quantities']:
+    for q in content['quantities']:
         meaning, factor = CHARACTERISTICS.get(q['characteristic'], ('', 0.0))
         if meaning and (q['nominal'] is not None or q['characteristic'] in ('PF', 'F')):
             value = factor * (q['value'] - (q['nominal'] or 0.0))
             yield (q['characteristic'], meaning, q['name'], shown(value, q['unit']),
-                   shown(factor * told['k'] * q['std'], q['unit']))
+                   shown(factor * content['k'] * q['std'], q['unit']))
 
 
-def _conformity(told: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
+def _conformity(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
     """Yield name, |deviation| + U, tolerance and the decision of ISO 14253-1 of each quantity."""
-    for q in told['quantities']:
+    for q in content['quantities']:
         if q['nominal'] is None:
             continue
-        deviation, U = abs(q['value'] - q['nominal']), told['k'] * q['std']
-        tolerance = told['tolerance'] if q['unit'] == 'm' else told['angle_tolerance']
+        deviation, U = abs(q['value'] - q['nominal']), content['k'] * q['std']
+        tolerance = content['tolerance'] if q['unit'] == 'm' else content['angle_tolerance']
         decision = ('conforms' if deviation + U <= tolerance else
                     'does not conform' if deviation - U > tolerance else 'not decided')
         yield (q['name'], f'{shown(deviation, q["unit"])} ± {shown(U, q["unit"])}',

@@ -21,7 +21,7 @@ LENGTHS = ('centre', 'point', 'radius', 'distance', 'size', 'setback')
 DIRECTIONS = ('normal', 'direction', 'normal_1', 'normal_2')
 ANGLES = ('angle',)
 MOST_REASONS = 10  # of samples left out, that are told in full
-# Sizes of smooth errors that the samples show: how they are told.
+# Sizes of smooth errors that the samples show: how they are reported.
 FOUND = {
     'robot_position_error': ('robot, smooth error', 1e3, 'mm'),
     'tracking_position_error': ('robot, error in motion', 1e3, 'mm'),
@@ -150,8 +150,8 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         elif key.endswith(ANGLES):
             yield name, f'{math.degrees(value):.4f} degrees' + _sigma(std, math.degrees(1))
         elif key == 'rotation_lag':
-            told = f'{value * 1e3:.3f} ms later than the position' + _sigma(std, 1e3, 3)
-            yield 'robot, rotation', told
+            late = f'{value * 1e3:.3f} ms later than the position' + _sigma(std, 1e3, 3)
+            yield 'robot, rotation', late
         elif key == 'scale':
             yield 'lengths', f'of the robot {value:.5f} times those of the sensor' + _sigma(
                 std, 1, 5)

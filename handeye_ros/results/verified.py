@@ -38,33 +38,33 @@ def shown(value: float | None, unit: str) -> str:
     return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{math.degrees(value):.4f} degrees'
 
 
-def title_of(told: Mapping[str, Any]) -> str:
+def title_of(content: Mapping[str, Any]) -> str:
     """Return the routine with its verdict."""
-    return f'{told["routine"]}: {told["verdict"].upper()}, {told["stations"]} stations'
+    return f'{content["routine"]}: {content["verdict"].upper()}, {content["stations"]} stations'
 
 
-def rows_of(told: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
+def rows_of(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield what was measured: a name, and the texts of COLUMNS."""
-    for q in told['quantities']:
+    for q in content['quantities']:
         nominal = q['nominal']
         error = None if nominal is None else q['value'] - nominal
         yield q['name'], tuple(shown(v, q['unit']) for v in (
             q['value'], nominal, error, told['k'] * q['std'],
             q['claimed'] or None))  # a scatter claims nothing
     for name, key in SCATTER:
-        yield name, (shown(told['scatter'][key], 'm'), '', '', '', '')
+        yield name, (shown(content['scatter'][key], 'm'), '', '', '', '')
     for name, key, unit in LIMITS:
-        yield name, (shown(told[key], unit), '', '', '', '')
+        yield name, (shown(content[key], unit), '', '', '', '')
 
 
 def read(path: Path) -> Verified:
     """Return the verification of a file; raises VerificationFileError."""
     try:
-        told = yaml_content(path.read_text(encoding='utf-8'))
-        if told['format'] != FORMAT:
-            raise VerificationFileError(path, f'its format is {told["format"]}, not {FORMAT}')
-        sentences = tuple(map(str, told['reasons']))
-        return Verified(title_of(told), told['verdict'] == 'pass', sentences, tuple(rows_of(told)))
+        content = yaml_content(path.read_text(encoding='utf-8'))
+        if content['format'] != FORMAT:
+            raise VerificationFileError(path, f'its format is {content["format"]}, not {FORMAT}')
+        return Verified(title_of(content), content['verdict'] == 'pass',
+                        tuple(map(str, content['reasons'])), tuple(rows_of(content)))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise VerificationFileError(path, str(error).splitlines()[0]) from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -74,11 +74,11 @@ def read(path: Path) -> Verified:
 def written(path: Path) -> dict[str, Any] | None:
     """Return what the file of a verification holds, None of another; VerificationFileError."""
     try:
-        told = yaml_content(path.read_text(encoding='utf-8'))
+        content = yaml_content(path.read_text(encoding='utf-8'))
     except (OSError, UnicodeDecodeError, yaml.YAMLError):
         return None
-    if not isinstance(told, dict) or told.get('format') != FORMAT:
+    if not isinstance(content, dict) or content.get('format') != FORMAT:
         return None
-    if 'record' not in told:
+    if 'record' not in content:
         raise VerificationFileError(path, 'it is of an earlier version: verify again')
-    return told
+    return content

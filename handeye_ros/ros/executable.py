@@ -81,7 +81,7 @@ def _first_sentence(text: str) -> str:
 
 
 def offer(node: Node, kind: Any, name: str, callback: Any, group: CallbackGroup) -> None:
-    """Create a service of a node; an answer that nobody takes is told in the log."""
+    """Create a service of a node; an answer that cannot be sent is reported in the log."""
     service = node.create_service(kind, f'~/{name}', callback, callback_group=group,
                                   qos_profile=REQUESTS)
     send = service.send_response

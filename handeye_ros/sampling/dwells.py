@@ -14,7 +14,7 @@ from handeye_ros.data import Array, TimedPose
 import numpy as np
 
 NS = 1_000_000_000
-MOTION_TIME = 3 * NS // 10  # over which the speed of the robot is told
+MOTION_TIME = 3 * NS // 10  # over which the speed of the robot is reported
 MAX_DWELL = 10 * NS  # more of one stop adds nothing but memory
 MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
 FOREVER = 2**63

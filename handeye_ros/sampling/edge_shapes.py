@@ -59,9 +59,9 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
             if isinstance(f, EdgePoint) and f.kind != 'roof']
     if len(ends) < FEWEST_EDGES or np.median([end.bevel for end in ends]) <= SHARPEST:
         return EdgeShape()
-    told = np.sum([_blurred(end.shapes) for end in ends if len(end.shapes)] or NOTHING, axis=0)
-    if np.logaddexp.reduce(told[:-1]) - np.log(len(RADII)) > told[-1]:
-        return EdgeShape(*_radius(told[:-1]))
+    log_odds = np.sum([_blurred(end.shapes) for end in ends if len(end.shapes)] or NOTHING, axis=0)
+    if np.logaddexp.reduce(log_odds[:-1]) - np.log(len(RADII)) > log_odds[-1]:
+        return EdgeShape(*_radius(log_odds[:-1]))
     depth = np.array([end.bevel for end in ends])
     # what was seen further down tells more of its shape
     order = np.argsort(depth)
@@ -83,11 +83,11 @@ def _blurred(shapes: Array) -> Array:
     return np.asarray(np.maximum(np.append(radii, shapes[-1]), -SURE))
 
 
-def _radius(told: Array) -> tuple[float, float]:
+def _radius(log_odds: Array) -> tuple[float, float]:
     """Return a radius (m) and its relative 1 sigma, of logarithms (k,) of how likely each is."""
     tried = np.log(RADII[:, 0])
-    logs = np.linspace(tried[0], tried[-1], FINER * len(told))
-    likely = CubicSpline(tried, told)(logs)
+    logs = np.linspace(tried[0], tried[-1], FINER * len(log_odds))
+    likely = CubicSpline(tried, log_odds)(logs)
     weights = np.exp(likely - likely.max())
     mean = float(weights @ logs / weights.sum())
     spread = float(weights @ (logs - mean) ** 2 / weights.sum()) ** 0.5

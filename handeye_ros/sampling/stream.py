@@ -21,7 +21,7 @@ import numpy as np
 
 LARGEST_STEP = 1_000_000_000  # ns; what steps back by less was only reordered on its way
 
-MOST_REASONS = 10  # that are told apart: a damaged topic may give each message another frame
+MOST_REASONS = 10  # that are distinguished: a damaged topic may give each message another frame
 OTHER_FRAME = 'some other frame'
 FEW = 3  # messages with wrong stamps that a recording may hold, and
 FEW_SHARE = 0.05  # this share of many; more, and it is no longer known which ones are right

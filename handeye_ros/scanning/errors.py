@@ -66,9 +66,9 @@ class SeveralSeamsError(DataError):
     """A cloud with more than one seam; places: (3,) of each."""
 
     def __init__(self, lengths: Sequence[float], places: Sequence[Sequence[float]]) -> None:
-        told = '; '.join(f'{mm(length)} long at {place(p)}'
+        listed = '; '.join(f'{mm(length)} long at {place(p)}'
                          for length, p in zip(lengths, places, strict=True))
-        super().__init__(f'{len(lengths)} seams ({told}): cut one out with --box')
+        super().__init__(f'{len(lengths)} seams ({listed}): cut one out with --box')
 
 
 class InterruptedSeamError(DataError):

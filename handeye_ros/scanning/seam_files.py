@@ -30,7 +30,7 @@ SPEED = 0.01  # m/s, of a program
 BLEND = 5e-4  # m from a frame where the robot may leave the line
 OVERLAP = 0.45  # of the distance to the next frame: what a blend may reach
 ACCELERATION = 0.5  # m/s^2, which URScript wants to know
-WITHIN = 1e-3  # m: the share of a taught path that is nearer is told
+WITHIN = 1e-3  # m: the share of a taught path that is nearer is reported
 
 
 @dataclass(frozen=True)
@@ -108,25 +108,25 @@ def csv_text(seam: Seam, frames: ToolFrames) -> str:
 
 def values(seam: Seam, frames: ToolFrames, frame_id: str, taught: Taught | None
            ) -> dict[str, Any]:
-    """Return what is told of a seam as plain values."""
-    told: dict[str, Any] = {
+    """Return what is reported of a seam as plain values."""
+    content: dict[str, Any] = {
         'format': FORMAT, 'frame': frame_id, 'kind': seam.kind, 'line': seam.line,
         'curve': seam.curve.kind, 'length': seam.curve.length, 'noise': seam.noise,
         'residual': seam.residual, 'spacing': seam.spacing}
     if taught:
-        told['taught'] = dict(vars(taught))
-    told['frames'] = [
+        content['taught'] = dict(vars(taught))
+    content['frames'] = [
         {'length': float(length), 'position': T[:3, 3].tolist(),
          'quaternion': se3.quaternion(T).tolist(),
          **dict(zip(COLUMNS[-4:], map(float, row), strict=True))}
         for length, T, row in zip(frames.lengths, frames.T_base_tool, measures(seam, frames),
                                   strict=True)]
-    return told
+    return content
 
 
-def yaml_text(told: dict[str, Any]) -> str:
+def yaml_text(content: dict[str, Any]) -> str:
     """Return the values of a seam as YAML."""
-    return yaml.safe_dump(told, sort_keys=False, width=100, default_flow_style=None)
+    return yaml.safe_dump(content, sort_keys=False, width=100, default_flow_style=None)
 
 
 def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str, taught: Taught | None
@@ -195,7 +195,7 @@ PROGRAMS: dict[str, tuple[str, Callable[[ToolFrames, str], str]]] = {
 
 
 def sentences(seam: Seam, frames: ToolFrames, taught: Taught | None) -> list[str]:
-    """Return what is told of a seam, for a person."""
+    """Return what is reported of a seam, for a person."""
     gap, mismatch, _, std = 1e3 * measures(seam, frames).T
     begins, ends = frames.lengths[0], seam.curve.length - frames.lengths[-1]
     lines = [f'{NAMES[seam.kind]} of {seam.curve.length * 1e3:.1f} mm, path along its '

@@ -63,7 +63,7 @@ def settings(scenario: Scenario) -> dict[str, Any]:
         'noise.robot_rotation': scenario.robot.repeatability[1]}
     if isinstance(target, SphereTarget):
         values['target.radius'] = target.radius
-    return values | dict(scenario.told)
+    return values | dict(scenario.stated)
 
 
 PoseMap = Callable[[Array, Array], tuple[Array, Array]]

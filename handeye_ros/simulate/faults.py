@@ -33,12 +33,12 @@ def _target(name: str, **values: Any) -> Scenario:
     return replace(PLATE, name=name, target=replace(PLATE.target, **values))
 
 
-def _sensor(name: str, base: Scenario = PLATE, told: Any = (), **values: Any) -> Scenario:
-    return replace(base, name=name, sensor=replace(base.sensor, **values), told=tuple(told))
+def _sensor(name: str, base: Scenario = PLATE, stated: Any = (), **values: Any) -> Scenario:
+    return replace(base, name=name, sensor=replace(base.sensor, **values), stated=tuple(stated))
 
 
-def _robot(name: str, base: Scenario = PLATE, told: Any = (), **values: Any) -> Scenario:
-    return replace(base, name=name, robot=replace(base.robot, **values), told=tuple(told))
+def _robot(name: str, base: Scenario = PLATE, stated: Any = (), **values: Any) -> Scenario:
+    return replace(base, name=name, robot=replace(base.robot, **values), stated=tuple(stated))
 
 
 def _off_centre(name: str, base: Scenario) -> Scenario:
@@ -75,9 +75,9 @@ def _sensors() -> Iterator[Scenario]:
     yield _sensor('scale 1e-3', scale=1e-3)
     yield _sensor('shear 1e-3', shear=1e-3)
     yield _sensor('diverging fan, resampled in x', sampling='fan_x')
-    told = {'noise.sensor': 20 * UM}.items()
+    stated = {'noise.sensor': 20 * UM}.items()
     for base in (PLATE, SPHERE):
-        yield _sensor(f'{base.scene}, frozen speckle 20 um', base, told, noise=4 * UM,
+        yield _sensor(f'{base.scene}, frozen speckle 20 um', base, stated, noise=4 * UM,
                       speckle=20 * UM)
     for base in BASELINES:
         yield _off_centre(f'{base.scene}, wide off-centre', base)
@@ -94,9 +94,9 @@ def _robots() -> Iterator[Scenario]:
     yield replace(_robot('smooth 0.2 mm, 5 + 5', **smooth), stations=(5, 5))
     for base in BASELINES[1:]:
         yield _robot(f'{base.scene}, smooth 0.2 mm', base, **smooth)
-    told = {'noise.robot_translation': ROBOT.repeatability[0] / 1.3,
+    stated = {'noise.robot_translation': ROBOT.repeatability[0] / 1.3,
             'noise.robot_rotation': ROBOT.repeatability[1] / 1.3}.items()
-    yield _robot('repeatability 1.3 times told', PLATE, told)
+    yield _robot('repeatability 1.3 times stated', PLATE, stated)
     errors: dict[str, dict[str, Any]] = {
         '': {}, ', smooth 0.15 mm': {'systematic': (0.15 * MM, 0.15 * MM / 0.3)},
         ', joints 0.1 mm': {'geometry': 0.1 * MM}}
@@ -108,11 +108,11 @@ def _robots() -> Iterator[Scenario]:
 
 def _tolerances() -> Iterator[Scenario]:
     for wrong in (0.2, 0.3):
-        told = SphereTarget().radius - wrong * MM
-        yield replace(SPHERE, name=f'radius {wrong} mm off', told=(('target.radius', told),))
+        stated = SphereTarget().radius - wrong * MM
+        yield replace(SPHERE, name=f'radius {wrong} mm off', stated=(('target.radius', stated),))
     length, width = PlateTarget().size
     yield replace(PLATE, name='size 0.3 mm off', wrong_edges=6,
-                  told=(('target.size', [length + 0.3 * MM, width]),))
+                  stated=(('target.size', [length + 0.3 * MM, width]),))
 
 
 def _few() -> Iterator[Scenario]:

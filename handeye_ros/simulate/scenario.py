@@ -203,7 +203,7 @@ class Scenario:
     neither p nor q. empty: there is no target. convention_errors: keys of CONVENTION_ERRORS,
     applied in order.
     repeats: how often the programme of stops is run. lever: smallest and largest distance of
-    the sensor from what it is mounted on. told: settings, by dotted key, that are wrong.
+    the sensor from what it is mounted on. stated: settings, by dotted key, that are wrong.
     sweep: how the robot moves where it does not stop; each streamed pose then has an error of
     the robot's repeatability of its own.
     """
@@ -225,7 +225,7 @@ class Scenario:
     convention_errors: tuple[str, ...] = ()
     repeats: int = 1
     lever: tuple[float, float] = (0.1, 0.2)
-    told: tuple[tuple[str, Any], ...] = ()
+    stated: tuple[tuple[str, Any], ...] = ()
     sweep: Sweep | None = None
 
     @property

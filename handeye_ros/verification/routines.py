@@ -125,7 +125,7 @@ def _centres_spread(seen: Seen, X: Array) -> tuple[Quantity, ...]:
     """
     obs, poses = seen.observations, seen.poses
     bag = obs.kind // BAGS
-    told = []
+    sentences = []
     for k in range(int(bag.max()) + 1):
         rows, values = [], []
         for station in np.unique(obs.station[bag == k]):
@@ -137,9 +137,9 @@ def _centres_spread(seen: Seen, X: Array) -> tuple[Quantity, ...]:
         A, b = np.concatenate(rows), np.concatenate(values)
         off = b - A @ np.linalg.lstsq(A, b, rcond=None)[0]
         freedom = max(len(b) - 3, 1)
-        told.append(_spread(f'scatter of the centre of ball {k + 1}, 1 sigma',
+        sentences.append(_spread(f'scatter of the centre of ball {k + 1}, 1 sigma',
                             float(np.sqrt(off @ off / freedom)), freedom))
-    return tuple(told)
+    return tuple(sentences)
 
 
 def _form(name: str, symbol: str, seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:

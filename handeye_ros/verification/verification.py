@@ -136,12 +136,12 @@ def time_of(stamp: int) -> str:
 
 def values(found: Verification) -> dict[str, Any]:
     """Return a verification as plain values, for YAML and for the report."""
-    told = {'format': FORMAT, 'version': __version__, **asdict(found)}
-    told['reasons'], told['inputs'] = list(found.reasons), list(found.inputs)
-    told['k'], told['record'] = K, dict(found.record)
-    told['quantities'] = [asdict(q) for q in found.quantities]
-    told['per_station'] = [asdict(s) for s in found.per_station]
-    return told
+    content = {'format': FORMAT, 'version': __version__, **asdict(found)}
+    content['reasons'], content['inputs'] = list(found.reasons), list(found.inputs)
+    content['k'], content['record'] = K, dict(found.record)
+    content['quantities'] = [asdict(q) for q in found.quantities]
+    content['per_station'] = [asdict(s) for s in found.per_station]
+    return content
 
 
 def yaml_text(found: Verification) -> str:
@@ -160,25 +160,25 @@ def stations_csv(found: Verification) -> str:
 
 def sentence(found: Verification) -> str:
     """Return a verification as one sentence: verdict, figures with units, reasons."""
-    told = [f'{q.name} {shown(q.value, q.unit)} ± {shown(q.expanded, q.unit)} (k = '
+    content = [f'{q.name} {shown(q.value, q.unit)} ± {shown(q.expanded, q.unit)} (k = '
             f'{K:g}; the calibration claims {shown(q.claimed, q.unit)}, 1 sigma)'
             + ('' if q.nominal is None else f', nominal {shown(q.nominal, q.unit)}, off by '
                f'{shown(q.error, q.unit)}') for q in found.quantities]
     s = found.scatter
-    told.append(f'distances from the fit: mean {shown(s.mean, "m")}, standard deviation '
+    content.append(f'distances from the fit: mean {shown(s.mean, "m")}, standard deviation '
                 f'{shown(s.std, "m")}, maximum {shown(s.maximum, "m")}, RMS {shown(s.rms, "m")}')
     if not math.isnan(s.expected):
-        told[-1] += f' (95 % of such RMS lie below {shown(s.expected, "m")})'
+        content[-1] += f' (95 % of such RMS lie below {shown(s.expected, "m")})'
     taken = [found.surface] if found.surface else []
-    return '; '.join((title_of(values(found)), *found.reasons, *taken, *told))
+    return '; '.join((title_of(values(found)), *found.reasons, *taken, *content))
 
 
 def table(found: Verification) -> Table:
-    """Return what is told of a verification."""
-    told = values(found)
-    made = Table(title=title_of(told), title_justify='left')
+    """Return what is reported of a verification."""
+    content = values(found)
+    made = Table(title=title_of(content), title_justify='left')
     for column in ('', *COLUMNS):
         made.add_column(column, justify='left' if not column else 'right')
-    for name, texts in rows_of(told):
+    for name, texts in rows_of(content):
         made.add_row(name, *texts)
     return made

@@ -161,7 +161,7 @@ def test_good_samples_are_no_convention_error(target: str, where: str) -> None:
 
 
 @pytest.mark.parametrize('name', ['plate_real_robot', 'sphere_real_robot'])
-def test_a_robot_worse_than_told_is_no_convention_error(name: str) -> None:
+def test_a_robot_worse_than_stated_is_no_convention_error(name: str) -> None:
     for seed in range(2):
         made = cell(name, seed)
         assert pipeline.solve(made.samples, [], made.config, 'laser')
@@ -194,7 +194,7 @@ def test_the_limit_of_residuals_is_the_users() -> None:
         pipeline.solve(made.samples, [], strict, 'laser')
 
 
-def test_a_sphere_of_another_radius_than_told_is_noticed() -> None:
+def test_a_sphere_of_another_radius_than_stated_is_noticed() -> None:
     for told in (0.0, 0.039, 0.045):
         made = cell('sphere', target__radius=told)
         answer = pipeline.solve(made.samples, [], made.config, 'laser')

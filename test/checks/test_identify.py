@@ -124,7 +124,7 @@ def test_what_is_too_uncertain_is_the_worst_direction(name: str) -> None:
 
 
 @every_method
-def test_the_weakest_direction_is_told_with_the_answer(name: str) -> None:
+def test_the_weakest_direction_is_reported_with_the_answer(name: str) -> None:
     made = cell(scenario(name), 2, method=name)
     answer = pipeline.solve(made.samples, [], made.config, 'laser')
     std, direction = worst_translation(answer.covariance)

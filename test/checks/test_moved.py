@@ -49,7 +49,7 @@ SLIGHT = se3.perturb(np.eye(4), np.array([4e-4, 0.0, 3e-4, 0.0, 0.0, 0.0]))
 
 @pytest.mark.parametrize(('change', 'what'), [
     (lambda T: T @ SLIGHT, 'sensor'), (lambda T: SLIGHT @ T, 'target')])
-def test_a_small_move_is_told_with_its_moment(
+def test_a_small_move_is_reported_with_its_moment(
         change: Callable[[Array], Array], what: str) -> None:
     made = cell('plate', 5)
     samples = later(made.samples, change)

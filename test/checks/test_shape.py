@@ -51,7 +51,7 @@ def test_a_plate_that_is_not_square_is_measured_and_named(degrees: float) -> Non
 @pytest.mark.thorough
 @pytest.mark.parametrize('off', [0.7e-3, 0.8e-3, 1e-3, 1.1e-3, -1e-3, 2e-3, -5e-3])
 @pytest.mark.parametrize('seed', [0, 1])
-def test_a_plate_of_another_size_is_told(off: float, seed: int) -> None:
+def test_a_plate_of_another_size_is_reported(off: float, seed: int) -> None:
     length, width = SCENARIOS['plate'].target.size
     scenario = replace(SCENARIOS['plate'], wrong_edges=8)
     found, error = solved(scenario, seed, target__size=[length + off, width])
@@ -69,7 +69,7 @@ def test_a_size_given_the_other_way_round_is_the_same_plate() -> None:
             assert 'note' not in found.target and error < 2e-4
 
 
-def test_edges_that_are_none_of_the_plate_are_told() -> None:
+def test_edges_that_are_none_of_the_plate_are_reported() -> None:
     found, error = solved(replace(SCENARIOS['plate'], wrong_edges=4), 0)
     assert 'the edges of 4 of the 18 samples' in found.target['note'] and error < 1.5e-4
 
@@ -112,7 +112,7 @@ def test_an_unknown_radius_is_estimated_without_a_note() -> None:
 
 @pytest.mark.parametrize('scale', [1.0, 1.0015, 0.999])
 @pytest.mark.parametrize('name', ['plate', 'sphere'])
-def test_the_scale_between_robot_and_sensor_is_told(name: str, scale: float) -> None:
+def test_the_scale_between_robot_and_sensor_is_reported(name: str, scale: float) -> None:
     found, _ = solved(SCENARIOS[name], 2, scale)
     assert 0 < found.target['scale_std'] < 7e-4
     assert found.target['scale'] == pytest.approx(scale, abs=3 * found.target['scale_std'])

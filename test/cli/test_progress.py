@@ -10,7 +10,7 @@ import sys
 from command import PLATE, ROOT
 
 
-def test_a_terminal_is_told_what_is_done(tmp_path) -> None:
+def test_a_terminal_is_reported_what_is_done(tmp_path) -> None:
     arguments = ['solve', ROOT / 'bags' / 'plate', '--config', PLATE, '--out', tmp_path]
     ours, theirs = pty.openpty()
     process = subprocess.Popen([sys.executable, '-m', 'handeye_ros', *map(str, arguments)],

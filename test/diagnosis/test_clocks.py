@@ -33,7 +33,7 @@ def solved_late(target: str, late: float) -> object:
 @pytest.mark.thorough
 @pytest.mark.parametrize(('target', 'late'), [
     ('plate', 0.7), ('plate', 2.2), ('plate', -1.8), ('sphere', 1.3), ('sphere', -0.8)])
-def test_clocks_apart_are_told_and_mended(target: str, late: float) -> None:
+def test_clocks_apart_are_reported_and_mended(target: str, late: float) -> None:
     with pytest.raises(ClocksDifferError, match='set time_offset to') as caught:
         solved_late(target, late)
     assert ('late' if late > 0 else 'early') in str(caught.value)

@@ -67,7 +67,7 @@ def test_few_conditions_and_priors_say_what_the_dense_inverse_says(large: float)
     assert np.allclose(x, -dense @ ((A * units).T @ r), rtol=1e-6, atol=1e-9)
 
 
-def test_a_direction_that_no_condition_shows_is_told_as_such() -> None:
+def test_a_direction_that_no_condition_shows_is_reported_as_such() -> None:
     rng = np.random.default_rng(2)
     A, r = rng.normal(size=(8, 12)), rng.normal(size=8)
     A[:, 1] = A[:, 0]

@@ -150,7 +150,7 @@ def test_six_stations_of_which_one_is_wrong_are_refused_and_why() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('stations', [(3, 3), (4, 3)])
-def test_few_stations_of_a_robot_a_little_worse_than_told_are_not_suspected(
+def test_few_stations_of_a_robot_a_little_worse_than_stated_are_not_named_wrong(
         stations: tuple[int, int]) -> None:
     scenario = replace(FAULTS['smooth 0.2 mm'], stations=stations)
     config = with_values(Config(), settings(scenario), 'test')

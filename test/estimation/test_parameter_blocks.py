@@ -24,7 +24,7 @@ ALL_BLOCKS = {key: getattr(getattr(Config(), part), name) for key in NO_DOUBTS
               for part, name in [key.split('__')]}
 
 
-def told(made: Cell, **factors: float) -> Cell:
+def stated(made: Cell, **factors: float) -> Cell:
     """Return a cell whose settings misjudge the robot's noise."""
     noise = made.config.noise
     values = {f'noise.{key}': getattr(noise, key) * factors['robot']
@@ -63,14 +63,14 @@ def squared(made: Cell) -> float:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('factor', [1 / 3, 3.0])
-def test_robot_noise_that_was_told_wrongly_is_found(factor: float) -> None:
-    found = [final(told(cell(MANY, seed), robot=factor)).noise.robot for seed in range(4)]
+def test_robot_noise_that_was_stated_wrongly_is_found(factor: float) -> None:
+    found = [final(stated(cell(MANY, seed), robot=factor)).noise.robot for seed in range(4)]
     assert np.sqrt(np.median(found)) == pytest.approx(1 / factor, rel=0.3)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('factor', [1 / 3, 3.0])
-def test_sensor_noise_that_was_told_wrongly_is_found(factor: float) -> None:
+def test_sensor_noise_that_was_stated_wrongly_is_found(factor: float) -> None:
     # of a robot that is hardly noisy, so that the sensor's shows
     quiet = replace(MANY, robot=replace(MANY.robot, repeatability=(2e-6, 4e-6)),
                     sensor=replace(MANY.sensor, noise=3e-4))
@@ -84,13 +84,13 @@ def test_sensor_noise_that_was_told_wrongly_is_found(factor: float) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('factor', [1 / 3, 3.0])
-def test_the_covariance_is_true_though_the_noise_was_told_wrongly(factor: float) -> None:
-    squares = [squared(told(cell(MANY, seed), robot=factor)) / 6 for seed in range(8)]
+def test_the_covariance_is_true_though_the_noise_was_stated_wrongly(factor: float) -> None:
+    squares = [squared(stated(cell(MANY, seed), robot=factor)) / 6 for seed in range(8)]
     assert 0.4 < np.mean(squares) < 1.7
 
 
 @pytest.mark.thorough
-def test_noise_that_was_told_rightly_is_kept() -> None:
+def test_noise_that_was_stated_rightly_is_kept() -> None:
     noises = [final(cell('plate', seed)).noise for seed in range(10)]
     factors = [[noise.feature, noise.feature_2, noise.robot] for noise in noises]
     sensor, edge, robot = np.abs(np.log(factors)).max(axis=0)
@@ -101,7 +101,7 @@ def test_noise_that_was_told_rightly_is_kept() -> None:
 
 
 @pytest.mark.thorough
-def test_what_is_doubted_but_not_there_costs_the_estimate_little() -> None:
+def test_a_nuisance_parameter_without_error_costs_the_estimate_little() -> None:
     squares = np.zeros((2, 2))
     for seed in range(12):
         made = cell('plate', seed)
@@ -112,7 +112,7 @@ def test_what_is_doubted_but_not_there_costs_the_estimate_little() -> None:
 
 
 def test_settling_changes_no_input() -> None:
-    made = told(cell(MANY, 1), robot=1 / 3)
+    made = stated(cell(MANY, 1), robot=1 / 3)
     solution = solved(made.problem)
     X = solution.estimate.X.copy()
     other = map_solution(solution.problem, solution.estimate)
@@ -158,7 +158,7 @@ def test_a_programme_run_again_tells_nothing_new_of_the_robots_error() -> None:
     assert np.allclose(once @ once.T, kernel(place, place), atol=1e-4)
 
 
-def test_many_places_are_spanned_by_some() -> None:
+def test_many_poses_are_spanned_by_some() -> None:
     rng = np.random.default_rng(0)
     T = se3.from_quaternion(rng.uniform(-0.2, 0.2, (400, 3)), np.column_stack(
         [rng.uniform(-0.2, 0.2, (400, 3)), np.ones(400)]))
@@ -186,7 +186,7 @@ def found_at(solution: Solution) -> tuple[ParameterBlock, ...]:
     return prepared(linear)(linear)
 
 
-def test_every_doubt_has_a_prior_and_what_is_certain_is_none() -> None:
+def test_every_nuisance_parameter_has_a_prior_and_what_is_certain_is_none() -> None:
     made = cell('plate', 0, **ALL_BLOCKS)
     solution = solved(made.problem)
     names = [d.name for d in found_at(solution)]
@@ -195,7 +195,7 @@ def test_every_doubt_has_a_prior_and_what_is_certain_is_none() -> None:
     assert not found_at(certain)
 
 
-def test_without_doubts_the_answer_is_plain_least_squares() -> None:
+def test_without_nuisance_parameters_the_answer_is_plain_least_squares() -> None:
     made = cell('plate', 0)
     first, last = solved(made.problem), final(made)
     assert np.abs(se3.difference(first.estimate.X, last.estimate.X)).max() < 3e-5

@@ -20,7 +20,7 @@ def blocks(n: int, prior_scales: tuple[float, float], rng: np.random.Generator
     return noise - J @ state, J, parts
 
 
-def test_the_causes_are_told_apart() -> None:
+def test_the_causes_are_distinguished() -> None:
     r, J, parts = blocks(4000, SCALES, np.random.default_rng(0))
     found = variance_components(r, J, parts, np.array([1e-6, 1e-6]))
     np.testing.assert_allclose(np.sqrt(found), SCALES, rtol=0.05)

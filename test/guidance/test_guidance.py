@@ -118,7 +118,7 @@ def test_the_limits_are_kept(made: tuple[Cell, Solution]) -> None:
     assert abs(twist_of(R_first, R[None])[0]) <= 0.5
 
 
-def test_limits_that_allow_nothing_are_told(made: tuple[Cell, Solution]) -> None:
+def test_limits_that_allow_nothing_are_reported(made: tuple[Cell, Solution]) -> None:
     told = advice(made, guidance__reach=0.0, guidance__accuracy=1e-6)
     assert told.next is None
     assert 'widen them' in told.text

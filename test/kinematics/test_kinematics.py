@@ -149,7 +149,7 @@ def test_the_answer_in_files_predicts_points_that_were_held_out(solved):
     assert 'offset, direction, position' in told
 
 
-def test_a_wrong_row_is_left_out_and_several_points_are_told_apart():
+def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
     cell = bench.draw(bench.CASES['six'], 40, 5)
     points = cell.data.points.copy()
     points[7] += [0.01, 0, 0]

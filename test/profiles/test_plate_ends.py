@@ -109,7 +109,7 @@ def test_a_smoothed_step_is_cut_at_half_its_height(drop: float) -> None:
         assert edge.kind == 'step'
 
 
-def test_a_foot_in_shadow_is_told_from_one_in_sight() -> None:
+def test_a_foot_in_shadow_is_distinguished_from_one_in_sight() -> None:
     points = drawn(step_up_to(0.0))
     assert edge_of(points).kind == 'step'
     points[(X <= 0) & (X > -0.002)] = np.nan

@@ -124,7 +124,7 @@ def test_few_points_are_no_line() -> None:
     assert segments(np.full((100, 2), np.nan)) == [] == segments(np.empty((0, 2)))
 
 
-def test_noise_is_told_from_shape() -> None:
+def test_noise_is_distinguished_from_shape() -> None:
     rng = np.random.default_rng(0)
     x = np.linspace(0, 1, 3000)
     for sigma in (1e-5, 1e-4):

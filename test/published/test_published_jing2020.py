@@ -33,7 +33,7 @@ def test_accuracy_with_the_papers_noise() -> None:
     assert off[:, 2].min() > 1e-6
 
 
-def test_the_sweep_backwards_is_told_by_its_direction() -> None:
+def test_the_sweep_backwards_is_reported_by_its_direction() -> None:
     tracker, sweep = session(0)
     back = {name: getattr(sweep, name) * [1, 1, -1] for name in ('ball', 'face_c', 'face_d')}
     found = jing2020.fit_swept_ball(back['ball'], -Q30, -jing2020.SWEEP)[0]

@@ -46,7 +46,7 @@ def test_the_truth_from_the_nominal_mounting(seed: int, count: int) -> None:
     assert found.distances.max() < 1e-7
 
 
-def test_noise_is_fitted_and_the_factor_settles() -> None:
+def test_noise_is_fitted_and_the_factor_converges() -> None:
     rng = np.random.default_rng(7)
     X, poses, points = cell(rng, 30, 3e-5)
     found = zheng2018.solve(poses, points, nominal(rng, X, 10, 5))

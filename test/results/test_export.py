@@ -181,7 +181,7 @@ def test_a_file_before_is_replaced_and_nothing_else_is_left(path):
     assert [p.name for p in path.parent.iterdir()] == ['calibration.yaml']
 
 
-def test_unwritable_places_leave_nothing_behind(tmp_path):
+def test_unwritable_folders_leave_nothing_behind(tmp_path):
     (tmp_path / 'file').write_text('')
     (tmp_path / 'folder' / 'inside').mkdir(parents=True)
     for path in (tmp_path / 'file' / 'x.yaml', tmp_path / 'folder'):

@@ -203,7 +203,7 @@ def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration, fo
     assert 'Stop 3:\nnot used: no edge' in text
 
 
-def test_another_answer_is_told(calibration: Calibration, found: Evidence) -> None:
+def test_another_answer_is_reported(calibration: Calibration, found: Evidence) -> None:
     T = se3.perturb(calibration.T_flange_sensor, np.array([1e-3, 0, 0, 0, 0, 0]))
     said = verdict(replace(calibration, T_flange_sensor=T), found, np.empty((0, 3)))
     assert not said.good
@@ -211,7 +211,7 @@ def test_another_answer_is_told(calibration: Calibration, found: Evidence) -> No
                                     'answer than the one saved, 1.000 mm')
 
 
-def test_a_recording_that_is_refused_is_told(calibration: Calibration) -> None:
+def test_a_recording_that_is_refused_is_reported(calibration: Calibration) -> None:
     found = evidence(calibration, ROOT / 'bags' / 'one_orientation')
     text = pages.html(calibration, found)
     assert 'Do not rely on this calibration: the recording is refused now: all poses share' in text

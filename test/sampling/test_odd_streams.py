@@ -80,7 +80,7 @@ def test_the_stop_of_now_is_given_while_the_robot_stands_and_again_when_it_is_ov
     assert [s.profiles for s in session.samples] == [s.profiles for s in whole.samples]
 
 
-def test_a_stop_without_profiles_is_told_while_the_robot_stands() -> None:
+def test_a_stop_without_profiles_is_reported_while_the_robot_stands() -> None:
     session = Session(CONFIG)
     found = []
     for item in stops((0, 3)):
@@ -93,7 +93,7 @@ def test_a_stop_without_profiles_is_told_while_the_robot_stands() -> None:
 @pytest.mark.parametrize(('frame', 'beside', 'name', 'words'), [
     ('laser', 0.0005, 'laser', None), ('', 0.0, 'sensor', 'have no frame_id'),
     ('laser', -0.012, 'laser', 'up to 12.0 mm beside the plane of x and z')])
-def test_what_is_odd_about_the_frame_of_the_profiles_is_told(
+def test_what_is_odd_about_the_frame_of_the_profiles_is_reported(
         frame: str, beside: float, name: str, words: str | None) -> None:
     odd = [replace(p, frame_id=frame, beside=beside) for p in profiles(0, 1)]
     session = played(stops((0, 1)), odd)
@@ -105,7 +105,7 @@ def test_what_is_odd_about_the_frame_of_the_profiles_is_told(
 @pytest.mark.parametrize(('kind', 'words'), [
     ('pose', 'the poses cannot be in one robot base'),
     ('profile', 'the profiles cannot be of one sensor')])
-def test_two_frames_are_told_apart_by_topic(kind: str, words: str) -> None:
+def test_two_frames_are_distinguished_by_topic(kind: str, words: str) -> None:
     assert words in str(TwoFramesError(kind, 'a', 'b'))
 
 
@@ -132,7 +132,7 @@ def test_a_stray_that_comes_first_is_the_stray() -> None:
     assert session.warnings == ('dropped a profile of frame "other" (1 times)',)
 
 
-def test_no_poses_no_stops_and_millimetres_are_told_apart() -> None:
+def test_no_poses_no_stops_and_millimetres_are_distinguished() -> None:
     with pytest.raises(NoPosesError):
         played([], profiles(0, 3)).require_stations()
     moving = [pose(t, x=0.2 * t) for t in np.arange(0, 3, 0.02)]
@@ -157,7 +157,7 @@ def test_values_that_are_not_finite_end_in_no_sample() -> None:
         assert np.isfinite(sample.T_base_flange).all()
 
 
-def test_silent_poses_are_told() -> None:
+def test_silent_poses_are_reported() -> None:
     session = played(stops((0, 1)), profiles(0, 1.32), MANUAL, finish=False)
     with pytest.raises(SilentPosesError, match=r'no pose has come for 0\.3 s'):
         session.take_sample()
@@ -166,7 +166,7 @@ def test_silent_poses_are_told() -> None:
 @pytest.mark.parametrize(('cut', 'words'), [
     (0.3e-3, 'the border of the field of view'), (0.9e-3, '0.9 mm from the end of the view'),
     (2e-3, '')])
-def test_an_edge_at_the_end_of_the_view_is_told(cut: float, words: str) -> None:
+def test_an_edge_at_the_end_of_the_view_is_reported(cut: float, words: str) -> None:
     points = with_lost(drawn(step_up_to(0.002)))
     points = points[~(points[:, 0] > 0.002 + cut)].copy()
     points[0] = np.nan  # a driver that sends the columns without a return too

@@ -44,7 +44,7 @@ def test_one_whole_stream_may_come_before_the_other(first: str) -> None:
     assert key(session.finish()) == IN_ORDER
 
 
-def test_a_station_is_told_once_and_as_soon_as_both_streams_have_passed_it() -> None:
+def test_a_station_is_reported_once_and_as_soon_as_both_streams_have_passed_it() -> None:
     session, told = Session(CONFIG), []
     for item in sorted([*STREAM_POSES, *STREAM_PROFILES], key=lambda item: item.stamp):
         add(session, item)

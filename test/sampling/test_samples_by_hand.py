@@ -94,7 +94,7 @@ def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
     assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.0, 0.1]
 
 
-def test_why_no_sample_can_be_taken_is_told() -> None:
+def test_why_no_sample_can_be_taken_is_reported() -> None:
     session = Session(MANUAL)
     with pytest.raises(NoPosesError):
         session.take_sample()
@@ -144,7 +144,7 @@ def test_automatic_samples_can_be_switched_on_and_off() -> None:
     assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.1]
 
 
-def test_a_moving_robot_is_told_its_speed() -> None:
+def test_a_moving_robot_is_reported_its_speed() -> None:
     creeping = [pose(t, x=4e-3 * t) for t in np.arange(0, 2, 0.02)]
     with pytest.raises(MovingError, match=r'it moves by 4\.0 mm/s and 0\.0 degrees/s'):
         played(creeping, profiles(0, 2), MANUAL, finish=False).take_sample()

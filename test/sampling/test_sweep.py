@@ -53,7 +53,7 @@ def test_noisy_rounded_poses_are_averaged_to_the_true_motion(rate: float) -> Non
     assert se3.angle(at.T_base_flange[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)).max() < 6e-5
 
 
-def test_no_pose_is_told_outside_of_the_poses_or_in_a_gap() -> None:
+def test_no_pose_is_reported_outside_of_the_poses_or_in_a_gap() -> None:
     times = np.arange(0.0, 10.0, 0.01)
     found = trajectory_of(poses(times[(times < 4.0) | (times > 4.5)]), 0.5)
     at = found.at(np.array([-0.1, 0.0, 3.9, 4.2, 4.6, 9.98, 10.1]) * NS)
@@ -101,7 +101,7 @@ def test_a_rotation_that_is_reported_late_and_an_exposure_are_part_of_the_model(
     assert abs(lag - 0.01) < 4 * std < 1e-3
 
 
-def test_a_slow_sweep_is_told_to_be_faster_once() -> None:
+def test_a_slow_sweep_is_advised_to_be_faster_once() -> None:
     scenario = sweep('sphere', 0.02, knot=60.0)
     scenario = replace(scenario, sensor=replace(scenario.sensor, rate=0.5),
                        robot=replace(scenario.robot, rate=20.0))

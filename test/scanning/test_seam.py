@@ -189,7 +189,7 @@ def test_the_angles_lean_the_tool_along_and_across():
                                    atol=1e-12)
 
 
-def test_the_approach_points_where_it_is_told():
+def test_the_approach_points_where_it_is_reported():
     truth = cloud_of()
     seam, down = find_seam(truth.points), -truth.normals.mean(axis=0)
     for towards in (down, -down):

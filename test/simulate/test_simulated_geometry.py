@@ -144,7 +144,7 @@ def test_the_field_of_view_is_a_trapezoid() -> None:
         assert np.isnan(sensors.render(sensor, floor, T[None])[0]).all()
 
 
-def test_the_stations_fill_the_field_of_view_and_tilt_as_told() -> None:
+def test_the_stations_fill_the_field_of_view_and_tilt_as_reported() -> None:
     _, truth = simulate_samples(SCENARIOS['plate'], np.random.default_rng(6))
     x, z = np.array([station.point for station in truth.stations]).T
     assert x.min() < -7e-3 and x.max() > 7e-3 and np.abs(x).max() < 0.02

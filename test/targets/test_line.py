@@ -164,7 +164,7 @@ def corner_samples(seed, only_open, count=24):
 
 
 @pytest.mark.parametrize('only_open', [1, pytest.param(5, marks=pytest.mark.thorough)])
-def test_a_corner_is_told_from_the_reach_of_the_sensor_by_its_kind(only_open: int) -> None:
+def test_a_corner_is_not_taken_for_the_reach_of_the_sensor(only_open: int) -> None:
     for seed in range(5):
         made = corner_samples(seed, only_open)
         assert made.error(transform(made)) < 5e-4

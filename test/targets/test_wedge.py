@@ -131,7 +131,7 @@ def test_a_groove_beside_the_edge_is_another_corner() -> None:
 
 
 @pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.thorough)])
-def test_a_block_on_a_table_is_told_from_the_groove_at_its_foot(seed: int) -> None:
+def test_a_block_on_a_table_is_distinguished_from_the_groove_at_its_foot(seed: int) -> None:
     made = cell('wedge', seed)
     rng, samples = np.random.default_rng(seed), []
     for k, sample in enumerate(made.samples):

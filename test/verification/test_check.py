@@ -172,7 +172,7 @@ def test_control_limits_are_those_of_an_individuals_chart():
     assert (centre, low, high) == pytest.approx((11.6, 11.6 - 3.989, 11.6 + 3.989), abs=1e-3)
 
 
-def test_a_steady_trend_is_told_so(tmp_path):
+def test_a_steady_trend_is_reported_so(tmp_path):
     calibrations(tmp_path, 5)
     entries, _ = trend.trend(tmp_path)
     assert 'no calibration differs' in trend.since_when(entries)

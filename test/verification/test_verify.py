@@ -170,7 +170,7 @@ def test_the_bias_of_a_touched_point_is_measured():
     assert unknown.verdict == 'pass' and unknown.quantities[0].error is None
 
 
-def test_the_spread_of_single_stations_is_told():
+def test_the_spread_of_single_stations_is_reported():
     made, found = measured('point')
     told = [q for q in result('point', made, found).quantities if '3 sigma' in q.name]
     assert [q.name[-1] for q in told] == ['x', 'y', 'z']
@@ -299,7 +299,7 @@ def test_too_few_stations_and_wrong_counts_are_refused():
         settings_for(routine, of_lengths(0.1), 3)
 
 
-def test_the_edge_of_one_line_is_told_from_others():
+def test_the_edge_of_one_line_is_distinguished_from_others():
     made, found = measured('line')
     mixed = []
     for sample in made.bags[0]:

@@ -61,7 +61,7 @@ def read(path: Path, config: Config, progress: Progress = lambda share: None,
     """
     Return the profiles and flange poses in a rosbag2 folder or an .mcap or .db3 file.
 
-    A damaged file gives what can be read up to the damage, with a warning. progress: told the
+    A damaged file gives what can be read up to the damage, with a warning. progress: receives the
     share of the bytes that were read. arm: the one whose poses are taken, at the joint values, as
     with the key kinematics. Raises InputError when the bag or what is on its topics
     cannot be read, and DataError when its stamps mix two runs, or profiles and poses share no

@@ -59,9 +59,8 @@ def pieces(path: Path, contents: Contents, topics: Collection[str] | None = None
     Yield the messages of a bag (of these topics only) in the order of recording.
 
     They come in pieces, of each topic a block. contents is filled on the way, all but its
-    messages. progress: told the share of the bytes that were read. Raises BagError when there is
-    nothing to read.
-
+    messages. progress: receives the share of the bytes that were read. Raises BagError when
+    there is nothing to read.
     """
     wanted = None if topics is None else {full_name(topic) for topic in topics}
     try:

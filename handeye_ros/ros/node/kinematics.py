@@ -88,8 +88,8 @@ class LiveKinematics:
                 require_same_clock(session, source.config)
                 raise
         folder = live.place.folder(config) / FOLDER
-        told = (sentence(answer), save(answer, self._urdf, folder, config.save.formats))
-        return '; '.join([*told, *answer.warnings])
+        sentences = (sentence(answer), save(answer, self._urdf, folder, config.save.formats))
+        return '; '.join([*sentences, *answer.warnings])
 
 
 def compute(kinematics: LiveKinematics | None) -> str:

@@ -160,7 +160,7 @@ class LiveSession:
         self.samples.extract_again()
         self.reviewer.update()
         if self._due:
-            with suppress(DataError, InputError):  # it is told by the state of the answer
+            with suppress(DataError, InputError):  # it is reported by the state of the answer
                 self._compute(self.samples.judge_all)
 
     # what is asked; each returns what to say

@@ -128,7 +128,7 @@ class HandeyeNode(Node):
         for service in services:
             offer(self, Trigger, service.__name__, partial(self._answer, service), group)
 
-    # what is told
+    # what is reported
 
     def _quietly(self, tell: Callable[..., object], *args: Any) -> None:
         """Tell something, unless the node ends, and nobody hears of it any more."""

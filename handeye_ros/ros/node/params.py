@@ -80,15 +80,15 @@ def _value(parameter: RosParameter) -> Any:
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Return what `ros2 param describe` tells of a parameter."""
-    told = ParameterDescriptor(description=parameter.description, dynamic_typing=True,
+    made = ParameterDescriptor(description=parameter.description, dynamic_typing=True,
                                additional_constraints=_constraints(parameter))
     low, high = parameter.minimum, parameter.maximum
     if low is not None and high is not None:
         if isinstance(parameter.default, int):
-            told.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+            made.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
         else:
-            told.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-    return told
+            made.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    return made
 
 
 def _constraints(parameter: Parameter) -> str:

@@ -2,8 +2,8 @@
 What the node publishes of its session: the answer, the samples, what they look like.
 
 A latched topic keeps its last message for whoever joins later. Where there is no answer any
-more, the publisher is made anew, so that a late joiner gets none; who has the old one is told
-so by ~/status.
+more, the publisher is created again, so that a late joiner gets none; ~/status informs those who
+have the old one.
 """
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ UNWATCHED = PublisherEventCallbacks(use_default_callbacks=False)
 
 
 class Publishers:
-    """The publishers; each state is told once."""
+    """The publishers; each state is reported once."""
 
     def __init__(self, node: Node, live: LiveSession) -> None:
         """Advertise all topics."""

@@ -23,7 +23,7 @@ from handeye_ros.sampling.stops import Stop
 MOST_STOPS = 16  # that wait to be judged, of 7 MB at most with 1280 points a profile
 KINDS = ('profile', 'pose')
 LAST = 100  # messages of a kind that are kept: the one of the two streams may be late
-BAD_IN_A_ROW = 3  # messages that cannot be understood, of which a person is told
+BAD_IN_A_ROW = 3  # messages that cannot be understood, that are reported
 FRESH = 1.0  # s: the clocks are compared where both kinds came so recently
 LARGEST_APART = 5.0  # s between the clocks that a slow network or a queue explains
 

@@ -13,7 +13,7 @@ class Threads:
     """The threads, and what of their last work failed."""
 
     def __init__(self, on_failure: Callable[[str], object]) -> None:
-        """Start with none; on_failure: is told the traceback of work that failed."""
+        """Start with none; on_failure: receives the traceback of work that failed."""
         self._on_failure = on_failure
         self._failures: dict[str, str] = {}
         self._ended = False

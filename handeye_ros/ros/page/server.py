@@ -1,7 +1,7 @@
 """
 Serves the page: static files, a stream of events, and one request for each button.
 
-aiohttp runs in a thread and a loop of its own. What is told is gathered by another thread, at
+aiohttp runs in a thread and a loop of its own. What is reported is gathered by another thread, at
 most RATE times a second and only while somebody looks; what is asked waits in a short queue. So
 no request, and no slow reader, holds up the node.
 """
@@ -112,7 +112,7 @@ class PageServer:
         for pool in (self._teller, *self._pools.values()):
             pool.shutdown(wait=False, cancel_futures=True)
 
-    # what is told
+    # what is reported
 
     async def _tell(self) -> None:
         """Gather what is told while somebody looks."""

@@ -85,7 +85,7 @@ def test_time_that_starts_again_is_refused(tmp_path):
 @pytest.mark.parametrize('topic', ['/profile', '/flange_pose'])
 @pytest.mark.parametrize('wild', [1, START - 10**18, START + 20 * 10**9, 2_100_000_000 * 10**9])
 @pytest.mark.parametrize('places', [[0], [15], [28, 29], [3, 4, 20]])
-def test_a_few_wild_stamps_are_dropped_and_told(good_bag, tmp_path, topic, wild, places):
+def test_a_few_wild_stamps_are_dropped_and_reported(good_bag, tmp_path, topic, wild, places):
     items = PROFILES if topic == '/profile' else POSES
     stamps = {item.stamp: item.stamp for item in items}
     stamps |= {items[i].stamp: wild + i for i in places}

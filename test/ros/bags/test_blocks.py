@@ -60,7 +60,7 @@ def test_messages_that_are_packed_each_are_unpacked() -> None:
     assert Poses().add(block).used == [0, 1]
 
 
-def test_profiles_of_a_block_are_read_again_from_their_places() -> None:
+def test_profiles_of_a_block_are_read_again_from_their_positions() -> None:
     x = np.linspace(-0.02, 0.02, 50)
     cloud = serialised(Profile(STAMP, 'laser', np.column_stack([x, 0.2 + x])), LAYOUTS['xyz'],
                        'm')

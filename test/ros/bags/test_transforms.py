@@ -79,7 +79,7 @@ def test_a_clock_that_is_set_back_goes_on():
     assert 60 < len(late) < 80, 'half a second is lost'
 
 
-def test_every_stamp_is_told_once_and_in_order():
+def test_every_stamp_is_reported_once_and_in_order():
     tracker, T = FlangeTracker('base', 'flange'), random_transform()
     stamps = [p.stamp for s in (3, 4, 4, 2, 6)
               for p in tracker.add([message('base', 'flange', T, s)], static=False)]

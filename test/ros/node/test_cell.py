@@ -44,7 +44,7 @@ def stand_still(client: Client, start: int, x: float = 0.0) -> None:
         client.profiles.publish(sphere_profile(stamp + 1))
 
 
-class Told:
+class Reports:
     """The JSON that a latched topic carries."""
 
     def __init__(self, client: Client, topic: str) -> None:
@@ -65,7 +65,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.mark.thorough
 def test_a_button_a_kill_and_a_restart(tmp_path: Path, client: Client, home: Path) -> None:
-    samples = Told(client, '/handeye/samples')
+    samples = Reports(client, '/handeye/samples')
     button = client.node.create_publisher(Empty, '/handeye/take', 10)
     here = ('-p', 'output_dir:=""')
     with running_node(tmp_path, *SPHERE, *here) as process:
@@ -107,7 +107,7 @@ def sweep(client: Client, start: int, seconds: float) -> None:
 @pytest.mark.thorough
 def test_a_kill_during_a_pass_loses_no_pass_before_it(tmp_path: Path, client: Client,
                                                       home: Path) -> None:
-    samples, here = Told(client, '/handeye/samples'), ('-p', 'output_dir:=""')
+    samples, here = Reports(client, '/handeye/samples'), ('-p', 'output_dir:=""')
     moving = (*SPHERE[:-1], 'sampling.mode:=moving')
     with running_node(tmp_path, *moving, *here) as process:
         client.connect()
@@ -126,13 +126,13 @@ def test_a_kill_during_a_pass_loses_no_pass_before_it(tmp_path: Path, client: Cl
 
 
 @pytest.mark.thorough
-def test_a_late_joiner_is_not_told_an_old_answer(tmp_path: Path, client: Client) -> None:
+def test_a_late_joiner_is_not_sent_an_old_answer(tmp_path: Path, client: Client) -> None:
     from handeye_ros.config import load
     from handeye_ros.ros.bags.bag import read
     config = ROOT / 'config' / 'sphere.yaml'
     recording = read(ROOT / 'bags' / 'sphere', load(config))
     with running_node(tmp_path, '--params-file', str(config), '-r', '__ns:=/cell'):
-        state = Told(client, '/cell/handeye/status')
+        state = Reports(client, '/cell/handeye/status')
         assert state.until(lambda told: True, 'a state is there')['state'] == 'none'
         replay(ROOT / 'bags' / 'sphere')
         client.until(lambda: client._told and client._told[-1]['profiles'] == str(
@@ -151,7 +151,7 @@ def test_a_late_joiner_is_not_told_an_old_answer(tmp_path: Path, client: Client)
         late: list[TransformStamped] = []
         client.node.create_subscription(TransformStamped, '/cell/handeye/calibration',
                                         late.append, LATCHED)
-        late_state = Told(client, '/cell/handeye/status')
+        late_state = Reports(client, '/cell/handeye/status')
         assert late_state.until(lambda told: True, 'a state is there')['state'] == 'withdrawn'
         client.state()
         assert not late

@@ -38,7 +38,7 @@ LISTENING = '0A'  # TCP_LISTEN of the kernel
 
 
 @pytest.mark.thorough
-def test_streams_that_fall_silent_are_told_and_heard_again(tmp_path: Path, client: Client
+def test_streams_that_fall_silent_are_reported_and_heard_again(tmp_path: Path, client: Client
                                                            ) -> None:
     with running_node(tmp_path):
         client.connect()
@@ -143,7 +143,7 @@ def test_a_simulated_clock_that_jumps_forth_and_back(tmp_path: Path, client: Cli
 
 
 @pytest.mark.thorough
-def test_two_nodes_of_one_name_are_told_and_keep_apart(tmp_path: Path, client: Client) -> None:
+def test_two_nodes_of_one_name_are_reported_and_keep_apart(tmp_path: Path, client: Client) -> None:
     first, second = tmp_path / 'first', tmp_path / 'second'
     for folder in (first, second):
         folder.mkdir()

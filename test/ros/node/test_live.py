@@ -169,7 +169,7 @@ def test_what_changes_extraction_extracts_anew() -> None:
     assert np.array_equal(live.compute()[0].T_flange_sensor, fed().compute()[0].T_flange_sensor)
 
 
-def test_a_laser_almost_along_an_edge_is_told_with_the_angle_and_by_hand_refused() -> None:
+def test_a_laser_almost_along_an_edge_is_reported_with_the_angle_and_by_hand_refused() -> None:
     plate = recorded('plate')
     live = fed(plate.config, plate)
     taken = len(live.copied().outcomes)
@@ -237,7 +237,7 @@ def test_cleared_and_refused_answers_are_withdrawn() -> None:
     assert state_of(live).calibration.state == 'withdrawn'
 
 
-def test_clocks_an_hour_apart_are_told_with_their_size() -> None:
+def test_clocks_an_hour_apart_are_reported_with_their_size() -> None:
     live = LiveSession(SPHERE.config, Place())
     for item in SPHERE.profiles[:50]:
         live.add_profile(replace(item, stamp=item.stamp + 3600 * 10**9))
@@ -263,7 +263,7 @@ def test_poses_in_another_frame_than_the_one_set_are_refused(set_to: str) -> Non
         assert settings['robot_base_frame'] == live.framed.base_frame == 'base_link'
 
 
-def test_what_was_saved_is_told_until_there_is_another_answer(tmp_path: Path) -> None:
+def test_what_was_saved_is_reported_until_there_is_another_answer(tmp_path: Path) -> None:
     live = fed(replace(SPHERE.config, output_dir=str(tmp_path)))
     live.compute()
     assert state_of(live).calibration.saved == ''
@@ -303,7 +303,7 @@ def test_nobody_asked_for_a_sample() -> None:
     changed(live, sampling__mode='still')
 
 
-def test_what_is_told_is_plain() -> None:
+def test_what_is_reported_is_plain() -> None:
     import json
     live = fed()
     live.compute()
@@ -336,7 +336,7 @@ def test_stamps_that_come_again_give_no_error() -> None:
     assert latest.current(config) is None
 
 
-def test_work_that_fails_is_told_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     live, told, done = LiveSession(SPHERE.config, Place()), Event(), Event()
     log: list[str] = []
     judge_all = live.samples.judge_all
@@ -356,7 +356,7 @@ def test_work_that_fails_is_told_and_the_next_is_done(monkeypatch: pytest.Monkey
     assert state_of(live).session.trouble == ''
 
 
-def test_a_process_that_ends_is_told_and_asked_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_ends_is_asked_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
     live, done, update = LiveSession(SPHERE.config, Place()), Event(), []
 
     def ended() -> None:
@@ -406,7 +406,7 @@ def test_without_profiles_the_stops_that_wait_for_them_do_not_pile_up() -> None:
                for note in state_of(live).session.notes)
 
 
-def test_poses_whose_stamps_hardly_go_on_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_poses_whose_stamps_barely_advance_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dwells, 'MOST_POSES', 50)
     for mode in ('still', 'manual'):
         live = LiveSession(with_values(SPHERE.config, {'sampling.mode': mode}, 'test'), Place())
@@ -416,7 +416,7 @@ def test_poses_whose_stamps_hardly_go_on_do_not_pile_up(monkeypatch: pytest.Monk
         assert (finder._run[-1].stamp == 10**18 + 999) == (mode == 'manual')
 
 
-def test_frames_of_damaged_messages_are_told_apart_up_to_a_number() -> None:
+def test_frames_of_damaged_messages_are_distinguished_up_to_a_number() -> None:
     live = LiveSession(SPHERE.config, Place())
     for number in range(100):
         live.add_profile(replace(SPHERE.profiles[number], frame_id=f'f{number}'))

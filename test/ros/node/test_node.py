@@ -248,7 +248,7 @@ def test_wrong_parameters(argument: str, reason: str) -> None:
         rclpy.shutdown(context=context)
 
 
-def test_a_best_effort_robot_is_heard_and_a_wrong_type_told(
+def test_a_best_effort_robot_is_heard_and_a_wrong_type_reported(
         tmp_path: Path, client: Client) -> None:
     poses = client.node.create_publisher(PoseStamped, '/robot/pose', BEST_EFFORT)
     client.node.create_publisher(PointStamped, '/scan', RELIABLE)

@@ -159,7 +159,7 @@ def test_nobody_waits_for_a_verdict(tmp_path: Path) -> None:
     assert live.samples.take().startswith('sample ')
 
 
-def test_a_verification_that_was_ended_meanwhile_is_told_and_stays_ended(tmp_path: Path) -> None:
+def test_a_verification_that_was_ended_meanwhile_stays_ended(tmp_path: Path) -> None:
     live, second = verifying(tmp_path)
     with second.closed(live.verification.result) as told:
         live.configure(changed(live.config, 'verify.routine', ''))
@@ -169,7 +169,7 @@ def test_a_verification_that_was_ended_meanwhile_is_told_and_stays_ended(tmp_pat
     assert any('verification (sphere) continues' in note for note in live.warnings), 'the next'
 
 
-def test_that_the_robot_moves_is_told_while_stops_wait_to_be_judged(tmp_path: Path) -> None:
+def test_that_the_robot_moves_is_reported_while_stops_wait_to_be_judged(tmp_path: Path) -> None:
     judging = Gate()
     live = running(tmp_path, judging=judging)
     feed(live, *PARTS[0])

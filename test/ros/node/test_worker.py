@@ -60,14 +60,14 @@ def test_what_it_prints_is_no_answer(
     assert capfd.readouterr() == ('', 'hello\n')
 
 
-def test_one_that_was_killed_is_told_and_started_again(worker: WorkerProcess) -> None:
+def test_one_that_was_killed_is_reported_and_started_again(worker: WorkerProcess) -> None:
     pid = worker.run(os.getpid)
     with pytest.raises(WorkerEndedError, match='ended by signal 9 before it had an answer'):
         worker.run(os.kill, pid, signal.SIGKILL)
     assert worker.run(os.getpid) != pid
 
 
-def test_one_that_is_suspended_is_ended_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_is_suspended_is_ended_and_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     worker = WorkerProcess()
     try:
         pid = worker.run(os.getpid)

@@ -287,7 +287,7 @@ def test_metadata_of_any_names_are_yaml(tmp_path: Path) -> None:
     assert told['duration']['nanoseconds'] == 24
 
 
-def test_what_is_no_session_is_told(tmp_path: Path) -> None:
+def test_what_is_no_session_is_reported(tmp_path: Path) -> None:
     assert not is_session(tmp_path / 'nothing') and not is_session(tmp_path)
     with pytest.raises(InputError, match='is no session'):
         resumed({'session': str(tmp_path)}, Place())
