@@ -6,15 +6,11 @@ import importlib.util
 from pathlib import Path
 import re
 
-from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import FaceLine, Sample
 from handeye_ros.results import protocol
-from handeye_ros.results.calibration_file import write_calibration
-from handeye_ros.ros.bags import bag_write
-from handeye_ros.simulate import gauges, simulate
-from handeye_ros.simulate.measuring import measuring_cell
+from handeye_ros.simulate import gauges
 from handeye_ros.simulate.scenario import PlateTarget
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
@@ -321,30 +317,6 @@ def test_results_are_plain_values():
     assert read == verification.values(told)
 
 
-def test_a_cell_is_calibrated_verified_and_measures_a_gauge(tmp_path):
-    cell = measuring_cell(np.random.default_rng(0), columns=640)
-    for name, recording in cell.recordings.items():
-        bag_write.write(tmp_path / name, recording.profiles, recording.poses)
-    passes = sorted(name for name in cell.recordings if name.startswith('pass_'))
-    run = handeye('solve', 'plate', '--out', 'cal', cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
-    known = ('--calibration', 'cal/calibration.yaml', '--out', 'v.yaml')
-    run = handeye('verify', 'ball_bar', 'ball_1', 'ball_2', *known, '--radius', cell.ball_radius,
-                  '--length', cell.bar, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
-    told = yaml.safe_load((tmp_path / 'v.yaml').read_text())
-    assert told['verdict'] == 'pass'
-    assert abs(told['quantities'][2]['value'] - cell.bar) < 1e-4
-    run = handeye('verify', 'tooth', *passes, *known, '--length', cell.gauge.pitch, '--length',
-                  cell.gauge.height, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
-    told = yaml.safe_load((tmp_path / 'v.yaml').read_text())
-    assert told['verdict'] == 'pass'
-    pitch, height = (quantity['value'] for quantity in told['quantities'])
-    assert abs(pitch - cell.gauge.pitch) < 2e-5
-    assert abs(height - cell.gauge.height) < 2e-5
-
-
 @pytest.mark.parametrize('lengths', [(0.004, 0.02), (0.0155, 0.005), (0.015, 0.0055)])
 def test_teeth_of_another_gauge_never_pass(lengths):
     made, found = measured('tooth')
@@ -354,34 +326,6 @@ def test_teeth_of_another_gauge_never_pass(lengths):
     except NoTeethError:
         return
     assert told.verdict == 'fail'
-
-
-@pytest.mark.thorough
-def test_the_verb_on_rendered_profiles(tmp_path):
-    scenario = replace(SCENARIOS['small_sphere'], stations=(10, 0))
-    made = simulate(scenario, np.random.default_rng(3))
-    X = made.truth.T_flange_sensor
-    bag_write.write(tmp_path / 'ball', made.profiles, made.poses)
-    for name, T in (('right', X), ('wrong', se3.perturb(X, np.array([1e-3, 0, 0, 0, 0.009, 0])))):
-        write_calibration(bench.calibration(T, np.diag(bench.STD ** 2)), tmp_path / f'{name}.yaml')
-        run = handeye('verify', 'sphere', 'ball', '--calibration', f'{name}.yaml', '--radius',
-                      f'{1e3 * scenario.target.radius}mm', '--out', 'v.yaml', '--stations',
-                      's.csv', cwd=tmp_path)
-        assert run.returncode == {'right': 0, 'wrong': 1}[name], run.stderr
-        told = yaml.safe_load((tmp_path / 'v.yaml').read_text())
-        assert told['verdict'] == {'right': 'pass', 'wrong': 'fail'}[name]
-        assert told['inputs'] == ['ball']
-        assert len((tmp_path / 's.csv').read_text().splitlines()) == 1 + len(told['per_station'])
-        assert run.stdout.splitlines()[0].startswith(f'sphere: {told["verdict"].upper()}')
-    run = handeye('verify', 'ball_bar', 'ball', '--calibration', 'right.yaml', cwd=tmp_path)
-    assert_refused(run, 2, 'ball_bar needs 2 bags, and got 1')
-    run = handeye('verify', 'sphere', 'ball', '--calibration', 'right.yaml', '--tolerance', '0.3',
-                  cwd=tmp_path)
-    assert run.returncode == 2 and 'this is 300 mm' in run.stderr
-    run = handeye('verify', 'cube', 'ball', '--calibration', 'right.yaml', cwd=tmp_path)
-    assert_refused(run, 2, 'no routine "cube"')
-    run = handeye('verify', 'sphere', 'ball', '--calibration', 'none.yaml', cwd=tmp_path)
-    assert_refused(run, 2, 'none.yaml')
 
 
 def test_of_points_without_noise_none_is_an_outlier():

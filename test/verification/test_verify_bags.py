@@ -1,9 +1,11 @@
 """Every routine on recordings of rendered profiles, from the bag to the verdict."""
 from __future__ import annotations
 
+from dataclasses import replace
 import importlib.util
 from pathlib import Path
 
+from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.cli.verbs import app
 from handeye_ros.config import Config, flatten
@@ -12,6 +14,9 @@ from handeye_ros.results import verified
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.results.errors import VerificationFileError
 from handeye_ros.ros.bags import bag_write
+from handeye_ros.simulate import simulate
+from handeye_ros.simulate.measuring import measuring_cell
+from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
 import pytest
@@ -93,3 +98,55 @@ def test_the_report_shows_verifications(tmp_path: Path) -> None:
         (tmp_path / 'told.yaml').write_text(text)
         with pytest.raises(VerificationFileError):
             verified.read(tmp_path / 'told.yaml')
+
+
+def test_a_cell_is_calibrated_verified_and_measures_a_gauge(tmp_path):
+    cell = measuring_cell(np.random.default_rng(0), columns=640)
+    for name, recording in cell.recordings.items():
+        bag_write.write(tmp_path / name, recording.profiles, recording.poses)
+    passes = sorted(name for name in cell.recordings if name.startswith('pass_'))
+    run = handeye('solve', 'plate', '--out', 'cal', cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    known = ('--calibration', 'cal/calibration.yaml', '--out', 'v.yaml')
+    run = handeye('verify', 'ball_bar', 'ball_1', 'ball_2', *known, '--radius', cell.ball_radius,
+                  '--length', cell.bar, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    told = yaml.safe_load((tmp_path / 'v.yaml').read_text())
+    assert told['verdict'] == 'pass'
+    assert abs(told['quantities'][2]['value'] - cell.bar) < 1e-4
+    run = handeye('verify', 'tooth', *passes, *known, '--length', cell.gauge.pitch, '--length',
+                  cell.gauge.height, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    told = yaml.safe_load((tmp_path / 'v.yaml').read_text())
+    assert told['verdict'] == 'pass'
+    pitch, height = (quantity['value'] for quantity in told['quantities'])
+    assert abs(pitch - cell.gauge.pitch) < 2e-5
+    assert abs(height - cell.gauge.height) < 2e-5
+
+
+@pytest.mark.thorough
+def test_the_verb_on_rendered_profiles(tmp_path):
+    scenario = replace(SCENARIOS['small_sphere'], stations=(10, 0))
+    made = simulate(scenario, np.random.default_rng(3))
+    X = made.truth.T_flange_sensor
+    bag_write.write(tmp_path / 'ball', made.profiles, made.poses)
+    for name, T in (('right', X), ('wrong', se3.perturb(X, np.array([1e-3, 0, 0, 0, 0.009, 0])))):
+        write_calibration(bench.calibration(T, np.diag(bench.STD ** 2)), tmp_path / f'{name}.yaml')
+        run = handeye('verify', 'sphere', 'ball', '--calibration', f'{name}.yaml', '--radius',
+                      f'{1e3 * scenario.target.radius}mm', '--out', 'v.yaml', '--stations',
+                      's.csv', cwd=tmp_path)
+        assert run.returncode == {'right': 0, 'wrong': 1}[name], run.stderr
+        told = yaml.safe_load((tmp_path / 'v.yaml').read_text())
+        assert told['verdict'] == {'right': 'pass', 'wrong': 'fail'}[name]
+        assert told['inputs'] == ['ball']
+        assert len((tmp_path / 's.csv').read_text().splitlines()) == 1 + len(told['per_station'])
+        assert run.stdout.splitlines()[0].startswith(f'sphere: {told["verdict"].upper()}')
+    run = handeye('verify', 'ball_bar', 'ball', '--calibration', 'right.yaml', cwd=tmp_path)
+    assert_refused(run, 2, 'ball_bar needs 2 bags, and got 1')
+    run = handeye('verify', 'sphere', 'ball', '--calibration', 'right.yaml', '--tolerance', '0.3',
+                  cwd=tmp_path)
+    assert run.returncode == 2 and 'this is 300 mm' in run.stderr
+    run = handeye('verify', 'cube', 'ball', '--calibration', 'right.yaml', cwd=tmp_path)
+    assert_refused(run, 2, 'no routine "cube"')
+    run = handeye('verify', 'sphere', 'ball', '--calibration', 'none.yaml', cwd=tmp_path)
+    assert_refused(run, 2, 'none.yaml')
