@@ -127,14 +127,6 @@ def test_out_is_where_the_user_says(simulated, tmp_path):
     assert 'error against truth.yaml' in run.stdout  # it lies beside the file
 
 
-def test_solve_imports_no_ros(simulated, tmp_path):
-    before = ('import atexit; atexit.register(lambda: print([m for m in sys.modules '
-              'if m.split(".")[0] in ("rclpy", "rosidl_parser", "sensor_msgs")]))')
-    run = handeye('solve', simulated[0], '--config', PLATE, cwd=tmp_path, before=before)
-    assert run.returncode == 0, run.stderr
-    assert run.stdout.splitlines()[-1] == '[]'
-
-
 def test_a_bag_with_a_file_beside_it_is_solved_as_well(tmp_path):
     before = ('import atexit; atexit.register(lambda: print([m for m in sys.modules '
               'if m.split(".")[0] in ("rclpy", "rosidl_parser", "sensor_msgs")]))')

@@ -101,7 +101,7 @@ def calibrations(draw):
     return Calibration(*names, T, covariance, target, quality, tuple(samples), provenance)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(calibration=calibrations())
 def test_any_calibration_is_read_back_equal(tmp_path_factory, calibration):
     path = tmp_path_factory.mktemp('any') / 'calibration.yaml'

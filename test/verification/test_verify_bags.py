@@ -100,6 +100,7 @@ def test_the_report_shows_verifications(tmp_path: Path) -> None:
             verified.read(tmp_path / 'told.yaml')
 
 
+@pytest.mark.thorough
 def test_a_cell_is_calibrated_verified_and_measures_a_gauge(tmp_path):
     cell = measuring_cell(np.random.default_rng(0), columns=640)
     for name, recording in cell.recordings.items():
