@@ -119,7 +119,7 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
         content.append(_directions(samples[-1].T_base_flange, proposal, config, noun(method)))
     if not proposal and not enough:
         content.append('no pose within guidance.reach, guidance.tilt and guidance.turn keeps the '
-                    f'{noun(method)} in view: widen them')
+                       f'{noun(method)} in view: widen them')
     return Advice(tuple(filter(None, [trouble, *content])), proposal, None, sigmas,
                   enough and not trouble, why)
 

@@ -231,13 +231,13 @@ def _warnings(models: Sequence[Model], chosen: Model) -> list[str]:
     lost = int((~last.fit.used).sum())
     if lost:
         content.append(f'{lost} of {len(last.fit.used)} points contradict the others and are left '
-                    'out')
+                       'out')
     if chosen is not last:
         content.append(f'the model with {" and ".join(last.kinds)} predicts left-out points no '
-                    f'better than {" and ".join(chosen.kinds) or "the URDF as it is"}: the '
-                    'simpler one is the answer')
+                       f'better than {" and ".join(chosen.kinds) or "the URDF as it is"}: the '
+                       'simpler one is the answer')
     arm, q = last.fit.state.arm, last.fit.data.q
     if one_configuration(arm, q):
         content.append('all poses have one configuration of elbow and wrist: other configurations '
-                    'determine more joint parameters')
+                       'determine more joint parameters')
     return content

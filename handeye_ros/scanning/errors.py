@@ -67,7 +67,7 @@ class SeveralSeamsError(DataError):
 
     def __init__(self, lengths: Sequence[float], places: Sequence[Sequence[float]]) -> None:
         listed = '; '.join(f'{mm(length)} long at {place(p)}'
-                         for length, p in zip(lengths, places, strict=True))
+                           for length, p in zip(lengths, places, strict=True))
         super().__init__(f'{len(lengths)} seams ({listed}): cut one out with --box')
 
 

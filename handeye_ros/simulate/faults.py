@@ -95,7 +95,7 @@ def _robots() -> Iterator[Scenario]:
     for base in BASELINES[1:]:
         yield _robot(f'{base.scene}, smooth 0.2 mm', base, **smooth)
     stated = {'noise.robot_translation': ROBOT.repeatability[0] / 1.3,
-            'noise.robot_rotation': ROBOT.repeatability[1] / 1.3}.items()
+              'noise.robot_rotation': ROBOT.repeatability[1] / 1.3}.items()
     yield _robot('repeatability 1.3 times stated', PLATE, stated)
     errors: dict[str, dict[str, Any]] = {
         '': {}, ', smooth 0.15 mm': {'systematic': (0.15 * MM, 0.15 * MM / 0.3)},

@@ -138,7 +138,7 @@ def _centres_spread(seen: Seen, X: Array) -> tuple[Quantity, ...]:
         off = b - A @ np.linalg.lstsq(A, b, rcond=None)[0]
         freedom = max(len(b) - 3, 1)
         sentences.append(_spread(f'scatter of the centre of ball {k + 1}, 1 sigma',
-                            float(np.sqrt(off @ off / freedom)), freedom))
+                                 float(np.sqrt(off @ off / freedom)), freedom))
     return tuple(sentences)
 
 

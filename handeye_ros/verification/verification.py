@@ -161,12 +161,13 @@ def stations_csv(found: Verification) -> str:
 def sentence(found: Verification) -> str:
     """Return a verification as one sentence: verdict, figures with units, reasons."""
     content = [f'{q.name} {shown(q.value, q.unit)} ± {shown(q.expanded, q.unit)} (k = '
-            f'{K:g}; the calibration claims {shown(q.claimed, q.unit)}, 1 sigma)'
-            + ('' if q.nominal is None else f', nominal {shown(q.nominal, q.unit)}, off by '
-               f'{shown(q.error, q.unit)}') for q in found.quantities]
+               f'{K:g}; the calibration claims {shown(q.claimed, q.unit)}, 1 sigma)'
+               + ('' if q.nominal is None else f', nominal {shown(q.nominal, q.unit)}, off by '
+                  f'{shown(q.error, q.unit)}') for q in found.quantities]
     s = found.scatter
     content.append(f'distances from the fit: mean {shown(s.mean, "m")}, standard deviation '
-                f'{shown(s.std, "m")}, maximum {shown(s.maximum, "m")}, RMS {shown(s.rms, "m")}')
+                   f'{shown(s.std, "m")}, maximum {shown(s.maximum, "m")}, '
+                   f'RMS {shown(s.rms, "m")}')
     if not math.isnan(s.expected):
         content[-1] += f' (95 % of such RMS lie below {shown(s.expected, "m")})'
     taken = [found.surface] if found.surface else []

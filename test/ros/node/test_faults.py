@@ -38,8 +38,8 @@ LISTENING = '0A'  # TCP_LISTEN of the kernel
 
 
 @pytest.mark.thorough
-def test_streams_that_fall_silent_are_reported_and_heard_again(tmp_path: Path, client: Client
-                                                           ) -> None:
+def test_streams_that_fall_silent_are_reported_and_heard_again(
+        tmp_path: Path, client: Client) -> None:
     with running_node(tmp_path):
         client.connect()
         for stream, send in (('profiles', lambda t: client.profiles.publish(sphere_profile(t))),
