@@ -49,7 +49,7 @@ def rows_of(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]
         nominal = q['nominal']
         error = None if nominal is None else q['value'] - nominal
         yield q['name'], tuple(shown(v, q['unit']) for v in (
-            q['value'], nominal, error, told['k'] * q['std'],
+            q['value'], nominal, error, content['k'] * q['std'],
             q['claimed'] or None))  # a scatter claims nothing
     for name, key in SCATTER:
         yield name, (shown(content['scatter'][key], 'm'), '', '', '', '')
