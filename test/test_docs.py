@@ -20,7 +20,8 @@ PROGRAM = re.compile(r'^(?:\$ )?(?:[A-Z_]+=\S+ )*(?:\.venv/bin/)?'
                      r'(handeye|make|ros2|python)(?= [-\w./]+(?: |$))')
 STANDS_FOR = {'path/to/bag': 'bags/plate'}
 # Other tests run these; the first two do not end.
-ELSEWHERE = ('handeye replay', 'handeye calibrate', 'handeye kinematics near')
+ELSEWHERE = ('handeye replay', 'handeye calibrate', 'handeye kinematics near',
+             'handeye batch nights', 'handeye batch jobs.csv')
 PRINT = ('compare',)  # write nothing, so once is enough
 THERE = {  # what a page takes as there: what makes it, in the folder "made"
     'calibration.yaml': 'handeye solve bags/plate --config config/plate.yaml --out made',

@@ -25,6 +25,7 @@ STANDSTILL = 1e-14  # of the same: what is left is the rounding of the derivativ
 BELIEVED_SHARE = 0.65  # of the blocks that a good answer must explain
 SMALLEST_SCALE = 9.0  # squared residual, in variances, from which on a block loses weight
 SCALE = 3.0  # the same, in squared residuals that the believed share stays below
+WIDEST = 100.0  # first control, over the squared residual of the believed share
 FEW_ITERATIONS, NEAR = 4, 1e-3  # of one round of weights; step length in sigmas that ends it
 
 States: TypeAlias = tuple[NDArray[Any], ...]
@@ -204,7 +205,8 @@ def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array
     (n,)): the state some steps nearer to the least weighted squares.
     """
     state, now = start, squares(start)
-    control, before = float(now.max()), np.inf
+    # of a start that explains most blocks, the few others have little say from the first step on
+    control, before = min(float(now.max()), WIDEST * believed(now)), np.inf
     for _ in range(MAX_ITERATIONS):
         spread = believed(now)
         scale = max(SMALLEST_SCALE, SCALE * spread)

@@ -73,7 +73,7 @@ def test_what_can_be_read_is_published_beside_what_cannot(tmp_path: Path, client
         _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2 and 'Traceback' not in err, err
     for words in ('bad.yaml cannot be used: it is not valid YAML', 'none.yaml cannot be used',
-                  'gives laser a place already', '3 of 4 calibrations not published'):
+                  'gives the pose of laser', '3 of 4 calibrations not published'):
         assert words in err
 
 

@@ -138,7 +138,7 @@ def test_millimetres_taken_for_metres_are_named():
 
 def test_micrometres_are_not_known():
     msg = cloud({'x': X * 1e6, 'z': 172e3 + X}, XZ, 12)
-    with pytest.raises(MessageError, match='172 m, but metres and millimetres are all that'):
+    with pytest.raises(MessageError, match='172 m, but profile.unit is m or mm'):
         points(msg, MILLIMETRES)
 
 
