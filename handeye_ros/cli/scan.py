@@ -44,11 +44,12 @@ def scan(
     config: MeasureConfig = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
     kinematics: KinematicsFile = None,
-    voxel: Annotated[float, typer.Option(
-        min=0.0, help='Keep one point of each cube with this edge (m).')] = 0.0,
-    limits: Annotated[tuple[float, float], typer.Option(
-        '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor (m).')
-    ] = (float('-inf'), float('inf')),
+    voxel: Annotated[str, typer.Option(
+        metavar='L', help='Keep one point of each cube with this edge (0.2mm, or metres).')
+    ] = '0',
+    limits: Annotated[tuple[str, str], typer.Option(
+        '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor.')
+    ] = ('-inf', 'inf'),
     incidence: Annotated[float, typer.Option(
         min=0.0, max=90.0, help='Keep points that the laser meets at no larger angle to the '
         'surface normal, as far as a profile shows it (degrees).')] = 90.0,
@@ -56,15 +57,13 @@ def scan(
         '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
 ) -> None:
     """Put the profiles of a recording into the robot's base: a cloud of points."""
-    import math
-
     from handeye_ros.ros.bags.bag import flow
     from handeye_ros.sampling.trajectory import track_of
     from handeye_ros.scanning.cloud_files import cloud_writer, header_of
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     header_of(out)
     found, settings = calibrated(calibration, config, with_kinematics(assignments, kinematics))
-    scanner = Scanner(found, settings, ScanOptions(*limits, math.radians(incidence), voxel, std))
+    scanner = Scanner(found, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
     with doing('reading the poses') as now:
         source = flow(bag, settings)
         track = track_of(source.poses, settings.sampling.max_pose_gap)

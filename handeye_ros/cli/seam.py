@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Optional, TYPE_CHECKING
 
+from handeye_ros import units
 from handeye_ros.cli.app import app
 from handeye_ros.cli.common import Assignments, doing, NoPath
 from handeye_ros.cli.scan import calibrated, MeasureConfig
@@ -13,8 +14,9 @@ if TYPE_CHECKING:
     from handeye_ros.data import Array
     from handeye_ros.scanning.seam import Seam, ToolFrames
 
-NOWHERE = (math.nan, math.nan, math.nan)  # the typer of Jazzy knows no tuple without a value
-NO_BOX = (float('-inf'), float('inf')) * 3
+NOWHERE = ('', '', '')  # the typer of Jazzy knows no tuple without a value
+NO_BOX = ('-inf', 'inf') * 3
+FAR = 10.0  # m: a larger plain number meant mm
 THINNED = 2e-4  # m: edge of the cubes of which a scan keeps a point
 
 Source = Annotated[Path, typer.Argument(
@@ -23,12 +25,12 @@ Out = Annotated[Path, typer.Option(
     metavar='DIR', help='Where seam.csv and seam.yaml are written.')]
 Calibrated = Annotated[NoPath, typer.Option(
     metavar='FILE', help='The calibration.yaml that puts a bag into the base.')]
-Pitch = Annotated[float, typer.Option(
-    min=1e-5, help='Distance between tool frames along the seam (m).')]
-Box = Annotated[tuple[float, float, float, float, float, float], typer.Option(
-    metavar='X X Y Y Z Z', help='Use the points between these values (m).')]
-Widest = Annotated[float, typer.Option(
-    min=1e-4, help='Largest distance between the edges of the seam (m).')]
+Pitch = Annotated[str, typer.Option(
+    metavar='L', help='Distance between tool frames along the seam (5mm, or metres).')]
+Box = Annotated[tuple[str, str, str, str, str, str], typer.Option(
+    metavar='X X Y Y Z Z', help='Use the points between these values; -inf, inf: no limit.')]
+Widest = Annotated[str, typer.Option(
+    metavar='L', help='Largest distance between the edges of the seam.')]
 Towards = Annotated[tuple[float, float, float], typer.Option(
     metavar='X Y Z', help='The tool approaches the part this way rather than the other.')]
 Travel = Annotated[float, typer.Option(help='The tool leans along the seam (degrees).')]
@@ -51,8 +53,8 @@ Line = Annotated[str, typer.Option(
     callback=_one_of('auto', 'centre', 'root', 'first', 'second'),
     help='What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
     'centre, root, first or second edge.')]
-Start = Annotated[tuple[float, float, float], typer.Option(
-    metavar='X Y Z', help='A place near the end where the path starts (m).')]
+Start = Annotated[tuple[str, str, str], typer.Option(
+    metavar='X Y Z', help='A place near the end where the path starts.')]
 Programs = Annotated[Optional[list[str]], typer.Option(  # noqa: UP045 - see common.py
     '--robot', callback=_one_of('krl', 'rapid', 'ur'), help='Also write a program: krl (KUKA), '
     'rapid (ABB) or ur (Universal Robots); may be given several times.')]
@@ -69,9 +71,9 @@ def seam(
     calibration: Calibrated = None,
     config: MeasureConfig = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
-    pitch: Pitch = 0.005,
+    pitch: Pitch = '5mm',
     box: Box = NO_BOX,
-    widest: Widest = 0.012,
+    widest: Widest = '12mm',
     towards: Towards = (0.0, 0.0, -1.0),
     travel: Travel = 0.0,
     work: Work = 0.0,
@@ -83,17 +85,19 @@ def seam(
     picture: Picture = False,
 ) -> None:
     """Find the seam in a cloud, and plan tool frames along it (Wu 2017)."""
-    import math
-
     from handeye_ros.scanning import seam_files
     from handeye_ros.scanning.seam import find_seam, tool_frames
+    import numpy as np
+    low, high = np.reshape(units.limits(box, '--box', FAR), (3, 2)).T
+    gap = units.length(widest, '--widest', 0.1, 1e-4)
+    each = units.length(pitch, '--pitch', 0.1, 1e-5)
+    begin = [units.length(text, '--start', FAR) for text in start] if start[0] else None
     compared = seam_files.read_taught(taught) if taught else None
     points, frame = _cloud(path, calibration, config, assignments)
-    points = points[((points >= box[::2]) & (points <= box[1::2])).all(axis=1)]
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
     with doing('looking for the seam'):
-        found = find_seam(points, widest, towards, line,
-                          None if math.isnan(start[0]) else start)
-        frames = tool_frames(found, pitch, towards, math.radians(travel), math.radians(work))
+        found = find_seam(points, gap, towards, line, begin)
+        frames = tool_frames(found, each, towards, math.radians(travel), math.radians(work))
     distances = seam_files.against_taught(found, compared) if compared is not None else None
     seam_files.write(out, found, frames, frame, distances)
     _more(found, frames, frame, out, robot or (), bag, picture)

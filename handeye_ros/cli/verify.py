@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Optional, TYPE_CHECKING
 
-from handeye_ros.cli import units
+from handeye_ros import units
 from handeye_ros.cli.app import app
 from handeye_ros.cli.common import (
     Assignments,

@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 from collections import deque
 from collections.abc import Sequence
-import math
 from pathlib import Path
 import sys
 from typing import Any
@@ -172,16 +171,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog='scan', description=(__doc__ or '').splitlines()[1])
     parser.add_argument('calibration', type=Path)
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE')
-    parser.add_argument('--range', nargs=2, type=float, default=(-math.inf, math.inf),
-                        metavar=('NEAR', 'FAR'))
+    parser.add_argument('--range', nargs=2, default=('-inf', 'inf'), metavar=('NEAR', 'FAR'))
     parser.add_argument('--incidence', type=float, default=90.0, metavar='DEGREES')
-    parser.add_argument('--voxel', type=float, default=0.0, metavar='EDGE')
+    parser.add_argument('--voxel', default='0', metavar='EDGE')
     parser.add_argument('--std', action='store_true')
     given = parser.parse_args(remove_ros_args(sys.argv)[1:])
-    nearest, farthest = given.range
-    options = ScanOptions(nearest, farthest, math.radians(given.incidence), given.voxel,
-                          given.std)
-    sys.exit(exit_code(lambda: scan(given.calibration, given.set, options)))
+    sys.exit(exit_code(lambda: scan(given.calibration, given.set, ScanOptions.of_texts(
+        given.range, given.incidence, given.voxel, given.std))))
 
 
 if __name__ == '__main__':

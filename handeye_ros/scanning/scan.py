@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
-from handeye_ros import se3
+from handeye_ros import se3, units
 from handeye_ros.checks.shape import ROTATION_LAG
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array, Calibration, Profile
@@ -45,6 +45,13 @@ class ScanOptions:
     incidence: float = np.pi / 2
     voxel: float = 0.0
     std: bool = False
+
+    @classmethod
+    def of_texts(cls, limits: Sequence[str], degrees: float, voxel: str, std: bool) -> ScanOptions:
+        """Return the options as a command line gives them; raises BadValueError."""
+        nearest, farthest = units.limits(limits, '--range', 10.0)
+        edge = units.length(voxel, '--voxel', 0.1, 0.0)
+        return cls(nearest, farthest, float(np.deg2rad(degrees)), edge, std)
 
 
 @dataclass

@@ -69,6 +69,8 @@ def sheets_of(points: Array, tree: cKDTree, spacing: float, up: Array) -> Sheets
     flat = thickness <= FLAT * noise
     label = _joined(points, normals, linked, flat, 1.5 * SAME_PLANE * noise)
     _take_rest(points, label, normals, 2 * REACH * spacing, SAME_PLANE * noise)
+    # one displaced profile is a band that is not flat, and must not divide a sheet
+    label = _joined(points, normals, linked, label >= 0, 1.5 * SAME_PLANE * noise)
     return Sheets(label, normals, noise)
 
 

@@ -231,7 +231,7 @@ def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
     bag_write.write(tmp_path / 'bag', plane_profiles(100), moving(100), layout='scancontrol')
     run = handeye('scan', 'bag', '--calibration', 'calibration.yaml', '--out', 'c.ply',
-                  '--std', cwd=tmp_path)
+                  '--std', '--range', '-1m', 'inf', '--voxel', '0um', cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     assert run.stdout.startswith('100 profiles, 5000 returns\n')
     vertex = PlyData.read(tmp_path / 'c.ply')['vertex']
@@ -249,6 +249,8 @@ def test_the_verb_refuses_in_words(tmp_path):
                            cwd=tmp_path), 2, 'no topic /a')
     assert_refused(handeye('scan', 'bag', *common, 'c.ply', '--set', 'time_offset=5',
                            cwd=tmp_path), 3, 'none of the 10 profiles')
+    assert_refused(handeye('scan', 'bag', *common, 'c.ply', '--range', '150', '200',
+                           cwd=tmp_path), 2, '150mm')
     assert not (tmp_path / 'c.ply').exists()
 
 

@@ -26,6 +26,8 @@ from handeye_ros.scanning.errors import (
     UncertainSeamError,
 )
 from handeye_ros.scanning.seam import find_seam, tool_frames
+from handeye_ros.scanning.seam_edges import spacing_of
+from handeye_ros.scanning.seam_sheets import sheets_of
 from handeye_ros.simulate.preform import Preform, preform_cloud
 import numpy as np
 import pytest
@@ -104,6 +106,16 @@ def test_joints_as_a_sensor_sees_them(name, kind):
     assert np.degrees(np.arccos(cosine.min())) < 1.0
     assert seam.curve.length == pytest.approx(0.04, abs=1e-3)
     assert seam.residual < 10 * seam.noise
+
+
+def test_a_displaced_profile_does_not_divide_a_sheet():
+    rng = np.random.default_rng(0)
+    points = np.stack(np.meshgrid(np.arange(0, 20e-3, 1e-4), np.arange(0, 20e-3, 4e-4), [0.0],
+                                  indexing='ij'), axis=-1).reshape(-1, 3)
+    points += rng.normal(size=points.shape) * [0, 0, 3e-5]
+    points[np.isclose(points[:, 1], 10e-3), 2] += 1.2e-4
+    sheets = sheets_of(points, cKDTree(points), spacing_of(points), np.array([0.0, 0.0, 1.0]))
+    assert (sheets.label == sheets.label[0]).mean() > 0.99
 
 
 def test_what_no_seam_can_be_made_of_is_refused_for_its_reason():
@@ -264,7 +276,9 @@ def test_the_verb_writes_what_others_read(tmp_path):
                header=header, comments='')
     towards = [str(v) for v in -truth.normals.mean(axis=0)]
     run = handeye('seam', 'c.pcd', '--out', 'seam', '--bag', '--picture', '--robot', 'krl',
-                  '--taught', 'taught.csv', '--towards', *towards, cwd=tmp_path)
+                  '--taught', 'taught.csv', '--towards', *towards, '--pitch', '5 mm',
+                  '--box', '-inf', 'inf', '-3m', '300cm', '-3', '3',
+                  '--start', '0mm', '0', '0', cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     told = yaml.safe_load((tmp_path / 'seam/seam.yaml').read_text())
     assert told['kind'] == 'lap'
@@ -323,6 +337,8 @@ def test_the_verb_refuses_in_words(tmp_path):
     assert_refused(handeye('seam', 'bag', cwd=tmp_path), 2, '--calibration')
     (tmp_path / 't.csv').write_text('a,b\n1,2\n')
     assert_refused(handeye('seam', 'c.ply', '--taught', 't.csv', cwd=tmp_path), 2, 'x, y, z')
+    assert_refused(handeye('seam', 'c.ply', '--pitch', '5', cwd=tmp_path), 2, '5mm, or 5m if')
+    assert_refused(handeye('seam', 'c.ply', '--widest', '0mm', cwd=tmp_path), 2, 'at least 0.1 mm')
     assert not (tmp_path / 'out').exists()
 
 

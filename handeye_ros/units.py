@@ -1,10 +1,17 @@
 """Lengths on the command line: plain numbers are metres, `0.3mm` and `12.5 mm` have a unit."""
+from collections.abc import Iterable
 import math
 
 METRES = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254}
 
 
-def length(text: str, option: str, usual: float) -> float:
+def limits(texts: Iterable[str], option: str, usual: float) -> list[float]:
+    """Return lengths in metres, of which inf and -inf are none; see length."""
+    return [float(text) if text in ('inf', '-inf') else length(text, option, usual)
+            for text in texts]
+
+
+def length(text: str, option: str, usual: float, least: float = -math.inf) -> float:
     """
     Return a length in metres; raises BadValueError.
 
@@ -22,4 +29,7 @@ def length(text: str, option: str, usual: float) -> float:
     if not unit and abs(number) > usual:
         raise BadValueError(option, text, f'{text}mm, or {text}m if you mean metres (plain '
                             f'numbers are metres, so this is {1e3 * number:g} mm)')
-    return number * METRES[unit or 'm']
+    metres = number * METRES[unit or 'm']
+    if metres < least:
+        raise BadValueError(option, text, f'a length of at least {1e3 * least:g} mm')
+    return metres
