@@ -23,7 +23,9 @@ LOCAL = {  # settings of Dask on this machine
     'distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_': 2**27,
     # it looks 50 times a second whether its own event loops run: 3 % of two cores
     'distributed.admin.tick.interval': '1s',
-    'distributed.admin.system-monitor.interval': '5s'}
+    'distributed.admin.system-monitor.interval': '5s',
+    # ctrl-C is the client's: it ends them
+    'distributed.worker.preload': ['import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)']}
 
 
 @contextmanager

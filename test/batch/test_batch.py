@@ -8,10 +8,13 @@ import json
 import multiprocessing
 import os
 from pathlib import Path
+import signal
+import subprocess
+import sys
 import threading
 import time
 
-from command import assert_refused, handeye
+from command import assert_refused, handeye, PATIENCE, ROOT
 from handeye_ros.batch.cells import cell_of, cells_of
 from handeye_ros.batch.errors import JobListError, NoJobsError, RemoteError
 from handeye_ros.batch.jobs import CRASHED, Job, run
@@ -218,6 +221,23 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
     (tmp_path / 'jobs.csv').write_text('bag,lable\na,first\n')
     with pytest.raises(JobListError, match='it has bag, lable; expected'):
         jobs_of([str(tmp_path / 'jobs.csv')], Job('', '', 'solve'))
+
+
+@pytest.mark.thorough
+def test_an_interrupt_ends_all_quietly(tmp_path):
+    bag = ROOT / 'bags' / 'plate'
+    (tmp_path / 'jobs.csv').write_text(
+        'bag,label\n' + ''.join(f'{bag},{k:03}\n' for k in range(200)))
+    command = [sys.executable, '-m', 'handeye_ros', 'batch', 'jobs.csv', '--out', 'out']
+    with subprocess.Popen(command, cwd=tmp_path, start_new_session=True, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        while not list(tmp_path.glob('out/*/job.json')) and process.poll() is None:
+            time.sleep(0.05)
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all of them
+        said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130 and 'Traceback' not in ''.join(said), said
+    done = len(list(tmp_path.glob('out/*/job.json')))
+    assert 0 < done < 200 and len(list(tmp_path.glob('out/*/calibration.yaml'))) == done
 
 
 @pytest.mark.once
