@@ -20,11 +20,11 @@ from handeye_ros.estimation.outliers import chi2_sf
 from handeye_ros.estimation.solver import least_squares, White
 from handeye_ros.verification.errors import BadCovarianceError
 from handeye_ros.verification.shapes import (
+    by_point,
     derivatives,
     groups_of,
     Seen,
     Shape,
-    STEP,
     system_of,
 )
 from handeye_ros.verification.verification import K
@@ -101,12 +101,12 @@ def fit(seen: Seen, X: Array, C: Array, noise: NoiseConfig, shape: Shape,
     p = points_in_base(seen, X)
 
     def whitener(q: Array) -> White:
-        by_p = _by_point(shape, p, kind, q)
+        by_p = by_point(shape, p, kind, q)
         return partial(white, noise_factors(seen, X, by_p, noise, nominal.aim))
 
     system = system_of(shape, p, kind, whitener)
     q = least_squares(system, shape.start)
-    by_p = _by_point(shape, p, kind, q)
+    by_p = by_point(shape, p, kind, q)
     blocks = noise_factors(seen, X, by_p, noise, nominal.aim)
     by_X = by_calibration(seen, X)
     G = np.einsum('mi,mij->mj', by_p, by_X)
@@ -222,8 +222,8 @@ def noise_factors(seen: Seen, X: Array, by_p: Array, noise: NoiseConfig, aim: fl
     """Return rows and Cholesky factor of the covariance of the distances of each group."""
     obs = seen.observations
     R = seen.poses[obs.station, :3, :3]
-    by_point = np.einsum('mi,mij,jk->mk', by_p, R, X[:3, [0, 2]])
-    by_feature = np.einsum('mi,mij->mj', by_point, obs.noise)
+    in_plane = np.einsum('mi,mij,jk->mk', by_p, R, X[:3, [0, 2]])
+    by_feature = np.einsum('mi,mij->mj', in_plane, obs.noise)
     from_flange = np.einsum('mij,mj->mi', R, obs.points @ X[:3, [0, 2]].T + X[:3, 3])
     by_pose = np.hstack([by_p, np.cross(from_flange, by_p)])
     sigma = np.repeat([np.hypot(noise.robot_translation, aim), noise.robot_rotation], 3)
@@ -252,8 +252,3 @@ def by_calibration(seen: Seen, X: Array) -> Array:
     R = seen.poses[obs.station, :3, :3]
     lever = obs.points @ X[:3, [0, 2]].T
     return np.concatenate([R, -R @ se3.skew(lever)], axis=2)
-
-
-def _by_point(shape: Shape, p: Array, kind: NDArray[np.intp], q: Array) -> Array:
-    return np.stack([(shape.distance(p + d, kind, q) - shape.distance(p - d, kind, q))
-                     / (2 * STEP) for d in STEP * np.eye(3)], axis=1)

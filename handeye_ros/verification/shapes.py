@@ -71,6 +71,12 @@ def derivatives(function: Callable[[Array], Array], q: Array) -> Array:
                      for d in STEP * np.eye(len(q))], axis=1)
 
 
+def by_point(shape: Shape, p: Array, kind: Kinds, q: Array) -> Array:
+    """Return the derivatives (m, 3) of the distances by the points p (m, 3)."""
+    return np.stack([(shape.distance(p + d, kind, q) - shape.distance(p - d, kind, q))
+                     / (2 * STEP) for d in STEP * np.eye(3)], axis=1)
+
+
 def system_of(shape: Shape, p: Array, kind: Kinds,
               white: Callable[[Array], White] = lambda q: as_they_are) -> System[Array]:
     """Return what the solver makes small: the distances of points p (m, 3) from a shape."""

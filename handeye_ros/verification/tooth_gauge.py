@@ -16,7 +16,7 @@ from handeye_ros.estimation.model import Observations
 from handeye_ros.estimation.solver import least_squares
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.verification.errors import NoTeethError
-from handeye_ros.verification.shapes import BAGS, Kinds, Seen, Shape, system_of
+from handeye_ros.verification.shapes import BAGS, by_point, Kinds, Seen, Shape, system_of
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,6 +30,7 @@ ROUNDING = 0.1  # of the sensor's noise: a smaller scatter is no reason to leave
 LEAST_SHARE = 0.2  # of the points that must be of the gauge
 LEAST_FACE = 0.01  # of the points that must be of tops and valleys, and of flanks
 ROUNDS = 6
+GRAZING = 0.05  # cosine of a face to the ray, at least
 
 
 def seen_in_pass(profiles: Sequence[Profile], track: Trajectory, config: Config) -> Seen:
@@ -82,8 +83,9 @@ def fitted(seen: Seen, p: Array, nominal: VerifyConfig) -> tuple[Seen, Shape]:
         raise NoTeethError(pitch, height, float(kept.mean()), least)
     obs = seen.observations
     least = ROUNDING * float(np.median(obs.noise[kept, 1, 0]))
-    kept, scale = _cleaned(shape.distance(p[kept], kind[kept], q), kept, obs.kind // BAGS, kind,
-                           tooth, abs(q[8]), least)
+    by_range = np.abs((by_point(shape, p[kept], kind[kept], q) * _rays(seen, p)[kept]).sum(axis=1))
+    kept, scale = _cleaned(shape.distance(p[kept], kind[kept], q), np.maximum(by_range, GRAZING),
+                           kept, np.stack([obs.kind // BAGS, kind, tooth], axis=1), least)
     chosen = obs.select(kept)
     noise = np.zeros_like(chosen.noise)
     noise[:, 1, 0] = np.maximum(chosen.noise[:, 1, 0], scale)
@@ -91,30 +93,36 @@ def fitted(seen: Seen, p: Array, nominal: VerifyConfig) -> tuple[Seen, Shape]:
     return replace(seen, observations=chosen), _shape(frame, pitch, height, tooth[kept], q)
 
 
-def _cleaned(distances: Array, kept: NDArray[np.bool_], bag: Kinds, kind: Kinds,
-             tooth: NDArray[np.intp], lean: float, least: float
-             ) -> tuple[NDArray[np.bool_], Array]:
+def _rays(seen: Seen, p: Array) -> Array:
+    """Return along which way (m, 3) each point p (m, 3) moves as its range grows."""
+    T, obs = seen.poses[seen.observations.station], seen.observations
+    in_mount = np.einsum('mji,mj->mi', T[:, :3, :3], p - T[:, :3, 3])
+    plane = np.linalg.lstsq(np.column_stack([obs.points, np.ones(len(p))]), in_mount,
+                            rcond=None)[0]
+    return np.asarray(T[:, :3, :3] @ plane[1])
+
+
+def _cleaned(distances: Array, by_range: Array, kept: NDArray[np.bool_], face: NDArray[np.intp],
+             least: float) -> tuple[NDArray[np.bool_], Array]:
     """
     Return which points (m,) are no outliers of their pass and face, and their range noise (k,).
 
-    distances: of those that are kept so far; least: scatter (m) that is always allowed. A sensor
-    sees steep faces worse than it states, so the noise is that which the points of a pass show
-    about their own mean.
+    distances: of those that are kept so far, by_range: their derivatives; face: (m, 3) pass, kind
+    and tooth; least: scatter (m) that is always allowed. A sensor sees steep faces worse than it
+    states, so the noise is that which the points of a pass show about their own mean.
     """
     rows = np.flatnonzero(kept)
-    names, group = np.unique(np.stack([bag, kind, tooth], axis=1)[rows], axis=0,
-                             return_inverse=True)
+    group = np.unique(face[rows], axis=0, return_inverse=True)[1]
     group = group.reshape(-1)  # numpy 2.0 alone returns it as a column
     good, noise = np.zeros(len(rows), dtype=bool), np.zeros(len(rows))
-    for k, (_, face, _) in enumerate(names):
+    for k in range(group.max() + 1):
         of = np.flatnonzero(group == k)
         off = distances[of] - np.median(distances[of])
         near = np.abs(off) <= CUT * max(1.4826 * float(np.median(np.abs(off))), least)
-        by_range = 1.0 if face in (TOP, VALLEY) else lean / np.hypot(1.0, lean)
         count = int(near.sum())
         # about a mean and a slope of their own
         scatter = off[near].std() * np.sqrt(count / max(count - 2, 1))
-        good[of[near]], noise[of] = True, scatter / by_range
+        good[of[near]], noise[of] = True, scatter / np.median(by_range[of])
     clean = np.zeros_like(kept)
     clean[rows[good]] = True
     return clean, noise[good]

@@ -9,6 +9,7 @@ import re
 from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import FaceLine, Sample
+from handeye_ros.frames import sensor_axes
 from handeye_ros.results import protocol
 from handeye_ros.simulate import gauges
 from handeye_ros.simulate.scenario import PlateTarget
@@ -23,7 +24,9 @@ from handeye_ros.verification.errors import (
     TooFewSeenError,
     WrongCountError,
 )
+from handeye_ros.verification.fixed_fit import points_in_base
 from handeye_ros.verification.routines import ROUTINES
+from handeye_ros.verification.shapes import BAGS, stacked
 from handeye_ros.verification.verify import seen_in, settings_for, verify
 import numpy as np
 import pytest
@@ -331,5 +334,17 @@ def test_teeth_of_another_gauge_never_pass(lengths):
 def test_of_points_without_noise_none_is_an_outlier():
     distances, same = np.zeros(60), np.zeros(60, dtype=np.intp)
     distances[7] = 1e-6
-    clean, _ = tooth_gauge._cleaned(distances, same == 0, same, same, same, 0.5, 3e-6)
+    clean, _ = tooth_gauge._cleaned(distances, np.ones(60), same == 0, same[:, None], 3e-6)
     assert clean.all()
+
+
+def test_the_noise_of_a_tilted_pass_goes_by_the_angle_of_each_face_to_the_ray():
+    made, found = measured('tooth')
+    config = of_lengths(*made.lengths)
+    seen = stacked(bench.scanned(made, config))
+    p = points_in_base(seen, found.T_flange_sensor @ sensor_axes(config))
+    used = tooth_gauge.fitted(seen, p, config.verify)[0].observations
+    near, far = sorted(np.median(used.noise[used.kind == 3 * BAGS + face, 1, 0])
+                       for face in (tooth_gauge.RISING, tooth_gauge.FALLING))
+    steep = gauges.PLAIN.noise * (1 + 4 * (np.deg2rad(60) / gauges.PLAIN.max_incidence) ** 8)
+    assert near < 1.05 * gauges.PLAIN.noise and 0.95 * steep < far < 1.2 * steep
