@@ -43,8 +43,8 @@ class Chart:
     """
     A measured value through time, the oldest first.
 
-    limits: warning and action limit of the value itself; None: multiples of its 1 sigma and that
-    of the first value, which it is compared with.
+    limits: warning and action limit that the value may not exceed; None: multiples of its 1 sigma
+    and that of the first value, which it is compared with.
     """
 
     name: str
@@ -67,7 +67,8 @@ class Chart:
     @property
     def states(self) -> list[str]:
         """Return '', warning or action for each value."""
-        away = np.abs([point.value - self.centre for point in self.points])
+        away = np.array([point.value - self.centre for point in self.points])
+        away = away if self.limits else np.abs(away)
         return ['action' if point.failed or action else 'warning' if warning else ''
                 for point, action, warning in zip(
                     self.points, away > self.reach(True), away > self.reach(False), strict=True)]
@@ -148,12 +149,14 @@ def draw_chart(chart: Chart, ax: Any) -> None:
     ax.errorbar(at, [scale * p.value for p in chart.points],
                 [2 * scale * p.std for p in chart.points], fmt='o-', capsize=3)
     for action, colour in ((False, 'tab:orange'), (True, 'tab:red')):
-        for side in (-1, 1):
+        for side in (1,) if chart.limits else (-1, 1):
             ax.step(at, scale * (chart.centre + side * chart.reach(action)), where='mid',
                     linestyle='--', linewidth=1, color=colour)
     for state, colour in (('warning', 'tab:orange'), ('action', 'tab:red')):
         of = np.flatnonzero(states == state)
         ax.plot(of, [scale * chart.points[k].value for k in of], 'o', color=colour, zorder=3)
+    if chart.limits:
+        ax.set_yscale('symlog', linthresh=chart.limits[1])
     unit = {'m': ' [mm]', 'rad': ' [degrees]'}.get(chart.unit, '')
     ax.set_title(f'{chart.name}{unit}', fontsize=9, loc='left')
     ax.set_xticks(at, [p.recorded[:16] or p.path.stem for p in chart.points], rotation=20,

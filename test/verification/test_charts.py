@@ -30,7 +30,7 @@ def folder(tmp_path_factory):
                       for k, q in enumerate(told.quantities)]
         one = replace(told, quantities=tuple(quantities), recorded=f'2026-03-0{day + 1}T08:00:00')
         (folder / f'{9 - day}.yaml').write_text(verification.yaml_text(one))
-    for k, evidence in enumerate((0.1, 3e4)):
+    for k, evidence in enumerate((1e-4, 3e4)):
         (folder / f'check_{k}.yaml').write_text(yaml.safe_dump({
             'format': 'handeye_ros/check/2', 'checks': [{
                 'stamp': 1_700_000_000_000_000_000 + k, 'evidence': evidence,
