@@ -195,7 +195,7 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     require_conventions(problem, agreed, flipped(ordered, problem))
     require_consistent(problem, agreed)
     agreed = refine(agreed, method.minimum)
-    require_one_scale(agreed.solution)
+    require_one_scale(agreed)
     return agreed, agreed.solution
 
 

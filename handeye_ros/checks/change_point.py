@@ -3,13 +3,14 @@ Whether sensor or target moved in the middle of a recording.
 
 Where the samples fit no answer, each part of the recording is fitted by itself. Where they do, a
 move after station k is one more term of the model, r = J xi + K n + D_k beta + e with the prior
-beta ~ N(0, S^2), of two sizes S, tested to first order at the answer: nothing is fitted again.
-Twice the log of its Bayes factor is that over no move under the noise that explains the samples
-best without one, be it as configured or as it was estimated; so a robot less accurate than stated
-is no move.
+beta ~ N(0, S^2), linearised at the answer. Two tests have to agree. With and without the move,
+noise and scales are estimated again: else they stand for it. And the order of time has to show
+more than random orders of the same stations do: errors of a robot that the model does not hold
+look like moves in any order.
 """
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -25,11 +26,12 @@ from handeye_ros.checks.alternatives import (
 from handeye_ros.checks.errors import MovedError
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
+from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.consensus import Consensus, fast_consensus
 from handeye_ros.estimation.linearise import points_in_base, Problem
-from handeye_ros.estimation.noise import Noise, whitening
+from handeye_ros.estimation.noise import TURN_LENGTH, whitening
 from handeye_ros.estimation.outliers import chi2_isf
-from handeye_ros.estimation.posterior import BELIEF_NOISE, evaluated
+from handeye_ros.estimation.posterior import BELIEF_NOISE, evaluated, weighed_again
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
@@ -37,9 +39,13 @@ from numpy.typing import NDArray
 
 MOST_PARTED = 15  # stations after which a recording is parted and fitted again
 MOST_CHANGES = 40  # stations after which a small move is looked for
+FEW = 4  # stations beyond the fewest of a target, with which a small move is looked for
 STEP = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 SIZES = (1.0, 0.25)  # over that, as likely beforehand: of a move that only just matters
-HOPELESS = VERY_STRONG - DECISIVE  # evidence with which no other noise finds any
+FIRST_TRIED, MOST_TRIED = 3, 10  # moves with which noise and scales are estimated again
+HOPELESS, STRONG = -VERY_STRONG, 5.0  # evidence: before noise and scales are estimated; to warn
+LARGE = 3.0  # times the smooth error of the robot: less may be a part of it
+ORDERS, RARELY = 40, 0.1  # random orders of the stations; share of them that show as much
 
 
 def require_unmoved(problem: Problem, agreed: Consensus) -> None:
@@ -80,17 +86,17 @@ def moved_slightly(agreed: Consensus) -> str:
     """
     Return what may have moved a little, and when, as a warning; '' where nothing did.
 
-    Raises MovedError where the evidence is very strong.
+    Raises MovedError where the evidence is decisive.
     """
     found = change_point(agreed.solution)
-    if found is None or found.evidence < 0:  # no move is likelier, at even odds beforehand
+    if found is None:
         return ''
     config = agreed.whole.config
     refusal = MovedError.slightly(
         int(agreed.used[found.station]), len(agreed.whole.poses), found.sensor,
         mount_frame(config) if found.sensor else target_frame(config),
         float(np.linalg.norm(found.step[:3])), float(np.linalg.norm(found.step[3:])))
-    if found.evidence > VERY_STRONG:
+    if found.evidence > DECISIVE:
         raise refusal
     return str(refusal)
 
@@ -102,39 +108,54 @@ class ChangePoint:
 
     station: the first one after it; sensor: whether the sensor moved, and not the target;
     step: (6,) translation and rotation in the mount or the base; evidence: twice the log of the
-    Bayes factor against no move.
+    Bayes factor against no move; smooth: 1 sigma of the robot's smooth error beside it (m).
     """
 
     station: int
     sensor: bool
     step: Array
     evidence: float
+    smooth: float = 0.0
+
+    @property
+    def where(self) -> tuple[bool, int]:
+        """Return what moved, and before which station."""
+        return self.sensor, self.station
+
+    @property
+    def clear(self) -> bool:
+        """Return whether a smooth error of the robot can hardly be taken for it."""
+        size = np.hypot(np.linalg.norm(self.step[:3]), TURN_LENGTH * np.linalg.norm(self.step[3:]))
+        return bool(self.evidence > DECISIVE or size > LARGE * self.smooth)
 
 
 def change_point(solution: Solution) -> ChangePoint | None:
-    """Return the likeliest move at a solution, None where there are too few stations."""
+    """Return the likeliest move at a solution, None where nothing shows one."""
     n, reported = len(solution.problem.poses), solution.conservative or solution
     few = 2 if solution.problem.pose_model is None else n // MOST_CHANGES  # of many a second
     changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
-    if n < 2 * solution.problem.method.minimum:
+    if n < solution.problem.method.minimum + FEW:
         return None
-    found = [_best(reported, changes)]
-    if found[0].evidence < HOPELESS:
+    weighed = _Steps.of(reported, changes)
+    if next(weighed.peaks()).evidence < HOPELESS:
         return None
-    configured = evaluated(solution.problem, solution.estimate, Noise())
-    solutions = (reported, configured, solution)
-    found += [_best(other, changes) for other in solutions[1:]]
-    scores = [_score(other) for other in solutions]
-    gains = [one.evidence - score for one, score in zip(found, scores, strict=True)]
-    best = int(np.argmax(gains))
-    return replace(found[best], evidence=gains[best] + min(scores))
-
-
-def _best(solution: Solution, changes: NDArray[np.intp]) -> ChangePoint:
-    """Return the likeliest step at a solution, with its evidence under the noise of that."""
-    gains, steps = _gains(solution, changes)
-    kind, k = np.unravel_index(int(np.argmax(gains)), gains.shape)
-    return ChangePoint(int(changes[k]), kind == 0, steps[kind, k], float(gains[kind, k]))
+    unmoved, tried = _score(weighed_again(reported)), set[tuple[bool, int]]()
+    best = ChangePoint(0, False, np.zeros(6), -np.inf)
+    while len(tried) < (MOST_TRIED if best.evidence > 0 else FIRST_TRIED):
+        peaks = (peak for peak in weighed.peaks() if peak.where not in tried)
+        if not (one := next(peaks, None)):
+            break
+        tried.add(one.where)
+        moved = weighed_again(reported, _blocks(reported, one))
+        evidence = unmoved - _score(moved)
+        if evidence > best.evidence:
+            step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
+            smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
+            best = replace(one, step=step, evidence=evidence, smooth=smooth)
+            # with noise and scales that do not stand for the move, its moment shows better
+            weighed = _Steps.of(evaluated(solution.problem, solution.estimate, moved.noise),
+                                changes)
+    return best if best.evidence > STRONG and best.clear and weighed.rare else None
 
 
 def _score(solution: Solution) -> float:
@@ -146,37 +167,82 @@ def _score(solution: Solution) -> float:
     return float(spread + np.linalg.slogdet(solution.information)[1] + solution.squares + belief)
 
 
-def _gains(solution: Solution, changes: NDArray[np.intp]) -> tuple[Array, Array]:
-    """
-    Return 2 log of the Bayes factors (2, k) of k steps, (14), and the steps (2, k, 6).
+def _blocks(solution: Solution, move: ChangePoint) -> tuple[ParameterBlock, ...]:
+    """Return the blocks of a move: its translation and its rotation."""
+    columns = _by_steps(solution)[:, :6] if move.sensor else _by_steps(solution)[:, 6:]
+    columns[solution.problem.observations.station < move.station] = 0.0
+    return tuple(ParameterBlock(name, columns[:, part], float(STEP[part][0]), largest=1.0)
+                 for name, part in (('translation', slice(0, 3)), ('rotation', slice(3, 6))))
 
-    The first are of the sensor, the second of the target.
-    """
-    linear, C, J = solution.linear, solution.covariance, solution.jacobian
-    white = whitening(solution.problem, linear, solution.noise)
+
+def _by_steps(solution: Solution) -> Array:
+    """Return the derivatives (m, 12) by steps of sensor and target in prior sigmas."""
+    linear = solution.linear
     p = points_in_base(solution.problem, linear.estimate.X)
-    of_target = np.concatenate([linear.by_base, se3.cross(p - p.mean(axis=0), linear.by_base)],
-                               axis=1)
-    D = white(np.hstack([linear.jacobian[:, :6], of_target]) * np.tile(STEP, 2))
-    ends = np.append(np.searchsorted(solution.problem.observations.station, changes), len(D))
-    rows = [slice(first, last) for first, last in zip(ends[:-1], ends[1:], strict=True)]
-    own = _from_each([D[part].T @ D[part] for part in rows])
-    cross = _from_each([J[part].T @ D[part] for part in rows])
-    slope = _from_each([solution.white[part] @ D[part] for part in rows])
-    both = own - np.swapaxes(cross, 1, 2) @ (C @ cross)
-    inside = np.stack([both[:, :6, :6], both[:, 6:, 6:]])
-    slopes = np.stack([slope[:, :6], slope[:, 6:]])
-    gains = np.full(slopes.shape[:2], -np.inf)
-    steps = np.zeros(slopes.shape)
-    for size in SIZES:
-        information = np.eye(6) + size ** 2 * inside
-        step = size ** 2 * np.linalg.solve(information, slopes[..., None])[..., 0]
-        gain = (slopes * step).sum(axis=2) - np.linalg.slogdet(information)[1]
-        steps = np.where((gain > gains)[..., None], -step * STEP, steps)
-        gains = np.maximum(gains, gain)
-    return gains - 2 * np.log(len(SIZES)), steps
+    about = se3.cross(p - p.mean(axis=0), linear.by_base)
+    return np.hstack([linear.jacobian[:, :6], linear.by_base, about]) * np.tile(STEP, 2)
 
 
-def _from_each(parts: list[Array]) -> Array:
-    """Return the sums of each part and all after it."""
-    return np.asarray(np.cumsum(np.array(parts[::-1]), axis=0)[::-1])
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """
+    What the k + 1 parts of a recording between k changes say of steps, at a solution.
+
+    own: (k + 1, 12, 12) information on steps D of sensor and target; cross: (k + 1, q, 12) of
+    this what the unknowns of the solution take away; slope: (k + 1, 12) the gradient.
+    """
+
+    changes: NDArray[np.intp]
+    own: Array
+    cross: Array
+    slope: Array
+
+    @classmethod
+    def of(cls, solution: Solution, changes: NDArray[np.intp]) -> _Steps:
+        """Return it at a solution."""
+        white = whitening(solution.problem, solution.linear, solution.noise)
+        D, J = white(_by_steps(solution)), solution.jacobian
+        rows = np.split(np.arange(len(D)), np.searchsorted(
+            solution.problem.observations.station, changes))
+        values, axes = np.linalg.eigh(solution.covariance)
+        root = (axes * np.sqrt(np.maximum(values, 0.0))).T
+        return cls(changes, np.array([D[part].T @ D[part] for part in rows]),
+                   np.array([root @ (J[part].T @ D[part]) for part in rows]),
+                   np.array([solution.white[part] @ D[part] for part in rows]))
+
+    def gains(self, order: NDArray[np.intp]) -> tuple[Array, Array]:
+        """
+        Return 2 log of the Bayes factors (2, k) of steps, (14), and the steps (2, k, 6).
+
+        order: (k + 1,) of the parts. The first are of the sensor, the second of the target.
+        """
+        own, cross, slope = (np.cumsum(part[order[::-1]], axis=0)[-2::-1]
+                             for part in (self.own, self.cross, self.slope))
+        both = own - np.swapaxes(cross, 1, 2) @ cross
+        inside = np.stack([both[:, :6, :6], both[:, 6:, 6:]])
+        slopes = np.stack([slope[:, :6], slope[:, 6:]])
+        gains = np.full(slopes.shape[:2], -np.inf)
+        steps = np.zeros(slopes.shape)
+        for size in SIZES:
+            information = np.eye(6) + size ** 2 * inside
+            step = size ** 2 * np.linalg.solve(information, slopes[..., None])[..., 0]
+            gain = (slopes * step).sum(axis=2) - np.linalg.slogdet(information)[1]
+            steps = np.where((gain > gains)[..., None], -step * STEP, steps)
+            gains = np.maximum(gains, gain)
+        return gains - 2 * np.log(len(SIZES)), steps
+
+    def peaks(self) -> Iterator[ChangePoint]:
+        """Yield steps likelier than those just before and after, the likeliest first."""
+        gains, steps = self.gains(np.arange(len(self.own)))
+        around = np.pad(gains, ((0, 0), (1, 1)), constant_values=-np.inf)
+        peak = (gains >= around[:, :-2]) & (gains >= around[:, 2:])
+        for gain, kind, k in sorted(zip(gains[peak], *np.nonzero(peak), strict=True),
+                                    reverse=True):
+            yield ChangePoint(int(self.changes[k]), kind == 0, steps[kind, k], float(gain))
+
+    @property
+    def rare(self) -> bool:
+        """Return whether few random orders of the parts show a move as clearly as time does."""
+        rng, every = np.random.default_rng(0), np.arange(len(self.own))
+        random = [self.gains(rng.permutation(every))[0].max() for _ in range(ORDERS)]
+        return bool(self.gains(every)[0].max() > np.quantile(random, 1 - RARELY))

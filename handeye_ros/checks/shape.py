@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 from handeye_ros.checks.alternatives import believable, evidence, RARE, VERY_STRONG
+from handeye_ros.checks.change_point import moved_slightly
 from handeye_ros.checks.errors import ScaleError
 from handeye_ros.config import Config
 from handeye_ros.data import Array, TimeOffset
@@ -145,15 +146,16 @@ def scale_error(solution: Solution) -> tuple[float, float, float]:
     return float(free @ rest) / information, information ** -0.5, float(rest @ rest)
 
 
-def require_one_scale(solution: Solution) -> None:
+def require_one_scale(agreed: Consensus) -> None:
     """
     Refuse a solution whose robot and sensor disagree too much about lengths.
 
-    Raises ScaleError.
+    Raises ScaleError, or MovedError where that explains it better.
     """
-    for block, value, std, z in sizes(solution):
+    for block, value, std, z in sizes(agreed.solution):
         if block.name == 'scale' and abs(z) > CONTRADICTION and abs(value) > max(
                 SMALLEST_SCALE_ERROR, CONTRADICTION * std):
+            moved_slightly(agreed)
             raise ScaleError(abs(value), std)
 
 

@@ -124,13 +124,17 @@ def _sample(profiles: list[Profile], pose: Array, config: Config) -> Sample | No
 
 
 def _offset(stills: Sequence[_Still], behind: int) -> float:
-    """Return by how much the profiles are late (s), if they show the stop so many before."""
+    """
+    Return by how much the profiles are late (s), if they show the stop so many before.
+
+    Clocks that differ show at most stops; a few that the robot did not reach at rest prove none.
+    """
     found, about = [], []
     for still, stop in _pairs(stills, behind):
         found += [still.first - stop.start] if still.opened else []
         found += [still.last - stop.end] if still.closed else []
         about.append(still.start - stop.start)
-    return float(np.median(found or about or [0])) / NS
+    return float(np.median(found if 2 * len(found) > len(about) else about or [0])) / NS
 
 
 def _pairs(stills: Sequence[_Still], behind: int) -> list[tuple[_Still, _Still]]:
