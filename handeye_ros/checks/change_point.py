@@ -180,7 +180,8 @@ def _by_steps(solution: Solution) -> Array:
     linear = solution.linear
     p = points_in_base(solution.problem, linear.estimate.X)
     about = se3.cross(p - p.mean(axis=0), linear.by_base)
-    return np.hstack([linear.jacobian[:, :6], linear.by_base, about]) * np.tile(STEP, 2)
+    steps = np.hstack([linear.jacobian[:, :6], linear.by_base, about])
+    return np.asarray(steps * np.tile(STEP, 2))
 
 
 @dataclass(frozen=True, eq=False)
