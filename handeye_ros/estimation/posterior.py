@@ -30,7 +30,6 @@ from numpy.typing import NDArray
 
 ROUNDS = 10  # of linearising
 STEPS, LAST_STEPS = 2, 3  # of estimating sizes in each round, and after the last
-AGAIN = 3  # times that noise and sizes are estimated in turn at one estimate
 STEADY_NOISE = 0.1  # the same, of the noise, on the way
 CONVERGED = 0.03  # step in sigmas; relative change of a variance
 DIVERGED = 4.0  # of a step over the smallest before
@@ -88,14 +87,10 @@ def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
 
 
 def weighed_again(solution: Solution, further: tuple[ParameterBlock, ...] = ()) -> Solution:
-    """
-    Return a solution at the same estimate, with noise and scales as the residuals show them again.
-
-    further: more blocks of nuisance parameters, which leave less to noise and to the others.
-    """
+    """Return a solution, its noise and scales estimated again at its estimate beside more blocks."""
     system = _System.begun(State.of(solution.problem, solution.estimate), solution.noise)
-    system = system.of_blocks((*further, *system.blocks))
-    for _ in range(AGAIN):
+    system = system.weighed(system.noise, further)
+    for _ in range(LAST_STEPS):
         system = system.weighed(system.with_noise(*system.solved)).sized(STEPS)[0]
     return system.solution()
 
@@ -151,13 +146,10 @@ class _System:
         linear = linearise(state.problem, state.estimate)
         return _System.weighing(state, linear, noise, self.blocks_at(linear), self.blocks_at)
 
-    def weighed(self, noise: Noise) -> _System:
-        """Return the system with another noise."""
-        return _System.weighing(self.state, self.linear, noise, self.blocks, self.blocks_at)
-
-    def of_blocks(self, blocks: tuple[ParameterBlock, ...]) -> _System:
-        """Return the system with other blocks."""
-        return _System.weighing(self.state, self.linear, self.noise, blocks, self.blocks_at)
+    def weighed(self, noise: Noise, further: tuple[ParameterBlock, ...] = ()) -> _System:
+        """Return the system with another noise, and further blocks."""
+        return _System.weighing(self.state, self.linear, noise, (*further, *self.blocks),
+                                self.blocks_at)
 
     @property
     def problem(self) -> Problem:
