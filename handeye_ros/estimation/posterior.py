@@ -87,7 +87,7 @@ def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
 
 
 def weighed_again(solution: Solution, further: tuple[ParameterBlock, ...] = ()) -> Solution:
-    """Return a solution, its noise and scales estimated again at its estimate beside more blocks."""
+    """Return a solution with noise and scales estimated again at its estimate, and more blocks."""
     system = _System.begun(State.of(solution.problem, solution.estimate), solution.noise)
     system = system.weighed(system.noise, further)
     for _ in range(LAST_STEPS):
