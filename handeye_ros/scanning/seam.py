@@ -28,7 +28,6 @@ WIDEST = 0.012  # m between the edges of a seam
 POINTS = 400_000  # of a cloud that are used, and
 FEWEST = 500  # that it must have
 SAMPLES_EACH = 1e-3  # m between the pairs of the centre line
-PLAY = 1e-6  # m: rounding of a length
 UNCERTAIN = 4e-5, np.deg2rad(0.4)  # 1 sigma of the place (m) and approach of an end frame, at most
 UNCLEAR = 10.0  # times the points' noise: what sections may scatter by; spacings likewise, 1
 
@@ -128,20 +127,17 @@ def _smoothed(found: Edges, line: str) -> tuple[Array, Array, Array, Array, Arra
 def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, -1.0),
                 travel: float = 0.0, work: float = 0.0) -> ToolFrames:
     """
-    Return frames along the seam, the last one at its end, less those at the ends too uncertain.
+    Return frames along the seam, the last one at its end, less what is too uncertain at the ends.
 
     pitch: distance between them (m); towards: the approach points this way rather than the other
     (3,). travel: the tool leans back against the advance by so much, about a; work: it leans to
     the side, about n (rad). Raises UncertainSeamError.
     """
-    end = seam.curve.length
-    lengths = np.append(np.arange(0.0, end - 0.01 * pitch, pitch), end)
-    own = np.linspace(0.0, end, len(seam.normals))
-    certain = np.flatnonzero((seam.std <= UNCERTAIN).all(axis=1))
+    own = np.linspace(0.0, seam.curve.length, len(seam.normals))
+    certain = own[(seam.std <= UNCERTAIN).all(axis=1)]
     if not len(certain):
         raise UncertainSeamError(float(np.median(seam.std[:, 0])))
-    between = (lengths >= own[certain[0]] - PLAY) & (lengths <= own[certain[-1]] + PLAY)
-    lengths = lengths[between]
+    lengths = np.append(np.arange(certain[0], certain[-1] - 0.01 * pitch, pitch), certain[-1])
     lean = Rotation.from_euler('xz', [work, travel]).as_matrix()
     frames = []
     for length, t in zip(lengths, seam.curve.by_length(lengths), strict=True):

@@ -24,6 +24,7 @@ SENSITIVE = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % where false a
 NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
 SIGNIFICANT = 0.01  # p of what is no chance
 INCONSISTENT = 1e-3  # p of points that disagree
+FOREIGN = 1e-6  # p of points that no error of the calibration explains
 LARGE = 0.01  # m: a tolerance that is questioned
 
 
@@ -113,11 +114,16 @@ def _failed(quantities: Sequence[Quantity], stations: Sequence[StationResult],
 
 def _implied(found: FixedFit, limits: VerifyConfig) -> list[str]:
     """Return a sentence when the points show that the calibration is off by more."""
-    if found.p_no_error > SIGNIFICANT or (
+    if found.p_no_error > SIGNIFICANT or _other_size(found) or (
             found.implied - ONE_SIDED_95 * found.implied_std <= limits.tolerance):
         return []
     return [f'the pattern of the distances matches a calibration error of {mm(found.implied)} ± '
             f'{mm(K * found.implied_std)} (k = {K:g}) at the points']
+
+
+def _other_size(found: FixedFit) -> bool:
+    """Tell whether the shape fits, but no error of the calibration explains its size too."""
+    return found.p_error < FOREIGN < found.p
 
 
 def _unsure(quantities: Sequence[Quantity], limits: VerifyConfig, used: int) -> list[str]:
@@ -142,6 +148,9 @@ def _notes(found: FixedFit, stations: Sequence[StationResult], limits: VerifyCon
         notes.append(f'the points disagree by more than calibration, noise.sensor and '
                      f'noise.robot_* explain (p = {found.p:.1g}): the calibration is worse than '
                      'it claims, the artefact moved, or the noise is set too small')
+    if _other_size(found):
+        notes.append('the points fit the shape, and no error of the calibration explains these '
+                     'deviations: check the nominal values (--radius, --length)')
     claim = claim_p(found)
     if claim < SIGNIFICANT:
         notes.append(f'the deviations are larger than the calibration claims (p = {claim:.1g})')

@@ -8,7 +8,7 @@ from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.estimation.outliers import chi2_sf
 from handeye_ros.frames import mounted, sensor_axes
 from handeye_ros.verification import clock, surfaces
-from handeye_ros.verification.decision import claim_p, decide, sensitivity
+from handeye_ros.verification.decision import claim_p, decide, FOREIGN, sensitivity
 from handeye_ros.verification.errors import (
     any_of,
     NotTheArtefactError,
@@ -33,7 +33,6 @@ LEAST_STATIONS = 4  # of a bag
 LENGTHS = 'lengths (--length, verify.lengths)'
 OUTLIER = 0.01  # chance that any of the good stations is left out
 MOST_OUTLIERS = 0.2  # of the stations: more are no outliers, but a disagreement
-FOREIGN = 1e-6  # p of points that no error of the calibration explains
 
 
 def verify(routine: Routine, bags: Sequence[Seen], calibration: Calibration, config: Config,
@@ -51,7 +50,7 @@ def verify(routine: Routine, bags: Sequence[Seen], calibration: Calibration, con
     _require_different(bags)
     X = calibration.T_flange_sensor @ sensor_axes(config)
     used, shape, found, left_out = _agreeing(routine, seen, X, calibration, config)
-    if found.p_error < FOREIGN and routine.target != TEETH:
+    if max(found.p, found.p_error) < FOREIGN and routine.target != TEETH:
         freed, _ = refit(used, X, calibration.covariance, config.noise, shape, nominal)
         largest = float(np.abs(freed.distances).max())
         if freed.p_error < FOREIGN and largest > nominal.tolerance:

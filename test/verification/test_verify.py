@@ -265,6 +265,15 @@ def test_the_wrong_artefact_and_the_same_recording_twice_are_named():
         result('ball_bar', replace(bar, bags=(bar.bags[0],) * 2), found)
 
 
+def test_a_ball_of_another_size_is_measured_and_the_calibration_is_not_blamed():
+    made, found = measured('ball_bar')
+    told = result('ball_bar', made, found, radius=bench.RADIUS + 4e-4)
+    assert told.verdict == 'fail'
+    assert told.quantities[0].value == pytest.approx(bench.RADIUS, abs=5e-5)
+    assert 'check the nominal values' in ' '.join(told.reasons)
+    assert 'pattern' not in ' '.join(told.reasons)
+
+
 def test_a_tolerance_below_the_uncertainty_is_undecided_and_never_a_pass():
     made, found = measured('ball_bar')
     told = result('ball_bar', made, found, tolerance=1e-5)
