@@ -106,7 +106,7 @@ def _pair(observations: Observations) -> NDArray[np.intp]:
 
 def one_corner(problem: Problem) -> list[Problem]:
     """
-    Return problems with one pair of lines of each station: its first, convex, or concave one.
+    Return problems with one pair of lines of each station: its convex, concave, or first one.
 
     A block and the table that it stands on make a groove, where the faces meet on the other side.
     """
@@ -121,7 +121,7 @@ def one_corner(problem: Problem) -> list[Problem]:
         count = np.bincount(of_pair.station, minlength=len(problem.poses))
         middle = np.bincount(of_pair.station, of_pair.points[:, 1])[station] / count[station]
         convex = (middle - depth) * problem.config.profile.range_sign > 0
-        first[0, station] = first[1, station[convex]] = first[2, station[~convex]] = k
+        first[2, station] = first[0, station[convex]] = first[1, station[~convex]] = k
     different = {each.tobytes(): each for each in first}
     parts = [replace(problem, observations=obs.select(each[obs.station] == pair)).subset(
         np.flatnonzero(each >= 0)) for each in different.values()]
@@ -129,9 +129,14 @@ def one_corner(problem: Problem) -> list[Problem]:
 
 
 def guess(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-    """Yield estimates from nothing; of edges of one sign where several are in sight."""
-    for part in one_corner(some_of(problem, rng)):
-        yield from _guess(part)
+    """Yield estimates from nothing; where several edges are in sight, of each choice in turn."""
+    choices = [_guess(part) for part in one_corner(some_of(problem, rng))]
+    while choices:
+        for choice in tuple(choices):
+            if (start := next(choice, None)) is None:
+                choices.remove(choice)
+            else:
+                yield start
 
 
 def _guess(problem: Problem) -> Iterator[Estimate]:

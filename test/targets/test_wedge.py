@@ -2,8 +2,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 
-from cells import cell, exact_cell, recorded
+from cells import cell, exact_cell, problem, recorded
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import OneAxisError, OneOrientationError
 from handeye_ros.config import Config
@@ -148,3 +149,23 @@ def test_a_block_on_a_table_is_distinguished_from_the_groove_at_its_foot(seed: i
         samples.append(replace(sample, features=tuple(line for pair in pairs for line in pair)))
     found = pipeline.solve(samples, [], made.config, 'laser')
     assert made.error(found.T_flange_sensor) < 2e-4
+
+
+def on_a_table(sample: Sample) -> Sample:
+    """Return what a sensor sees of a block whose faces both end at a table."""
+    left, right = sample.features
+    feet = []
+    for face, end in ((left, -1), (right, 1)):
+        out = face.direction * [1, -1]
+        foot = face.centre + end * 0.02 * face.direction
+        table = FaceLine(foot + end * 0.015 * out, out, 0.01, 1e-5)
+        feet.append((face, table)[::end])
+    return replace(sample, features=(*feet[0], *feet[1], left, right))
+
+
+def test_one_of_the_first_starts_is_the_block_between_two_grooves() -> None:
+    """Where an offset of the clocks is looked for, three are tried of each."""
+    made = cell('wedge', 0)
+    many = problem([on_a_table(sample) for sample in made.samples], made.config)
+    starts = islice(wedge.guess(many, np.random.default_rng(0)), 3)
+    assert min(made.error(start.X) for start in starts) < 1e-3
