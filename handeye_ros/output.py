@@ -1,7 +1,10 @@
 """Files that are written: names of folders, whole files, pictures."""
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import suppress
+import csv
+import io
 import os
 from pathlib import Path
 from typing import Any
@@ -20,6 +23,13 @@ def folder_name(config: Config) -> str:
     if len(name) > LONGEST_NAME:
         raise BadValueError('name', f'{name[:20]}...', f'at most {LONGEST_NAME} characters')
     return name
+
+
+def csv_text(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """Return a table as CSV."""
+    lines = io.StringIO()
+    csv.writer(lines, lineterminator='\n').writerows([header, *rows])
+    return lines.getvalue()
 
 
 def write_whole(path: Path, text: str) -> None:

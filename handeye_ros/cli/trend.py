@@ -22,21 +22,16 @@ Csv = Annotated[NoPath, typer.Option(
 def trend(folder: Folder, against: Against = None, picture: Picture = None, csv: Csv = None
           ) -> None:
     """Tell how the calibrations, verifications and checks below a folder went through time."""
-    tell_trend(folder, against, picture, csv)
-
-
-def tell_trend(folder: Path, against: Path | None, picture: Path | None, csv: Path | None
-               ) -> None:
-    """Print the trends of a folder, and write what is asked for."""
     from functools import partial
 
     from handeye_ros.output import write_whole
     from handeye_ros.results.calibration_file import read_calibration
-    from handeye_ros.verification import charts, trend
+    from handeye_ros.verification import charts
+    from handeye_ros.verification import trend as trends
     from handeye_ros.verification.errors import NoTrendError
     measured, bad = charts.charts(folder)
     try:
-        entries, warnings = trend.trend(folder, read_calibration(against) if against else None)
+        entries, warnings = trends.trend(folder, read_calibration(against) if against else None)
     except NoTrendError:
         if not measured:
             raise
@@ -44,11 +39,11 @@ def tell_trend(folder: Path, against: Path | None, picture: Path | None, csv: Pa
     for warning in (*warnings, *bad):
         warn(warning)
     if entries:
-        show(trend.table(entries))
-        typer.echo(trend.since_when(entries))
+        show(trends.table(entries))
+        typer.echo(trends.since_when(entries))
     if measured:
         show(charts.charts_table(measured))
-    files = {csv: trend.csv_text(entries) if entries else ''} if csv else {}
+    files = {csv: trends.csv_text(entries) if entries else ''} if csv else {}
     if csv and measured:
         files[csv.with_stem(f'{csv.stem}_measured')] = charts.charts_csv(measured)
     for file, text in files.items():
@@ -56,5 +51,5 @@ def tell_trend(folder: Path, against: Path | None, picture: Path | None, csv: Pa
             write_whole(file, text)
             typer.echo(f'wrote {file.absolute()}')
     if picture:
-        trend.draw(entries, picture, [partial(charts.draw_chart, one) for one in measured])
+        trends.draw(entries, picture, [partial(charts.draw_chart, one) for one in measured])
         typer.echo(f'wrote {picture.absolute()}')

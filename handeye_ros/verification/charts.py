@@ -7,12 +7,11 @@ the evidence for a change of a check.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-import csv
 from dataclasses import dataclass
-import io
 from pathlib import Path
 from typing import Any
 
+from handeye_ros import output
 from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
 from handeye_ros.results.verified import FORMAT as VERIFICATION
@@ -130,16 +129,12 @@ def charts_table(found: Sequence[Chart]) -> Table:
 
 def charts_csv(found: Sequence[Chart]) -> str:
     """Return every value of the charts as CSV: metres and radians."""
-    lines = io.StringIO()
-    made = csv.writer(lines, lineterminator='\n')
-    made.writerow(('chart', 'unit', 'recorded', 'path', 'value', 'std', 'centre', 'warning',
-                   'action', 'state'))
-    for chart in found:
-        for point, warning, action, state in zip(
-                chart.points, chart.reach(False), chart.reach(True), chart.states, strict=True):
-            made.writerow((chart.name, chart.unit, point.recorded, point.path, point.value,
-                           point.std, chart.centre, warning, action, state))
-    return lines.getvalue()
+    return output.csv_text(
+        ('chart', 'unit', 'recorded', 'path', 'value', 'std', 'centre', 'warning', 'action',
+         'state'),
+        ((chart.name, chart.unit, point.recorded, point.path, point.value, point.std, chart.centre,
+          *rest) for chart in found for point, *rest in zip(
+             chart.points, chart.reach(False), chart.reach(True), chart.states, strict=True)))
 
 
 def draw_chart(chart: Chart, ax: Any) -> None:

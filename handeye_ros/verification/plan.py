@@ -2,12 +2,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-import csv
 from dataclasses import dataclass, replace
-import io
 from typing import Any
 
-from handeye_ros import se3
+from handeye_ros import output, se3
 from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import mm
@@ -89,13 +87,9 @@ def plan(routine: Routine, calibration: Calibration, config: Config,
 
 def csv_text(found: Plan) -> str:
     """Return the stops as CSV: poses of the flange in the base, metres and quaternions."""
-    lines = io.StringIO()
-    table = csv.writer(lines, lineterminator='\n')
-    table.writerow(HEADER)
-    for part, poses in enumerate(found.T_base_flange, 1):
-        for stop, T in enumerate(poses, 1):
-            table.writerow((part, stop, *(f'{v:.6f}' for v in (*T[:3, 3], *se3.quaternion(T)))))
-    return lines.getvalue()
+    return output.csv_text(HEADER, (
+        (part, stop, *(f'{v:.6f}' for v in (*T[:3, 3], *se3.quaternion(T))))
+        for part, poses in enumerate(found.T_base_flange, 1) for stop, T in enumerate(poses, 1)))
 
 
 def sentences(best: Plan, others: Sequence[Plan]) -> Iterator[str]:

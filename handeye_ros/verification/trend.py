@@ -2,16 +2,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-import csv
 from dataclasses import dataclass
-import io
 from pathlib import Path
 from typing import Any
 
-from handeye_ros import se3
+from handeye_ros import output, se3
 from handeye_ros.data import Array, Calibration
 from handeye_ros.estimation.outliers import chi2_isf, chi2_sf
-from handeye_ros.output import figure, save
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.errors import CalibrationFileError
 from handeye_ros.verification.errors import NoTrendError
@@ -143,13 +140,13 @@ def draw(entries: Sequence[Entry], path: Path, more: Sequence[Callable[[Any], No
     more: each draws on axes of its own, below.
     """
     own = 3 * bool(entries)
-    drawing, axes = figure(own + len(more), 1)
+    drawing, axes = output.figure(own + len(more), 1)
     axes = np.atleast_1d(axes)
     if entries:
         _draw_calibrations(entries, axes)
     for ax, draws in zip(axes[own:], more, strict=True):
         draws(ax)
-    save(drawing, path)
+    output.save(drawing, path)
 
 
 def _draw_calibrations(entries: Sequence[Entry], axes: Array) -> None:
@@ -183,12 +180,9 @@ def _draw_calibrations(entries: Sequence[Entry], axes: Array) -> None:
 
 def csv_text(entries: Sequence[Entry]) -> str:
     """Return the trend as CSV: metres and radians."""
-    lines = io.StringIO()
-    made = csv.writer(lines, lineterminator='\n')
     axes = ('x', 'y', 'z', 'rx', 'ry', 'rz')
-    made.writerow(('recorded', 'path', *axes, *(f'{axis}_std' for axis in axes), 'p_first',
-                   'p_before', 'residual'))
-    for e in entries:
-        made.writerow((e.recorded, e.path, *e.difference, *e.std, e.p_first, e.p_before,
-                       e.residual))
-    return lines.getvalue()
+    return output.csv_text(
+        ('recorded', 'path', *axes, *(f'{axis}_std' for axis in axes), 'p_first', 'p_before',
+         'residual'),
+        ((e.recorded, e.path, *e.difference, *e.std, e.p_first, e.p_before, e.residual)
+         for e in entries))

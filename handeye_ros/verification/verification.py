@@ -1,14 +1,12 @@
 """What a verification found: plain values, the table that tells them, and their YAML."""
 from __future__ import annotations
 
-import csv
 from dataclasses import asdict, astuple, dataclass, fields
 from datetime import datetime, UTC
-import io
 import math
 from typing import Any
 
-from handeye_ros import __version__
+from handeye_ros import __version__, output
 from handeye_ros.results.verified import COLUMNS, FORMAT, rows_of, shown, title_of
 from rich.table import Table
 import yaml
@@ -151,11 +149,8 @@ def yaml_text(found: Verification) -> str:
 
 def stations_csv(found: Verification) -> str:
     """Return what each stop showed as CSV, in metres."""
-    lines = io.StringIO()
-    table = csv.writer(lines, lineterminator='\n')
-    table.writerow(field.name for field in fields(StationResult))
-    table.writerows(astuple(station) for station in found.per_station)
-    return lines.getvalue()
+    return output.csv_text((field.name for field in fields(StationResult)),
+                           map(astuple, found.per_station))
 
 
 def sentence(found: Verification) -> str:
