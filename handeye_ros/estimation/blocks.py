@@ -2,8 +2,7 @@
 Blocks of nuisance parameters: what may be wrong beside the noise (docs/estimator.md, section 2).
 
 With residuals r = J xi + sum of K_b n_b + e, a block gives the columns K_b by its parameters, each
-of a normal prior about nothing. How large they really are, over that prior, is estimated (see
-scales).
+of a normal prior about nothing. How large they are, over that prior, is estimated (see scales).
 
 A new block is one more source: a function that gets the problem linearised at the first estimate,
 and returns a function that gives the blocks at any later one. Those of all targets are in SOURCES,
@@ -34,6 +33,7 @@ import numpy as np
 
 # Share of the RMS of each degree of the polynomials: the first of them are the largest.
 DISTORTION = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
+SENSOR_SCALE = 0.3  # prior sigma of the sensor's scale over that of the robot's
 LARGEST_SCALE = 400.0  # of variances over the configured ones: 20 times as large
 STATED_MEASURE = 1e8  # the same of a stated measure, which may be plainly wrong
 
@@ -155,6 +155,17 @@ def robot_smooth(first: Linear) -> Blocks:
     return at if size else _none
 
 
+def sensor_scale(first: Linear) -> Blocks:
+    """Return the block of the sensor's lengths, which look much like the robot's."""
+    std = SENSOR_SCALE * first.problem.config.noise.robot_scale
+
+    def at(linear: Linear) -> Iterator[ParameterBlock]:
+        from_middle = linear.points_on_target - linear.points_on_target.mean(axis=0)
+        stretched = (linear.by_point * from_middle).sum(axis=1)
+        yield ParameterBlock('sensor_scale', stretched[:, None] * std, std)
+    return at
+
+
 def sensor_distortion(first: Linear) -> Blocks:
     """Return the blocks of the sensor's distortion: polynomials of its plane, by their degree."""
     std, degrees = first.problem.config.noise.distortion, list(DISTORTION)
@@ -245,5 +256,5 @@ def _none(linear: Linear) -> Iterable[ParameterBlock]:
     return ()
 
 
-SOURCES: tuple[Source, ...] = (stated_measures, robot_scale, sensor_distortion, pose_model,
-                               robot_smooth)
+SOURCES: tuple[Source, ...] = (
+    stated_measures, robot_scale, sensor_scale, sensor_distortion, pose_model, robot_smooth)

@@ -65,6 +65,22 @@ def test_a_small_move_is_reported_with_its_moment(
     assert size is None or float(size[1]) == pytest.approx(0.5, abs=0.3)
 
 
+@pytest.mark.parametrize('seed', [1, 4])
+def test_a_small_move_is_reported_though_noise_and_scales_could_stand_for_it(seed: int) -> None:
+    scenario, rng = FAULTS['plane'], np.random.default_rng(seed)
+    config = with_values(Config(), settings(scenario), 'test')
+    samples, truth = simulate_samples(scenario, rng)
+    X, step = truth.T_flange_sensor, rng.normal(size=3)
+    moved = se3.perturb(np.eye(4), np.append(5e-4 * step / np.linalg.norm(step), np.zeros(3)))
+    seen = X @ se3.inverse(moved) @ se3.inverse(X)
+    try:
+        answer = pipeline.solve(later(samples, lambda T: T @ seen), [], config, 'laser')
+        said = ' '.join(answer.provenance.get('warnings', ()))
+    except MovedError as refusal:
+        said = str(refusal)
+    assert re.search('the first [678] of 14 samples', said), said
+
+
 @pytest.mark.parametrize('name', ['baseline', 'joints and links 0.1 mm', 'sphere, smooth 0.2 mm'])
 def test_a_robot_less_accurate_than_stated_is_no_move(name: str) -> None:
     samples, _ = simulate_samples(FAULTS[name], np.random.default_rng(0))

@@ -55,6 +55,14 @@ def test_clocks_are_not_blamed_for_what_else_is_wrong() -> None:
 
 
 @pytest.mark.thorough
+def test_clocks_are_not_blamed_for_the_one_stop_of_a_poor_robot_that_ends_early() -> None:
+    scenario = replace(FAULTS['wedge, joints and links 1 mm'], stations=(100, 0))
+    made = simulate(scenario, np.random.default_rng(1))
+    config = with_values(Config(), settings(scenario), 'the test')
+    require_same_clock(pipeline.gather(made.profiles, made.poses, config), config)
+
+
+@pytest.mark.thorough
 def test_clocks_are_not_blamed_for_few_samples_of_which_two_are_wrong() -> None:
     scenario = FAULTS['4 + 3, two bad']
     made = simulate(scenario, np.random.default_rng(16))
