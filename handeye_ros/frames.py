@@ -42,10 +42,13 @@ def sensor_axes(config: Config) -> Array:
 
     Identity for the usual axes [x, z].
     """
-    columns = []
-    for name in config.profile.axes:
-        unit = np.zeros(3)
-        unit['xyz'.index(name[-1])] = -1.0 if name[0] == '-' else 1.0
-        columns.append(unit)
-    along, across = columns
+    along, across = unit_vectors(config.profile.axes).T
     return se3.transform(np.column_stack([along, np.cross(across, along), across]), np.zeros(3))
+
+
+def unit_vectors(names: Sequence[str]) -> Array:
+    """Return the axes (3, n) of names like x and -z."""
+    axes = np.zeros((3, len(names)))
+    for column, name in enumerate(names):
+        axes['xyz'.index(name[-1]), column] = -1.0 if name[0] == '-' else 1.0
+    return axes

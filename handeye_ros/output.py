@@ -1,8 +1,8 @@
 """Files that are written: names of folders, whole files, pictures."""
 from __future__ import annotations
 
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 import csv
 import io
 import os
@@ -34,11 +34,18 @@ def csv_text(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 
 def write_whole(path: Path, text: str) -> None:
     """Write a file under another name and rename it; raises UnwritableError."""
+    with replaced(path) as temporary:
+        temporary.write_text(text, encoding='utf-8')
+
+
+@contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """Give the name of a file that takes the place of another when the block has ended well."""
     temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            temporary.write_text(text, encoding='utf-8')
+            yield temporary
             os.replace(temporary, path)
         finally:
             with suppress(OSError):

@@ -8,13 +8,12 @@ what is written here with them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-import os
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
 
 from handeye_ros.data import Array
-from handeye_ros.errors import UnwritableError
+from handeye_ros.output import replaced
 from handeye_ros.scanning.errors import CloudFileError, CloudFormatError
 import numpy as np
 from numpy.typing import NDArray
@@ -105,20 +104,10 @@ def cloud_writer(path: Path, comment: str = '') -> Iterator[CloudWriter]:
     Raises CloudFormatError, UnwritableError.
     """
     header = header_of(path)
-    temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with temporary.open('wb') as stream:
-                writer = CloudWriter(stream, header, comment)
-                yield writer
-                writer.finish()
-            os.replace(temporary, path)
-        finally:
-            with suppress(OSError):
-                temporary.unlink()
-    except OSError as error:
-        raise UnwritableError(path, error.strerror or str(error)) from error
+    with replaced(path) as temporary, temporary.open('wb') as stream:
+        writer = CloudWriter(stream, header, comment)
+        yield writer
+        writer.finish()
 
 
 def read_cloud(path: Path) -> Array:

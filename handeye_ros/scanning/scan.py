@@ -13,10 +13,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
-from handeye_ros import se3, units
+from handeye_ros import units
 from handeye_ros.checks.shape import ROTATION_LAG
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array, Calibration, Profile
+from handeye_ros.frames import in_mount, target_frame, unit_vectors
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.scanning.cloud_files import Points
 from handeye_ros.scanning.errors import EmptyScanError, NoPosesAroundError
@@ -87,8 +88,7 @@ class Scanner:
     @property
     def frame(self) -> str:
         """Return the frame of the points."""
-        moving = self.config.calibration_type == 'eye_on_base'
-        return self.config.robot_effector_frame if moving else self.config.base_frame
+        return target_frame(self.config)
 
     def scan(self, profiles: Iterable[Profile], track: Trajectory) -> Iterator[Points]:
         """Yield the points of profiles, piece by piece."""
@@ -106,8 +106,8 @@ class Scanner:
         used = [p for p, inside in zip(profiles, flange.inside, strict=True) if inside]
         self.count.profiles += len(profiles)
         self.count.without_pose += len(profiles) - len(used)
-        T = sensor_in_base(flange.T_base_flange[flange.inside], self.calibration.T_flange_sensor,
-                           self.config.calibration_type == 'eye_on_base')
+        T = in_mount(flange.T_base_flange[flange.inside], self.config
+                     ) @ self.calibration.T_flange_sensor
         variances = np.broadcast_to(self._variance, (len(used), 3, 3))
         if self.options.std and used:
             variances = self._variance + pose_variances(
@@ -139,7 +139,8 @@ class Scanner:
     def _of_profile(self, profile: Profile, T_base_sensor: Array, variance: Array) -> Points:
         kept = self._kept(profile.points)
         points = profile.points[kept]
-        R = T_base_sensor[:3, :3] @ _axes(profile.axes)
+        axes = unit_vectors(profile.axes)
+        R = T_base_sensor[:3, :3] @ axes
         in_base = points @ R.T + T_base_sensor[:3, 3]
         cloud = np.empty(len(points), self.dtype)
         cloud['x'], cloud['y'], cloud['z'] = in_base.T
@@ -147,7 +148,7 @@ class Scanner:
             cloud['intensity'] = (np.nan if profile.intensity is None
                                   else profile.intensity[kept])
         if self.options.std:
-            cloud['std'] = point_std(variance, points @ _axes(profile.axes)[[0, 2]].T)
+            cloud['std'] = point_std(variance, points @ axes[[0, 2]].T)
         return cloud
 
     def _kept(self, points: Array) -> NDArray[np.bool_]:
@@ -162,14 +163,6 @@ class Scanner:
         self.count.returns += int(seen.sum())
         self.count.out_of_limits += int(seen.sum()) - int(kept.sum())
         return np.asarray(kept)
-
-
-def _axes(names: tuple[str, str]) -> Array:
-    """Return the axes (3, 2) of the sensor's frame that the columns of points run along."""
-    axes = np.zeros((3, 2))
-    for column, name in enumerate(names):
-        axes['xyz'.index(name[-1]), column] = -1.0 if name[0] == '-' else 1.0
-    return axes
 
 
 def _incidence(x: Array, z: Array) -> Array:
@@ -251,9 +244,3 @@ def point_std(V: Array, points: Array) -> Array:
     square = (V[0, 0] * x + 2 * (V[0, 1] * z + V[0, 2])) * x + (
         V[1, 1] * z + 2 * V[1, 2]) * z + V[2, 2]
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))
-
-
-def sensor_in_base(T_base_flange: Array, T_flange_sensor: Array, eye_on_base: bool) -> Array:
-    """Return the sensor's poses (k, 4, 4) in the base, or in the flange that moves before it."""
-    T = se3.inverse(T_base_flange) if eye_on_base else T_base_flange
-    return np.asarray(T @ T_flange_sensor)

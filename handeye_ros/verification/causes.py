@@ -21,6 +21,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.model import Method, UNUSED
 from handeye_ros.estimation.outliers import chi2_sf
+from handeye_ros.frames import in_mount
 from handeye_ros.targets.ends import edges_of
 from handeye_ros.verification.fixed_fit import (
     by_calibration,
@@ -225,8 +226,7 @@ def _displacements(it: Comparison, name: str) -> Array:
 
 def _robot(it: Comparison, rows: Rows) -> Cause:
     """Return the explanation by errors of the poses: smooth in base or flange, or white."""
-    T = it.seen.poses[rows.station]
-    T = T if it.config.calibration_type == 'eye_in_hand' else se3.inverse(T)
+    T = in_mount(it.seen.poses[rows.station], it.config)  # the flange in the base again
     away = np.linalg.norm(T[:, None, :3, 3] - T[None, :, :3, 3], axis=-1) / SMOOTH_DISTANCE
     cosine = (np.einsum('aij,bij->ab', T[:, :3, :3], T[:, :3, :3]) - 1) / 2
     square = away ** 2 + 2 * (1 - cosine) / SMOOTH_ANGLE ** 2  # of the chord: positive definite

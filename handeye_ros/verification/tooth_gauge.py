@@ -14,6 +14,7 @@ from handeye_ros.config import Config, VerifyConfig
 from handeye_ros.data import Array, Profile
 from handeye_ros.estimation.model import Observations
 from handeye_ros.estimation.solver import least_squares
+from handeye_ros.frames import in_mount
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.verification.errors import NoTeethError
 from handeye_ros.verification.shapes import BAGS, by_point, Kinds, Seen, Shape, system_of
@@ -41,8 +42,7 @@ def seen_in_pass(profiles: Sequence[Profile], track: Trajectory, config: Config)
     """
     offset = round(config.time_offset * 1e9)
     flange = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
-    T = flange.T_base_flange[flange.inside]
-    T = se3.inverse(T) if config.calibration_type == 'eye_on_base' else T
+    T = in_mount(flange.T_base_flange[flange.inside], config)
     used = [p for p, inside in zip(profiles, flange.inside, strict=True) if inside]
     chosen = np.unique(np.linspace(0, max(len(used) - 1, 0), PROFILES).astype(int))[:len(used)]
     points, station = [], []
