@@ -15,6 +15,7 @@ from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array
 from handeye_ros.errors import mm
 from handeye_ros.estimation.outliers import chi2_sf
+from handeye_ros.results.verified import shown
 from handeye_ros.verification.fixed_fit import FixedFit
 from handeye_ros.verification.verification import K, Quantity, StationResult
 import numpy as np
@@ -67,7 +68,7 @@ def _axis(direction: Array) -> str:
     return ' and '.join(names)
 
 
-def decide(found: FixedFit, shown: Sensitivity, quantities: Sequence[Quantity],
+def decide(found: FixedFit, weakest: Sensitivity, quantities: Sequence[Quantity],
            stations: Sequence[StationResult], limits: VerifyConfig
            ) -> tuple[str, tuple[str, ...]]:
     """Return the verdict (pass, fail, undecided or insensitive), and the reasons as sentences."""
@@ -76,21 +77,21 @@ def decide(found: FixedFit, shown: Sensitivity, quantities: Sequence[Quantity],
     if failed:
         return 'fail', (*failed, *notes)
     used = sum(station.used for station in stations)
-    if shown.size > limits.tolerance:
-        more = math.ceil(used * (shown.size / limits.tolerance) ** 2)
+    if weakest.size > limits.tolerance:
+        more = math.ceil(used * (weakest.size / limits.tolerance) ** 2)
         return 'insensitive', (
-            f'an error of the calibration would show only from {mm(shown.size)} on '
-            f'({shown.direction}), and the tolerance is {mm(limits.tolerance)}: turn the sensor '
+            f'an error of the calibration would show only from {mm(weakest.size)} on '
+            f'({weakest.direction}), and the tolerance is {mm(limits.tolerance)}: turn the sensor '
             f'more between the stops, or measure at about {more} stops like these', *notes)
-    unsure = _unsure(quantities, limits, used) + _suggested(found, shown, limits)
+    unsure = _unsure(quantities, limits, used) + _suggested(found, weakest, limits)
     return ('undecided', (*unsure, *notes)) if unsure else ('pass', notes)
 
 
-def _suggested(found: FixedFit, shown: Sensitivity, limits: VerifyConfig) -> list[str]:
+def _suggested(found: FixedFit, weakest: Sensitivity, limits: VerifyConfig) -> list[str]:
     """Return a sentence where the points show an error that may exceed the tolerance."""
     for size, std, is_seen in (
             (found.implied, found.implied_std, found.p_no_error < SIGNIFICANT),
-            (shown.estimate, shown.std, shown.estimate > NORMAL_95 * shown.std)):
+            (weakest.estimate, weakest.std, weakest.estimate > NORMAL_95 * weakest.std)):
         if is_seen and size + ONE_SIDED_95 * std > limits.tolerance:
             return [f'the points suggest an error of the calibration of {mm(size)} ± '
                     f'{mm(K * std)} (k = {K:g}), which may exceed the tolerance: measure at more '
@@ -100,7 +101,7 @@ def _suggested(found: FixedFit, shown: Sensitivity, limits: VerifyConfig) -> lis
 
 def _failed(quantities: Sequence[Quantity], stations: Sequence[StationResult],
             limits: VerifyConfig) -> list[str]:
-    failed = [f'{q.name} is off by {_shown(q.error, q.unit)} ± {_shown(q.expanded, q.unit)} '
+    failed = [f'{q.name} is off by {shown(q.error, q.unit)} ± {shown(q.expanded, q.unit)} '
               f'(k = {K:g})' for q in quantities
               if q.error is not None and abs(q.error) - q.expanded > _tolerance(q, limits)]
     far = [s for s in stations if s.used and K * s.std <= limits.tolerance
@@ -134,9 +135,9 @@ def _unsure(quantities: Sequence[Quantity], limits: VerifyConfig, used: int) -> 
             continue
         more = math.ceil(used * (q.expanded / left) ** 2) if left > 0 else 0
         unsure.append(
-            f'{q.name} is off by {_shown(q.error, q.unit)}, its uncertainty is '
-            f'{_shown(q.expanded, q.unit)} (k = {K:g}), and together they exceed the tolerance '
-            f'of {_shown(_tolerance(q, limits), q.unit)}'
+            f'{q.name} is off by {shown(q.error, q.unit)}, its uncertainty is '
+            f'{shown(q.expanded, q.unit)} (k = {K:g}), and together they exceed the tolerance '
+            f'of {shown(_tolerance(q, limits), q.unit)}'
             + (f': measure at about {more} stops' if 0 < more < 100 * used else ''))
     return unsure
 
@@ -167,8 +168,3 @@ def claim_p(found: FixedFit) -> float:
 
 def _tolerance(q: Quantity, limits: VerifyConfig) -> float:
     return limits.tolerance if q.unit == 'm' else limits.angle_tolerance
-
-
-def _shown(value: float | None, unit: str) -> str:
-    value = value or 0.0
-    return f'{value * 1e3:.3f} mm' if unit == 'm' else f'{np.degrees(value):.3f} degrees'
