@@ -14,7 +14,7 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import linearise, Problem
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.guidance.following import batch_of, following
+from handeye_ros.guidance.following import anchor_of, batch_of, following
 from handeye_ros.guidance.limits import Limits, twist_of
 from handeye_ros.guidance.rules import Visited
 from handeye_ros.guidance.score import Mapping, with_rows
@@ -111,17 +111,18 @@ class Search:
     def judged(self, station: int, choices: Array) -> Candidates:
         """Return the candidates that choices (n, 6) give, those alone that are possible."""
         problem, estimate = self.solution.problem, self.solution.estimate
-        X, anchor = estimate.X, anchor_of(problem, station)
-        T_sensor, places = self._sensors(problem.poses[station] @ X, anchor, choices)
+        X = estimate.X
+        T_sensor, places = self._sensors(problem.poses[station] @ X, anchor_of(problem, station),
+                                         choices)
         poses = T_sensor @ se3.inverse(X)
         flange = poses if self.limits.in_hand else se3.inverse(poses)
         kept = np.flatnonzero(self.limits.allow(poses, X) & self.visited.allow(flange))
         obs = problem.observations
         prototype = replace(problem, observations=obs.select(obs.station == station))
-        batch = batch_of(prototype, estimate, anchor, poses[kept], places[kept])
-        good, stations = following(batch, self.view.inner(), self.visited.careful)
-        kept = kept[stations]
-        return Candidates(station, choices[kept], poses[kept], places[kept],
+        batch, stations = following(batch_of(prototype, estimate, poses[kept], places[kept]),
+                                    self.view.inner(), self.visited.careful)
+        kept, good = kept[stations], batch.problem
+        return Candidates(station, choices[kept], poses[kept], batch.anchors,
                           self.mapping.variance(with_rows(self.solution, self._rows(good))),
                           good)
 
@@ -167,12 +168,3 @@ def prototypes(problem: Problem) -> list[int]:
     share = max(1, PROTOTYPES // len(groups))
     return [int(group[i]) for group in groups
             for i in np.unique(np.linspace(0, len(group) - 1, share).astype(int))]
-
-
-def anchor_of(problem: Problem, station: int) -> Array:
-    """Return the point (2,) of the sensor plane that stands for what a station saw."""
-    obs = problem.observations
-    rows = np.flatnonzero(obs.station == station)
-    edges = [k for k, name in enumerate(problem.method.kinds) if name in problem.method.essential]
-    at_edge = rows[np.isin(obs.kind[rows], edges)]
-    return np.asarray(obs.points[at_edge if len(at_edge) else rows].mean(axis=0))

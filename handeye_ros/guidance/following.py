@@ -28,18 +28,19 @@ class Batch:
     """
     n stations that all see what a prototype saw, each elsewhere.
 
-    problem: c observations for each station; places: (n, 2) the prototype's anchor in the sensor
-    plane; groups: which of the c observations are of one point, (points, r) of those with r; seen:
-    (c,) the prototype's derivatives of the conditions by the range; corner: where its two faces
-    meet, None of other targets.
+    problem: c observations for each station; anchored: which of them stand for what is seen
+    (anchor_rows); groups: which are of one point, (points, r) of those with r; seen: (c,) the
+    prototype's derivatives of the conditions by the range; corner: where its two faces meet, None
+    of other targets; face: beside an edge that is all it shows, else None.
     """
 
     problem: Problem
     estimate: Estimate
-    places: Array
+    anchored: NDArray[np.intp]
     groups: tuple[NDArray[np.intp], ...]
     seen: Array
     corner: rules.Corners | None
+    face: rules.FaceBeside | None
 
     def __len__(self) -> int:
         """Return the number of stations."""
@@ -48,11 +49,16 @@ class Batch:
     @property
     def points(self) -> Array:
         """Return the observed places (n, c, 2) in the sensor plane."""
-        return self.problem.observations.points.reshape(len(self), -1, 2)
+        return self.problem.observations.points.reshape(len(self), len(self.seen), 2)
+
+    @property
+    def anchors(self) -> Array:
+        """Return the places (n, 2) in the sensor plane that stand for what is seen."""
+        return np.asarray(self.points[:, self.anchored].mean(axis=1))
 
     def subset(self, stations: NDArray[np.intp]) -> Batch:
         """Return the batch with only the given stations (ascending indices)."""
-        return replace(self, problem=self.problem.subset(stations), places=self.places[stations])
+        return replace(self, problem=self.problem.subset(stations))
 
     def moved(self, points: Array) -> Batch:
         """Return the batch with its points elsewhere, shape n, c, 2."""
@@ -60,25 +66,39 @@ class Batch:
         return replace(self, problem=replace(self.problem, observations=observations))
 
 
-def batch_of(prototype: Problem, estimate: Estimate, anchor: Array, poses: Array, places: Array
-             ) -> Batch:
+def anchor_rows(problem: Problem, station: int) -> NDArray[np.intp]:
+    """Return the observations that stand for what a station saw: of edges, where there are any."""
+    obs = problem.observations
+    rows = np.flatnonzero(obs.station == station)
+    at_edge = rows[np.isin(obs.kind[rows], rules.edge_kinds(problem.method))]
+    return at_edge if len(at_edge) else rows
+
+
+def anchor_of(problem: Problem, station: int) -> Array:
+    """Return the point (2,) of the sensor plane that stands for what a station saw."""
+    return np.asarray(problem.observations.points[anchor_rows(problem, station)].mean(axis=0))
+
+
+def batch_of(prototype: Problem, estimate: Estimate, poses: Array, places: Array) -> Batch:
     """
     Return a batch at poses (n, 4, 4), its points not yet on the target.
 
-    prototype: of one station; anchor: (2,) the point of its plane that goes to places (n, 2).
+    prototype: of one station; places: (n, 2) of the sensor plane, to which its anchor goes.
     """
     obs, n, linear = prototype.observations, len(poses), linearise(prototype, estimate)
+    anchored = anchor_rows(prototype, int(obs.station[0]))
+    anchor = obs.points[anchored].mean(axis=0)
     _, which = np.unique(obs.points, axis=0, return_inverse=True)
     count = np.bincount(which.reshape(-1))
     order = np.argsort(which.reshape(-1), kind='stable')
     groups = tuple(order[np.repeat(count, count) == r].reshape(-1, r) for r in np.unique(count))
     points = obs.points[None] + (places - anchor)[:, None]
     many = obs.repeated(n, points.reshape(-1, 2))
-    return Batch(replace(prototype, poses=poses, observations=many), estimate, places, groups,
-                 linear.by_point[:, 1], rules.corners(linear, len(obs)))
+    return Batch(replace(prototype, poses=poses, observations=many), estimate, anchored, groups,
+                 linear.by_point[:, 1], rules.corners(linear, len(obs)), rules.face_beside(linear))
 
 
-def following(batch: Batch, view: View, strict: bool = True) -> tuple[Problem, NDArray[np.intp]]:
+def following(batch: Batch, view: View, strict: bool = True) -> tuple[Batch, NDArray[np.intp]]:
     """Return the stations that see the target as the prototype did, and which they are."""
     kept = np.arange(len(batch))
     if len(batch):
@@ -86,7 +106,7 @@ def following(batch: Batch, view: View, strict: bool = True) -> tuple[Problem, N
         kept = np.flatnonzero(share > SMALLEST_SHARE)
         batch = batch.subset(kept)
     if not len(batch):
-        return batch.problem, kept
+        return batch, kept
     batch = _on_target(batch)
     linear = linearise(batch.problem, batch.estimate)
     by_point = linear.by_point.reshape(len(batch), -1, 2)
@@ -99,8 +119,11 @@ def following(batch: Batch, view: View, strict: bool = True) -> tuple[Problem, N
     meeting = rules.meeting(found, batch.corner, strict)
     if found is not None and meeting is not None:
         good &= meeting & (view.room(found.places) > 0)
+    if batch.face and strict:
+        room = batch.face.room(batch.problem.poses @ batch.estimate.X, batch.anchors, view)
+        good &= room > rules.SMALLEST_FACE * view.size[0]
     stations = np.flatnonzero(good)
-    return batch.problem.subset(stations), kept[stations]
+    return batch.subset(stations), kept[stations]
 
 
 def _on_target(batch: Batch) -> Batch:
@@ -132,7 +155,7 @@ def _least_step(A: Array, g: Array) -> Array:
 
 def _fitted(batch: Batch, view: View) -> tuple[Batch, Array]:
     """Return the batch with features cut to what is in the view, and the shares (n,) left."""
-    anchors = batch.places[:, None]
+    anchors = batch.anchors[:, None]
     offset = batch.points - anchors
     outward = np.maximum(offset @ view.normals.T, 1e-9)
     room = view.offsets - anchors @ view.normals.T

@@ -12,6 +12,8 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.linearise import Linear, points_in_base
 from handeye_ros.estimation.model import Method
+from handeye_ros.guidance.view import View
+from handeye_ros.targets.ends import EdgeObservations
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,7 @@ REFUSED = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gave no samp
 SMALLEST_CORNER = 0.6  # rad between two faces in a profile; the finder needs 0.26
 SMALLEST_COSINE = 0.5  # of the incidence on a face, where the prototype saw it so
 SHORTEST = 0.25  # of the length of a face that the prototype saw, beside the corner
+SMALLEST_FACE = 0.2  # of the view's width: how far a face goes on beside its edge, to be found
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +92,35 @@ def crossing_steeply(linear: Linear, count: int) -> NDArray[np.bool_]:
     least = np.sin(stricter(problem.config).sampling.min_crossing_angle)
     of_edges = np.isin(problem.observations.kind, edge_kinds(problem.method))
     return np.asarray((~of_edges | (steepness > least)).reshape(-1, count).all(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class FaceBeside:
+    """The face beside an edge: normal (3,), and the direction (3,) into it, across the edge."""
+
+    normal: Array
+    inward: Array
+
+    def room(self, poses: Array, points: Array, view: View) -> Array:
+        """Return how far (n,) the face goes on in the view from edge points (n, 2), m."""
+        along = np.cross(self.normal, poses[:, :3, 1])
+        along *= np.sign(along @ self.inward)[:, None]
+        plane = np.einsum('nij,ni->nj', poses[:, :3, :3], along)[:, [0, 2]]
+        plane /= np.maximum(np.linalg.norm(plane, axis=1), 1e-12)[:, None]
+        outward = np.maximum(plane @ view.normals.T, 1e-9)
+        return np.asarray(((view.offsets - points @ view.normals.T) / outward).min(axis=1))
+
+
+def face_beside(linear: Linear) -> FaceBeside | None:
+    """Return the face of a station that shows an edge alone; None where conditions hold it."""
+    problem, obs = linear.problem, linear.problem.observations
+    if not isinstance(obs, EdgeObservations) or len(obs) != 2 or np.ptp(obs.points, axis=0).any():
+        return None
+    outward = (problem.poses[obs.station[0]] @ linear.estimate.X)[:3, [0, 2]] @ obs.outward[0]
+    edge = np.cross(*linear.by_base)
+    normal = np.cross(edge, outward)
+    inward = np.cross(edge, normal)
+    return FaceBeside(normal, inward * -np.sign(inward @ outward))
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.guidance.candidates import anchor_of
+from handeye_ros.guidance.following import anchor_of
 from handeye_ros.guidance.limits import Limits, twist_of
 from handeye_ros.guidance.moves import noun
 from handeye_ros.guidance.view import View

@@ -11,8 +11,8 @@ from handeye_ros.targets.sphere import SPHERE
 from handeye_ros.targets.wedge import WEDGE
 
 OFFERED = (
-    'METHODS', 'common.ObservationRows', 'common.edge_noise', 'ends.edges_of',
-    'line', 'plate',
+    'METHODS', 'common.ObservationRows', 'common.edge_noise',
+    'ends.EdgeObservations', 'ends.edges_of', 'line', 'plate',
 )
 
 METHODS: dict[str, Method] = {

@@ -10,7 +10,8 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.advice import Advice, advise, judged, Proposal, ROUGHLY_KNOWN, Sigma
 from handeye_ros.guidance.budget import Cause
-from handeye_ros.guidance.candidates import anchor_of, prototypes, Search, SERVES
+from handeye_ros.guidance.candidates import prototypes, Search, SERVES
+from handeye_ros.guidance.following import anchor_of
 from handeye_ros.guidance.limits import limits_of, twist_of
 from handeye_ros.guidance.moves import design, next_move
 from handeye_ros.guidance.rules import visited
@@ -279,6 +280,22 @@ def test_the_face_is_looked_at_from_above(made: tuple[Cell, Solution]) -> None:
     assert len(T_target_sensor) > 20
     assert (T_target_sensor[:, 2, 3] > 0).all()
     assert (T_target_sensor[:, 2, 2] < -0.5).all()
+
+
+def test_an_edge_is_where_it_is_said_and_so_much_of_its_face_is_seen_that_it_is_found() -> None:
+    found = cell(replace(SCENARIOS['line'], stations=FEW['line']), 1)
+    searched = search((found, solved(found.problem)))
+    view, seen = searched.view.inner(), 0
+    for part in searched.draw(np.random.default_rng(5)):
+        for pose, place in zip(part.poses, part.places, strict=True):
+            T = sensor_poses(found, pose)
+            edge = T[:3, [0, 2]] @ place + T[:3, 3]
+            assert np.abs(edge[1:]).max() < 5e-3, 'the true edge is the x axis'
+            along = np.cross([0.0, 0.0, 1.0], T[:3, 1])  # the face is z = 0, y > 0
+            along = T[:3, [0, 2]].T @ (along * np.sign(along[1]))
+            assert view.room(place + 0.15 * view.size[0] * along / np.linalg.norm(along)) > 0
+            seen += 1
+    assert seen > 10
 
 
 def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() -> None:

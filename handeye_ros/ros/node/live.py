@@ -158,10 +158,10 @@ class LiveSession:
     def _derive(self) -> None:
         """Do what follows from the samples of now."""
         self.samples.extract_again()
-        self.reviewer.update()
-        if self._due:
+        if self._due:  # the answer first: after a restart somebody waits for it
             with suppress(DataError, InputError):  # it is reported by the state of the answer
                 self._compute(self.samples.judge_all)
+        self.reviewer.update()
 
     # what is asked; each returns what to say
 

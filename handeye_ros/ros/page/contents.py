@@ -13,7 +13,7 @@ from handeye_ros.diagnosis.snapshots import stop_snapshot
 from handeye_ros.errors import InputError
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import in_mount
-from handeye_ros.guidance.candidates import anchor_of
+from handeye_ros.guidance.following import anchor_of
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.rules import edge_kinds
 from handeye_ros.guidance.view import extremes

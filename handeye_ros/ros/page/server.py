@@ -165,6 +165,8 @@ class PageServer:
             return await handler(request)
         except web.HTTPException as error:
             return _sentence(error.status, error.reason.lower())
+        except ConnectionError:  # it went before all of the request had come
+            return _sentence(400, 'the connection is closed')
         finally:
             if connection in self._busy:
                 self._busy[connection] -= 1

@@ -215,6 +215,17 @@ def test_idle_connections_make_room_for_one_that_asks() -> None:
                 other.recv(1)
 
 
+def test_a_request_that_breaks_off_is_no_fault_of_the_node(
+        caplog: pytest.LogCaptureFixture) -> None:
+    with served() as (page, _):
+        with socket.create_connection(('127.0.0.1', page.guard.port)) as line:
+            line.sendall(b'POST /act/take HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n'
+                         b'Content-Type: application/json\r\n\r\n{')
+            assert asked(page, 'GET', '/')[0] == 200  # until then it is being read
+        assert asked(page, 'GET', '/')[0] == 200
+    assert 'Traceback' not in caplog.text
+
+
 def test_too_many_requests_are_refused() -> None:
     guard = Guard('127.0.0.1', 80)
     answers = [guard.refusal({'Host': 'localhost'}, '') for _ in range(int(3 * BURST))]

@@ -68,7 +68,11 @@ def again(live: LiveSession, **values: object) -> LiveSession:
     assert found
     other = LiveSession(config, Place(), SessionStore(Place().folder, found))
     other.restore(found.session(config), found.config)
+    reviewed = []
+    other.reviewer.on_change = lambda: reviewed.append(state_of(other).calibration.state)
     other.update()
+    assert 'none' not in reviewed or not state_of(other).calibration.translation, (
+        'the answer comes before the review')
     return other
 
 

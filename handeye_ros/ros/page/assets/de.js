@@ -68,6 +68,8 @@ PATTERNS.de = [
   [/points in view are known to ([\d.]+) mm \(1 sigma, ([\d.]+) wanted\)/g,
     'Punkte im Bild sind auf $1 mm bekannt (1 Sigma, gewünscht $2)'],
   [/of which ([\d.]+) mm is/g, 'davon $1 mm durch'],
+  [/(\d+) browsers look at this page: close one/g,
+    '$1 Browser zeigen diese Seite: bitte einen schließen'],
   [/one more sample would bring ([\d.]+) mm/g, 'mit einer weiteren Messung $1 mm'],
   [/more samples bring little/g, 'weitere Messungen bringen wenig'], [/\benough: /g, 'genug: '],
   [/take the first sample: hold the sensor square to the target, with the (\w+) in the middle of the view/g,

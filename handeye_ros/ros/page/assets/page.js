@@ -372,8 +372,10 @@ function connect() {
     text('link', label('the node does not answer; trying again'));
     if (events.readyState !== EventSource.CLOSED) return;
     setTimeout(connect, 2000);
-    const answer = await fetch('page.js').catch(() => null);
+    const answer = await fetch('events').catch(() => null);
     if (answer && answer.status === 401) location.reload();  // it asks for the token
+    else if (answer && answer.ok) answer.body.cancel();
+    else if (answer) text('link', said((await answer.json()).message));
   };
 }
 connect();
