@@ -3,8 +3,8 @@ The same samples under one changed assumption, and which of two explanations the
 
 Two explanations are compared by twice the logarithm of the Bayes factor, as the Schwarz criterion
 approximates it (Schwarz 1978, Ann. Statist. 6:461; Kass and Raftery 1995, J. Am. Stat. Assoc.
-90:773). With f degrees of freedom, u unknowns and the variance factor s, of which the noise scale
-is free upwards from what the configured noise allows, an explanation scores
+90:773). With m conditions, f degrees of freedom, u unknowns and the variance factor s, an
+explanation scores, (13),
 
     f (log v + s / v) + u log m + sum of the limits of what it leaves out,    v = max(s, SMALLEST)
 

@@ -2,7 +2,7 @@
 Whether sensor or target moved in the middle of a recording.
 
 Where the samples fit no answer, each part of the recording is fitted by itself. Where they do, a
-move after station k is one more term of the model, r = J xi + K n + D_k beta + e with the prior
+move after station k is one more term of the model, r + J xi + K n + D_k beta = e with the prior
 beta ~ N(0, S^2), linearised at the answer. Two tests have to agree. With and without the move,
 noise and scales are estimated again: else they stand for it. And the order of time has to show
 more than random orders of the same stations do: errors of a robot that the model does not hold
@@ -187,10 +187,10 @@ def _by_steps(solution: Solution) -> Array:
 @dataclass(frozen=True, eq=False)
 class _Steps:
     """
-    What the k + 1 parts of a recording between k changes say of steps, at a solution.
+    Sums over the parts of a recording between k possible moves, for (14), at a solution.
 
-    own: (k + 1, 12, 12) information on steps D of sensor and target; cross: (k + 1, q, 12) of
-    this what the unknowns of the solution take away; slope: (k + 1, 12) the gradient.
+    With the columns D of a move of sensor and target: own: (k + 1, 12, 12) D'D; cross:
+    (k + 1, q, 12) C^(1/2) A'D; slope: (k + 1, 12) D'e.
     """
 
     changes: NDArray[np.intp]

@@ -53,7 +53,7 @@ class _Still:
 
 
 def require_same_clock(session: Session, config: Config) -> None:
-    """Raise ClocksDifferError where samples that do not fit do so at another time."""
+    """Raise ClocksDifferError where the samples fit the poses of another time better."""
     seen = [part for outcome in session.outcomes if not outcome.refused
             and (part := _profiles(outcome.stop, config))]
     if len(seen) < targets.method_for(config).minimum:

@@ -65,10 +65,11 @@ def bending(points: Array, degrees: Sequence[int]) -> list[Array]:
 
 def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
     """
-    Return the motions (3, k) that serve the field of view best where it is bent as by bending.
+    Return the motion (3, k) of a plane that fits each bending of it best, for (9).
 
-    Along x and z, and the turn about the origin, less those that fit the points (m, 2) best. The
-    field is FIELD times the box of these, which are means of many and lie inside it.
+    Along x and z, and the turn about the origin: over the field of view, less the one that fits
+    the points (m, 2) best. The field is FIELD times the box of these, which are means of many and
+    lie inside it.
     """
     across = np.linspace(-FIELD, FIELD, GRID)
     u, v = (w.ravel() for w in np.meshgrid(across, across))

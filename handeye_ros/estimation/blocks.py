@@ -1,12 +1,12 @@
 """
 Blocks of nuisance parameters: what may be wrong beside the noise (docs/estimator.md, section 2).
 
-With residuals r = J xi + sum of K_b n_b + e, a block gives the columns K_b by its parameters, each
+With residuals r + J xi + sum of K_b n_b = e, a block gives the columns K_b by its parameters, each
 of a normal prior about nothing. How large they are, over that prior, is estimated (see scales).
 
 A new block is one more source: a function that gets the problem linearised at the first estimate,
 and returns a function that gives the blocks at any later one. Those of all targets are in SOURCES,
-those of a target in Method.blocks. What the poses depend on (a time offset, the joints of the
+those of a target in Method.nuisances. What the poses depend on (a time offset, the joints of the
 robot) comes with the problem instead, as a PoseModel:
 
     def poses_and_twists(values):  # (k,), so far 0
@@ -230,9 +230,9 @@ def best_fit_motions(linear: Linear, blocks: Sequence[ParameterBlock]) -> Array:
     return np.concatenate([np.zeros((6, 0)), *parts], axis=1)
 
 
-def pose_errors(problem: Problem, blocks: Sequence[ParameterBlock], values: Array) -> Array:
+def pose_corrections(problem: Problem, blocks: Sequence[ParameterBlock], values: Array) -> Array:
     """
-    Return the errors (n, 6) of the poses that blocks stand for.
+    Return the corrections (n, 6) of the reported poses that the blocks stand for.
 
     values: (q,) of the parameters of all blocks, one after the other, in their present sigmas; or
     (n, q), of each pose its own.

@@ -32,8 +32,8 @@ class Contamination:
     """
     The probability of each station being wrong, and by how much it then moves the transform.
 
-    probability: (n,); shifts: (n, 6), covariances: (n, 6, 6) of the transform if so, beyond that
-    if not; rest: (n,) the p-value of the squared residuals that then remain.
+    Of (10) probability: (n,) p_i; shifts: (n, 6) m_i; covariances: (n, 6, 6) S_i; rest:
+    (n,) the p-value of the squared residuals that then remain.
     """
 
     probability: Array
@@ -55,7 +55,7 @@ class Contamination:
 
     @property
     def covariance(self) -> Array:
-        """Return (6, 6) by what the covariance of the transform has to grow, (10)."""
+        """Return the term (6, 6) of the covariance of the transform, (10)."""
         moved = self.covariances + self.shifts[:, :, None] * self.shifts[:, None, :]
         return np.asarray(np.tensordot(self.probability, moved, 1))
 

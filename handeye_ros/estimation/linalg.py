@@ -49,10 +49,11 @@ def _diagonal(matrix: Array) -> Array:
 
 def from_information(N: Array, b: Array, units: Array, known: int) -> tuple[Array, Array]:
     """
-    Return the unknowns (p,), and their covariance (p, p), that make residuals small.
+    Return the solution -C b (p,) of normal equations, and its covariance C (p, p), as in (5).
 
-    N (p, p), b (p,): information and gradient of whitened residuals for unknowns of unit size;
-    units: (p,) by which they are larger; the last so many, known, have a prior of unit variance.
+    N (p, p), b (p,): information and gradient of whitened residuals; units: (p,) the units that
+    the solution is in, 1 for unknowns and tau for nuisance parameters; the last so many, known,
+    have a prior of unit variance in these.
     """
     diagonal = _diagonal(N) * units ** 2
     diagonal[len(b) - known:] += 1.0
@@ -66,7 +67,7 @@ def from_information(N: Array, b: Array, units: Array, known: int) -> tuple[Arra
 
 
 def covering(first: Array, second: Array) -> Array:
-    """Return the least covariance (k, k) of which neither of two has more in any direction."""
+    """Return the smallest covariance (k, k) that no one of two exceeds in any direction, (8)."""
     std = np.sqrt(np.diag(first))
     values, vectors = np.linalg.eigh(first / np.outer(std, std))
     roots = np.sqrt(np.maximum(values, FREE))

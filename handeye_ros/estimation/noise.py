@@ -3,7 +3,7 @@ What the noise makes of the residuals: their covariances, and the map that makes
 
 The error of a condition has two parts: the feature's own, and that of the station's pose, which
 all observations of the station share. Both are whitened together. Blocks, which all stations
-share, are unknowns of the solution (see mixed); while it is searched for they count as errors
+share, are unknowns of the solution (see posterior); while it is searched for they count as errors
 of each station by itself.
 """
 from __future__ import annotations
@@ -27,11 +27,11 @@ ROUNDING = 1e-12  # keeps a covariance invertible that one pose error rules
 @dataclass(frozen=True)
 class Noise:
     """
-    Scale factors on the configured variances.
+    Factors on the configured variances, those of (3), and the scales of blocks.
 
-    feature, feature_2: on the features' own, by their component; local: on the share of the
-    distortion that is each station's own; robot: on the pose noise; scales: on the parameters of
-    each block, by its name; lumped: whether blocks count as errors of each station here.
+    feature, feature_2: of the features' own error, by their component; local: of the distortion
+    that differs from station to station; robot: of the pose noise; scales: tau^2 of each block,
+    by its name; lumped: whether blocks count as errors of each station here.
     """
 
     feature: float = 1.0

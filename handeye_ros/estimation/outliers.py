@@ -53,7 +53,7 @@ def leave_own_out(predicted_covariance: Array, white: Array) -> Array:
     """
     Return leave-one-out residuals (s, c) of blocks, to first order, (12).
 
-    white: (s, c) against that of all; seen: (s, c, c) the covariance of what that explains.
+    predicted_covariance: (s, c, c) H_i; white: (s, c) the residuals e_i of the fit to all.
     """
     # what a block fixes alone is not to be divided by zero
     regular = (1 + ROUNDING) * np.eye(predicted_covariance.shape[1]) - predicted_covariance

@@ -1,8 +1,8 @@
 """
 The maximum a posteriori estimate with all blocks of nuisance parameters (estimator.md, section 3).
 
-With whitened residuals r = J u + K n + e, parameters n and noise e of unit variance, the least
-squares of [J K; 0 I] give the best linear unbiased u (Henderson 1975, Biometrics 31:423). The
+With whitened residuals r + J xi + K n = e, parameters n and noise e of unit variance, the least
+squares of [J K; 0 I] give the best linear unbiased xi (Henderson 1975, Biometrics 31:423). The
 variances of the noise are estimated by restricted maximum likelihood in multiplicative fixed-point
 steps (Patterson and Thompson 1971, Biometrika 58:545), held to the configured ones by a weak
 prior; how large the parameters are, from prior and likelihood (see scales).

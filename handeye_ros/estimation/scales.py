@@ -51,9 +51,9 @@ class Scales:
     """
     The prior scales of d blocks, as variances over the configured ones.
 
-    before: (d,) their variances so far; evidence: (s, d) logarithm of how likely the data are,
-    were a block of each of SCALES; fitted, square: (s, d) what they then are, without and with
-    what is not known of them; alone: (d,) whether they are of one unknown.
+    before: (d,) their variances so far; evidence: (s, d) log likelihood (6) at each of SCALES;
+    fitted: (s, d) the gain, the first term of (6); square: (s, d) sum of the second moments of the
+    parameters there; alone: (d,) whether a block has one parameter only.
     """
 
     before: Array

@@ -6,7 +6,7 @@ from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.blocks import best_fit_motions, ParameterBlock, pose_errors
+from handeye_ros.estimation.blocks import best_fit_motions, ParameterBlock, pose_corrections
 from handeye_ros.estimation.linalg import covariance_of, covering
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate
@@ -69,10 +69,10 @@ class Solution:
     An estimate with what the data says of it.
 
     white: whitened residuals (m,) without what the blocks explain; columns: whitened derivatives
-    by u unknowns, X's six first, then by q nuisance parameters in sigmas; covariance: C of (5),
-    infinite variances cut at LARGEST_STD; nuisance: (q,) estimates; blocks: with their sigmas as
-    estimated; conservative: the solution at conservative scales, which moves the estimate further
-    than it should, but says how uncertain it is; contamination: (6, 6) of (10).
+    by u unknowns, X's six first, then by q nuisance parameters in sigmas; covariance: C of (5) for
+    both, infinite variances cut at LARGEST_STD; nuisance: (q,) estimates; blocks: their sigmas are
+    tau times the configured; conservative: the solution at conservative scales, which moves the
+    estimate further than it should, but says how uncertain it is; contamination: (6, 6) of (10).
     """
 
     problem: Problem
@@ -228,7 +228,7 @@ def corrected_poses(solution: Solution, nuisance: Array | None = None) -> Array:
     # what retracts is in the poses already
     inside = [np.full(b.count, float(b.retract is not None)) for b in solution.blocks]
     values = (found if nuisance is None else nuisance) - found * np.concatenate([[], *inside])
-    errors, T = pose_errors(problem, solution.blocks, values), problem.robot_poses
+    errors, T = pose_corrections(problem, solution.blocks, values), problem.robot_poses
     corrected = se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
                               T[:, :3, 3] + errors[:, :3])
     return corrected if problem.in_hand else se3.inverse(corrected)
