@@ -56,14 +56,15 @@ class Answer:
         quality = found.quality
         return CalibrationState(
             OUTDATED if changes else CURRENT, calibration_summary(found) + changes,
-            found.parent_frame, found.child_frame, _plain(T[:3, 3]), _plain(se3.quaternion(T)),
-            _plain(se3.rpy(T)), _plain(np.sqrt(np.diag(found.covariance))),
+            found.parent_frame, found.child_frame, plain(T[:3, 3]), plain(se3.quaternion(T)),
+            plain(se3.rpy(T)), plain(np.sqrt(np.diag(found.covariance))),
             quality.residual_rms, quality.holdout_rms, quality.samples_used,
             quality.samples_rejected,
             self._saved[1] if self._saved and self._saved[0] is found else '')
 
 
-def _plain(values: object) -> tuple[float, ...]:
+def plain(values: object) -> tuple[float, ...]:
+    """Return numbers that JSON and messages take."""
     return tuple(float(value) for value in np.asarray(values))
 
 

@@ -74,9 +74,9 @@ def current_markers(current: Current | None, calibration: Calibration | None, co
                                          ('feature', FOUND, 2 * DOT, _spots(current.features))):
             if len(plane):
                 found.append(_points(name, color, se3.apply(T, in_sensor(plane, config)), size))
-        ends = _ends(current.features)
-        if len(ends):
-            found.append(_lines('feature', FOUND, se3.apply(T, in_sensor(ends, config))))
+        lines = ends(current.features)
+        if len(lines):
+            found.append(_lines('feature', FOUND, se3.apply(T, in_sensor(lines, config))))
         found += _sensor(T, calibration)
     return _array(found, config)
 
@@ -87,16 +87,16 @@ def _seen(samples: Sequence[Seen], poses: Sequence[Array], calibration: Calibrat
     T_sensors = [T @ calibration.T_flange_sensor for T in poses]
     spots = [se3.apply(T, in_sensor(_spots(seen.sample.features), config))
              for seen, T in zip(samples, T_sensors, strict=True)]
-    ends = [se3.apply(T, in_sensor(_ends(seen.sample.features), config))
-            for seen, T in zip(samples, T_sensors, strict=True)]
-    near = np.concatenate([*spots, *ends]) if samples else np.empty((0, 3))
+    lines = [se3.apply(T, in_sensor(ends(seen.sample.features), config))
+             for seen, T in zip(samples, T_sensors, strict=True)]
+    near = np.concatenate([*spots, *lines]) if samples else np.empty((0, 3))
     found = _target(calibration.target, config, near)
     if len(near):
         scale = WORST * stated_noise(config.noise, ARM)
         found.append(_points('samples', UNKNOWN, np.concatenate(spots), DOT, [
             _by_residual(seen.residual, scale) for seen, points in zip(samples, spots, strict=True)
             for _ in points]))
-        found.append(_lines('face lines', LINES, np.concatenate(ends)))
+        found.append(_lines('face lines', LINES, np.concatenate(lines)))
         found += [_text('numbers at the target', f'{seen.number}{_residual_label(seen.residual)}',
                         points.mean(axis=0), _by_residual(seen.residual, scale))
                   for seen, points in zip(samples, spots, strict=True) if len(points)]
@@ -149,7 +149,7 @@ def _spots(features: Iterable[Feature]) -> Array:
     return np.array((edges or faces) + arcs).reshape(-1, 2)
 
 
-def _ends(features: Iterable[Feature]) -> Array:
+def ends(features: Iterable[Feature]) -> Array:
     """Return two points (2, 2) for each face line, two spreads from its centre."""
     return np.array([f.centre + side * f.spread * f.direction for f in features
                      if isinstance(f, FaceLine) for side in (-2, 2)]).reshape(-1, 2)
@@ -176,7 +176,7 @@ def _lines(name: str, color: ColorRGBA, points: Array, width: float = LINE) -> M
 def _text(name: str, text: str, place: Array, color: ColorRGBA) -> Marker:
     marker = _marker(name, Marker.TEXT_VIEW_FACING, color, (0.0, 0.0, TEXT))
     marker.text = text
-    _put(marker.pose.position, 'xyz', place + [0.0, 0.0, TEXT])
+    put(marker.pose.position, 'xyz', place + [0.0, 0.0, TEXT])
     return marker
 
 
@@ -186,23 +186,24 @@ def _ellipsoid(name: str, color: ColorRGBA, centre: Array, axes: Array) -> Marke
     R = axes / np.maximum(lengths, 1e-12)
     R[:, 2] = np.cross(R[:, 0], R[:, 1])
     marker = _marker(name, Marker.SPHERE, color, np.maximum(2 * lengths, 1e-6))
-    _put(marker.pose.position, 'xyz', centre)
-    _put(marker.pose.orientation, 'xyzw', se3.quaternion(se3.transform(R, centre)))
+    put(marker.pose.position, 'xyz', centre)
+    put(marker.pose.orientation, 'xyzw', se3.quaternion(se3.transform(R, centre)))
     return marker
 
 
 def _marker(name: str, kind: int, color: ColorRGBA, scale: Iterable[float]) -> Marker:
     marker = Marker(type=kind, action=Marker.ADD, color=color, ns=name)
     marker.pose.orientation.w = 1.0
-    _put(marker.scale, 'xyz', scale)
+    put(marker.scale, 'xyz', scale)
     return marker
 
 
 def _messages(points: Array) -> list[Point]:
-    return [_put(Point(), 'xyz', point) for point in points]
+    return [put(Point(), 'xyz', point) for point in points]
 
 
-def _put(msg: Any, names: str, values: Iterable[float]) -> Any:
+def put(msg: Any, names: str, values: Iterable[float]) -> Any:
+    """Set the fields of these names, one letter each; return the message."""
     for name, value in zip(names, values, strict=True):
         setattr(msg, name, float(value))
     return msg

@@ -4,11 +4,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from handeye_ros import se3
-from handeye_ros.data import Array
 from handeye_ros.diagnosis.review import Agreement
 from handeye_ros.diagnosis.summaries import late_sentence, sample_summary
 from handeye_ros.guidance.advice import Advice
 from handeye_ros.output import folder_name
+from handeye_ros.ros.node.answer import plain
 from handeye_ros.ros.node.live import LiveSession, stamps_of
 from handeye_ros.ros.node.reviewer import Reviewer
 from handeye_ros.sampling.session import Session
@@ -64,8 +64,8 @@ def _guidance(advice: Advice | None, sample: int) -> GuidanceState | None:
     after = f'after sample {sample}: ' if sample else ''
     return GuidanceState(
         sample, after + advice.text, advice.sentences, advice.enough, advice.why, sigmas,
-        _plain(pose.T_base_flange[:3, 3]) if pose else None,
-        _plain(se3.quaternion(pose.T_base_flange)) if pose else None, pose.std if pose else None)
+        plain(pose.T_base_flange[:3, 3]) if pose else None,
+        plain(se3.quaternion(pose.T_base_flange)) if pose else None, pose.std if pose else None)
 
 
 def _agreements(reviewer: Reviewer) -> dict[int, Agreement]:
@@ -121,8 +121,4 @@ def _sample(outcome: Outcome, session: Session, agreement: Agreement | None) -> 
         outcome.number, sample.stamp, True, excluded,
         not excluded and (agreement is None or agreement.used), text,
         agreement.residual if agreement else None, agreement.left_out if agreement else None,
-        _plain(T[:3, 3]), _plain(se3.quaternion(T)))
-
-
-def _plain(values: Array) -> tuple[float, ...]:
-    return tuple(map(float, values))
+        plain(T[:3, 3]), plain(se3.quaternion(T)))

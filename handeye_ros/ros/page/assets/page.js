@@ -49,7 +49,7 @@ function show(state) {
   $('choose').hidden = flows(state.profiles) && flows(state.poses) || state.samples.some(s => s.taken);
   text('trouble', troubles.map(said).join('; '));
   text('review', [state.review, ...state.session.notes].filter(Boolean).map(said).join('; '));
-  text('link', said(state.session.working) || label({ still: 'a sample is taken at every stop',
+  text('link', said(state.session.working || state.verification.running) || label({ still: 'a sample is taken at every stop',
     manual: 'samples are taken by hand', moving: 'samples are taken while the robot moves',
   }[state.session.mode]));
   const mode = document.querySelector(`[name=mode][value=${state.session.mode}]`);
