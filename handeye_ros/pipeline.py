@@ -121,9 +121,9 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     ordered, rejects = moved.samples, [*rejects, *at_border, *moved.rejects]
     agreed, solution = estimate(ordered, rejects, config, moved.estimate)
     require_judged(agreed)
+    warning = moved_slightly(agreed)  # before: what it finds makes an answer uncertain too
     require_certain(agreed, config)
     require_edges(agreed)
-    warning = moved_slightly(agreed)
     calibration = describe_calibration(ordered, rejects, agreed, solution, config, frame_id)
     if warning:
         calibration = with_warnings(calibration, [warning])

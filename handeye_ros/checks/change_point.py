@@ -23,7 +23,7 @@ from handeye_ros.checks.alternatives import (
     require_stated,
     VERY_STRONG,
 )
-from handeye_ros.checks.errors import MovedError
+from handeye_ros.checks.errors import MovedError, SmallMoveError
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import ParameterBlock
@@ -86,13 +86,13 @@ def moved_slightly(agreed: Consensus) -> str:
     """
     Return what may have moved a little, and when, as a warning; '' where nothing did.
 
-    Raises MovedError where the evidence is decisive.
+    Raises SmallMoveError where the evidence is decisive.
     """
     found = change_point(agreed.solution)
     if found is None:
         return ''
     config = agreed.whole.config
-    refusal = MovedError.slightly(
+    refusal = SmallMoveError(
         int(agreed.used[found.station]), len(agreed.whole.poses), found.sensor,
         mount_frame(config) if found.sensor else target_frame(config),
         float(np.linalg.norm(found.step[:3])), float(np.linalg.norm(found.step[3:])))

@@ -140,15 +140,18 @@ class MovedError(DataError):
                    f'{frame} became another frame (tool or base of the robot switched); fix the '
                    'target, and take all samples with the same')
 
-    @classmethod
-    def slightly(cls, station: int, total: int, sensor: bool, frame: str, distance: float,
-                 turn: float) -> MovedError:
-        """Return the error for a small move that the samples show (metres, radians)."""
+
+class SmallMoveError(MovedError, NamedCauseError):
+    """A small move that the samples show (metres, radians)."""
+
+    def __init__(self, station: int, total: int, sensor: bool, frame: str, distance: float,
+                 turn: float) -> None:
         what = 'sensor' if sensor else 'target'
-        return cls(f'after the first {station} of {total} samples the {what} seems to have moved '
-                   f'in {frame} by about {mm(distance)} and {degrees(turn)}, or the tool or base '
-                   'of the robot was switched: check that it is fixed firmly, and take all '
-                   'samples again')
+        super().__init__(
+            f'after the first {station} of {total} samples the {what} seems to have moved '
+            f'in {frame} by about {mm(distance)} and {degrees(turn)}, or the tool or base '
+            'of the robot was switched: check that it is fixed firmly, and take all '
+            'samples again')
 
 
 def _parted(station: int, total: int) -> str:
