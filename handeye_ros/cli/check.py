@@ -1,6 +1,6 @@
-"""The verb that tells whether a calibration still holds."""
+"""The verb that tells whether a calibration still holds, and how several went through time."""
 from pathlib import Path
-from typing import Annotated, TYPE_CHECKING
+from typing import Annotated, Optional, TYPE_CHECKING
 
 from handeye_ros.cli.app import app
 from handeye_ros.cli.common import (
@@ -20,28 +20,51 @@ if TYPE_CHECKING:
     from handeye_ros.verification.check import Check
 
 CHANGED = 1  # exit code: a recording was checked, and something is not as it was
-Bags = Annotated[list[Path], typer.Argument(
-    metavar='BAG...', help='Short recordings of the same target, the oldest first.')]
-Against = Annotated[Path, typer.Option(
+SomeBags = Annotated[Optional[list[Path]], typer.Argument(  # noqa: UP045 - see common.py
+    metavar='[BAG]...', help='Short recordings of the same target, the oldest first.')]
+Against = Annotated[NoPath, typer.Option(
     metavar='FILE', help='The calibration.yaml that is to be checked.')]
+Folder = Annotated[NoPath, typer.Option(
+    metavar='DIR', help='Show the trend of the calibrations below this folder.')]
+Picture = Annotated[NoPath, typer.Option(
+    metavar='FILE', help='Draw the trend of the folder (needs matplotlib).')]
+Csv = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the trend as CSV.')]
 Out = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the checks as YAML too.')]
 
 
 @app.command()
 def check(
-    bags: Bags,
-    against: Against,
+    bags: SomeBags = None,
+    against: Against = None,
     config: MeasureConfig = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
     kinematics: KinematicsFile = None,
+    folder: Folder = None,
+    picture: Picture = None,
+    csv: Csv = None,
     out: Out = None,
 ) -> None:
     """Check whether a calibration still holds: exit code 0 only where nothing changed, 1 if so."""
+    from handeye_ros.verification.errors import NothingToCheckError
+    if not (bags and against or folder):
+        raise NothingToCheckError
+    assignments = with_kinematics(assignments, kinematics)
+    changed = (_check_bags(bags, against, config, assignments, out) if bags and against
+               else False)
+    if folder:
+        from handeye_ros.cli.trend import trend
+        trend(folder, against, picture, csv)
+    if changed:
+        raise typer.Exit(CHANGED)
+
+
+def _check_bags(bags: list[Path], against: Path, config: Path | None, assignments: list[str],
+                out: Path | None) -> bool:
+    """Return whether a recording shows a change."""
     from handeye_ros.output import write_whole
     from handeye_ros.verification import check as checking
     import yaml
-    calibration, settings = calibrated(against, config,
-                                       with_kinematics(assignments, kinematics))
+    calibration, settings = calibrated(against, config, assignments)
     checks: list[tuple[str, Check]] = []
     for bag in bags:
         found = _checked(bag, calibration, settings)
@@ -53,8 +76,7 @@ def check(
         typer.echo(f'since {changed[0]}')
     if out:
         write_whole(out, yaml.safe_dump(checking.values(checks, str(against)), sort_keys=False))
-    if changed:
-        raise typer.Exit(CHANGED)
+    return bool(changed)
 
 
 def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Check':

@@ -129,6 +129,14 @@ class NoCheckError(InputError):
             f'{", ".join(known)}, or measure a known object with "handeye verify"')
 
 
+class NothingToCheckError(InputError):
+    """A check without what it needs."""
+
+    def __init__(self) -> None:
+        super().__init__('say what to check: "handeye check BAG... --against calibration.yaml", '
+                         'or --folder DIR for the trend of many calibrations')
+
+
 class NoTrendError(DataError):
     """A folder with too few calibrations to compare."""
 

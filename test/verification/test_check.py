@@ -197,8 +197,11 @@ def test_the_verb_on_recordings_and_a_folder(tmp_path):
     run = handeye('check', 'today', 'today', '--against', 'b/calibration.yaml', cwd=tmp_path)
     assert run.returncode == 1, run.stderr
     assert 'UNCHANGED' not in run.stdout and run.stdout.endswith('since today\n')
-    run = handeye('trend', '.', '--picture', 't.png', '--csv', 't.csv', cwd=tmp_path)
+    run = handeye('check', '--folder', '.', '--picture', 't.png', '--csv', 't.csv',
+                  cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     assert 'CHANGED' in run.stdout and (tmp_path / 't.png').stat().st_size > 1000
     assert (tmp_path / 't.csv').read_text().startswith('recorded,path,x,')
+    assert_refused(handeye('check', 'today', cwd=tmp_path), 2, '--against')
+    assert_refused(handeye('check', '--folder', 'today', cwd=tmp_path), 3, 'today')
     assert_refused(handeye('trend', 'today', cwd=tmp_path), 3, 'today')
