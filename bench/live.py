@@ -2,14 +2,15 @@
 """
 How many profiles a second the node takes without loss, and at what cost, beside an empty one.
 
-usage: python bench/live.py [--rates 1000 2000 3000 4000] [--seconds 10] [--stops]
+usage: python bench/live.py [--rates 1000 2000 3000 4000] [--seconds 10] [--stops | --sweep]
 
 Publishes profiles of 1280 points (15 kB, best effort) and poses at 125 Hz from a process of its
 own, to an empty rclpy subscriber of both topics and to the node, one after the other. Prints for
 each rate what was lost, the processor time per profile and the resident memory, and their ratios.
 The robot moves all the time; with --stops it stands for 1 s of each 1.5 s, the stops are
-extracted, and the calibration is computed again and again meanwhile. Needs ROS; on a domain of
-its own (ROS_DOMAIN_ID).
+extracted, and the calibration is computed again and again meanwhile. With --sweep it sweeps over a
+ball, the node samples in mode moving, and calibrates at the end. Needs ROS; on a domain of its own
+(ROS_DOMAIN_ID).
 """
 from __future__ import annotations
 
@@ -30,6 +31,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.ros.bags.bag_write import LAYOUTS, serialised
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 POSES = 125.0  # a second
@@ -67,7 +69,7 @@ except BaseException:
 """
 
 
-def publish(rate: float, seconds: float, cycle: float) -> None:
+def publish(rate: float, seconds: float, scene: Scene | Sweep) -> None:
     """Publish as a driver and a robot do; print how many profiles were sent."""
     from geometry_msgs.msg import PoseStamped
     import rclpy
@@ -82,7 +84,6 @@ def publish(rate: float, seconds: float, cycle: float) -> None:
     while not (profiles.get_subscription_count() and poses.get_subscription_count()):
         time.sleep(0.05)
     time.sleep(1.0)
-    scene = Scene(cycle)
     start, sent, posed = time.time_ns(), 0, 0
     while (now := time.time_ns() - start) < seconds * 1e9:
         # after a while in which the machine stood still, it catches up at twice the rate: more at
@@ -107,6 +108,36 @@ def stamped(message: bytes, stamp: int) -> bytes:
     return message[:4] + struct.pack('<iI', *divmod(stamp, 1_000_000_000)) + message[12:]
 
 
+def places(rng: np.random.Generator, turn: float) -> Array:
+    """Return where the sphere is in the sensor's frame, and how this is turned (PLACES, 6)."""
+    return np.column_stack([rng.uniform(-0.01, 0.01, (PLACES, 2)), rng.uniform(0.22, 0.26, PLACES),
+                            rng.uniform(-1, 1, (PLACES, 3)) * [turn, 0.4, 0.4]])
+
+
+def flange_of(place: Array) -> tuple[Array, Array]:
+    """Return translation and quaternion of the flange from which the sphere is at a place (6,)."""
+    turn = DOWN @ Rotation.from_euler('ZXY', place[3:]).as_matrix()
+    T = se3.transform(turn, BALL - turn @ place[:3]) @ se3.inverse(T_FLANGE_SENSOR)
+    return T[:3, 3], se3.quaternion(T)
+
+
+class Sweep:
+    """A sphere, and a robot that sweeps over it, a place every 1.5 s, without stops."""
+
+    def __init__(self) -> None:
+        """Draw the places."""
+        self._rng = np.random.default_rng(0)
+        self._curve = CubicSpline(1.5 * np.arange(PLACES), places(self._rng, 0.7))
+
+    def cloud(self, t: float) -> bytes:
+        """Return the message of the profile at a time t (s)."""
+        return cloud_of(self._curve(t)[:3], self._rng)
+
+    def pose(self, stamp: int, t: float) -> TimedPose:
+        """Return where the robot is."""
+        return TimedPose(stamp, *flange_of(self._curve(t)))
+
+
 class Scene:
     """A sphere, and a robot that goes round it; cycle: s from stop to stop, 0 for no stops."""
 
@@ -114,16 +145,9 @@ class Scene:
         """Draw the places, and what is seen at each."""
         rng = np.random.default_rng(0)
         self._cycle = cycle
-        self._poses = []
-        self._clouds = []
-        for _ in range(PLACES):
-            # where the sphere is in the frame of the sensor, and how this is turned
-            centre = np.array([*rng.uniform(-0.01, 0.01, 2), rng.uniform(0.22, 0.26)])
-            turn = Rotation.from_euler('ZXY', rng.uniform(-1, 1, 3) * [1.5, 0.4, 0.4]).as_matrix()
-            turn = DOWN @ turn
-            T = se3.transform(turn, BALL - turn @ centre) @ se3.inverse(T_FLANGE_SENSOR)
-            self._poses.append((T[:3, 3], se3.quaternion(T)))
-            self._clouds.append(cloud_of(centre, rng))
+        drawn = places(rng, 1.5)
+        self._poses = [flange_of(place) for place in drawn]
+        self._clouds = [cloud_of(place[:3], rng) for place in drawn]
 
     def cloud(self, t: float) -> bytes:
         """Return the message of the profile at a time t (s)."""
@@ -193,6 +217,7 @@ class Watcher:
         self._solve = self._node.create_client(Trigger, '/handeye/compute_calibration')
         self._asked: Any = None
         self.solves = self.refused = 0
+        self.answer = ''
 
     def _on_state(self, msg: Any) -> None:
         self._state = {pair.key: pair.value for status in msg.status for pair in status.values}
@@ -215,7 +240,8 @@ class Watcher:
             rclpy.spin_once(self._node, timeout_sec=0.1)
             if solving and (self._asked is None or self._asked.done()):
                 if self._asked is not None:
-                    solved = self._asked.result().success
+                    result = self._asked.result()
+                    self.answer, solved = result.message, result.success
                     self.solves, self.refused = self.solves + solved, self.refused + (not solved)
                 self._asked = self._solve.call_async(Trigger.Request())
 
@@ -223,17 +249,20 @@ class Watcher:
 def run(kind: str, rate: float, options: argparse.Namespace, watcher: Watcher
         ) -> tuple[float, float, float, float]:
     """Return rate sent, share lost, processor ms per profile and memory (MB) of a listener."""
-    with tempfile.TemporaryDirectory() as folder, listener(kind, folder) as (process, log):
+    mode = ['sampling.mode:=moving'] if options.sweep else []
+    with (tempfile.TemporaryDirectory() as folder,
+          listener(kind, folder, *mode) as (process, log)):
         watcher.wait(3.0, False)
         arguments = ['--publish', str(rate), '--seconds', str(options.seconds)]
         before, _ = usage(process.pid)
         arguments += ['--stops', '--cycle', str(options.cycle)] if options.stops else []
+        arguments += ['--sweep'] if options.sweep else []
         with subprocess.Popen([sys.executable, HERE, *arguments], stdout=subprocess.PIPE,
                               text=True) as driver:
             while driver.poll() is None and process.poll() is None:
                 watcher.wait(0.2, options.stops and kind == 'node')
             sent = int(driver.stdout.read())
-        watcher.wait(4.0, False)
+        watcher.wait(4.0, options.sweep and kind == 'node')
         after, memory = usage(process.pid)
         got = watcher.count() if kind == 'node' else int(log.read_text().split()[-1])
     return sent / options.seconds, 1 - got / sent, 1e3 * (after - before) / max(1, got), memory
@@ -245,11 +274,13 @@ def main() -> None:
     parser.add_argument('--rates', type=float, nargs='+', default=[1000, 2000, 3000, 4000])
     parser.add_argument('--seconds', type=float, default=10.0)
     parser.add_argument('--stops', action='store_true')
+    parser.add_argument('--sweep', action='store_true')
     parser.add_argument('--cycle', type=float, default=1.5, help='s from stop to stop')
     parser.add_argument('--publish', type=float, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.publish:
-        publish(options.publish, options.seconds, options.cycle if options.stops else 0.0)
+        publish(options.publish, options.seconds,
+                Sweep() if options.sweep else Scene(options.cycle if options.stops else 0.0))
         return
     watcher = Watcher()
     for rate in options.rates:
@@ -263,6 +294,8 @@ def main() -> None:
               'processor time of the empty one', flush=True)
         if options.stops:
             print(f'meanwhile {watcher.solves} solves, {watcher.refused} refused', flush=True)
+        if options.sweep:
+            print(watcher.answer, flush=True)
 
 
 if __name__ == '__main__':
