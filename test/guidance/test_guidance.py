@@ -304,7 +304,7 @@ def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() 
                          'test')
     _, solution = pipeline.estimate(found.samples, (), config)
     told = advise(found.samples, config, solution)
-    assert 'as configured (noise.robot_scale)' in told.why and not told.enough
+    assert 'as configured (noise.robot_scale)' in told.why and told.enough
 
 
 @pytest.mark.parametrize(('count', 'gain', 'enough'), [
