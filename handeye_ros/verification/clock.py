@@ -15,11 +15,13 @@ from handeye_ros.verification.fixed_fit import points_in_base
 from handeye_ros.verification.routines import Routine
 from handeye_ros.verification.shapes import derivatives, Seen
 import numpy as np
+from numpy.typing import NDArray
 
 SURE = 4.0  # sigmas of a change
 SMALLEST = 1e-4  # s: of no matter to a scan
 MOST = 60  # samples of a sweep
-OUTLIER = 4.0  # robust scatters of the points
+OUTLIER, FOREIGN = 4.0, 20.0  # robust scatters of the points: not counted; of another surface
+ROUNDS = 4  # of fits without the outliers of the one before
 TOGETHER = 1_000_000_000  # ns, over which residuals are not independent
 
 
@@ -28,44 +30,55 @@ def at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibration
     """
     Return samples of a robot that moves with the poses of the time offset that fits best.
 
-    X: (4, 4) sensor plane in the mount. And whether the offset is that of the calibration, in
+    X: (4, 4) sensor plane in the mount. Without those that show another surface or edge: single
+    profiles do where a stop would not. And whether the offset is that of the calibration, in
     words.
     """
     samples = single_samples(samples)
     samples = [samples[i] for i in evenly_chosen(len(samples), MOST)]
     poses = mounted(samples, config)
     seen = Seen(poses, routine.observe(samples, poses, X))
-    offset, std = _fitted(routine, samples, seen, X, config)
+    offset, std, foreign = _fitted(routine, samples, seen, X, config)
     T = Pairing.of(samples).at(offset).T_base_flange
     now = TimeOffset(config.time_offset + offset, std)
     before = calibration.time_offset or TimeOffset(config.time_offset, 0.0)
-    return ([replace(s, T_base_flange=t, motion=None) for s, t in zip(samples, T, strict=True)],
-            compared(now, before)[1])
+    says = compared(now, before)[1]
+    if foreign.any():
+        says += f'; {foreign.sum()} of {len(samples)} profiles show another surface'
+    return [replace(sample, T_base_flange=pose, motion=None) for sample, pose, out in
+            zip(samples, T, foreign, strict=True) if not out], says
 
 
 def _fitted(routine: Routine, samples: Sequence[Sample], seen: Seen, X: Array, config: Config
-            ) -> tuple[float, float]:
-    """Return the offset with which the shape of a routine fits best, and its 1 sigma (s)."""
+            ) -> tuple[float, float, NDArray[np.bool_]]:
+    """
+    Return the offset with which the shape of a routine fits best, and its 1 sigma (s).
+
+    And which samples (n,) hold a point of something else.
+    """
     pairing, obs = Pairing.of(samples), seen.observations
     _, shape = routine.shape(seen, points_in_base(seen, X), config.verify)
-    kept = np.ones(len(obs.station), dtype=bool)
 
     def distances(x: Array) -> Array:
         poses = in_mount(pairing.at(x[-1]).T_base_flange, config)
         points = points_in_base(replace(seen, poses=poses), X)
-        return shape.distance(points, obs.kind, x[:-1])[kept]
+        return shape.distance(points, obs.kind, x[:-1])
 
-    def fitted(x: Array) -> Array:
+    def fitted(x: Array, kept: NDArray[np.bool_]) -> Array:
         return least_squares(System(lambda at: Rows(
-            distances(at), lambda: derivatives(distances, at), lambda: as_they_are), np.add,
-            np.zeros(int(kept.sum()), dtype=np.intp)), x)
+            distances(at)[kept], lambda: derivatives(distances, at)[kept], lambda: as_they_are),
+            np.add, np.zeros(int(kept.sum()), dtype=np.intp)), x)
 
-    first = fitted(np.append(shape.start, 0.0))
-    away = np.abs(distances(first))
-    kept = away <= OUTLIER * 1.4826 * np.median(away)
-    x = fitted(first)
+    x, kept = np.append(shape.start, 0.0), np.ones(len(obs.station), dtype=bool)
+    for _ in range(ROUNDS):
+        x = fitted(x, kept)
+        away = np.abs(distances(x))
+        kept = away <= OUTLIER * 1.4826 * np.median(away)
     stamps = np.array([sample.stamp for sample in samples])[obs.station[kept]]
-    return float(x[-1]), _grouped_std(distances(x), derivatives(distances, x), stamps // TOGETHER)
+    std = _grouped_std(distances(x)[kept], derivatives(distances, x)[kept], stamps // TOGETHER)
+    foreign = np.zeros(len(samples), dtype=bool)
+    foreign[obs.station[away > FOREIGN * 1.4826 * np.median(away)]] = True
+    return float(x[-1]), std, foreign
 
 
 def compared(now: TimeOffset, before: TimeOffset) -> tuple[bool, str]:

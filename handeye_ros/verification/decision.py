@@ -82,7 +82,7 @@ def decide(found: FixedFit, weakest: Sensitivity, quantities: Sequence[Quantity]
         return 'insensitive', (
             f'an error of the calibration would show only from {mm(weakest.size)} on '
             f'({weakest.direction}), and the tolerance is {mm(limits.tolerance)}: turn the sensor '
-            f'more between the stops, or measure at about {more} stops like these', *notes)
+            'more between the stops' + _or_measure(more, used, ', or'), *notes)
     unsure = _unsure(quantities, limits, used) + _suggested(found, weakest, limits)
     return ('undecided', (*unsure, *notes)) if unsure else ('pass', notes)
 
@@ -138,8 +138,13 @@ def _unsure(quantities: Sequence[Quantity], limits: VerifyConfig, used: int) -> 
             f'{q.name} is off by {shown(q.error, q.unit)}, its uncertainty is '
             f'{shown(q.expanded, q.unit)} (k = {K:g}), and together they exceed the tolerance '
             f'of {shown(_tolerance(q, limits), q.unit)}'
-            + (f': measure at about {more} stops' if 0 < more < 100 * used else ''))
+            + _or_measure(more, used, ':'))
     return unsure
+
+
+def _or_measure(more: int, used: int, before: str) -> str:
+    """Return the advice to measure at more stops, nothing where nobody would."""
+    return f'{before} measure at about {more} stops like these' if 0 < more < 100 * used else ''
 
 
 def _notes(found: FixedFit, stations: Sequence[StationResult], limits: VerifyConfig

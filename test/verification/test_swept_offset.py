@@ -40,3 +40,21 @@ def test_a_sweep_without_turns_tells_whether_the_offset_has_changed(
     assert ('as it was' in seen.surface) == (calibrated == 0.020)
     result = verify(routine, [seen], found, config)
     assert seen.surface in result.surface and result.scatter.rms < 1e-4
+
+
+def test_profiles_of_a_sweep_that_show_another_edge_do_not_refuse_it() -> None:
+    base = SCENARIOS['line']
+    scenario = replace(base, stations=(8, 0), sweep=Sweep(knot=4.0),
+                       sensor=replace(base.sensor, columns=320, delay=0.15))
+    made = simulate(scenario, np.random.default_rng(5))
+    config = with_values(Config(), settings(scenario) | {'sampling.mode': 'moving'}, 'a test')
+    found = Calibration('line', 'line', 'flange', 'laser', made.truth.T_flange_sensor,
+                        np.diag([1e-5] * 3 + [1e-4] * 3) ** 2, {}, Quality(0, 0, 0, 0, '', 0), (),
+                        {'config': flatten(config)}, TimeOffset(0.0, 2e-5))
+    routine = ROUTINES['line']
+    config = settings_for(routine, config, 1)
+    session = pipeline.gather(made.profiles, made.poses, config)
+    seen = seen_in(routine, session.samples, found, config)
+    assert 'set time_offset to -0.15' in seen.surface or '-0.149' in seen.surface, seen.surface
+    assert 'profiles show another surface' in seen.surface
+    assert verify(routine, [seen], found, config).verdict == 'pass'
