@@ -150,6 +150,8 @@ class NoiseConfig:
                                    minimum=0.0, maximum=0.01)
     robot_rotation: float = key(7e-5, 'Repeatability of the flange orientation, each axis '
                                 '(rad).', minimum=0.0, maximum=0.01)
+    stamps: float = key(1e-4, 'Jitter of the stamps of profiles, of a robot that moves (s).',
+                        minimum=0.0, maximum=0.1)
     robot_smooth: float = key(1.5e-4, 'Error of the robot that varies smoothly over its '
                               'workspace, each axis (m); the data corrects it.',
                               minimum=0.0, maximum=0.01)

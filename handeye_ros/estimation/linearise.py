@@ -166,6 +166,16 @@ class Linear:
         return -np.concatenate([by_mount, se3.cross(p_base, by_mount)], axis=-1)
 
     @cached_property
+    def by_values(self) -> Array | None:
+        """Return the derivative (m, k) by white errors of the values of the pose model, sigmas."""
+        model = self.problem.pose_model
+        if model is None or model.white is None:
+            return None
+        twists = model.at(self.problem.pose_values)[1] * model.white
+        station = self.problem.observations.station
+        return np.asarray((self.by_pose[:, None] @ twists[station])[:, 0])
+
+    @cached_property
     def by_point(self) -> Array:
         """Return the derivative (..., m, 2) by the point of the sensor plane."""
         return np.asarray(self.jacobian[..., :3] @ self.estimate.X[..., :3, [0, 2]])

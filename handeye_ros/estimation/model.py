@@ -67,9 +67,10 @@ class PoseModel:
     evaluate(values (k,)): poses T_base_flange (N, 4, 4) of all samples, and their twists
     (N, 6, k), the derivatives by the values: a translation, and a rotation vector about the
     flange's origin, both in the base frame. names, counts, stds: of blocks of the parameters, one
-    after the other, each with the 1 sigma of its prior about 0. stations: those of the N that a
-    problem has, None: all. least: of the blocks, see ParameterBlock. blocks: the source of others
-    that come with such poses, None: there are none.
+    after the other, each with the 1 sigma of its prior about 0. white: (k,) 1 sigma of the errors
+    that the values have at each station by itself, such as jitter of its stamp; None: none.
+    stations: those of the N that a problem has, None: all. least: of the blocks, see
+    ParameterBlock. blocks: the source of others that come with such poses, None: there are none.
     """
 
     evaluate: Callable[[Array], tuple[Array, Array]]
@@ -79,6 +80,7 @@ class PoseModel:
     stations: NDArray[np.intp] | None = None
     least: float = 0.0
     blocks: Any = None
+    white: Array | None = None
 
     def at(self, values: Array) -> tuple[Array, Array]:
         """Return the poses (n, 4, 4) and twists (n, 6, k) of the stations of a problem."""

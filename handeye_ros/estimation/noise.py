@@ -30,21 +30,23 @@ class Noise:
     Factors on the configured variances, those of (3), and the scales of blocks.
 
     feature, feature_2: of the features' own error, by their component; local: of the distortion
-    that differs from station to station; robot: of the pose noise; scales: tau^2 of each block,
-    by its name; lumped: whether blocks count as errors of each station here.
+    that differs from station to station; robot: of the pose noise; values: of the white errors of
+    what the poses depend on, such as the time; scales: tau^2 of each block, by its name; lumped:
+    whether blocks count as errors of each station here.
     """
 
     feature: float = 1.0
     feature_2: float = 1.0
     local: float = 1.0
     robot: float = 1.0
+    values: float = 1.0
     scales: Mapping[str, float] = field(default_factory=dict)
     lumped: bool = True
 
     @property
     def factors(self) -> Array:
         """Return the factors on the parts of covariances."""
-        return np.array([self.feature, self.feature_2, self.local, self.robot])
+        return np.array([self.feature, self.feature_2, self.local, self.robot, self.values])
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,16 +74,18 @@ def _white(factor: Array, values: Array) -> Array:
 
 def covariances(problem: Problem, linear: Linear, at: Stations) -> Array:
     """
-    Return the parts of the covariance, (3), as (4, stations, c, c), for variance factors of 1.
+    Return the parts of the covariance, (3), as (p, stations, c, c), for variance factors of 1.
 
-    Of the features' two components, the distortion that is each station's own, and poses.
+    The p parts: the features' two components, the distortion that is each station's own, poses,
+    and the values that poses depend on, where there are such.
     """
     noise = problem.config.noise
     feature = _feature(linear, at)
     # no covariance between the components, so that any factors keep the sum positive
+    values = () if linear.by_values is None else (_squared(at.of(linear.by_values)),)
     return np.array([*feature * at.components,
                      at.near * _squared(at.of(linear.by_point), _local(problem)),
-                     _squared(at.of(linear.by_pose), _pose(noise))])
+                     _squared(at.of(linear.by_pose), _pose(noise)), *values])
 
 
 def lumped(problem: Problem, linear: Linear, at: Stations) -> Array:
@@ -115,6 +119,8 @@ def _total(problem: Problem, linear: Linear, at: Stations, noise: Noise) -> Arra
         total += at.near * _squared(at.of(linear.by_point), distortion)
     robot = noise.robot * _pose(config) + shared * _smooth(config)
     total += _squared(at.of(linear.by_pose), robot)
+    if linear.by_values is not None:
+        total += noise.values * _squared(at.of(linear.by_values))
     return total + _own(problem, linear, at) if shared else total
 
 

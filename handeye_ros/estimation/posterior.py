@@ -35,7 +35,7 @@ CONVERGED = 0.03  # step in sigmas; relative change of a variance
 DIVERGED = 4.0  # of a step over the smallest before
 SIZING = 1  # rounds in which a block may turn out so large that the step grows
 BELIEF_NOISE = 4.0  # in the configured noise, in degrees of freedom
-MAP = np.array([1.0, 1.0, 1e-4, 1.0])  # factors that an estimate is best made with
+MAP = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # factors that an estimate is best made with
 SMALLEST, LARGEST = 1e-4, 1e8
 
 
@@ -202,22 +202,23 @@ class _System:
 
     def with_noise(self, x: Array, covariance: Array, believed: Array | float = 1.0) -> Noise:
         """Return the noise with the factors that residuals show, held to those believed, (7)."""
-        sums, columns = np.zeros((4, 2)), self.columns.scaled(self.scales)
+        sums, columns = np.zeros((len(MAP), 2)), self.columns.scaled(self.scales)
         every = -(-len(self.problem.poses) // MANY)
         for stations, factors in zip(self.problem.stations, self.white.factors, strict=True):
             at, root = stations.every(every), factors[::every]
             V = covariances(self.problem, self.linear, at)
-            W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(4, -1)
+            W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(len(V), -1)
             r = self.r[at.rows] + columns.change(x, at.rows)
             left = np.eye(r.shape[1]) - columns.predicted_covariance(covariance, at.rows)
             both = r[:, :, None] * r[:, None]
-            sums += W @ np.column_stack([both.ravel(), left.ravel()])
+            sums[:len(V)] += W @ np.column_stack([both.ravel(), left.ravel()])
         before = self.noise.factors
         sums *= before[:, None]
         after = before * (sums[:, 0] + BELIEF_NOISE * believed / before) / (
             np.maximum(sums[:, 1], 0.0) + BELIEF_NOISE)
-        first, second, local, robot = np.clip(after, SMALLEST, LARGEST).tolist()
-        return replace(self.noise, feature=first, feature_2=second, local=local, robot=robot)
+        first, second, local, robot, values = np.clip(after, SMALLEST, LARGEST).tolist()
+        return replace(self.noise, feature=first, feature_2=second, local=local, robot=robot,
+                       values=values)
 
     def moved(self, x: Array) -> State:
         """Return the state moved by a solution."""

@@ -142,9 +142,10 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
     pairing = Pairing.of(samples)
     stds = np.array([config.time_offset_std, config.rotation_lag_std])
     stds = stds[stds > 0]
+    white = np.array([config.noise.stamps, 0.0])[:len(stds)]
     model = PoseModel(pairing.poses_and_twists, (TIME_OFFSET, ROTATION_LAG)[:len(stds)],
                       (1,) * len(stds), tuple(stds.tolist()), least=1.0,
-                      blocks=partial(errors_in_motion, pairing.stamps))
+                      blocks=partial(errors_in_motion, pairing.stamps), white=white)
     values = np.array([*next(s.offsets for s in samples if s.motion), 0.0])[:len(stds)]
     return replace(problem, pose_model=model, pose_values=values)
 

@@ -101,6 +101,19 @@ def test_a_rotation_that_is_reported_late_and_an_exposure_are_part_of_the_model(
     assert abs(lag - 0.01) < 4 * std < 1e-3
 
 
+def test_jitter_of_the_stamps_is_noise_along_the_path() -> None:
+    scenario = sweep('sphere', 0.02, stamp_jitter=1e-3)
+    made = simulate(scenario, np.random.default_rng(4))
+    config = config_of(scenario)
+    found, isotropic = (pipeline.calibrate(made.profiles, made.poses, with_values(
+        config, {'noise.stamps': std}, 'a test')) for std in (config.noise.stamps, 0.0))
+    assert found.time_offset is not None and isotropic.time_offset is not None
+    assert abs(found.time_offset.value - 0.02) < 3 * found.time_offset.std
+    # the fastest profiles, which say most of the offset, have most of this noise
+    assert found.time_offset.std > 1.2 * isotropic.time_offset.std
+    assert found.quality.weakest_std < isotropic.quality.weakest_std
+
+
 def test_a_slow_sweep_is_advised_to_be_faster_once() -> None:
     scenario = sweep('sphere', 0.02, knot=60.0)
     scenario = replace(scenario, sensor=replace(scenario.sensor, rate=0.5),
