@@ -9,7 +9,7 @@ of each station by itself.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
@@ -47,6 +47,12 @@ class Noise:
     def factors(self) -> Array:
         """Return the factors on the parts of covariances."""
         return np.array([self.feature, self.feature_2, self.local, self.robot, self.values])
+
+    def with_factors(self, factors: Array) -> Noise:
+        """Return the noise with other factors."""
+        feature, feature_2, local, robot, values = factors.tolist()
+        return replace(self, feature=feature, feature_2=feature_2, local=local, robot=robot,
+                       values=values)
 
 
 @dataclass(frozen=True, eq=False)

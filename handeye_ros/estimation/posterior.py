@@ -216,9 +216,7 @@ class _System:
         sums *= before[:, None]
         after = before * (sums[:, 0] + BELIEF_NOISE * believed / before) / (
             np.maximum(sums[:, 1], 0.0) + BELIEF_NOISE)
-        first, second, local, robot, values = np.clip(after, SMALLEST, LARGEST).tolist()
-        return replace(self.noise, feature=first, feature_2=second, local=local, robot=robot,
-                       values=values)
+        return self.noise.with_factors(np.clip(after, SMALLEST, LARGEST))
 
     def moved(self, x: Array) -> State:
         """Return the state moved by a solution."""
