@@ -29,8 +29,7 @@ from handeye_ros.ros.bags.bag_write import cloud_cdr
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.sessions.bag_files import files_of
 from handeye_ros.ros.sessions.reading import read_session
-from handeye_ros.ros.sessions.resume import resumed
-from handeye_ros.ros.sessions.store import Place
+from handeye_ros.ros.sessions.store import Place, resumed
 from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.stops import sample_of
 from mcap.reader import make_reader

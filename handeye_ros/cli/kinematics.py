@@ -128,7 +128,7 @@ def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[s
     """Return the samples of a bag, or of a session, whose settings hold where none are given."""
     from handeye_ros.kinematics.samples import source_of
     from handeye_ros.ros.bags.bag import read_with_joints
-    from handeye_ros.ros.sessions.joints import source_of_session
+    from handeye_ros.ros.sessions.reading import source_of_session
     stored = stored_session(path)
     settings = configuration(config, assignments, stored.config if stored else None)
     if stored:

@@ -1,88 +1,254 @@
-"""The answer of a running session, whether it still is one, and which settings change it."""
+"""
+The answer of a running node, the review of its samples, and the advice what to do next.
+
+Knows no ROS. Review and advice are computed whenever the samples have changed.
+"""
 from __future__ import annotations
 
-from handeye_ros import se3
-from handeye_ros.config import Config, flatten
-from handeye_ros.data import Calibration
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+
+from handeye_ros import pipeline
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Calibration
+from handeye_ros.diagnosis.review import FEWEST, flat_crossing, Review, review
 from handeye_ros.diagnosis.summaries import calibration_summary, changes_since
-from handeye_ros.sampling.state import CalibrationState, CURRENT, NONE, OUTDATED, WITHDRAWN
+from handeye_ros.errors import DataError, HandeyeError, InputError
+from handeye_ros.guidance.view import extremes
+from handeye_ros.output import folder_name
+from handeye_ros.results import exports
+from handeye_ros.results.errors import NothingToSaveError
+from handeye_ros.ros.errors import WorkerEndedError
+from handeye_ros.ros.node.samples import changes, LiveSamples, OF_SAMPLES
+from handeye_ros.ros.node.worker import Progress, Runner
+from handeye_ros.ros.sessions.store import Place
+from handeye_ros.sampling.errors import ClearedError
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import Outcome
 import numpy as np
 
-# Keys, or the beginnings of keys, that say what a stop gives.
-OF_SAMPLES = ('method', 'profile.', 'target.', 'noise.sensor', 'sampling.min_points',
-              'sampling.settle_time', 'time_offset', 'rotation_lag_std')
-# The same of what the answer from given samples is.
+# Keys, or the beginnings of keys, on which the answer from given stops depends.
 OF_ANSWER = (*OF_SAMPLES, 'calibration_type', 'noise.', 'limits.', 'samples.',
              'sampling.min_crossing_angle')
-
-NO_ANSWER = 'no calibration has been computed yet'
+COMPUTED = 'the calibration is computed'
+SURE_FREEDOM = 6  # degrees of freedom of a review whose angles at the edges are trusted
 
 
 class Answer:
-    """The last answer that was not refused, and from which samples it came."""
+    """
+    The last answer that was not refused, and the samples that it came from.
 
-    def __init__(self) -> None:
-        """Start with none."""
+    calibration: None before it, and after a refusal; withdrawn: why it is gone, empty where none
+    was given up; file: where it was saved, empty where it was not; asked: whether an answer was
+    ever asked for; on_change: called after each change.
+    """
+
+    def __init__(self, samples: LiveSamples, runner: Runner, place: Place, progress: Progress
+                 ) -> None:
+        """Start with none; runner: runs the solve."""
+        self._samples, self._runner, self._place = samples, runner, place
+        self._progress = progress
         self.calibration: Calibration | None = None
+        self.asked = False
+        self._due = False  # whether it has to be computed again
         self._solved: frozenset[int] = frozenset()  # stamps of its samples
-        self._withdrawn = ''
-        self._saved: tuple[Calibration, str] | None = None  # the last one, and where it is
+        self.withdrawn = self.file = ''
+        self.on_change: Callable[[], None] = lambda: None
 
-    def replace(self, calibration: Calibration, solved: frozenset[int]) -> None:
-        """Take the answer from the samples of these stamps."""
-        self.calibration, self._solved, self._withdrawn = calibration, solved, ''
+    def compute(self) -> tuple[Calibration, str]:
+        """
+        Return the answer from all samples, and what to say.
 
-    def saved(self, calibration: Calibration, path: str) -> None:
-        """Take note that an answer was written to a file."""
-        self._saved = calibration, path
+        The stop that the robot stands in counts as over. Raises DataError or InputError where
+        there is no answer; the former answer is then withdrawn.
+        """
+        self.asked = True
+        return self._compute(self._samples.judge_rest)
+
+    def update(self) -> None:
+        """Compute the answer again where it is due; a refusal is reported by the state."""
+        if self._due:
+            with suppress(DataError, InputError):
+                self._compute(self._samples.judge_all)
+
+    def _compute(self, judge: Callable[[], None]) -> tuple[Calibration, str]:
+        """Return the same as compute; judge() evaluates the stops that count."""
+        self._due, cleared = False, self._samples.cleared
+        try:
+            calibration, stamps = self._solve(judge)
+        except WorkerEndedError:  # no refusal: the former answer stays
+            self._due = self.asked
+            raise
+        except HandeyeError as error:
+            self.withdraw(f'the last attempt to compute it was refused ({error})')
+            self.on_change()
+            raise
+        with self._samples.streams.lock:
+            if self._samples.cleared != cleared:
+                raise ClearedError
+            self.calibration, self._solved = calibration, stamps
+            self.withdrawn = self.file = ''
+        self.on_change()
+        return calibration, calibration_summary(calibration)
+
+    def _solve(self, judge: Callable[[], None]) -> tuple[Calibration, frozenset[int]]:
+        """Return the answer from the current samples, and their stamps."""
+        samples = self._samples
+        samples.extract_again()
+        with samples.work:
+            judge()
+            session, config = samples.streams.copied(), samples.config
+        samples.streams.wake.set()
+        session.require_stations()
+        with self._progress.doing(COMPUTED):
+            calibration = pipeline.solve_session(
+                session, config, partial(self._runner.run, pipeline.solve, urgent=True))
+        inputs = [{'topic': config.profile_topic},
+                  {'topic': config.pose_topic if config.pose_source == 'topic' else '/tf'}]
+        if samples.store.path:
+            inputs.append({'session': samples.store.path})
+        provenance = {**calibration.provenance, 'inputs': inputs}
+        return replace(calibration, provenance=provenance), stamps_of(session)
+
+    def save(self) -> str:
+        """Write it; return what to say. Raises NothingToSaveError and InputError."""
+        calibration, config = self.calibration, self._samples.config
+        if calibration is None:
+            raise NothingToSaveError
+        saved = exports.save_all(replace(calibration, name=folder_name(config)),
+                                 self._place.folder(config), config.save.formats)
+        if calibration is self.calibration:  # no other was computed meanwhile
+            self.file = str(saved.files[0])
+        self.on_change()
+        changes = self.changes(stamps_of(self._samples.streams.copied()))
+        again = (f'; {COMPUTED} again: save it again after that'
+                 if COMPUTED in self._progress.text else '')
+        return f'{saved}{changes}{again}'
+
+    def restored(self, session: Session) -> None:
+        """Let the answer from the samples of an earlier run be computed."""
+        self.asked = self._due = bool(session.samples)
+
+    def configured(self, before: Config, after: Config) -> None:
+        """Let it be computed again where settings change it."""
+        if changes(before, after, OF_ANSWER):
+            self._due = self.asked
 
     def withdraw(self, why: str) -> None:
-        """Let there be no answer any more."""
-        self._withdrawn = (f'{why}; the transform that was published before is not the answer'
-                           if self.calibration or self._withdrawn else '')
+        """Let there be no answer any more; why: the reason, for its state."""
+        self.withdrawn = (f'{why}; the transform that was published before is not the answer'
+                           if self.calibration or self.withdrawn else '')
         self.calibration = None
 
-    def changes(self, now: frozenset[int]) -> str:
-        """Return how the samples of now differ from those of the answer, if they do."""
-        return changes_since(self._solved, now)
-
-    def state(self, now: frozenset[int]) -> CalibrationState:
-        """Return the answer as plain values; now: the stamps of the samples."""
-        if self.calibration is None:
-            return CalibrationState(WITHDRAWN if self._withdrawn else NONE,
-                                    self._withdrawn or NO_ANSWER)
-        changes = self.changes(now)
-        found, T = self.calibration, self.calibration.T_flange_sensor
-        quality = found.quality
-        return CalibrationState(
-            OUTDATED if changes else CURRENT, calibration_summary(found) + changes,
-            found.parent_frame, found.child_frame, plain(T[:3, 3]), plain(se3.quaternion(T)),
-            plain(se3.rpy(T)), plain(np.sqrt(np.diag(found.covariance))),
-            quality.residual_rms, quality.holdout_rms, quality.samples_used,
-            quality.samples_rejected,
-            self._saved[1] if self._saved and self._saved[0] is found else '')
+    def changes(self, stamps: frozenset[int]) -> str:
+        """Return how samples with these stamps differ from those of the answer, if they do."""
+        return changes_since(self._solved, stamps)
 
 
-def plain(values: object) -> tuple[float, ...]:
-    """Return numbers that JSON and messages take."""
-    return tuple(float(value) for value in np.asarray(values))
+def stamps_of(session: Session) -> frozenset[int]:
+    """Return the stamps of the samples of a session; they identify the samples."""
+    return frozenset(sample.stamp for sample in session.samples)
 
 
-def changes_samples(before: Config, after: Config) -> bool:
-    """Tell whether the stops have to be extracted anew."""
-    return _changes(before, after, OF_SAMPLES)
+class Reviewer:
+    """
+    The review of the samples, and the advice what to do next.
+
+    review: None where there is none, no_review: why; reviewed: the samples in the order of the
+    agreements of the review; advised: the number of the last sample that the advice is based on,
+    0 for none; seen: points (k, 2) at the ends of the field of view; on_change: called after each
+    change.
+    """
+
+    def __init__(self, samples: LiveSamples, runner: Runner) -> None:
+        """Start with none; runner: runs what takes long."""
+        self._samples, self._runner = samples, runner
+        self.seen = np.zeros((0, 2))
+        self._settings = 1  # how often they have changed
+        self.on_change: Callable[[], None] = lambda: None
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget them; the caller holds the lock of the streams."""
+        self.review: Review | None = None
+        self.no_review = ''
+        self.reviewed: tuple[Outcome, ...] = ()
+        self.advice = pipeline.advise((), self._samples.config)
+        self.advised = 0
+        self._basis = 0, 0  # of the advice: changes of settings, stops without a sample
+        self._poses: dict[int, Array] = {}  # of stops without a sample, by the stamp of their begin
+
+    def configured(self, before: Config, after: Config) -> None:
+        """Note a change of settings."""
+        self._settings += changes(before, after, (*OF_ANSWER, 'guidance.'))
+
+    def update(self) -> None:
+        """Review and advise again where samples or settings have changed."""
+        cleared, settings, config = self._samples.cleared, self._settings, self._samples.config
+        outcomes, included = self._included()
+        samples = [o.sample for o in outcomes if o.sample]
+        refused = self._refused()
+        if _stops(self.reviewed) == _stops(outcomes) and self._basis == (settings, len(refused)):
+            return
+        found, why = None, ''
+        try:
+            found = self._runner_for(samples).run(review, samples, included, config)
+        except DataError as error:
+            why = str(error)
+        with self._samples.streams.lock:
+            if self._samples.cleared == cleared:
+                self.review, self.no_review, self.reviewed = found, why, outcomes
+        self.on_change()
+        self._advise(settings, refused)
+
+    def _refused(self) -> list[Array]:
+        """Return the poses T_base_flange (4, 4) of stops that gave no sample."""
+        config, outcomes = self._samples.config, self._samples.streams.copied().outcomes
+        for outcome in outcomes:
+            if outcome.sample is None and outcome.stop.began not in self._poses:
+                self._poses[outcome.stop.began] = outcome.stop.pose(config)
+        taken = {outcome.stop.began for outcome in outcomes if outcome.sample}
+        return [T for began, T in (self._samples.refused | self._poses).items()
+                if began not in taken]
+
+    def _runner_for(self, samples: Sequence[object]) -> Runner:
+        """Return what runs work on samples: with too few for a solve this process is faster."""
+        return self._runner if len(samples) >= FEWEST else Runner()
+
+    def _included(self) -> tuple[tuple[Outcome, ...], list[bool]]:
+        """Return the current samples, and which of them samples.exclude does not leave out."""
+        outcomes = tuple(o for o in self._samples.streams.copied().outcomes if o.sample)
+        exclude = self._samples.config.samples.exclude
+        return outcomes, [o.number not in exclude for o in outcomes]
+
+    def objection(self, outcome: Outcome) -> str:
+        """Return that the laser crosses an edge too flatly, once the edge is known well."""
+        last = self.review
+        if outcome.sample is None or last is None or (
+                last.solution.degrees_of_freedom < SURE_FREEDOM):
+            return ''
+        return flat_crossing(outcome.sample, last.solution, self._samples.config)
+
+    def _advise(self, settings: int, refused: list[Array]) -> None:
+        """Compute the advice from the current samples."""
+        cleared, config = self._samples.cleared, self._samples.config
+        current = self._samples.streams.latest.current(config)
+        if current:
+            self.seen = extremes(np.concatenate([self.seen, current.points]))
+        outcomes, included = self._included()
+        samples = sorted((o.sample for o, use in zip(outcomes, included, strict=True)
+                          if use and o.sample), key=lambda sample: sample.stamp)
+        advice = self._runner_for(samples).run(pipeline.advise, samples, config, self.seen,
+                                               refused)
+        with self._samples.streams.lock:
+            if self._samples.cleared == cleared:
+                self.advice, self._basis = advice, (settings, len(refused))
+                self.advised = max((o.number for o in outcomes), default=0)
+        self.on_change()
 
 
-def changes_answer(before: Config, after: Config) -> bool:
-    """Tell whether the samples have to be solved again."""
-    return _changes(before, after, OF_ANSWER)
-
-
-def changes_advice(before: Config, after: Config) -> bool:
-    """Tell whether other poses are advised."""
-    return _changes(before, after, ('guidance.',))
-
-
-def _changes(before: Config, after: Config, keys: tuple[str, ...]) -> bool:
-    old, new = flatten(before), flatten(after)
-    return any(old[key] != new[key] for key in new if key.startswith(keys))
+def _stops(outcomes: tuple[Outcome, ...]) -> list[tuple[int, int]]:
+    """Return what stays of outcomes when more profiles of their stops come."""
+    return [(outcome.number, outcome.stop.began) for outcome in outcomes]

@@ -19,7 +19,7 @@ from handeye_ros.kinematics.samples import configured, solve_sources, Source
 from handeye_ros.ros.bags.bag_write import joints_cdr
 from handeye_ros.ros.bags.poses import joints_and_pose
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.sessions.joints import joints_of
+from handeye_ros.ros.sessions.reading import joints_of
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,47 +1,77 @@
 """
-A running node without ROS: its streams, samples, review, answer and verification as one.
+A running node without ROS: streams, samples, review, answer and verification.
 
-One thread judges the stops: their answers come first. The other does what follows from them
-(review, advice, solving again): always of the newest state, so nothing of it ever piles up.
+One thread evaluates the stops, which is urgent. Another does what follows from them (review,
+advice, solving again), always for the newest state, so that no work piles up.
 """
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from contextlib import suppress
-from dataclasses import replace
-from functools import partial
 import threading
+import traceback
 
-from handeye_ros import pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, TimedPose
-from handeye_ros.diagnosis.summaries import calibration_summary
-from handeye_ros.errors import DataError, HandeyeError, InputError
-from handeye_ros.output import folder_name
-from handeye_ros.results import exports
-from handeye_ros.results.errors import NothingToSaveError
-from handeye_ros.ros.errors import WorkerEndedError
-from handeye_ros.ros.node.answer import Answer, changes_answer
+from handeye_ros.errors import HandeyeError
+from handeye_ros.ros.node.answer import Answer, Reviewer
 from handeye_ros.ros.node.live_verify import LiveVerification
-from handeye_ros.ros.node.reviewer import Reviewer
 from handeye_ros.ros.node.samples import LiveSamples
 from handeye_ros.ros.node.streams import Streams
-from handeye_ros.ros.node.threads import Progress, Threads
-from handeye_ros.ros.node.worker import give_back, InProcess, Judge, Runner
+from handeye_ros.ros.node.worker import give_back, Judge, Progress, Runner
 from handeye_ros.ros.sessions.store import Place, Store
-from handeye_ros.sampling.errors import ClearedError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome
 
-COMPUTED = 'the calibration is computed'
+
+class Threads:
+    """Threads that each do one work whenever they are woken; failures are kept as text."""
+
+    def __init__(self, on_failure: Callable[[str], object]) -> None:
+        """Start with none; on_failure: receives the traceback of work that failed."""
+        self._on_failure = on_failure
+        self._failures: dict[str, str] = {}
+        self._ended = False
+
+    @property
+    def failure(self) -> str:
+        """Return why the last work of each thread failed, empty where none did."""
+        return '; '.join(self._failures.values())
+
+    def start(self, wake: threading.Event, work: Callable[[], None]) -> None:
+        """Start a thread that does a work each time that it is woken, until the process ends."""
+        threading.Thread(target=self._run, args=(wake, work), name=work.__name__,
+                         daemon=True).start()
+
+    def stop(self) -> None:
+        """Begin no more work, and report no more failures."""
+        self._ended = True
+
+    def _run(self, wake: threading.Event, work: Callable[[], None]) -> None:
+        while not self._ended:
+            wake.wait()
+            wake.clear()
+            try:
+                work()
+                self._failures.pop(work.__name__, None)
+            except HandeyeError as error:  # such as a process that ended: tried again, once
+                if work.__name__ not in self._failures:
+                    wake.set()
+                self._failures[work.__name__] = str(error)
+            except Exception as error:  # noqa: BLE001 - the thread has to go on
+                if self._ended:
+                    return
+                self._failures[work.__name__] = (
+                    f'the work on the samples failed, which should not happen: {error!r}; see '
+                    'the log, and please report it')
+                self._on_failure(traceback.format_exc())
 
 
 class LiveSession:
     """
-    What a running node does, made of its parts; each of them may be looked at.
+    All that a running node does, made of parts.
 
-    on_outcome: called with each new outcome; on_change: after whatever changes the state;
-    on_failure: with the traceback of work of a thread that failed.
+    on_outcome: called with each new outcome of a stop; on_change: after every change of the state;
+    on_failure: with the traceback where the work of a thread failed.
     """
 
     def __init__(self, config: Config, place: Place, store: Store | None = None,
@@ -49,54 +79,51 @@ class LiveSession:
         """
         Start without samples; raises BadValueError for a method that does not exist.
 
-        solver: runs what takes long; judge: what an answer waits for.
+        solver: runs what takes long; judge: runs the evaluation of stops.
         """
         self.place = place
-        self.solver, self._judge = solver or InProcess(), Judge(judge or InProcess())
+        self.solver, self._judge = solver or Runner(), Judge(judge or Runner())
         self.progress = Progress()
         self.streams = Streams(config)
         self.samples = LiveSamples(self.streams, self._judge, store or Store(), self.progress)
         self.reviewer = Reviewer(self.samples, self.solver)
-        self.answer = Answer()
+        self.answer = Answer(self.samples, self.solver, place, self.progress)
         self.verification = LiveVerification(self.samples, self.answer, place, self.solver,
                                              self.progress)
-        self._judged = threading.Event()  # since which there is something to derive
-        self._asked = self._due = False  # for an answer, ever; and again, as settings changed
+        self._judged = threading.Event()  # wakes the thread that does what follows from stops
         self.threads = Threads(lambda text: self.on_failure(text))
         self.samples.objection = self.reviewer.objection
         self.samples.on_outcome = lambda outcome: self.on_outcome(outcome)
         self.on_outcome: Callable[[Outcome], None] = lambda outcome: None
         self.on_failure: Callable[[str], object] = lambda text: None
         self.on_change: Callable[[], None] = lambda: None
-        for part in (self.progress, self.reviewer, self.verification):
+        for part in (self.progress, self.answer, self.reviewer, self.verification):
             part.on_change = lambda: self.on_change()
 
     @property
     def config(self) -> Config:
-        """Return the settings of now."""
+        """Return the current settings."""
         return self.streams.config
 
     @property
     def framed(self) -> Config:
-        """Return the settings of now with the frame of the poses as the base."""
+        """Return the current settings with the frame of the poses as the base frame."""
         return self.streams.session.with_base(self.config)
 
     @property
     def calibration(self) -> Calibration | None:
-        """Return the last answer that was not refused."""
+        """Return the last answer; None before it, and after a refusal."""
         return self.answer.calibration
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return what else is to be known, one sentence each."""
+        """Return what a person should know besides errors, one sentence each."""
         return (*self.verification.warnings, *self.streams.warnings,
                 *filter(None, (self._judge.trouble,)))
 
     def copied(self) -> Session:
-        """Return the session of this moment."""
+        """Return a copy of the session at this moment."""
         return self.streams.copied()
-
-    # what comes in
 
     def add_profile(self, profile: AnyProfile) -> None:
         """Take a profile."""
@@ -109,28 +136,26 @@ class LiveSession:
         self.streams.add_poses(poses)
         self.verification.add_poses(poses)
 
-    # what the threads do
-
     def start(self) -> None:
-        """Let the threads do what has to be done, until the process ends."""
+        """Start the threads."""
         self._judge.begin()
         self.threads.start(self.streams.wake, self._judge_stops)
         self.threads.start(self._judged, self._derive)
 
     def stop(self) -> None:
-        """End what takes long, and the threads with it."""
+        """End the threads, and the processes whatever they do."""
         self.threads.stop()
         self.solver.stop()
         self._judge.stop()
 
     def restore(self, session: Session, before: Config) -> str:
-        """Go on with an earlier run, and solve what it has; see LiveSamples.restore."""
+        """Go on with the samples of an earlier run and solve them; see LiveSamples.restore."""
         text = self.samples.restore(session, before)
-        self._asked = self._due = bool(session.samples)
+        self.answer.restored(session)
         return text
 
     def replace_session(self, store: Store, session: Session, before: Config) -> str:
-        """Go on with another session instead of the one of now; see LiveSamples.restore."""
+        """Go on with another session instead of the current one; see LiveSamples.restore."""
         with self.samples.work:
             self.verification.end()
             self.samples.forget()
@@ -151,65 +176,17 @@ class LiveSession:
         give_back()
 
     def update(self) -> None:
-        """Judge the stops that are over, review all samples, solve again for other settings."""
+        """Do once, in this thread, what the threads do."""
         self.samples.judge_all()
         self._derive()
 
     def _derive(self) -> None:
-        """Do what follows from the samples of now."""
+        """Do what follows from the current samples."""
         self.samples.extract_again()
-        if self._due:  # the answer first: after a restart somebody waits for it
-            with suppress(DataError, InputError):  # it is reported by the state of the answer
-                self._compute(self.samples.judge_all)
+        self.answer.update()  # first: after a restart somebody waits for it
         self.reviewer.update()
 
-    # what is asked; each returns what to say
-
-    def compute(self) -> tuple[Calibration, str]:
-        """
-        Return the answer from all samples, and what to say.
-
-        The stop that the robot stands in now counts as over. Raises DataError when there is no
-        answer, or InputError; the answer before is then gone.
-        """
-        self._asked = True
-        return self._compute(self.samples.judge_rest)
-
-    def _compute(self, judge: Callable[[], None]) -> tuple[Calibration, str]:
-        """Do so from the stops that judge() takes for over."""
-        self._due, cleared = False, self.samples.cleared
-        try:
-            found, stamps = self._solved(judge)
-        except WorkerEndedError:  # which says nothing of the samples
-            self._due = self._asked
-            raise
-        except HandeyeError as error:
-            self.answer.withdraw(f'the last attempt to compute it was refused ({error})')
-            self.on_change()
-            raise
-        with self.streams.lock:
-            if self.samples.cleared != cleared:
-                raise ClearedError
-            self.answer.replace(found, stamps)
-        self.on_change()
-        return found, calibration_summary(found)
-
-    def _solved(self, judge: Callable[[], None]) -> tuple[Calibration, frozenset[int]]:
-        self.samples.extract_again()
-        with self.samples.work:
-            judge()
-            session, config = self.copied(), self.config
-        self.streams.wake.set()
-        session.require_stations()
-        with self.progress.doing(COMPUTED):
-            found = pipeline.solve_session(
-                session, config, partial(self.solver.run, pipeline.solve, urgent=True))
-        inputs = [{'topic': config.profile_topic},
-                  {'topic': config.pose_topic if config.pose_source == 'topic' else '/tf'}]
-        if self.samples.store.path:
-            inputs.append({'session': self.samples.store.path})
-        return (replace(found, provenance={**found.provenance, 'inputs': inputs}),
-                stamps_of(session))
+    # services; each returns what to say
 
     def clear_samples(self) -> str:
         """Forget samples, verification, answer, and all that was received; raises InputError."""
@@ -217,40 +194,18 @@ class LiveSession:
             self.verification.end()
             text = self.samples.clear()
         self.answer.withdraw('the samples were cleared')
-        self._asked = False
+        self.answer.asked = False
         with self.streams.lock:
             self.reviewer.clear()
         self.on_change()
         return text
-
-    def save(self) -> str:
-        """Write the last answer; raises NothingToSaveError, and InputError if it cannot."""
-        with self.streams.lock:
-            calibration, now = self.calibration, stamps_of(self.streams.session)
-        if calibration is None:
-            raise NothingToSaveError
-        name = folder_name(self.config)
-        saved = exports.save_all(replace(calibration, name=name), self.place.folder(self.config),
-                                 self.config.save.formats)
-        self.answer.saved(calibration, str(saved.files[0]))
-        self.on_change()
-        computing = COMPUTED in self.progress.text
-        again = f'; {COMPUTED} again: save it again after that' if computing else ''
-        return f'{saved}{self.answer.changes(now)}{again}'
-
-    # what is set
 
     def configure(self, config: Config) -> None:
         """Go on with another configuration, already checked by params.changed."""
         before = self.config
         self.verification.configured(before, config)
         self.samples.configure(config)
-        if changes_answer(before, config):
-            self._due = self._asked
+        self.answer.configured(before, config)
         self.reviewer.configured(before, config)
         self.streams.wake.set()
 
-
-def stamps_of(session: Session) -> frozenset[int]:
-    """Return what tells the samples of a session apart."""
-    return frozenset(sample.stamp for sample in session.samples)

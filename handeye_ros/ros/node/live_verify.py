@@ -16,9 +16,9 @@ from handeye_ros.output import write_whole
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.ros.node.answer import Answer
 from handeye_ros.ros.node.samples import LiveSamples
-from handeye_ros.ros.node.threads import Progress
-from handeye_ros.ros.node.worker import Runner
+from handeye_ros.ros.node.worker import Progress, Runner
 from handeye_ros.ros.sessions.store import Place
+from handeye_ros.sampling.state import Attempt
 from handeye_ros.sampling.stops import Outcome, Stop
 from handeye_ros.verification import verification
 from handeye_ros.verification.errors import (
@@ -91,14 +91,15 @@ class LiveVerification:
         """
         course = self._course
         if over:
-            self._samples.leave(stop)
+            self._samples.streams.leave(stop)
         if course is None:  # it was ended this moment
             return NO_ROUTINE
         if course.scans:
             return f'{course.text}: stops do not count, points are taken while the robot moves'
         found = course.add(stop, self._config, self._samples.judge.result)
         text = f'{course.text}; {sample_summary(found)}'
-        self._samples.note_attempt(not isinstance(found, Reject), 0, f'verification: {text}')
+        self._samples.attempt = Attempt(not isinstance(found, Reject), 0,
+                                        f'verification: {text}')
         self._samples.on_outcome(Outcome(0, stop, found))
         return text
 
@@ -127,7 +128,7 @@ class LiveVerification:
             course.go_on()
         with self._samples.work:
             for stop in self._samples.streams.copied().rest():  # here the robot stood before
-                self._samples.leave(stop)
+                self._samples.streams.leave(stop)
             self._course, self._samples.consumer = course, self
         self.on_change()
         what = 'scan the gauge' if course.scans else 'move on, and stop with other tilts'

@@ -18,7 +18,6 @@ from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.publishers import Publishers
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.ros.node.worker import WorkerProcess
-from handeye_ros.ros.page.buttons import serve
 from handeye_ros.ros.sessions.reading import is_session, read_session
 from handeye_ros.ros.sessions.store import Place
 from handeye_ros.ros.sessions.writing import SessionStore
@@ -68,7 +67,10 @@ class HandeyeNode(Node):
         self.get_logger().info(
             f'waiting for profiles on {config.profile_topic}, poses '
             + (f'on {config.pose_topic}' if config.pose_source == 'topic' else 'from /tf'))
-        self._page = serve(self)
+        self._page = None
+        if config.page.port:
+            from handeye_ros.ros.page.server import serve  # aiohttp takes long to import
+            self._page = serve(self)
 
     def stop(self) -> None:
         """End what is being computed, and tell nothing more of it."""
@@ -170,11 +172,11 @@ class HandeyeNode(Node):
 
     def compute_calibration(self) -> str:
         """Solve, and publish the answer if there is one."""
-        return self.live.compute()[1]
+        return self.live.answer.compute()[1]
 
     def save_calibration(self) -> str:
         """Write the last answer."""
-        return self.live.save()
+        return self.live.answer.save()
 
     def open_session(self, name: str) -> str:
         """Go on with a former session of this name, with the settings of now; HandeyeError."""

@@ -15,8 +15,7 @@ from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD, RECORD_NA
 from handeye_ros.errors import InputError, UnknownKeyError
 from handeye_ros.output import folder_name
 from handeye_ros.ros.sessions.reading import Stored
-from handeye_ros.ros.sessions.resume import resumed
-from handeye_ros.ros.sessions.store import Place
+from handeye_ros.ros.sessions.store import Place, resumed
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter

@@ -1,8 +1,8 @@
 """
-The samples of a running node: judged, stored and changed from different threads.
+The samples of a running node: stops are evaluated, stored and changed by several threads.
 
-Knows no ROS. What a stop asks for (to extract, to store) is done by a thread or by whoever asks,
-one thing after the other, while messages go on coming in. What takes longer holds up none of it.
+Knows no ROS. One lock (work) makes these changes one at a time, while messages go on coming in;
+what takes longer (review, solve) does not hold it.
 """
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ from collections.abc import Callable
 from dataclasses import replace
 import threading
 
-from handeye_ros.config import Config
+from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.diagnosis.summaries import count_of, sample_summary
 from handeye_ros.errors import FeatureError, HandeyeError, InputError
-from handeye_ros.ros.node.answer import changes_samples
 from handeye_ros.ros.node.streams import StopConsumer, Streams
-from handeye_ros.ros.node.threads import Progress
-from handeye_ros.ros.node.worker import Judge
+from handeye_ros.ros.node.worker import Judge, Progress
 from handeye_ros.ros.sessions.store import Store
 from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError, SilentPosesError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.state import Attempt
 from handeye_ros.sampling.stops import Outcome, Stop
 
-# s without a pose after which the robot may be anywhere: while profiles come, and where both end
+# Keys, or the beginnings of keys, on which it depends what a stop gives.
+OF_SAMPLES = ('method', 'profile.', 'target.', 'noise.sensor', 'sampling.min_points',
+              'sampling.settle_time', 'time_offset', 'rotation_lag_std')
+# s without a pose after which its place is unknown: while profiles come, and where both end
 POSES_SILENT, BOTH_SILENT = 2.0, 30.0
 PROFILES_COME = 1.0  # s since the last profile
 
@@ -33,10 +34,10 @@ class LiveSamples:
     """
     The samples of a running node.
 
-    work: held by who changes them; cleared: how often they were; consumer: takes the stops
-    instead, None for nobody; objection: tells what of a new sample is no good, as far as the
-    others tell; refused: T_base_flange (4, 4) of stops that were asked for and gave no sample, by
-    when they began; on_outcome: called with each new outcome.
+    work: the lock of whoever changes them; cleared: how often they were cleared; consumer:
+    receives the stops instead, None for nobody; objection: returns why a new sample is no good,
+    given the others, or an empty string; refused: T_base_flange (4, 4) of stops that were asked
+    for and gave no sample, by the stamp of their begin; on_outcome: called with each new outcome.
     """
 
     def __init__(self, streams: Streams, judge: Judge, store: Store, progress: Progress) -> None:
@@ -56,14 +57,15 @@ class LiveSamples:
 
     @property
     def config(self) -> Config:
-        """Return the settings of now."""
+        """Return the current settings."""
         return self.streams.config
 
     def restore(self, session: Session, before: Config) -> str:
         """
         Go on with the stops of an earlier run; return what to say.
 
-        before: its settings; other ones are stored. Raises UnwritableError.
+        before: its settings; where the current ones differ they are stored. Raises
+        UnwritableError.
         """
         with self.work, self.streams.lock:
             self.streams.session = session
@@ -73,10 +75,8 @@ class LiveSamples:
         count = sum(outcome.sample is not None for outcome in session.outcomes)
         return f'going on with {count_of(count, "sample")} of {self.store.path}'
 
-    # what becomes of the stops
-
     def judge_all(self) -> None:
-        """Judge every stop that is over, and the one that the robot stands in where it can be."""
+        """Evaluate all stops that are over, and the current one as soon as it has enough profiles."""
         with self.work:
             while self.streams.waiting:
                 self._judge(self.streams.waiting.popleft())
@@ -85,41 +85,42 @@ class LiveSamples:
                 self._judge(early, over=False)
 
     def judge_rest(self) -> None:
-        """Judge every stop, also the one that the robot stands in."""
+        """Evaluate all stops; the one that the robot stands in counts as over."""
         with self.work:
             self.judge_all()
             for stop in self.streams.copied().rest():
                 self._judge(stop)
 
     def _judge(self, stop: Stop, over: bool = True) -> None:
-        """Let a stop give a sample, or another one where it was judged before it was over."""
+        """Put the outcome of a stop into the session, in place of that from before it was over."""
         if consumer := self.consumer:
-            if over or not self.streams.is_taken(stop):  # while it waited to be judged
+            if over or not self.streams.is_taken(stop):
                 consumer.count(stop, over)
             return
         result = self.judge.result(stop, self.config)
         with self.streams.lock:
             session = self.streams.session
-            if not over and session.is_taken(stop):  # while it waited to be judged
+            if not over and session.is_taken(stop):  # by hand, meanwhile
                 return
             outcome = session.outcome(stop, result)
             before = [o for o in session.outcomes if o.number == outcome.number]
-        remark = self.objection(outcome)  # by itself the node takes what a recording gives
+        remark = self.objection(outcome)  # no refusal: solving a recording refuses none either
         try:
             outcome = self._stored(outcome)
         except InputError as error:
             outcome = Outcome(outcome.number, stop, Reject(outcome.result.stamp, str(error)))
-        self._put(outcome, over)
+        with self.streams.lock:
+            self.streams.session.put(outcome, over)
         if before and bool(before[0].sample) == bool(outcome.sample):
-            return  # with more profiles than before: nothing new to tell
+            return  # the same with more profiles is not reported again
         verdict = (f'sample {outcome.number} taken' if outcome.sample else
                    f'stop {outcome.number} gave no sample')
         text = '; '.join(filter(None, (sample_summary(outcome.result), remark)))
-        self.note_attempt(outcome.sample is not None, outcome.number, f'{verdict}: {text}')
+        self.attempt = Attempt(outcome.sample is not None, outcome.number, f'{verdict}: {text}')
         self.on_outcome(outcome)
 
     def _stored(self, outcome: Outcome) -> Outcome:
-        """Return an outcome that is on the disk; raises InputError, which is told until then."""
+        """Store an outcome; return it as it is on the disk. Raises InputError, kept as trouble."""
         try:
             stored = self.store.add(outcome, self.config)
         except InputError as error:
@@ -128,37 +129,25 @@ class LiveSamples:
         self.store_trouble = ''
         return stored
 
-    def _put(self, outcome: Outcome, over: bool = True) -> None:
-        with self.streams.lock:
-            self.streams.session.put(outcome, over)
-
-    def leave(self, stop: Stop) -> None:
-        """Let a stop give no sample."""
-        self.streams.leave(stop)
-
     def extract_again(self) -> None:
-        """Let the stored profiles give what the settings of now make of them, if these ask."""
+        """Evaluate the stored stops again where settings changed that they depend on."""
         with self._extracting:
             while self._stale:
-                with self.work, self.streams.lock:  # nothing is judged by the settings before
+                with self.work, self.streams.lock:  # nobody evaluates by the former settings
                     self._stale, outcomes = False, self.streams.session.outcomes
                 with self._progress.doing('the samples are extracted again from their profiles'):
                     fresh = [self.judge.again(outcome, self.config) for outcome in outcomes]
                     with self.streams.lock:
                         self.streams.session.replace(fresh)
 
-    def note_attempt(self, accepted: bool, number: int, text: str) -> None:
-        """Keep the answer to an attempt; number: of its sample, 0 where there is none."""
-        self.attempt = Attempt(accepted, number, text)
-
-    # what is asked; each returns what to say
+    # services; each returns what to say
 
     def take(self) -> str:
         """Take a sample where the robot stands; raises DataError, or InputError unstored."""
         try:
             return self._take()
         except HandeyeError as error:
-            self.note_attempt(False, 0, str(error))
+            self.attempt = Attempt(False, 0, str(error))
             raise
         finally:
             self.streams.wake.set()
@@ -169,10 +158,10 @@ class LiveSamples:
             with self.work:
                 self.judge_all()
                 return consumer.take(stop)
-        stop, sample, known = self._sampled()  # while others are stored, and told at once if none
+        stop, sample, state = self._sampled()  # outside of work: others are stored meanwhile
         with self.work:
             self.judge_all()
-            if known != (self.cleared, self.config):
+            if state != (self.cleared, self.config):
                 stop, sample, _ = self._sampled()
             with self.streams.lock:
                 outcome = self.streams.session.outcome(stop, sample)
@@ -184,21 +173,22 @@ class LiveSamples:
                 self.refused[stop.began] = stop.pose(self.config)
                 raise FlatCrossingError(why)
             outcome = self._stored(outcome)
-            self._put(outcome)
+            with self.streams.lock:
+                self.streams.session.put(outcome)
         again_text = ' again, as the robot has not moved since' if again else ''
         text = f'sample {outcome.number} taken{again_text}: {sample_summary(sample)}'
-        self.note_attempt(True, outcome.number, text)
+        self.attempt = Attempt(True, outcome.number, text)
         self.on_outcome(outcome)
         return text
 
     def _sampled(self) -> tuple[Stop, Sample, tuple[int, Config]]:
-        """Return the stop that the robot stands in, its sample, and what was known with it."""
-        known = self.cleared, self.config
+        """Return the stop that the robot stands in, its sample, and by which state it was made."""
+        state = self.cleared, self.config
         stop = self._standing()
         try:
-            return stop, self.judge.sample(stop, known[1]), known
+            return stop, self.judge.sample(stop, state[1]), state
         except FeatureError:
-            self.refused[stop.began] = stop.pose(known[1])
+            self.refused[stop.began] = stop.pose(state[1])
             raise
 
     def _standing(self) -> Stop:
@@ -244,16 +234,20 @@ class LiveSamples:
         self.attempt, self.refused = None, {}
         return count
 
-    # what is set
-
     def configure(self, config: Config) -> None:
         """Go on with another configuration, already checked by params.changed."""
         with self.streams.lock:
             before, self.streams.config = self.config, config
             self.streams.session.configure(config)
-            self._stale |= changes_samples(before, config)
+            self._stale |= changes(before, config, OF_SAMPLES)
         try:
             self.store.configured(config)
             self.store_trouble = ''
         except InputError as error:
             self.store_trouble = str(error)
+
+
+def changes(before: Config, after: Config, keys: tuple[str, ...]) -> bool:
+    """Return whether two configurations differ in a key that begins with one of these."""
+    old, new = flatten(before), flatten(after)
+    return any(old[key] != new[key] for key in new if key.startswith(keys))

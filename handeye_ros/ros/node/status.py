@@ -5,24 +5,30 @@ from collections.abc import Callable
 
 from handeye_ros import se3
 from handeye_ros.diagnosis.review import Agreement
-from handeye_ros.diagnosis.summaries import late_sentence, sample_summary
+from handeye_ros.diagnosis.summaries import calibration_summary, late_sentence, sample_summary
 from handeye_ros.guidance.advice import Advice
 from handeye_ros.output import folder_name
-from handeye_ros.ros.node.answer import plain
-from handeye_ros.ros.node.live import LiveSession, stamps_of
-from handeye_ros.ros.node.reviewer import Reviewer
+from handeye_ros.ros.node.answer import Answer, Reviewer, stamps_of
+from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.state import (
+    CalibrationState,
+    CURRENT,
     GuidanceState,
     MotionState,
+    NONE,
+    OUTDATED,
     SampleState,
     SessionState,
     SigmaState,
     State,
     StreamState,
+    WITHDRAWN,
 )
 from handeye_ros.sampling.stops import Outcome
+import numpy as np
 
+NO_ANSWER = 'no calibration has been computed yet'
 SILENCE = 2.0  # s without a message after which a person should look
 
 Obstacle = Callable[[str], str]
@@ -51,8 +57,24 @@ def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '', same_name:
                      _trouble(live, session, same_name), (*session.warnings, *live.warnings)),
         samples, tuple(sample.number for sample in worst), live.reviewer.no_review,
         live.samples.attempt,
-        live.answer.state(stamps_of(session)),
+        _calibration(live.answer, stamps_of(session)),
         _guidance(live.reviewer.advice, live.reviewer.advised))
+
+
+def _calibration(answer: Answer, stamps: frozenset[int]) -> CalibrationState:
+    """Return the answer as plain values; stamps: of the current samples."""
+    calibration = answer.calibration
+    if calibration is None:
+        return CalibrationState(WITHDRAWN if answer.withdrawn else NONE,
+                                answer.withdrawn or NO_ANSWER)
+    changes, T = answer.changes(stamps), calibration.T_flange_sensor
+    quality = calibration.quality
+    return CalibrationState(
+        OUTDATED if changes else CURRENT, calibration_summary(calibration) + changes,
+        calibration.parent_frame, calibration.child_frame, _plain(T[:3, 3]),
+        _plain(se3.quaternion(T)), _plain(se3.rpy(T)),
+        _plain(np.sqrt(np.diag(calibration.covariance))), quality.residual_rms,
+        quality.holdout_rms, quality.samples_used, quality.samples_rejected, answer.file)
 
 
 def _guidance(advice: Advice | None, sample: int) -> GuidanceState | None:
@@ -64,8 +86,8 @@ def _guidance(advice: Advice | None, sample: int) -> GuidanceState | None:
     after = f'after sample {sample}: ' if sample else ''
     return GuidanceState(
         sample, after + advice.text, advice.sentences, advice.enough, advice.why, sigmas,
-        plain(pose.T_base_flange[:3, 3]) if pose else None,
-        plain(se3.quaternion(pose.T_base_flange)) if pose else None, pose.std if pose else None)
+        _plain(pose.T_base_flange[:3, 3]) if pose else None,
+        _plain(se3.quaternion(pose.T_base_flange)) if pose else None, pose.std if pose else None)
 
 
 def _agreements(reviewer: Reviewer) -> dict[int, Agreement]:
@@ -121,4 +143,9 @@ def _sample(outcome: Outcome, session: Session, agreement: Agreement | None) -> 
         outcome.number, sample.stamp, True, excluded,
         not excluded and (agreement is None or agreement.used), text,
         agreement.residual if agreement else None, agreement.left_out if agreement else None,
-        plain(T[:3, 3]), plain(se3.quaternion(T)))
+        _plain(T[:3, 3]), _plain(se3.quaternion(T)))
+
+
+def _plain(values: object) -> tuple[float, ...]:
+    """Return numbers that JSON and messages take."""
+    return tuple(float(value) for value in np.asarray(values))

@@ -1,13 +1,13 @@
 """
-What takes its time, in other processes: streams and services share no interpreter with it.
+Processes that do what takes long, and what is being done, in words.
 
-A thread would not do: Python runs one at a time, and a solve would slow down all others, as the
-streams would slow down the judging of a stop. A process is started when it is first needed.
+Solves and the judging of stops run in processes: Python runs one thread at a time, so they would
+slow down streams and services. A process is started when it is first needed.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 import ctypes
 from dataclasses import replace
 import os
@@ -18,7 +18,7 @@ import subprocess
 import sys
 import threading
 import traceback
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from handeye_ros.config import Config
 from handeye_ros.data import Reject, Sample
@@ -32,47 +32,38 @@ TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # of glibc alone
 COMMAND = (sys.executable, '-m', 'handeye_ros.ros.node.worker')
 
 
-class Runner(Protocol):
-    """Runs functions of modules; arguments, results and errors can be pickled."""
-
-    def run(self, function: Callable[..., Result], *args: Any, urgent: bool = False) -> Result:
-        """Return what a function returns; raises what it raises."""
-
-    def stop(self) -> None:
-        """End, whatever is being done."""
-
-
-class InProcess:
-    """Runs them at once, by whoever asks."""
+class Runner:
+    """Runs functions of modules, in the process of the caller; see WorkerProcess."""
 
     def run(self, function: Callable[..., Result], *args: Any, urgent: bool = False) -> Result:
         """Return what a function returns; raises what it raises."""
         return function(*args)
 
     def stop(self) -> None:
-        """Do nothing."""
+        """End, whatever is being done."""
 
 
 class Parts(list[bytes]):
-    """What is pickled, in parts: a whole of some MB would leave holes in the memory."""
+    """A file for pickle that keeps the parts: one whole of some MB would fragment the memory."""
 
     write = list.append
 
 
-class WorkerProcess:
+class WorkerProcess(Runner):
     """
-    Runs them in a process, one after the other; what is urgent is the next.
+    Runs functions in a process of its own, one after the other; urgent ones are the next.
 
-    The process ends with this one, also where this one is killed: nobody writes to it any more.
+    Arguments, results and errors are pickled. The process ends with this one, also where this one
+    is killed: it then reads the end of its stdin.
     """
 
     def __init__(self, nicer: int = 0) -> None:
-        """Start nothing yet; nicer: by so much its priority is lower than that of the streams."""
+        """Start nothing yet; nicer: what is added to the nice value of the process."""
         self._command = (*COMMAND, str(nicer))
         self._process: subprocess.Popen[bytes] | None = None
         self._turns = threading.Condition()
         self._busy, self._urgent, self._stopped = False, 0, False
-        self._suspended = False  # by a signal; it was ended for that
+        self._suspended = False  # by a signal; it was killed for that
 
     def run(self, function: Callable[..., Result], *args: Any, urgent: bool = False) -> Result:
         """Return what a function returns; raises what it raises, and WorkerEndedError."""
@@ -92,7 +83,7 @@ class WorkerProcess:
             self._busy = True
 
     def _asked(self, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
-        asked = Parts()  # all of it or, where that fails, nothing is sent
+        asked = Parts()  # where pickling fails, nothing is sent
         pickle.dump((function, args), asked)
         process = self._running()
         assert process.stdin and process.stdout
@@ -123,15 +114,15 @@ class WorkerProcess:
             return self._process
 
     def _watch(self, process: subprocess.Popen[bytes]) -> None:
-        """End a process that is suspended (SIGSTOP): who asks it would wait for ever."""
-        with suppress(ChildProcessError):  # it has ended, and somebody knows
+        """Kill a process that is suspended (SIGSTOP): its callers would wait for ever."""
+        with suppress(ChildProcessError):  # it has ended, and was waited for
             change = os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
             if change and change.si_code == os.CLD_STOPPED:
                 self._suspended = True
                 process.kill()
 
     def stop(self) -> None:
-        """End the process, whatever it does; whoever waits for it gets a WorkerEndedError."""
+        """Kill the process; whoever waits for it gets a WorkerEndedError."""
         with self._turns:
             self._stopped = True
             if self._process is not None:
@@ -141,18 +132,18 @@ class WorkerProcess:
 
 class Judge:
     """
-    Tells what stops give, in a process of its own; where that ends, in this one.
+    Evaluates stops by a runner; in this process where the process of the runner has ended.
 
-    trouble: why the last one was judged here, empty where it was not.
+    trouble: why the last stop was evaluated in this process, empty where it was not.
     """
 
     def __init__(self, runner: Runner) -> None:
-        """Take what runs it."""
+        """Take the runner."""
         self._runner = runner
         self.trouble = ''
 
     def begin(self) -> None:
-        """Let the process start, and import what it needs, before somebody waits for it."""
+        """Start the process, so that its imports are done before the first stop."""
         threading.Thread(target=self._run, args=(evenly, (), 1), daemon=True).start()
 
     def stop(self) -> None:
@@ -168,25 +159,49 @@ class Judge:
         return self._run(sample_of, needed(stop, config), config)
 
     def again(self, outcome: Outcome, config: Config) -> Outcome:
-        """Return what becomes of the same stop with another configuration; others come first."""
+        """Return the outcome of the same stop with another configuration; not urgent."""
         bare = replace(outcome, result=Reject(outcome.result.stamp, ''))
         return replace(outcome, result=self._run(judged, bare, config, urgent=False).result)
 
     def _run(self, function: Callable[..., Result], *args: Any, urgent: bool = True) -> Result:
         try:
             result = self._runner.run(function, *args, urgent=urgent)
-        except WorkerEndedError as error:  # the sample must not be lost with it
+        except WorkerEndedError as error:  # the sample must not be lost
             self.trouble = f'{error}; the node itself has judged the stop'
             return function(*args)
         self.trouble = ''
         return result
 
 
+class Progress:
+    """What takes long and is being done, in words; on_change: called when something begins."""
+
+    def __init__(self) -> None:
+        """Start with nothing."""
+        self._works: list[str] = []
+        self.on_change: Callable[[], None] = lambda: None
+
+    @property
+    def text(self) -> str:
+        """Return what is being done; empty for nothing."""
+        return '; '.join(self._works)
+
+    @contextmanager
+    def doing(self, work: str) -> Iterator[None]:
+        """List a work while it is being done."""
+        self._works.append(work)
+        try:
+            self.on_change()
+            yield
+        finally:
+            self._works.remove(work)
+
+
 def main() -> None:
-    """Be the second process: do what comes from stdin, until nobody can write there any more."""
+    """Run as the worker process: execute what stdin brings, until its end."""
     os.nice(int(sys.argv[1]))
     answers = os.fdopen(os.dup(1), 'wb')
-    os.dup2(2, 1)  # what is printed is no answer
+    os.dup2(2, 1)  # prints go to stderr: stdout carries the results
     asked: queue.SimpleQueue[tuple[Callable[..., Any], tuple[Any, ...]]] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(asked,), daemon=True).start()
     try:
@@ -195,18 +210,18 @@ def main() -> None:
             answers.write(pickle.dumps(_outcome(function, args)))
             answers.flush()
             give_back()
-    except BrokenPipeError:  # nobody listens; an orderly end would wait for who reads stdin
+    except BrokenPipeError:  # an orderly end would wait for the thread that reads stdin
         os._exit(0)
 
 
 def _listen(asked: queue.SimpleQueue[Any]) -> None:
-    """Take what is asked for; end the process at once where nobody is left to ask."""
+    """Queue what is asked for; end the process at once at the end of stdin."""
     try:
         while True:
             asked.put(pickle.load(sys.stdin.buffer))
-    except (EOFError, pickle.UnpicklingError):  # it ended, or was killed while it wrote
+    except (EOFError, pickle.UnpicklingError):  # the other process ended, maybe in a write
         os._exit(0)
-    except Exception:  # noqa: BLE001 - nobody could tell what comes next
+    except Exception:  # noqa: BLE001 - the rest of the stream cannot be understood
         traceback.print_exc()
         os._exit(1)
 
@@ -216,17 +231,17 @@ def _outcome(function: Callable[..., Any], args: tuple[Any, ...]) -> tuple[Any, 
         return function(*args), None
     except HandeyeError as error:
         return None, error
-    except Exception as error:  # noqa: BLE001 - it is told where it was asked for
-        error.add_note(traceback.format_exc())  # the traceback itself cannot go there
+    except Exception as error:  # noqa: BLE001 - it is raised in the process that asked
+        error.add_note(traceback.format_exc())  # a traceback cannot be pickled
         return None, error
 
 
 def give_back() -> None:
     """
-    Give freed memory back to the system, where the C library can; takes milliseconds.
+    Return freed memory to the system, where the C library can (glibc); takes milliseconds.
 
-    It keeps what lies between blocks that are in use: after a stop of thousands of messages, of
-    which a few are kept, that is most of it, and it grows from stop to stop.
+    After a stop of thousands of messages, a few of which are kept, the freed memory between these
+    would stay with the process, and grow from stop to stop.
     """
     if TRIM is not None:
         TRIM(0)

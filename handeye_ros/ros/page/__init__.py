@@ -1,3 +1,3 @@
 """The page for a browser at the cell: the state of the node, and its services as buttons."""
 
-OFFERED = ('buttons.serve',)
+OFFERED = ('server.serve',)

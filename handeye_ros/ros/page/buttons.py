@@ -1,10 +1,10 @@
-"""What the page asks of the node: its services, some of its parameters, sessions and files."""
+"""What the page shows and asks of the node: services, parameters, sessions and files."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol, TYPE_CHECKING
+from typing import Any, Protocol
 
 from handeye_ros import config as configuration
 from handeye_ros.errors import HandeyeError
@@ -12,15 +12,10 @@ from handeye_ros.output import folder_name
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.results.errors import NothingToSaveError
 from handeye_ros.ros.bags.contents import CLOUD, POSE
-from handeye_ros.ros.errors import PageError
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.page.contents import contents, stop_profile
-from handeye_ros.ros.page.source import Act, Source
 from handeye_ros.sampling.state import State
 from rclpy.parameter import Parameter
-
-if TYPE_CHECKING:
-    from handeye_ros.ros.page.server import PageServer
 
 SERVICES = {'take': 'take_sample', 'undo': 'remove_last_sample', 'clear': 'clear_samples',
             'compute': 'compute_calibration', 'save': 'save_calibration',
@@ -33,6 +28,27 @@ SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise
 VERIFY = ('verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
           'verify.tolerance')
 ROUTINES = ('line', 'plane', 'point', 'sphere', 'ball_bar', 'step', 'square', 'tooth')
+
+
+Act = Callable[[Mapping[str, Any]], tuple[bool, str]]
+Read = Callable[[Mapping[str, str]], Any]
+
+
+@dataclass(frozen=True)
+class Source:
+    """
+    What the page shows and does.
+
+    tell: plain values, gathered when called; acts: the buttons by name, each called with the
+    values of its request, returns whether it succeeded and what to say; slow: those that may
+    take long, and keep none of the others waiting; reads: what is asked for, by name, each called
+    with the values of its query: plain values, or name and text of a file.
+    """
+
+    tell: Callable[[], Mapping[str, Any]]
+    acts: Mapping[str, Act]
+    slow: frozenset[str] = frozenset()
+    reads: Mapping[str, Read] = field(default_factory=dict)
 
 
 class Served(Protocol):
@@ -68,24 +84,12 @@ class Served(Protocol):
         """Return the log."""
 
 
-def serve(node: Served) -> PageServer | None:
-    """Serve the page of a node if its configuration wants one; None, and a warning, if not."""
-    config, log = node.live.config.page, node.get_logger()
-    if not config.port:
-        return None
-    from handeye_ros.ros.page.server import PageServer  # aiohttp takes long to import
-    source = Source(lambda: contents(node.state, node.live), acts(node), SLOW, {
+def source(node: Served) -> Source:
+    """Return what the page of a node shows and does."""
+    return Source(lambda: contents(node.state, node.live), acts(node), SLOW, {
         'stop': lambda values: stop_profile(node.live, int(values.get('number', '0'))),
         'cell': lambda values: cell(node),
         'file': lambda values: file(node.live, values.get('name', ''))})
-    try:
-        page = PageServer(source, config.address, config.port, node.token_file)
-    except PageError as error:
-        log.warning(str(error))
-        return None
-    log.info(f'page for a browser: {page.url}' + (
-        f'; it asks for the token in {node.token_file}' if page.guard.token else ''))
-    return page
 
 
 def acts(node: Served) -> dict[str, Act]:

@@ -167,3 +167,14 @@ def _spot(solution: Solution, station: int) -> Array:
 def rounded(values: Array | Sequence[float]) -> Any:
     """Return plain values that a picture can show."""
     return np.round(values, DIGITS).tolist()
+
+
+def plain(value: Any) -> Any:
+    """Return plain values without infinities and NaN, which JSON does not know."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if abs(value) < float('inf') else None
+    return value

@@ -20,8 +20,9 @@ from typing import Any
 from aiohttp import web
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.errors import PageError
+from handeye_ros.ros.page.buttons import Served, Source, source
+from handeye_ros.ros.page.contents import plain
 from handeye_ros.ros.page.guard import Gate, Guard
-from handeye_ros.ros.page.source import object_of, plain, Source
 
 RATE = 5.0  # events a second, at most
 MOST_CLIENTS = 8
@@ -38,6 +39,19 @@ HEADERS = {
     'Cache-Control': 'no-store'}
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+def serve(node: Served) -> PageServer | None:
+    """Serve the page of a node; None, and a warning in the log, where it cannot be served."""
+    config, log = node.live.config.page, node.get_logger()
+    try:
+        page = PageServer(source(node), config.address, config.port, node.token_file)
+    except PageError as error:
+        log.warning(str(error))
+        return None
+    log.info(f'page for a browser: {page.url}' + (
+        f'; it asks for the token in {node.token_file}' if page.guard.token else ''))
+    return page
 
 
 class PageServer:
@@ -234,3 +248,12 @@ def _static(name: str, status: int = 200) -> web.Response:
     kind = KINDS[name[name.rindex('.'):]]
     return web.Response(text=text, status=status, content_type=kind, charset='utf-8',
                         headers=HEADERS)
+
+
+def object_of(text: bytes) -> dict[str, Any] | None:
+    """Return what a JSON text holds if that is an object."""
+    try:
+        found = json.loads(text or b'{}')
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None

@@ -1,7 +1,7 @@
 """Sessions on the disk: a bag with one complete file for each event."""
 
 OFFERED = (
-    'joints.joints_of', 'joints.source_of_session', 'reading.Stored', 'reading.is_session',
-    'reading.read_session', 'resume.resumed', 'store.Place', 'store.Store',
+    'reading.Stored', 'reading.is_session', 'reading.joints_of', 'reading.read_session',
+    'reading.source_of_session', 'store.Place', 'store.Store', 'store.resumed',
     'writing.SessionStore',
 )

@@ -1,17 +1,20 @@
-"""Where a running node keeps its sessions and results, and what it asks of a store of samples."""
+"""Where a running node keeps sessions and results, and which session it goes on with."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 import os
 from pathlib import Path
+from typing import Any
 
-from handeye_ros.config import Config
+from handeye_ros.config import Config, with_values
 from handeye_ros.errors import UnwritableError
 from handeye_ros.output import folder_name
+from handeye_ros.ros.sessions.reading import LAST, last_session, read_session, Stored
 from handeye_ros.sampling.stops import Outcome
 
 FOLDER = 'handeye_ros'
+SOURCE = "the node's parameters"
 
 
 @dataclass(frozen=True)
@@ -74,3 +77,30 @@ class Store:
     def restart(self, config: Config) -> str:
         """Begin another session; return what to say of the one before."""
         return ''
+
+
+def resumed(given: Mapping[str, Any], place: Place) -> tuple[Config, Stored | None]:
+    """
+    Return the settings, and the session to go on with, None for a new one.
+
+    given: what the user set, by key; all else is as it was in the session. Raises InputError.
+    """
+    config = with_values(Config(), given, SOURCE)
+    path = _path(config, given, place)
+    if path is None:
+        return config, None
+    stored = read_session(path)
+    return with_values(stored.config, given, SOURCE), stored
+
+
+def _path(config: Config, given: Mapping[str, Any], place: Place) -> Path | None:
+    if not config.session:
+        return None
+    if config.session != LAST:
+        return Path(config.session).expanduser().absolute()
+    if 'name' in given or 'target.type' in given:
+        return last_session(place.folder(config))
+    parent = place.parent(config)
+    folders = [path for path in parent.iterdir() if path.is_dir()] if parent.is_dir() else []
+    sessions = [session for folder in folders if (session := last_session(folder))]
+    return max(sessions, key=lambda session: session.name, default=None)

@@ -27,15 +27,16 @@ from handeye_ros.ros.sessions.bag_files import (
     write_file,
     write_metadata,
 )
-from handeye_ros.ros.sessions.reading import load, Stored
-from handeye_ros.ros.sessions.records import (
+from handeye_ros.ros.sessions.reading import (
     CONFIGURATION,
     CONFIGURED,
     Event,
     FEATURES,
+    load,
     OUTCOME,
     REMOVED,
     STOP,
+    Stored,
     texts_of,
 )
 from handeye_ros.ros.sessions.store import Store

@@ -25,7 +25,7 @@ import pytest
 
 def test_the_answer_is_that_of_the_recording() -> None:
     live = fed()
-    found, text = live.compute()
+    found, text = live.answer.compute()
     offline = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, SPHERE.config)
     assert np.array_equal(found.T_flange_sensor, offline.T_flange_sensor)
     assert found.samples == offline.samples
@@ -40,7 +40,7 @@ def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording(tmp_pat
     config = with_values(Config(), settings(made.scenario) | {
         'sampling.mode': 'moving', 'output_dir': str(tmp_path)}, 'a test')
     live = fed(config, made)
-    found, _ = live.compute()
+    found, _ = live.answer.compute()
     offline = pipeline.calibrate(made.profiles, made.poses, config)
     assert np.allclose(found.T_flange_sensor, offline.T_flange_sensor, atol=1e-9)
     assert found.time_offset is not None and abs(found.time_offset.value - 0.02) < 3e-4
@@ -83,7 +83,7 @@ def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
     worst = {s.number: s for s in state.samples}[state.worst[0]]
     others = [s.left_out for s in state.samples if s.left_out and s.number != 4]
     assert worst.number == 4 and worst.left_out > 3 * max(others)
-    live.compute()
+    live.answer.compute()
     changed(live, samples__exclude=[4])
     state = state_of(live)
     assert [s.number for s in state.samples if s.excluded] == [4]
@@ -99,7 +99,7 @@ def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
 def test_offline_the_same_number_leaves_the_same_sample_out() -> None:
     live = fed()
     changed(live, samples__exclude=[2, 5])
-    found, _ = live.compute()
+    found, _ = live.answer.compute()
     offline = pipeline.calibrate(
         SPHERE.profiles, SPHERE.poses,
         with_values(SPHERE.config, {'samples.exclude': [2, 5]}, 'test'))
@@ -112,7 +112,7 @@ def test_offline_the_same_number_leaves_the_same_sample_out() -> None:
     ('target__radius', 0.0)])
 def test_settings_that_change_need_no_new_samples(key: str, value: object) -> None:
     live = fed()
-    live.compute()
+    live.answer.compute()
     changed(live, **{key: value})
     config = with_values(SPHERE.config, {key.replace('__', '.'): value}, 'test')
     try:
@@ -135,7 +135,8 @@ def test_what_changes_extraction_extracts_anew() -> None:
     assert all('5000' in s.text or s.text for s in state_of(live).samples)
     changed(live, sampling__min_points=20)
     assert state_of(live).taken == taken
-    assert np.array_equal(live.compute()[0].T_flange_sensor, fed().compute()[0].T_flange_sensor)
+    again, first = (session.answer.compute()[0] for session in (live, fed()))
+    assert np.array_equal(again.T_flange_sensor, first.T_flange_sensor)
 
 
 def test_a_laser_almost_along_an_edge_is_reported_with_the_angle_and_by_hand_refused() -> None:
@@ -159,14 +160,14 @@ def test_a_laser_almost_along_an_edge_is_reported_with_the_angle_and_by_hand_ref
     assert [T.tolist() for T in live.reviewer._refused()] == [
         live.streams.session.current_stop().pose(live.config).tolist()]
     changed(live, sampling__mode='still')
-    live.compute()  # for which the stop that the robot stands in is over
+    live.answer.compute()  # for which the stop that the robot stands in is over
     assert len(live.copied().outcomes) == taken + 1 and live.copied().outcomes[-1].sample
     assert 'cannot count: turn the tool about the range axis' in state_of(live).attempt.text
 
 
 def test_numbers_are_never_given_twice() -> None:
     live = fed()
-    live.compute()  # which takes the stop that the robot stands in
+    live.answer.compute()  # which takes the stop that the robot stands in
     numbers = [s.number for s in state_of(live).samples]
     assert numbers == list(range(1, len(numbers) + 1))
     assert f'removed sample {numbers[-1]}' in live.samples.remove_last()
@@ -178,7 +179,7 @@ def test_numbers_are_never_given_twice() -> None:
 
 def test_another_setting_takes_no_sample_of_where_the_robot_stands() -> None:
     live = fed()
-    live.compute()
+    live.answer.compute()
     count = len(live.copied().outcomes)
     shifted = [replace(item, stamp=item.stamp + 10**12)
                for item in (*SPHERE.poses, *SPHERE.profiles)]
@@ -187,14 +188,14 @@ def test_another_setting_takes_no_sample_of_where_the_robot_stands() -> None:
     before = live.calibration
     changed(live, noise__sensor=2 * live.config.noise.sensor)
     assert live.calibration is not before and len(live.copied().outcomes) == count
-    live.compute()
+    live.answer.compute()
     assert len(live.copied().outcomes) == count + 1
 
 
 def test_cleared_and_refused_answers_are_withdrawn() -> None:
     live = fed()
     assert state_of(live).calibration.state == 'none'
-    live.compute()
+    live.answer.compute()
     live.samples.remove_last()
     assert state_of(live).calibration.state == 'outdated'
     live.clear_samples()
@@ -202,17 +203,17 @@ def test_cleared_and_refused_answers_are_withdrawn() -> None:
     assert (state.state, state.translation) == ('withdrawn', None)
     assert 'cleared' in state.text and 'is not the answer' in state.text
     with pytest.raises(DataError):
-        live.compute()
+        live.answer.compute()
     assert state_of(live).calibration.state == 'withdrawn'
 
 
 def test_what_was_saved_is_reported_until_there_is_another_answer(tmp_path: Path) -> None:
     live = fed(replace(SPHERE.config, output_dir=str(tmp_path)))
-    live.compute()
+    live.answer.compute()
     assert state_of(live).calibration.saved == ''
-    live.save()
+    live.answer.save()
     assert state_of(live).calibration.saved == str(tmp_path / 'sphere' / 'calibration.yaml')
-    live.compute()
+    live.answer.compute()
     assert state_of(live).calibration.saved == ''
 
 
@@ -233,14 +234,14 @@ def test_nobody_asked_for_a_sample() -> None:
     trouble = state_of(live).session.trouble
     assert 'no sample was requested: sampling.mode is manual' in trouble
     with pytest.raises(DataError, match='no sample was requested'):
-        live.compute()
+        live.answer.compute()
     changed(live, sampling__mode='still')
 
 
 def test_what_is_reported_is_plain() -> None:
     import json
     live = fed()
-    live.compute()
+    live.answer.compute()
     state = state_of(live)
     samples = json.loads(json.dumps(samples_message(state)))
     status = json.loads(json.dumps(status_message(state)))

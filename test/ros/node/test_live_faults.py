@@ -39,12 +39,12 @@ def test_poses_in_another_frame_than_the_one_set_are_refused(set_to: str) -> Non
     words = 'the poses are given in "base_link", but robot_base_frame is "base"'
     if set_to == 'base':
         assert words in state_of(live).session.trouble
-        for ask in (live.compute, live.samples.take,
+        for ask in (live.answer.compute, live.samples.take,
                     lambda: pipeline.calibrate(SPHERE.profiles, poses, config)):
             with pytest.raises(BaseFrameError, match=words):
                 ask()
     else:
-        settings = live.compute()[0].provenance['config']
+        settings = live.answer.compute()[0].provenance['config']
         assert settings['robot_base_frame'] == live.framed.base_frame == 'base_link'
 
 

@@ -66,7 +66,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 def test_stops_after_the_start_verify_and_are_no_samples(tmp_path: Path, parts) -> None:
     live = running(tmp_path, verify__routine='sphere', verify__radius=0.04)
     feed(live, *parts[0])
-    live.compute()
+    live.answer.compute()
     before = [outcome.number for outcome in live.copied().outcomes]
     assert live.verification.begin().startswith('sphere: 0 usable stops of 0; move on')
     assert 'stops are not samples' in ' '.join(state_of(live).session.notes)

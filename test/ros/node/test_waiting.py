@@ -14,7 +14,7 @@ from handeye_ros.data import TimedPose
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
-from handeye_ros.ros.node.worker import InProcess, Judge, WorkerProcess
+from handeye_ros.ros.node.worker import Judge, Runner, WorkerProcess
 from handeye_ros.ros.sessions.store import Place
 from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.errors import MovingError
@@ -89,7 +89,7 @@ def everything_else(live: LiveSession) -> None:
     assert ' taken again, ' in live.samples.take()
     assert live.samples.remove_last().startswith('removed sample ')
     live.configure(changed(live.config, 'limits.translation', 0.004))
-    saved = live.save()
+    saved = live.answer.save()
     assert str(live.place.folder(live.config)) in saved
     assert saved.endswith('the calibration is computed again: save it again after that')
 
@@ -99,8 +99,8 @@ def test_nobody_waits_for_a_solve(tmp_path: Path) -> None:
     live = running(tmp_path, second, sampling__mode='manual')
     for part in range(2):
         stand(live, *PARTS[part])
-    live.compute()
-    with second.closed(live.compute) as told:
+    live.answer.compute()
+    with second.closed(live.answer.compute) as told:
         assert live.progress.text == 'the calibration is computed'
         everything_else(live)
         live.clear_samples()
@@ -140,7 +140,7 @@ def verifying(tmp_path: Path) -> tuple[LiveSession, Gate]:
     live = running(tmp_path, second, sampling__mode='manual', verify__routine='sphere',
                    verify__radius=0.04, verify__tolerance=2e-3, verify__angle_tolerance=0.02)
     stand(live, *PARTS[0])
-    live.compute()
+    live.answer.compute()
     live.verification.begin()
     stand(live, *PARTS[1])
     return live, second
@@ -154,7 +154,7 @@ def test_nobody_waits_for_a_verdict(tmp_path: Path) -> None:
         assert live.samples.take().startswith('sphere: ')
         assert live.samples.remove_last().startswith('removed sample ')
         live.configure(changed(live.config, 'limits.translation', 0.004))
-        assert str(live.place.folder(live.config)) in live.save()
+        assert str(live.place.folder(live.config)) in live.answer.save()
     assert told[0].startswith('sphere: PASS, ')
     assert live.samples.take().startswith('sample ')
 
@@ -195,7 +195,7 @@ def test_stops_give_the_same_in_another_process_and_where_that_has_ended(tmp_pat
     finally:
         second.stop()
     told += [described(Judge(runner), waiting, outcomes, other)
-             for runner in (second, InProcess())]
+             for runner in (second, Runner())]
     assert told[0] == told[1] == told[2]
     assert told[0][-1] == [repr(judged(outcome, other).sample) for outcome in outcomes]
 

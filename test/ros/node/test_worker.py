@@ -15,7 +15,7 @@ from command import PATIENCE
 from handeye_ros.config import Config
 from handeye_ros.diagnosis.review import NoReviewError, review
 from handeye_ros.ros.errors import WorkerEndedError
-from handeye_ros.ros.node.worker import COMMAND, InProcess, Judge, WorkerProcess
+from handeye_ros.ros.node.worker import COMMAND, Judge, Runner, WorkerProcess
 from handeye_ros.sampling.errors import SilentPosesError
 from handeye_ros.sampling.stops import evenly
 import pytest
@@ -29,10 +29,10 @@ def worker() -> Iterator[WorkerProcess]:
 
 
 def test_it_answers_and_refuses_as_here(worker: WorkerProcess) -> None:
-    assert worker.run(divmod, 7, 2) == InProcess().run(divmod, 7, 2) == (3, 1)
+    assert worker.run(divmod, 7, 2) == Runner().run(divmod, 7, 2) == (3, 1)
     assert worker.run(os.getpid) != os.getpid()
     told = []
-    for runner in (worker, InProcess()):
+    for runner in (worker, Runner()):
         with pytest.raises(NoReviewError) as caught:
             runner.run(review, [], [], Config())
         told.append(str(caught.value))

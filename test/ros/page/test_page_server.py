@@ -16,9 +16,10 @@ import pytest
 pytest.importorskip('aiohttp', reason='needs aiohttp')
 from handeye_ros.ros.errors import PageError  # noqa: E402, I100
 from handeye_ros.ros.page import server as servers  # noqa: E402
+from handeye_ros.ros.page.buttons import Source  # noqa: E402
+from handeye_ros.ros.page.contents import plain  # noqa: E402
 from handeye_ros.ros.page.guard import BURST, Guard, MOST_CONNECTIONS  # noqa: E402
 from handeye_ros.ros.page.server import PageServer  # noqa: E402
-from handeye_ros.ros.page.source import plain, Source  # noqa: E402
 
 pytestmark = pytest.mark.once
 

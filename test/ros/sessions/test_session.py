@@ -22,8 +22,7 @@ from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.ros.sessions.bag_files import BagFile, files_of, write_metadata
 from handeye_ros.ros.sessions.reading import is_session, last_session, read_session
-from handeye_ros.ros.sessions.resume import resumed
-from handeye_ros.ros.sessions.store import Place
+from handeye_ros.ros.sessions.store import Place, resumed
 from handeye_ros.ros.sessions.writing import SessionStore
 from mcap.reader import make_reader
 import numpy as np
@@ -114,10 +113,11 @@ def test_what_was_received_is_stored_byte_for_byte(tmp_path: Path) -> None:
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give the folder of a session of all stops, with one removed and one left out."""
     live = feed(stored(tmp_path_factory.mktemp('session')))
-    live.compute()
+    live.answer.compute()
     live.samples.remove_last()
     changed(live, samples__exclude=[3])
-    np.save(Path(live.samples.store.path).parent / 'answer.npy', live.compute()[0].T_flange_sensor)
+    answer, _ = live.answer.compute()
+    np.save(Path(live.samples.store.path).parent / 'answer.npy', answer.T_flange_sensor)
     live.samples.store.close()
     return Path(live.samples.store.path)
 
@@ -157,7 +157,7 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     feed(other, later)
     state = state_of(other)
     assert [s.number for s in state.samples][:5] == [1, 2, 3, 4, 6], 'no number comes twice'
-    found, _ = other.compute()
+    found, _ = other.answer.compute()
     offline = read_session(Path(other.samples.store.path))
     expected = pipeline.calibrate_session(offline.session(offline.config), offline.config)
     assert np.abs(found.T_flange_sensor - expected.T_flange_sensor).max() < 1e-9
@@ -318,5 +318,5 @@ def test_no_answer_from_a_session_without_samples(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=1)
     live.samples.remove_last()
     with pytest.raises(DataError):
-        live.compute()
+        live.answer.compute()
     assert_refused(handeye('solve', live.samples.store.path, cwd=tmp_path), 3, '0 usable samples')
