@@ -178,7 +178,7 @@ class Reviewer:
         self.advice = pipeline.advise((), self._samples.config)
         self.advised = 0
         self._basis = 0, 0  # of the advice: changes of settings, stops without a sample
-        self._poses: dict[int, Array] = {}  # of stops without a sample, by the stamp of their begin
+        self._poses: dict[int, Array] = {}  # of stops without a sample, by their begin
 
     def configured(self, before: Config, after: Config) -> None:
         """Note a change of settings."""

@@ -76,7 +76,7 @@ class LiveSamples:
         return f'going on with {count_of(count, "sample")} of {self.store.path}'
 
     def judge_all(self) -> None:
-        """Evaluate all stops that are over, and the current one as soon as it has enough profiles."""
+        """Evaluate all stops that are over, and the current one once it has enough profiles."""
         with self.work:
             while self.streams.waiting:
                 self._judge(self.streams.waiting.popleft())
