@@ -208,4 +208,3 @@ class LiveSession:
         self.answer.configured(before, config)
         self.reviewer.configured(before, config)
         self.streams.wake.set()
-
