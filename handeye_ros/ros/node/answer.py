@@ -139,7 +139,7 @@ class Answer:
     def withdraw(self, why: str) -> None:
         """Let there be no answer any more; why: the reason, for its state."""
         self.withdrawn = (f'{why}; the transform that was published before is not the answer'
-                           if self.calibration or self.withdrawn else '')
+                          if self.calibration or self.withdrawn else '')
         self.calibration = None
 
     def changes(self, stamps: frozenset[int]) -> str:
