@@ -52,3 +52,19 @@ def unit_vectors(names: Sequence[str]) -> Array:
     for column, name in enumerate(names):
         axes['xyz'.index(name[-1]), column] = -1.0 if name[0] == '-' else 1.0
     return axes
+
+
+def name_direction(direction: Array, frame: str) -> str:
+    """Return a direction (3,) as a person would say it: the nearest axis and how near."""
+    axis = int(np.argmax(np.abs(direction)))
+    away = np.degrees(np.arccos(min(1.0, abs(direction[axis]) / np.linalg.norm(direction))))
+    if away < 15:
+        return f'{frame} {"xyz"[axis]} within {max(1, round(away + 0.5))} degrees'
+    text = ', '.join(f'{c:.2f}' for c in direction / np.linalg.norm(direction))
+    return f'the direction ({text}) of {frame}'
+
+
+def other_axes(direction: Array, frame: str) -> str:
+    """Return the two axes of a frame that are most across a direction."""
+    names = [name for _, name in sorted(zip(np.abs(direction), 'xyz', strict=True))]
+    return f'{frame} {" or ".join(sorted(names[:2]))}'

@@ -10,22 +10,22 @@ from dataclasses import replace
 
 from handeye_ros import targets
 from handeye_ros.checks.change_point import moved_slightly
-from handeye_ros.checks.conventions import require_conventions, require_range_sign
-from handeye_ros.checks.errors import CountedWrongWayError, LeftOutError, TooUncertainError
-from handeye_ros.checks.misfit import require_consistent, require_edges
-from handeye_ros.checks.motion import (
+from handeye_ros.checks.consistency import (
     require_certain,
+    require_consistent,
+    require_edges,
     require_judged,
     require_own_frame,
     require_rotations,
     require_samples,
 )
+from handeye_ros.checks.conventions import require_conventions, require_range_sign
+from handeye_ros.checks.errors import CountedWrongWayError, LeftOutError, TooUncertainError
 from handeye_ros.checks.shape import believable_shape, require_one_scale
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
-from handeye_ros.diagnosis.clocks import require_same_clock
-from handeye_ros.diagnosis.snapshots import stop_snapshots
-from handeye_ros.diagnosis.wrong_settings import require_settings
+from handeye_ros.diagnosis.settings import require_same_clock, require_settings
+from handeye_ros.diagnosis.summaries import stop_snapshots
 from handeye_ros.errors import DataError, NamedCauseError
 from handeye_ros.estimation.consensus import Consensus, consensus, refine, SUBSETS
 from handeye_ros.estimation.linearise import Problem

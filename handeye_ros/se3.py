@@ -159,3 +159,15 @@ def interpolated(times: Array, translations: Array, quaternions: Array, at: Arra
     rotations = Slerp(times, Rotation.from_quat(quaternions))(at)
     translation = np.column_stack([np.interp(at, times, column) for column in translations.T])
     return transform(rotations.as_matrix(), translation)
+
+
+def worst_translation(covariance: Array) -> tuple[float, Array]:
+    """Return the largest 1 sigma of the translation (m) and its direction."""
+    values, vectors = np.linalg.eigh(covariance[:3, :3])
+    return float(np.sqrt(values[2])), vectors[:, 2]
+
+
+def worst_rotation(covariance: Array) -> tuple[float, Array]:
+    """Return the largest 1 sigma of the rotation (rad) and its axis."""
+    values, vectors = np.linalg.eigh(covariance[3:6, 3:6])
+    return float(np.sqrt(values[2])), vectors[:, 2]

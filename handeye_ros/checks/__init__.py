@@ -6,16 +6,16 @@ to do. Knows samples and estimates, and no file and no message.
 """
 
 OFFERED = (
-    'alternatives.Fit', 'alternatives.Hypothesis', 'alternatives.believable',
+    'alternatives.believable', 'alternatives.Fit', 'alternatives.Hypothesis',
     'alternatives.of_problem', 'alternatives.require_stated', 'change_point.moved_slightly',
-    'conventions.require_conventions', 'conventions.require_range_sign', 'errors.ConventionError',
-    'errors.CountedWrongWayError', 'errors.LeftOutError', 'errors.OneAxisError',
-    'errors.OneOrientationError', 'errors.TooUncertainError', 'misfit.edge_notes',
-    'misfit.require_consistent', 'misfit.require_edges', 'misfit.residual_rms',
-    'motion.SMALLEST_TURN', 'motion.frame_notes', 'motion.name_direction', 'motion.other_axes',
-    'motion.require_certain', 'motion.require_judged', 'motion.require_own_frame',
-    'motion.require_rotations', 'motion.require_samples', 'motion.turning', 'motion.weakest',
-    'motion.worst_rotation', 'motion.worst_translation', 'shape.ROTATION_LAG', 'shape.TIME_OFFSET',
+    'consistency.edge_notes', 'consistency.frame_notes', 'consistency.require_certain',
+    'consistency.require_consistent', 'consistency.require_edges', 'consistency.require_judged',
+    'consistency.require_own_frame', 'consistency.require_rotations',
+    'consistency.require_samples', 'consistency.residual_rms', 'consistency.SMALLEST_TURN',
+    'consistency.turning', 'conventions.require_conventions', 'conventions.require_range_sign',
+    'errors.ConventionError', 'errors.CountedWrongWayError', 'errors.LeftOutError',
+    'errors.OneAxisError', 'errors.OneOrientationError', 'errors.TooUncertainError',
     'shape.believable_shape', 'shape.contradictions', 'shape.offset_notes',
-    'shape.reported_blocks', 'shape.require_one_scale', 'shape.time_offset_of',
+    'shape.reported_blocks', 'shape.require_one_scale', 'shape.ROTATION_LAG', 'shape.TIME_OFFSET',
+    'shape.time_offset_of',
 )

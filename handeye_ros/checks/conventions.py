@@ -1,17 +1,18 @@
 """
-Common errors in conventions, tried out when an answer does not fit.
+Common errors in conventions, tried where an answer does not fit.
 
-The one that makes the samples agree names the mistake.
+Each is a map of poses (n, 4, 4) to what they would be without the error. The one that makes the
+samples agree names the mistake.
 """
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 from handeye_ros import se3
 from handeye_ros.checks.alternatives import Fit, Hypothesis, of_problem, require_stated
-from handeye_ros.checks.convention_errors import CONVENTION_ERRORS, INVERSE
+from handeye_ros.checks.consistency import misfit_of, MISFITTING, residual_rms
 from handeye_ros.checks.errors import (
     CalibrationTypeError,
     ConventionError,
@@ -19,7 +20,6 @@ from handeye_ros.checks.errors import (
     RangeSignError,
     ScatteredOrientationsError,
 )
-from handeye_ros.checks.misfit import misfit_of, MISFITTING, residual_rms
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError
@@ -27,9 +27,12 @@ from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.profiles.range_sign import range_sign_evidence
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 UNSURE = 0.6  # variance factor, nuisance parameters as noise, that makes the sign uncertain
 SCATTERED = 0.6  # mean of the cosines to the best direction, below which there is none
+INVERSE = 'inverse poses'
 
 
 def require_range_sign(stations: Sequence[Sample | Reject], config: Config) -> None:
@@ -103,3 +106,140 @@ def orientations_scatter(poses: Array) -> bool:
     A sensor that sees its target does keep to a side; wrapped angles are as good as random.
     """
     return float(np.linalg.norm(poses[:, :3, :3].mean(axis=0), 2)) < SCATTERED
+
+
+@dataclass(frozen=True)
+class PoseMap:
+    """
+    undo: gives poses (n, 4, 4) back; advice: what to do, in words.
+
+    other: gives them back where the error has left two ways to read them.
+    """
+
+    undo: Callable[[Array], Array]
+    advice: str
+    other: Callable[[Array], Array] | None = None
+
+
+def _wxyz(T: Array) -> Array:
+    """Undo x y z w having been filled in the order w x y z."""
+    w, x, y, z = np.moveaxis(Rotation.from_matrix(T[:, :3, :3]).as_quat(), -1, 0)
+    return se3.from_quaternion(T[:, :3, 3], np.column_stack([x, y, z, w]))
+
+
+def _scaled(T: Array, factor: float) -> Array:
+    return se3.transform(T[:, :3, :3], T[:, :3, 3] * factor)
+
+
+def _composed(T: Array, read_as: str, meant: str) -> Array:
+    """Undo angles about the axes of meant having been composed as read_as."""
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler(read_as)
+    return se3.transform(Rotation.from_euler(meant, angles).as_matrix(), T[:, :3, 3])
+
+
+def _radians_as_degrees(T: Array) -> Array:
+    """Undo roll, pitch, yaw in radians having been read as degrees."""
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
+    return se3.transform(Rotation.from_euler('xyz', np.degrees(angles)).as_matrix(), T[:, :3, 3])
+
+
+def _rotation_inverted(T: Array) -> Array:
+    return se3.transform(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3])
+
+
+def _in_order(T: Array, first: int, order: list[int]) -> Array:
+    """Undo roll, pitch, yaw having been taken in another order; order: where each went."""
+    angles = _both_rpy(T)[..., order]
+    return se3.transform(_chained(_rotations('xyz', angles), first), T[:, :3, 3])
+
+
+def _rotation_vectors(T: Array, first: int) -> Array:
+    """Undo rotation vectors, of half a turn at most, having been read as roll, pitch, yaw."""
+    both = _both_rpy(T)
+    valid = np.linalg.norm(both, axis=2) <= np.pi
+    return se3.transform(_chained(se3.exp_rotation(both), first, valid), T[:, :3, 3])
+
+
+def _rpy_as_vectors(T: Array, first: int) -> Array:
+    """Undo roll, pitch, yaw having been read as rotation vectors."""
+    short = se3.log_rotation(T[:, :3, :3])
+    length = np.maximum(np.linalg.norm(short, axis=1, keepdims=True), 1e-9)
+    both = np.stack([short, short * (1 - 2 * np.pi / length)])
+    valid = np.abs(both[..., 1]) <= np.pi / 2
+    return se3.transform(_chained(_rotations('xyz', both), first, valid), T[:, :3, 3])
+
+
+def _two_ways(undo: Callable[..., Array], advice: str, **values: object) -> PoseMap:
+    """Return an error that has left two ways to read the first pose, and all others with it."""
+    one, other = (partial(undo, first=first, **values) for first in range(2))
+    return PoseMap(one, advice, other)
+
+
+def _rotations(axes: str, angles: Array) -> Array:
+    flat: Array = Rotation.from_euler(axes, angles.reshape(-1, 3)).as_matrix()
+    return flat.reshape(*angles.shape[:-1], 3, 3)
+
+
+def _both_rpy(T: Array) -> Array:
+    """Return the two triples (2, n, 3) of roll, pitch, yaw that make each rotation."""
+    one = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
+    other = one * [1, -1, 1] + np.pi
+    return np.stack([one, (other + np.pi) % (2 * np.pi) - np.pi])
+
+
+def _chained(R: Array, first: int, valid: NDArray[np.bool_] | None = None) -> Array:
+    """
+    Return of candidates (c, n, 3, 3) one of each pose, such that neighbours are alike.
+
+    first: which of the first pose it is; valid: (c, n), None: all are. The robot goes from one
+    orientation to the next, the nearest of which come first here.
+    """
+    n = R.shape[1]
+    chosen, left = np.full(n, first), np.ones(n, dtype=bool)
+    able = np.ones(R.shape[:2], dtype=bool) if valid is None else valid | ~valid.any(axis=0)
+    likeness, pick, pose = np.full(R.shape[:2], -np.inf), first, 0
+    for _ in range(n):
+        chosen[pose], left[pose] = pick, False
+        likeness = np.maximum(likeness, np.einsum('cnij,ij->cn', R, R[pick, pose]))
+        best = int(np.argmax(np.where(left & able, likeness, -np.inf)))
+        pick, pose = divmod(best, n)
+    return np.asarray(R[chosen, np.arange(n)])
+
+
+CONVENTION_ERRORS: dict[str, PoseMap] = {
+    INVERSE: PoseMap(
+        se3.inverse, 'publish the pose of the flange in the base (p_base = T p_flange), not its '
+        'inverse'),
+    'quaternions read as w x y z': PoseMap(
+        _wxyz, 'fill x, y, z, w of the message by name, not in the order w x y z'),
+    'positions in millimetres': PoseMap(partial(_scaled, factor=1e-3),
+                                        'publish positions in metres'),
+    'positions a thousand times larger': PoseMap(
+        partial(_scaled, factor=1e3), 'publish positions in metres: these were divided by 1000 '
+        'once too often'),
+    'extrinsic Euler angles': PoseMap(
+        partial(_composed, read_as='XYZ', meant='xyz'), 'the angles were composed as intrinsic '
+        'x-y-z; compose them as extrinsic x-y-z (Rz Ry Rx)'),
+    'intrinsic Euler angles': PoseMap(
+        partial(_composed, read_as='xyz', meant='XYZ'), 'the angles were composed as extrinsic '
+        'x-y-z; compose them as intrinsic x-y-z (Rx Ry Rz)'),
+    'angles in radians': PoseMap(
+        _radians_as_degrees, 'the angles are radians but were converted as degrees; convert them '
+        'once only'),
+    'transposed rotations': PoseMap(
+        _rotation_inverted, 'publish the rotation of the flange in the base, not its transpose'),
+    'roll and yaw exchanged': _two_ways(
+        _in_order, order=[2, 1, 0], advice='the angles came in the order yaw, pitch, roll, as '
+        'the A, B, C of KUKA do (about z, y, x), but were taken as roll, pitch, yaw; compose '
+        'them as Rz(A) Ry(B) Rx(C)'),
+    'roll and pitch exchanged': _two_ways(
+        _in_order, 'take the angles in the order roll, pitch, yaw', order=[1, 0, 2]),
+    'pitch and yaw exchanged': _two_ways(
+        _in_order, 'take the angles in the order roll, pitch, yaw', order=[0, 2, 1]),
+    'rotation vectors': _two_ways(
+        _rotation_vectors, 'the orientations are rotation vectors, as Universal Robots gives '
+        'them, but were read as roll, pitch, yaw; turn by their length about their direction'),
+    'roll, pitch, yaw': _two_ways(
+        _rpy_as_vectors, 'the orientations are roll, pitch, yaw but were read as rotation '
+        'vectors; compose them as extrinsic x-y-z (Rz Ry Rx)'),
+}

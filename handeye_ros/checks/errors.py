@@ -100,18 +100,6 @@ class TooUncertainError(NamedCauseError):
                    f'{missing}')
 
 
-def missing_turn(axes: str, turn: float) -> str:
-    """Return what to do about poses that turn too little about some axes, by turn RMS (rad)."""
-    return (f'the poses turn by only {degrees(turn)} RMS about {axes}; tilt the tool about this '
-            'axis by 15 degrees or more to both sides')
-
-
-def missing_spread() -> str:
-    """Return what to do about poses that turn enough."""
-    return ('take more samples with the target in all parts of the field of view (near, far, '
-            'left, right), each with another tilt')
-
-
 class InconsistentError(DataError):
     """Residuals too large for any trusted answer."""
 

@@ -7,7 +7,7 @@ import time
 from typing import Any
 
 from handeye_ros import pipeline, se3, targets
-from handeye_ros.checks.motion import require_certain
+from handeye_ros.checks.consistency import require_certain
 from handeye_ros.comparison.estimators import Estimator, ESTIMATORS
 from handeye_ros.comparison.given import Given, Known, Measurements, Stations
 from handeye_ros.config import Config

@@ -13,7 +13,7 @@ import math
 from typing import Any
 
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.motion import require_certain, require_rotations
+from handeye_ros.checks.consistency import require_certain, require_rotations
 from handeye_ros.comparison.given import Known, Measurements, Stations
 from handeye_ros.data import Arc, Array, EdgePoint
 from handeye_ros.files import hand_eye_estimate

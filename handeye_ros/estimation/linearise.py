@@ -14,8 +14,8 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import farthest_points, pose_features, process_root
+from handeye_ros.estimation.linalg import products, Stations, stations_of
 from handeye_ros.estimation.model import Estimate, Method, Observations, PoseModel
-from handeye_ros.estimation.stations import products, Stations, stations_of
 import numpy as np
 from numpy.typing import NDArray
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
+from handeye_ros.estimation.linalg import Stations
 from handeye_ros.estimation.linearise import Linear, Problem
-from handeye_ros.estimation.stations import Stations
 import numpy as np
 from numpy.typing import NDArray
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.linalg import covariance_of
+from handeye_ros.estimation.linalg import covariance_of, groups
 from handeye_ros.estimation.solver import (
     believed,
     graduated,
@@ -23,7 +23,6 @@ from handeye_ros.estimation.solver import (
     ROUNDING,
     System,
 )
-from handeye_ros.estimation.stations import groups
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc, chdtri, fdtri

@@ -18,13 +18,12 @@ from functools import cached_property
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import ParameterBlock, prepared
-from handeye_ros.estimation.linalg import from_information
+from handeye_ros.estimation.linalg import FactoredJacobian, from_information
 from handeye_ros.estimation.linearise import Linear, linearise, MANY, Problem, State
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import covariances, Noise, Whitening, whitening
 from handeye_ros.estimation.scales import prior_scales, Scales
 from handeye_ros.estimation.solution import columns_of, retracted, Solution
-from handeye_ros.estimation.stations import FactoredJacobian
 import numpy as np
 from numpy.typing import NDArray
 

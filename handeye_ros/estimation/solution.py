@@ -7,13 +7,12 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import best_fit_motions, ParameterBlock, pose_corrections
-from handeye_ros.estimation.linalg import covariance_of, covering
+from handeye_ros.estimation.linalg import covariance_of, covering, FactoredJacobian
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, Whitening, whitening
 from handeye_ros.estimation.outliers import leave_own_out
 from handeye_ros.estimation.solver import least_squares, Rows, System
-from handeye_ros.estimation.stations import FactoredJacobian
 import numpy as np
 from numpy.typing import NDArray
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros import se3
+from handeye_ros.checks.consistency import SMALLEST_TURN, turning
 from handeye_ros.checks.errors import OneAxisError, OneOrientationError
-from handeye_ros.checks.motion import name_direction, other_axes, SMALLEST_TURN, turning
 from handeye_ros.data import Array
 from handeye_ros.estimation.outliers import adjust, Adjusted
 from handeye_ros.estimation.scales import first_variances, variance_components
@@ -29,6 +29,7 @@ from handeye_ros.files.hand_eye_model import (
     system,
 )
 from handeye_ros.files.tables import Table
+from handeye_ros.frames import name_direction, other_axes
 from handeye_ros.published.errors import TooFewError
 import numpy as np
 from numpy.typing import NDArray

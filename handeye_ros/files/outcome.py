@@ -5,11 +5,11 @@ from typing import Any
 
 from handeye_ros import __version__, se3
 from handeye_ros.checks.errors import LeftOutError, TooUncertainError
-from handeye_ros.checks.motion import name_direction, worst_rotation, worst_translation
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.files.method import Answer, FileMethod, Input
-from handeye_ros.frames import mount_frame, sensor_axes
+from handeye_ros.frames import mount_frame, name_direction, sensor_axes
+from handeye_ros.se3 import worst_rotation, worst_translation
 from handeye_ros.threads import single_threaded
 import numpy as np
 

@@ -4,5 +4,7 @@ The next pose that helps most.
 What is determined so far, what is missing, and poses within the limits of the robot.
 """
 
-OFFERED = ('advice', 'advice.Advice', 'following.anchor_of', 'moves.Move', 'rules.edge_kinds',
-           'view.extremes')
+OFFERED = (
+    'advice', 'advice.Advice', 'following.anchor_of', 'limits.extremes', 'moves.Move',
+    'rules.edge_kinds',
+)

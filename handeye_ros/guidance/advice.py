@@ -5,20 +5,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3, targets
-from handeye_ros.checks.motion import name_direction, worst_rotation, worst_translation
 from handeye_ros.checks.shape import offset_notes
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.frames import mount_frame, mounted
-from handeye_ros.guidance.budget import Cause, largest_cause, with_sample
+from handeye_ros.frames import mount_frame, mounted, name_direction
 from handeye_ros.guidance.candidates import Search
-from handeye_ros.guidance.limits import limits_of
-from handeye_ros.guidance.moves import Move, next_move, noun
+from handeye_ros.guidance.limits import learn_view, limits_of
+from handeye_ros.guidance.moves import missing, Move, next_move, noun
 from handeye_ros.guidance.rules import visited
-from handeye_ros.guidance.score import Mapping, mapping
-from handeye_ros.guidance.spread import missing
-from handeye_ros.guidance.view import learn_view
+from handeye_ros.guidance.score import Cause, largest_cause, Mapping, mapping, with_sample
+from handeye_ros.se3 import worst_rotation, worst_translation
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -15,10 +15,9 @@ from handeye_ros.estimation.linearise import linearise, Problem
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.following import anchor_of, batch_of, following
-from handeye_ros.guidance.limits import Limits, twist_of
+from handeye_ros.guidance.limits import Limits, twist_of, View
 from handeye_ros.guidance.rules import Visited
 from handeye_ros.guidance.score import Mapping, with_rows
-from handeye_ros.guidance.view import View
 import numpy as np
 
 PROTOTYPES = 6

@@ -12,7 +12,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.linearise import Linear, points_in_base
 from handeye_ros.estimation.model import Method
-from handeye_ros.guidance.view import View
+from handeye_ros.guidance.limits import View
 from handeye_ros.targets.ends import EdgeObservations
 import numpy as np
 from numpy.typing import NDArray

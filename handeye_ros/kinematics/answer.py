@@ -10,10 +10,9 @@ from typing import Any
 from xml.etree import ElementTree
 
 from handeye_ros import __version__, se3
-from handeye_ros.checks.motion import name_direction, worst_translation
 from handeye_ros.config import Config, flatten, yaml_content
 from handeye_ros.data import Array, Calibration, Quality, SampleReport
-from handeye_ros.frames import mount_frame
+from handeye_ros.frames import mount_frame, name_direction
 from handeye_ros.kinematics.chain import Chain, Joint, motion, REVOLUTE
 from handeye_ros.kinematics.errors import UrdfError
 from handeye_ros.kinematics.model import Arm, COUNTS, OFFSET, ON_DEMAND, Parameter, PRIORS
@@ -22,6 +21,7 @@ from handeye_ros.kinematics.points import Points
 from handeye_ros.output import write_whole
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import transform_from, transform_values
+from handeye_ros.se3 import worst_translation
 import numpy as np
 import yaml
 

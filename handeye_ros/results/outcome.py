@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import __version__, se3
-from handeye_ros.checks.misfit import edge_notes
-from handeye_ros.checks.motion import weakest
+from handeye_ros.checks.consistency import edge_notes
 from handeye_ros.checks.shape import (
     contradictions,
     offset_notes,
@@ -22,7 +21,7 @@ from handeye_ros.estimation.influence import predictions
 from handeye_ros.estimation.linearise import points_in_base, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.solution import corrected_poses, Solution
-from handeye_ros.frames import mount_frame, sensor_axes
+from handeye_ros.frames import mount_frame, name_direction, sensor_axes
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,9 +42,10 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
     reports = [*_used_reports(used, problem, measured.station, residuals),
                *_dropped_reports(samples, agreed),
                *(SampleReport(r.stamp, False, reason=r.reason) for r in rejects)]
-    direction, std = weakest(solution, parent)
+    std, direction = se3.worst_translation(solution.reported)
     quality = Quality(len(used), len(reports) - len(used), _rms(residuals),
-                      _rms(left_out(solution, measured)), direction, std)
+                      _rms(left_out(solution, measured)),
+                      f'position along {name_direction(direction, parent)} (m)', std)
     return Calibration(
         config.name or config.target.type, problem.method.name, parent, frame_id or 'laser',
         solution.estimate.X @ se3.inverse(sensor_axes(config)),

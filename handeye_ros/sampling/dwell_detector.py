@@ -11,7 +11,7 @@ from copy import copy
 import math
 from typing import Self
 
-from handeye_ros.checks.motion import frame_notes
+from handeye_ros.checks.consistency import frame_notes
 from handeye_ros.config import Config, UNNAMED_FRAME
 from handeye_ros.data import AnyProfile, TimedPose
 from handeye_ros.errors import InputError

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 from cells import Cell, cell, recorded
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.convention_errors import CONVENTION_ERRORS
-from handeye_ros.checks.conventions import orientations_scatter
+from handeye_ros.checks.conventions import CONVENTION_ERRORS, orientations_scatter
 from handeye_ros.checks.errors import (
     CalibrationTypeError,
     ContradictingStationsError,

@@ -7,15 +7,17 @@ import re
 
 from cells import Cell, cell, exact_cell, scenario_of
 from handeye_ros import pipeline, se3
+from handeye_ros.checks.consistency import turning
 from handeye_ros.checks.errors import (
     OneAxisError,
     OneOrientationError,
     TooFewSamplesError,
     TooUncertainError,
 )
-from handeye_ros.checks.motion import name_direction, other_axes, turning, worst_translation
 from handeye_ros.data import Array, Reject
 from handeye_ros.errors import DataError
+from handeye_ros.frames import name_direction, other_axes
+from handeye_ros.se3 import worst_translation
 from handeye_ros.simulate import Scenario
 from handeye_ros.targets import METHODS
 import numpy as np

@@ -7,7 +7,7 @@ import re
 
 from handeye_ros import pipeline
 from handeye_ros.config import Config, with_values
-from handeye_ros.diagnosis.clocks import require_same_clock
+from handeye_ros.diagnosis.settings import require_same_clock
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.errors import ClocksDifferError
 from handeye_ros.simulate import FAULTS, SCENARIOS, settings, simulate, Simulated

@@ -2,8 +2,13 @@
 from __future__ import annotations
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.linalg import from_information, LARGEST_STD
-from handeye_ros.estimation.stations import FactoredJacobian, groups, products
+from handeye_ros.estimation.linalg import (
+    FactoredJacobian,
+    from_information,
+    groups,
+    LARGEST_STD,
+    products,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np

@@ -9,14 +9,12 @@ from handeye_ros.config import with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.advice import Advice, advise, judged, Proposal, ROUGHLY_KNOWN, Sigma
-from handeye_ros.guidance.budget import Cause
 from handeye_ros.guidance.candidates import prototypes, Search, SERVES
 from handeye_ros.guidance.following import anchor_of
-from handeye_ros.guidance.limits import limits_of, twist_of
+from handeye_ros.guidance.limits import learn_view, limits_of, seen_points, twist_of
 from handeye_ros.guidance.moves import design, next_move
 from handeye_ros.guidance.rules import visited
-from handeye_ros.guidance.score import mapping, with_rows
-from handeye_ros.guidance.view import learn_view, seen_points
+from handeye_ros.guidance.score import Cause, mapping, with_rows
 from handeye_ros.simulate import SCENARIOS
 import numpy as np
 import pytest

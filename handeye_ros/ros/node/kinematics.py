@@ -8,7 +8,7 @@ from threading import Lock
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, TimedPose
-from handeye_ros.diagnosis.clocks import require_same_clock
+from handeye_ros.diagnosis.settings import require_same_clock
 from handeye_ros.errors import InputError
 from handeye_ros.kinematics.answer import save
 from handeye_ros.kinematics.chain import chain_of, read_urdf

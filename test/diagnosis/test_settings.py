@@ -6,7 +6,7 @@ from functools import lru_cache
 
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
-from handeye_ros.diagnosis.wrong_settings import require_settings, WrongSettingError
+from handeye_ros.diagnosis.settings import require_settings, WrongSettingError
 from handeye_ros.errors import DataError
 from handeye_ros.simulate import FAULTS, settings, simulate, Simulated
 import numpy as np

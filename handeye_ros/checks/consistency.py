@@ -1,0 +1,258 @@
+"""
+Whether samples and poses suffice for an answer and agree with it, and what is said if not.
+
+Frames and rotations of a recording; redundancy and uncertainty of an answer; its residuals; the
+edges that it leaves unexplained.
+"""
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from handeye_ros.checks.alternatives import LARGEST_DROPPED_SHARE
+from handeye_ros.checks.change_point import require_unmoved
+from handeye_ros.checks.errors import (
+    ContradictingStationsError,
+    InconsistentError,
+    LostEdgesError,
+    OneAxisError,
+    OneOrientationError,
+    ScatterError,
+    SensorFrameError,
+    TooFewConditionsError,
+    TooFewEdgesError,
+    TooFewSamplesError,
+    TooUncertainError,
+    UnidentifiedOutlierError,
+)
+from handeye_ros.checks.shape import require_not_only_scale
+from handeye_ros.config import Config, LimitsConfig, UNNAMED_FRAME
+from handeye_ros.data import Array, Reject, Sample
+from handeye_ros.errors import degrees
+from handeye_ros.estimation.consensus import Consensus
+from handeye_ros.estimation.linearise import points_in_base, Problem
+from handeye_ros.estimation.model import Method
+from handeye_ros.estimation.noise import expected_rms
+from handeye_ros.estimation.search import shows_essential
+from handeye_ros.estimation.solution import redundancy, Solution
+from handeye_ros.frames import mount_frame, name_direction, other_axes
+from handeye_ros.se3 import worst_rotation, worst_translation
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+ENOUGH_TURN = 0.12  # rad: RMS about the second axis, of tilts to both sides by 12 degrees
+FEWEST_REDUNDANT = 3  # conditions that judge an answer, and the choice of each dropped station
+CONTAMINATED = 0.1  # probability of one of few samples being wrong that is too large
+SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
+LARGEST_BESIDE = 1e-3  # m; of profiles beside their plane that need no note
+MISFITTING = 9.0  # variance factor from which something other than noise is looked for
+WILD, WILD_RATIO = 40.0, 4.0  # variance factor and residual over noise that no robot explains
+
+
+def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], method: Method) -> None:
+    """Raise TooFewSamplesError when there are fewer samples than the method needs."""
+    if len(samples) < method.minimum:
+        reasons = [reason for reason, _ in Counter(r.reason for r in rejects).most_common()]
+        raise TooFewSamplesError(method.name, len(samples), method.minimum, len(rejects),
+                                 reasons[0] if reasons else '')
+
+
+def require_own_frame(frame_id: str, config: Config) -> None:
+    """
+    Refuse profiles in a frame of the robot: the result would be a transform to itself.
+
+    frame_id: of the profiles. Raises SensorFrameError.
+    """
+    for key, robots in (('robot_effector_frame', config.robot_effector_frame),
+                        ('robot_base_frame', config.base_frame)):
+        if frame_id == robots:
+            raise SensorFrameError(frame_id, key)
+
+
+def frame_notes(frame: str | None, beside: float, config: Config) -> Iterator[str]:
+    """
+    Yield what does not fit, one sentence each.
+
+    frame: of the profiles, None before the first; beside: how far they lie beside their plane
+    (metres).
+    """
+    if frame == '':
+        yield f'the profiles have no frame_id: the result calls their frame "{UNNAMED_FRAME}"'
+    if beside > LARGEST_BESIDE:
+        yield (f'the profiles lie up to {beside * 1e3:.1f} mm beside the plane of '
+               f'{" and ".join(config.profile.axes)} in their frame: that coordinate is not '
+               'used, and the result holds for points in the plane')
+
+
+def require_rotations(poses: Array, config: Config, lost: str) -> None:
+    """
+    Refuse poses (n, 4, 4) that turn about no axis, or about only one.
+
+    lost: what turns about one axis leave open.
+    Raises OneOrientationError and OneAxisError.
+    """
+    turns, axes = turning(poses)
+    if turns[0] < SMALLEST_TURN:
+        raise OneOrientationError(float(turns[0]))
+    if turns[1] < SMALLEST_TURN:
+        frame = mount_frame(config)
+        raise OneAxisError(name_direction(axes[0], frame), float(turns[0]),
+                           other_axes(axes[0], frame), lost)
+
+
+def turning(poses: Array) -> tuple[Array, Array]:
+    """
+    Return how far poses (n, 4, 4) turn (3,), RMS in rad, and about which axes (3, 3).
+
+    Largest first; the axes are the rows, in the frame that the sensor is fixed in.
+    """
+    rotations = Rotation.from_matrix(poses[:, :3, :3])
+    vectors = (rotations.mean().inv() * rotations).as_rotvec()
+    _, s, axes = np.linalg.svd(vectors - vectors.mean(axis=0), full_matrices=len(vectors) < 3)
+    turns = np.zeros(3)
+    turns[:len(s)] = s / len(poses) ** 0.5
+    return turns, axes
+
+
+def require_certain(agreed: Consensus, config: Config) -> None:
+    """
+    Refuse an answer that is less certain than the limits.
+
+    Raises TooUncertainError, which names the direction and the motion that is missing.
+    """
+    solution, poses = agreed.solution, agreed.whole.poses
+    limits, frame = config.limits, mount_frame(config)
+    turn_std, axis = worst_rotation(solution.reported)
+    if turn_std > limits.rotation:
+        raise TooUncertainError.rotation(name_direction(axis, frame), turn_std, limits.rotation,
+                                         missing_motion(poses, frame))
+    shift_std, direction = worst_translation(solution.reported)
+    if shift_std > limits.translation:
+        raise TooUncertainError.translation(name_direction(direction, frame), shift_std,
+                                            limits.translation,
+                                            missing_motion(poses, frame))
+
+
+def require_judged(agreed: Consensus) -> None:
+    """
+    Refuse an answer where too little is left to judge it by.
+
+    Raises TooFewConditionsError, and UnidentifiedOutlierError where that would be so without the
+    one sample that seems to be wrong.
+    """
+    dropped, left = len(agreed.dropped), redundancy(agreed.solution)
+    needed = FEWEST_REDUNDANT * (1 + dropped) + bool(dropped)
+    if left < needed:
+        raise TooFewConditionsError(len(agreed.used), dropped, left, needed)
+    each = int(agreed.solution.ranks.max())
+    missing = FEWEST_REDUNDANT * (2 + dropped) + 1 - (left - each)
+    if agreed.contaminated > CONTAMINATED and missing > 0:
+        raise UnidentifiedOutlierError(len(agreed.used), -(-missing // each))
+
+
+def missing_motion(poses: Array, frame: str) -> str:
+    """Return what poses (n, 4, 4) should do that they do too little, in words."""
+    turns, axes = turning(poses)
+    if turns[1] > ENOUGH_TURN:
+        return ('take more samples with the target in all parts of the field of view (near, far, '
+                'left, right), each with another tilt')
+    return (f'the poses turn by only {degrees(turns[1])} RMS about '
+            f'{name_direction(axes[1], frame)}; tilt the tool about this axis by 15 degrees or '
+            'more to both sides')
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """By how much samples contradict an answer: RMS and expected RMS (m), share dropped."""
+
+    rms: float
+    expected: float
+    share: float
+    variance_factor: float
+    limits: LimitsConfig
+
+    @property
+    def wild(self) -> bool:
+        """Return whether the residuals are more than any noise."""
+        return self.rms > self.limits.scatter * self.expected or (
+            self.variance_factor > WILD and self.rms > WILD_RATIO * self.expected)
+
+    @property
+    def hopeless(self) -> bool:
+        """Return whether there can be no answer."""
+        return (self.share > LARGEST_DROPPED_SHARE or self.rms > self.limits.residual
+                or self.wild)
+
+
+def misfit_of(problem: Problem, agreed: Consensus) -> Misfit:
+    """Return by how much the samples of a problem contradict what they agree on."""
+    return Misfit(residual_rms(agreed.solution), expected_rms(agreed.solution.linear),
+                  len(agreed.dropped) / len(problem.poses), agreed.solution.variance_factor,
+                  problem.config.limits)
+
+
+def require_consistent(problem: Problem, agreed: Consensus) -> None:
+    """
+    Refuse an answer that samples or poses contradict.
+
+    Where the poses turn too little to tell anything, that is said, and not what may follow from
+    it. Raises TooUncertainError, MovedError, ScaleError, InconsistentError,
+    ContradictingStationsError or ScatterError.
+    """
+    misfit = misfit_of(problem, agreed)
+    if misfit.hopeless:
+        require_certain(agreed, problem.config)
+        require_unmoved(problem, agreed)
+    require_not_only_scale(agreed.solution)
+    if misfit.rms > misfit.limits.residual:
+        raise InconsistentError(misfit.rms, misfit.limits.residual)
+    if misfit.share > LARGEST_DROPPED_SHARE:
+        raise ContradictingStationsError(len(agreed.dropped), len(problem.poses))
+    if misfit.wild:
+        raise ScatterError(misfit.rms, misfit.expected, misfit.limits.scatter)
+
+
+def residual_rms(solution: Solution) -> float:
+    """Return the RMS of the plain residuals of a solution (m)."""
+    return float(np.sqrt((solution.linear.residuals ** 2).mean()))
+
+
+def require_edges(agreed: Consensus) -> None:
+    """
+    Refuse an answer that has no use for most edges that the stations show.
+
+    What fits without them says nothing of them. Raises TooFewEdgesError or LostEdgesError.
+    """
+    method = agreed.whole.method
+    if not method.essential:
+        return
+    used = int(shows_essential(agreed.solution.problem).sum())
+    if used < method.minimum:
+        raise TooFewEdgesError(method.name, used, len(agreed.used), method.minimum)
+    shown = int(shows_essential(agreed.whole).sum())
+    if shown - used > LARGEST_DROPPED_SHARE * shown:
+        raise LostEdgesError(lost_edges(agreed))
+
+
+def edge_notes(agreed: Consensus) -> list[str]:
+    """Return which edges the answer has no use for, and which the samples never show, in words."""
+    problem, lost = agreed.solution.problem, lost_edges(agreed)
+    used = {problem.method.kinds[k] for k in set(problem.observations.kind)}
+    edges = [{name.partition('_')[0] for name in names if name in problem.method.essential}
+             for names in (problem.method.essential, used)]
+    return [*([lost] if lost else []), *(
+        f'no sample shows edge {edge} of the target: cross it too, or set target.type to line if '
+        'the target has one edge only' for edge in sorted(edges[0] - edges[1]))]
+
+
+def lost_edges(agreed: Consensus) -> str:
+    """Return which edges the answer has no use for, in words, '' where it uses all."""
+    if not len(agreed.unused):
+        return ''
+    shown = int(shows_essential(agreed.whole.subset(agreed.used)).sum())
+    part, estimate = agreed.whole.subset(agreed.unused), agreed.solution.estimate
+    where = part.method.measures.elsewhere(part.observations, points_in_base(part, estimate.X),
+                                           estimate.target, part.config)
+    return (f'the edges of {len(agreed.unused)} of the {shown} samples that show one lie on none '
+            'of the target' + (f': {where}' if where else ''))

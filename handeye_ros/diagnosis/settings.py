@@ -1,0 +1,259 @@
+"""
+Whether a recording that gives no answer gives one with other settings, or at another time offset.
+
+Each hypothesis changes one setting, or two that belong together, and reads the same profiles of
+the same stops again. The data then differ, and no likelihoods can be compared: a hypothesis counts
+where nearly all its samples fit about as well as the configured noise allows, and where these are
+most of the stops; of several that with the most conditions beyond its unknowns.
+
+Clocks: what the sensor sees stands still when the robot does. Where its stillness begins or ends
+later than that of the poses, stop after stop, and the samples fit the poses of that other time,
+the clocks differ by as much.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import permutations
+
+from handeye_ros import se3, targets
+from handeye_ros.checks.alternatives import believable, Fit, Hypothesis, of_problem, require_stated
+from handeye_ros.checks.consistency import residual_rms
+from handeye_ros.config import Config, with_assignments
+from handeye_ros.data import Array, Profile, Reject, Sample
+from handeye_ros.errors import DataError, FeatureError, mm, NamedCauseError, UnusableMessageError
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.solution import redundancy
+from handeye_ros.frames import mounted
+from handeye_ros.profiles.range_sign import range_sign_evidence
+from handeye_ros.sampling import station_features
+from handeye_ros.sampling.dwells import interpolate, NS
+from handeye_ros.sampling.edge_shapes import consistent_edges
+from handeye_ros.sampling.errors import ClocksDifferError
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.station_features import evenly
+from handeye_ros.sampling.stops import needed, result_of, Seen, Stop
+import numpy as np
+
+MOST_STOPS, MOST_PROFILES = 40, 4  # that are read again, and of each stop
+LEAST_SHARE = 0.7  # of the stops that fit, at the least
+FEWEST_CONDITIONS = 6  # beyond the unknowns
+MORE = 1.5  # times the conditions of the setting as it is, where that fits too
+LAG = NS // 20  # between two profiles that are compared
+GRID = 60  # places along the line at which they are
+CHANGED = 0.8  # quantile of the changes there, which shows an edge that passes too
+STILL_SHARE = 0.1  # of the comparisons, at the least, are of a robot that stands still
+MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # times the change at rest; m
+FEWEST_PROFILES = 3
+SMALLEST = 0.05  # s: no stop shows less
+
+
+class WrongSettingError(NamedCauseError):
+    """Settings with which there is no answer, where others give one."""
+
+    def __init__(self, values: dict[str, str], used: int, stops: int, residual: float) -> None:
+        to = ' and '.join(f'{key} to {value}' for key, value in values.items())
+        super().__init__(f'the recording does not fit as it is set, but with another setting '
+                         f'{used} of {stops} stops agree within {mm(residual)} RMS: set {to}' + (
+                             '; or, if the target has edges, cross them with the laser, inside '
+                             'the field of view' if values == {'target.type': 'plane'} else ''))
+
+
+def require_settings(session: Session, config: Config) -> None:
+    """Raise WrongSettingError where other settings explain the stops of a session."""
+    if config.sampling.moving:  # a pass is of many profiles, each with its own pose
+        return
+    stops = [_thinned(outcome.stop, config) for outcome in session.outcomes
+             if not outcome.refused][:MOST_STOPS]
+    stated = _fit(stops, config)
+    least = float(FEWEST_CONDITIONS)
+    if stated and believable(stated):
+        least = MORE * redundancy(stated[0].solution)
+    best: tuple[int, Hypothesis, Fit] | None = None
+    for values in _changes(config):
+        one = _hypothesis(stops, config, values)
+        fit = one.refit()
+        count = redundancy(fit[0].solution) if fit and believable(fit) else 0
+        if fit and count >= least and len(fit[0].used) >= LEAST_SHARE * len(stops):
+            if best is None or count > best[0]:
+                best = count, one, fit
+    if best:
+        raise best[1].refusal(best[2])
+
+
+def _changes(config: Config) -> Iterator[dict[str, str]]:
+    """Yield the settings that may be meant, the likeliest first."""
+    profile = config.profile
+    sign = {'profile.range_sign': str(-profile.range_sign)}
+    kinds = [{'target.type': name} for name in targets.METHODS if name != config.target.type]
+    other = {'m': 'mm', 'mm': 'm'}[profile.unit]
+    on_base = config.calibration_type == 'eye_on_base'
+    axes = [{'profile.axes': f'[{a}, {b}]'} for a, b in permutations('xyz', 2)
+            if (a, b) != tuple(profile.axes)]
+    yield from (sign, {'profile.unit': other}, *kinds, *axes,
+                {'calibration_type': 'eye_in_hand' if on_base else 'eye_on_base'})
+    yield from (change | sign for change in (*kinds, *axes))
+
+
+def _hypothesis(stops: Sequence[Stop], config: Config, values: dict[str, str]) -> Hypothesis:
+    """Return that other values are meant."""
+    def refusal(fit: Fit) -> DataError:
+        return WrongSettingError(values, len(fit[0].used), len(stops),
+                                 residual_rms(fit[0].solution))
+    return Hypothesis(partial(_fit, stops, _changed(config, values)), refusal)
+
+
+def _changed(config: Config, values: dict[str, str]) -> Config:
+    """Return the configuration with other values; what was stated of another target is not."""
+    if 'target.type' in values:
+        config = replace(config, method='auto', target=replace(config.target, radius=0.0, size=()))
+    return with_assignments(config, [f'{key}={value}' for key, value in values.items()])
+
+
+def _fit(stops: Sequence[Stop], config: Config) -> Fit | None:
+    """Return the fit of stops as a configuration reads them, None where there is none."""
+    results: list[Sample | Reject] = [result_of(stop, config) for stop in stops]
+    if range_sign_evidence(results).against:
+        return None
+    return fit_of([result for result in results if isinstance(result, Sample)], config)
+
+
+def fit_of(samples: Sequence[Sample], config: Config) -> Fit | None:
+    """Return what samples agree on, None where they are too few or fit nothing."""
+    method = targets.method_for(config)
+    ordered, _ = consistent_edges(samples)
+    if len(ordered) < method.minimum:
+        return None
+    observations = method.features.observe(ordered)
+    return of_problem(Problem(method, mounted(ordered, config), observations, config))
+
+
+def _thinned(stop: Stop, config: Config) -> Stop:
+    """Return a stop with a few of the profiles of its still time."""
+    seen = needed(stop, config).load(config)
+    few = Seen(seen.poses, tuple(evenly(seen.profiles, MOST_PROFILES)))
+    return Stop(stop.began, lambda config: few)
+
+
+@dataclass(frozen=True, eq=False)
+class _Still:
+    """
+    What the sensor saw at rest during a stop of the robot, begun and ended by these stamps.
+
+    pose: (4, 4) T_base_flange of the stop; start, end: of the stop; opened, closed: whether the
+    target was seen to come to rest, and to leave it, within the stop.
+    """
+
+    sample: Sample | None
+    pose: Array
+    start: int
+    end: int
+    first: int
+    last: int
+    opened: bool
+    closed: bool
+
+
+def require_same_clock(session: Session, config: Config) -> None:
+    """Raise ClocksDifferError where the samples fit the poses of another time better."""
+    seen = [part for outcome in session.outcomes if not outcome.refused
+            and (part := _profiles(outcome.stop, config))]
+    if len(seen) < targets.method_for(config).minimum:
+        return
+    changes = np.concatenate([_differences(profiles) for profiles, *_ in seen])
+    rest = float(np.quantile(changes, STILL_SHARE)) if len(changes) else 0.0
+    limit = max(MOVING * rest, SMALLEST_CHANGE)
+    stills = [_still(*part, limit, config) for part in seen]
+    stated = fit_of(session.samples, config)
+    hypotheses = [_late(stills, behind, config) for behind in (0, 1, -1)
+                  if abs(_offset(stills, behind)) > SMALLEST]
+    require_stated(stated or (), hypotheses)
+
+
+def _profiles(stop: Stop, config: Config
+              ) -> tuple[list[Profile], Array, int, int] | None:
+    """Return the profiles of a stop, some time apart, its pose, start and end."""
+    seen = stop.load(config)
+    found: list[Profile] = []
+    for profile in seen.profiles:
+        if not found or profile.stamp - found[-1].stamp >= LAG:
+            with suppress(UnusableMessageError):
+                found.append(profile.read(config.profile))
+    middle = [pose.stamp for pose in seen.poses]
+    if len(found) < 2:
+        return None
+    pose = se3.mean_pose(interpolate(seen.poses, middle))
+    return found, pose, middle[0], middle[-1]
+
+
+def _differences(profiles: Sequence[Profile]) -> Array:
+    """Return by how much each profile differs from the one before, (n - 1,) in metres."""
+    return np.array([_change(a.points, b.points)
+                     for a, b in zip(profiles[:-1], profiles[1:], strict=True)])
+
+
+def _change(a: Array, b: Array) -> float:
+    a, b = (points[np.isfinite(points).all(axis=1)] for points in (a, b))
+    if min(len(a), len(b)) < 2:
+        return 0.0 if len(a) == len(b) else np.inf
+    low, high = (max(a[:, 0].min(), b[:, 0].min()), min(a[:, 0].max(), b[:, 0].max()))
+    x = np.linspace(low, high, GRID)
+    (za, zb) = (np.interp(x, *points[np.argsort(points[:, 0])].T) for points in (a, b))
+    return float(np.quantile(np.abs(za - zb), CHANGED))
+
+
+def _still(profiles: list[Profile], pose: Array, start: int, end: int, limit: float,
+           config: Config) -> _Still:
+    """Return what was seen in the longest time during a stop in which nothing changed."""
+    moving = np.flatnonzero(np.append(_differences(profiles) > limit, True))
+    before = np.concatenate([[-1], moving[:-1]])
+    k = int(np.argmax(moving - before))
+    first, last = int(before[k]) + 1, int(moving[k])
+    opened, closed = first > 0, last < len(profiles) - 1
+    used = profiles[first + opened:last + 1 - closed]
+    return _Still(_sample(used, pose, config), pose, start, end, profiles[first].stamp,
+                  profiles[last].stamp, opened, closed)
+
+
+def _sample(profiles: list[Profile], pose: Array, config: Config) -> Sample | None:
+    if len(profiles) < FEWEST_PROFILES:
+        return None
+    try:
+        used, features = station_features.of_station(profiles, targets.method_for(config), config)
+    except FeatureError:
+        return None
+    return Sample(used[0].stamp, pose, features, len(used))
+
+
+def _offset(stills: Sequence[_Still], behind: int) -> float:
+    """
+    Return by how much the profiles are late (s), if they show the stop so many before.
+
+    Clocks that differ show at most stops; a few that the robot did not reach at rest prove none.
+    """
+    found, about = [], []
+    for still, stop in _pairs(stills, behind):
+        found += [still.first - stop.start] if still.opened else []
+        found += [still.last - stop.end] if still.closed else []
+        about.append(still.start - stop.start)
+    return float(np.median(found if 2 * len(found) > len(about) else about or [0])) / NS
+
+
+def _pairs(stills: Sequence[_Still], behind: int) -> list[tuple[_Still, _Still]]:
+    """Return what was seen during each stop, with the stop whose pose it may belong to."""
+    return [(still, stills[k - behind]) for k, still in enumerate(stills)
+            if 0 <= k - behind < len(stills)]
+
+
+def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
+    """Return that what was seen during each stop is of the stop so many before."""
+    def refit() -> Fit | None:
+        fit = fit_of([replace(still.sample, T_base_flange=stop.pose)
+                      for still, stop in _pairs(stills, behind) if still.sample], config)
+        return fit if fit and redundancy(fit[0].solution) >= FEWEST_CONDITIONS else None
+
+    def refusal(fit: Fit) -> DataError:
+        return ClocksDifferError(_offset(stills, behind), config.time_offset)
+    return Hypothesis(refit, refusal)
