@@ -45,7 +45,8 @@ SIZES = (1.0, 0.25)  # over that, as likely beforehand: of a move that only just
 FIRST_TRIED, MOST_TRIED = 3, 10  # moves with which noise and scales are estimated again
 HOPELESS, STRONG = -VERY_STRONG, 5.0  # evidence: before noise and scales are estimated; to warn
 LARGE = 3.0  # times the smooth error of the robot: less may be a part of it
-ORDERS, RARELY = 40, 0.1  # random orders of the stations; share of them that show as much
+ORDERS = 200  # random orders of the stations
+RARELY, HARDLY_EVER = 0.1, 0.01  # share of them that show as much: to warn, to refuse
 
 
 def require_unmoved(problem: Problem, agreed: Consensus) -> None:
@@ -96,7 +97,7 @@ def moved_slightly(agreed: Consensus) -> str:
         int(agreed.used[found.station]), len(agreed.whole.poses), found.sensor,
         mount_frame(config) if found.sensor else target_frame(config),
         float(np.linalg.norm(found.step[:3])), float(np.linalg.norm(found.step[3:])))
-    if found.evidence > DECISIVE:
+    if found.evidence > DECISIVE and found.chance < HARDLY_EVER:
         raise refusal
     return str(refusal)
 
@@ -108,7 +109,8 @@ class ChangePoint:
 
     station: the first one after it; sensor: whether the sensor moved, and not the target;
     step: (6,) translation and rotation in the mount or the base; evidence: twice the log of the
-    Bayes factor against no move; smooth: 1 sigma of the robot's smooth error beside it (m).
+    Bayes factor against no move; smooth: 1 sigma of the robot's smooth error beside it (m);
+    chance: the share of random orders of the stations that show a move as clearly.
     """
 
     station: int
@@ -116,6 +118,7 @@ class ChangePoint:
     step: Array
     evidence: float
     smooth: float = 0.0
+    chance: float = 0.0
 
     @property
     def where(self) -> tuple[bool, int]:
@@ -155,7 +158,10 @@ def change_point(solution: Solution) -> ChangePoint | None:
             # with noise and scales that do not stand for the move, its moment shows better
             weighed = _Steps.of(evaluated(solution.problem, solution.estimate, moved.noise),
                                 changes)
-    return best if best.evidence > STRONG and best.clear and weighed.rare else None
+    if best.evidence < STRONG or not best.clear:
+        return None
+    best = replace(best, chance=weighed.chance)
+    return best if best.chance < RARELY else None
 
 
 def _score(solution: Solution) -> float:
@@ -242,8 +248,8 @@ class _Steps:
             yield ChangePoint(int(self.changes[k]), kind == 0, steps[kind, k], float(gain))
 
     @property
-    def rare(self) -> bool:
-        """Return whether few random orders of the parts show a move as clearly as time does."""
+    def chance(self) -> float:
+        """Return the share of random orders of the parts that show a move as clearly as time."""
         rng, every = np.random.default_rng(0), np.arange(len(self.own))
         random = [self.gains(rng.permutation(every))[0].max() for _ in range(ORDERS)]
-        return bool(self.gains(every)[0].max() > np.quantile(random, 1 - RARELY))
+        return float(np.mean(random >= self.gains(every)[0].max()))
