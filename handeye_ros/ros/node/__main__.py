@@ -1,8 +1,7 @@
 """
 The executable `calibrate`: arguments, signals, exit codes.
 
-What takes long to import is imported inside, so that Ctrl-C ends it cleanly from the first
-moment on.
+Slow imports stand inside the functions, so that Ctrl-C ends it cleanly from the first moment.
 """
 from __future__ import annotations
 
@@ -14,8 +13,8 @@ import signal
 import sys
 from typing import Any
 
-THREADS = 8  # one for each group of services that wait for each other, and for the timers
-SWITCH = 1e-3  # s until another thread has its turn: an answer takes a dozen of them
+THREADS = 8  # of the executor: one for each group of callbacks (services, timers, parameters)
+SWITCH = 1e-3  # s until Python switches threads: one answer takes a dozen switches
 
 USAGE = """\
 usage: calibrate [--help] [--ros-args [-p KEY:=VALUE]... [--params-file FILE] [-r OLD:=NEW]...]
@@ -30,7 +29,7 @@ calibration on request. All settings are ROS parameters, so they stand behind --
 
 
 def own_arguments(argv: Sequence[str]) -> list[str]:
-    """Return what stands outside of --ros-args ... [--]."""
+    """Return the arguments outside of --ros-args ... [--]."""
     own, of_ros = [], False
     for argument in argv:
         if of_ros:
@@ -43,7 +42,7 @@ def own_arguments(argv: Sequence[str]) -> list[str]:
 
 
 def refused(arguments: Sequence[str]) -> int | None:
-    """Print the usage where arguments ask for it or are none of ours; return the exit code."""
+    """Print the usage for --help and for unknown arguments; return the exit code, or None."""
     if not arguments:
         return None
     if arguments[0] in ('-h', '--help'):
@@ -55,10 +54,10 @@ def refused(arguments: Sequence[str]) -> int | None:
 
 
 def main() -> int:
-    """Run the executable `calibrate`; a device that takes no output ends it without traceback."""
+    """Run the executable `calibrate`; return the exit code, 1 where output cannot be written."""
     code = 0
     sys.setswitchinterval(SWITCH)
-    # matrices are small: more threads only wait for each other, and take the streams' time
+    # matrices are small: more threads would only take time from the streams
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     with suppress(KeyboardInterrupt):
         try:
@@ -73,7 +72,7 @@ def main() -> int:
 def _run() -> int:
     code = refused(own_arguments(sys.argv[1:]))
     if code is None:
-        # nothing is begun yet; an exception may be lost in an extension that is being imported
+        # an exception would be lost where it is raised in the import of an extension
         on_signals(lambda *_: os._exit(0))
         from handeye_ros.ros.executable import exit_code
         from handeye_ros.ros.node.node import HandeyeNode
@@ -92,7 +91,7 @@ def run(make: Callable[[], Any]) -> None:
         try:
             node = make()
         except UNSENDABLE as error:
-            if not rclpy.ok():  # a signal came meanwhile
+            if not rclpy.ok():  # ended by a signal
                 return
             raise TopicsError(str(error)) from error
         executor = MultiThreadedExecutor(THREADS)
@@ -102,26 +101,26 @@ def run(make: Callable[[], Any]) -> None:
         except KeyboardInterrupt:
             pass
         except RCLError:
-            if rclpy.ok():  # else a signal came while it prepared to wait
+            if rclpy.ok():  # else ended by a signal
                 raise
         finally:
             node.stop()
             executor.shutdown()
             node.destroy_node()
         if node.is_busy:
-            # nobody is left to answer; Python would wait for the thread of the solve
+            # Python would wait for the thread that solves
             flushed()
             os._exit(0)
 
 
 def on_signals(handler: Callable[[int, Any], Any]) -> None:
-    """Handle Ctrl-C and SIGTERM with a function from now on."""
+    """Set the handler of Ctrl-C and SIGTERM."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, handler)
 
 
 def flushed() -> bool:
-    """Write what is left to be written; a device that takes none must not end in a traceback."""
+    """Flush the output; return whether it could be written."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

@@ -95,20 +95,14 @@ class Answer:
 
     def _solve(self, judge: Callable[[], None]) -> tuple[Calibration, frozenset[int]]:
         """Return the answer from the current samples, and their stamps."""
-        samples = self._samples
-        samples.extract_again()
-        with samples.work:
-            judge()
-            session, config = samples.streams.copied(), samples.config
-        samples.streams.wake.set()
-        session.require_stations()
+        session, config = self._samples.evaluated(judge)
         with self._progress.doing(COMPUTED):
             calibration = pipeline.solve_session(
                 session, config, partial(self._runner.run, pipeline.solve, urgent=True))
         inputs = [{'topic': config.profile_topic},
                   {'topic': config.pose_topic if config.pose_source == 'topic' else '/tf'}]
-        if samples.store.path:
-            inputs.append({'session': samples.store.path})
+        if self._samples.store.path:
+            inputs.append({'session': self._samples.store.path})
         provenance = {**calibration.provenance, 'inputs': inputs}
         return replace(calibration, provenance=provenance), stamps_of(session)
 

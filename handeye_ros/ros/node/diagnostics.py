@@ -1,4 +1,4 @@
-"""What may be in the way: told on /diagnostics once a second, and again and again in the log."""
+"""Troubles of the node: messages on /diagnostics, why topics are silent, repeated warnings."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
@@ -9,14 +9,14 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from handeye_ros.diagnosis.summaries import count_of
 from handeye_ros.ros.node.streams import Arrivals
-from handeye_ros.sampling.state import CURRENT, NONE, State, StreamState, WITHDRAWN
+from handeye_ros.sampling.state import CURRENT, NONE, State, WITHDRAWN
 from rclpy.node import Node
 from std_msgs.msg import Header
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 PERIOD = 10.0  # s until a warning that lasts is repeated
-LISTED = 5  # topics, at the most
-HINTS = {
+LISTED = 5  # topics at most in a sentence
+HINTS = {  # of what a message of another type lacks, or what to do
     'geometry_msgs/msg/Pose': ', as a Pose has no time',
     'geometry_msgs/msg/PoseWithCovarianceStamped': ', without the covariance',
     'geometry_msgs/msg/TransformStamped': ' (or set pose_source to tf)',
@@ -27,10 +27,10 @@ HINTS = {
 
 def diagnostics(state: State, arrivals: Arrivals, name: str, stamp: Time) -> DiagnosticArray:
     """
-    Return the state of a session; name: of the node, with its namespace.
+    Return the state as diagnostics; name: of the node, with its namespace.
 
-    Levels: ERROR where nothing usable of a kind ever came, or what was published is no answer
-    any more; WARN where a person should look.
+    Levels: ERROR where no usable message of a kind ever came, or a published answer was
+    withdrawn; WARN where a person should look.
     """
     statuses = [DiagnosticStatus(
         name=f'{name}: {concern}', hardware_id=state.name, level=level, message=message,
@@ -42,13 +42,13 @@ def diagnostics(state: State, arrivals: Arrivals, name: str, stamp: Time) -> Dia
 def _concerns(state: State, arrivals: Arrivals
               ) -> Iterator[tuple[str, bytes, str, dict[str, object]]]:
     for stream in (state.profiles, state.poses):
-        level = _stream_level(stream)
-        yield f'{stream.kind}s', level, stream.trouble or _coming(stream), {
+        level = OK if not stream.trouble else WARN if stream.count else ERROR
+        yield f'{stream.kind}s', level, (
+            stream.trouble or f'{count_of(stream.count, stream.kind)} on {stream.place}'), {
             f'{stream.kind}s': stream.count, f'malformed {stream.kind}s': stream.malformed,
             f'seconds since the last {stream.kind}': f'{stream.age:.1f}',
             f'topic of the {stream.kind}s': stream.place}
-    session = state.session
-    attempt = state.attempt
+    session, attempt = state.session, state.attempt
     yield 'session', WARN if session.trouble else OK, (
         session.trouble or session.working or count_of(state.taken, 'sample')), {
         'samples': state.taken, 'mode': session.mode, 'folder': session.path or 'none yet',
@@ -65,16 +65,6 @@ def _concerns(state: State, arrivals: Arrivals
         'state': answer.state}
 
 
-def _stream_level(stream: StreamState) -> bytes:
-    if not stream.trouble:
-        return OK
-    return ERROR if stream.count == 0 else WARN
-
-
-def _coming(stream: StreamState) -> str:
-    return f'{count_of(stream.count, stream.kind)} on {stream.place}'
-
-
 def _last_refusal(state: State) -> str:
     refused = [sample.text for sample in state.samples if not sample.taken]
     if state.attempt and not state.attempt.accepted:
@@ -84,11 +74,9 @@ def _last_refusal(state: State) -> str:
 
 def why_silent(node: Node, key: str, topic: str, wanted: str) -> str:
     """
-    Return why nothing of the wanted type is heard on a topic, as far as the others show it.
+    Return why no messages of the wanted type come; empty where they have a publisher.
 
     key: of the configuration that names the topic.
-
-    Empty where a publisher of the type is there.
     """
     name = node.resolve_topic_name(topic)
     types = {info.topic_type for info in node.get_publishers_info_by_topic(name)}
@@ -102,7 +90,7 @@ def why_silent(node: Node, key: str, topic: str, wanted: str) -> str:
 
 
 def same_name(node: Node) -> str:
-    """Return that another node has the same name, and what to do; empty where none has."""
+    """Return that another node has the same name, and what to do; empty where none has it."""
     me = (node.get_name(), node.get_namespace())
     if node.get_node_names_and_namespaces().count(me) < 2:
         return ''
@@ -121,15 +109,15 @@ def topics_of(node: Node, wanted: str) -> list[str]:
 
 
 class RepeatedWarnings:
-    """Repeats a sentence every PERIOD while it lasts, whatever the numbers in it."""
+    """Repeats a warning every PERIOD while it lasts; other numbers make no other warning."""
 
     def __init__(self, say: Callable[[str], object]) -> None:
-        """Start with nothing said; say: where the sentences go."""
+        """Start without warnings; say: receives the sentences."""
         self._say = say
         self._said: dict[str, float] = {}
 
     def update(self, sentences: Iterable[str], now: float | None = None) -> None:
-        """Say what is new, or was said long ago; what is not among the sentences is over."""
+        """Say the sentences that are new or due again; all others are over."""
         now = time.monotonic() if now is None else now
         lasting: dict[str, float] = {}
         for sentence in sentences:

@@ -1,4 +1,4 @@
-"""What the node takes in: profiles, and poses from their topic or the transform tree."""
+"""The subscriptions of the node: profiles, and poses from a topic, /tf or joint values."""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -40,48 +40,50 @@ except ImportError:  # the wheels of rclpy come without it
 
 __all__ = ['Intake', 'TFMessage', 'THROTTLE']
 
-# Best effort matches reliable publishers too. So many messages wait while a station is
-# evaluated or a solve takes the processor: 20 s of a robot that tells its pose at 100 Hz.
+# Best effort matches reliable publishers too. The queue holds 20 s of poses at 100 Hz, for the
+# time in which other work takes the processor.
 STREAM = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-PAUSE = 2e-3  # s between two looks at what has come
-MOST_AT_ONCE = 200  # messages of one topic, before it is the turn of the next
-
+PAUSE = 2e-3  # s between two reads of all topics
+MOST_AT_ONCE = 200  # messages of one topic, then it is the turn of the next
 THROTTLE = 5.0  # s between two warnings of a kind
 
 Stamped = TypeVar('Stamped', RawProfile, TimedPose)
-
 
 NO_TF = ('pose_source is tf, but tf2_msgs is not installed: '
          f'{INSTALL_TF2}; or publish the poses on pose_topic')
 
 
 class NoExecutor(CallbackGroup):
-    """Subscriptions that no executor takes from: one round of it costs ten messages."""
+    """
+    The group of subscriptions that no executor takes from.
+
+    One round of an executor takes as long as reading ten messages.
+    """
 
     def can_execute(self, entity: Any) -> bool:
-        """Keep an entity out of the sets that executors wait for."""
+        """Keep a subscription out of the sets that executors wait for."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:
-        """Let no executor begin."""
+        """Let no executor take a message."""
         return False
 
     def ending_execution(self, entity: Any) -> None:
-        """Nothing has begun."""
+        """Do nothing."""
 
 
 def topics_of(config: Config) -> tuple[str, str, str]:
-    """Return the settings that name what is heard and may change while the node runs."""
+    """Return the settings of topics that may change while the node runs."""
     return config.profile_topic, config.pose_source, config.pose_topic
 
 
 class Intake:
     """
-    The subscriptions, and the thread that takes what they receive as it is serialised.
+    The subscriptions, and the thread that reads their messages.
 
-    A message that cannot be understood is counted and left out.
+    A message that cannot be understood is counted and left out. kinematics: None without a URDF.
     """
 
     def __init__(self, node: Node, live: LiveSession) -> None:
@@ -97,14 +99,14 @@ class Intake:
         self.listen()
 
     def listen(self) -> None:
-        """Subscribe to the topics of the settings of now; raises InputError."""
+        """Subscribe to the topics of the current settings; raises InputError."""
         former, self._drains, self._subscriptions = self._subscriptions, [], []
         for subscription in former:
             self._node.destroy_subscription(subscription)
         config = self._live.config
         self._topics = topics_of(config)
         self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
-        self._before: int | None = None  # the stamp of the last message of profiles
+        self._last_stamp: int | None = None  # ns, of the last message of profiles
         self._live.streams.arrivals = Arrivals()
         self._listen(PointCloud2, config.profile_topic, self._on_profile, STREAM)
         if self.kinematics:
@@ -122,7 +124,7 @@ class Intake:
             raise InputError(NO_TF)
 
     def changes(self, config: Config) -> bool:
-        """Return whether settings name other topics than those that are heard; InputError."""
+        """Return whether settings name other topics than the current ones; raises InputError."""
         if topics_of(config) == self._topics:
             return False
         if any(outcome.sample for outcome in self._live.copied().outcomes):
@@ -145,11 +147,11 @@ class Intake:
             raise InputError(f'"{topic}" cannot name a topic: {why}') from error
 
     def start(self) -> None:
-        """Begin to take what comes."""
+        """Start to read messages."""
         threading.Thread(target=self._run, name='streams', daemon=True).start()
 
     def obstacle(self, kind: str) -> str:
-        """Return why no messages of a kind (profile, pose) come in, or an empty string."""
+        """Return why no messages of a kind (profile, pose) come; empty if unknown."""
         config = self._live.config
         if kind == 'profile':
             return why_silent(self._node, 'profile_topic', config.profile_topic, CLOUD)
@@ -160,14 +162,14 @@ class Intake:
         return self._tracker.missing()
 
     def restart(self) -> None:
-        """Let the times of transforms start again."""
+        """Accept transforms from any time on: a bag may be played again."""
         self._tracker.restart()
 
     def _listen(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile
                 ) -> None:
-        """Let the thread call take with every message of a topic."""
+        """Subscribe to a topic; take is called by the thread with every message."""
         raw = kind in (PointCloud2, PoseStamped, JointState)
-        self._name(topic)  # which refuses what cannot be one
+        self._name(topic)  # raises InputError
         subscription = self._node.create_subscription(
             kind, topic, take, qos, callback_group=self._group, raw=raw,
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
@@ -175,19 +177,19 @@ class Intake:
         self._drains.append(partial(self._drain, subscription.handle, kind, raw, take))
 
     def _run(self) -> None:
-        """Take what waits, again and again, until the node ends."""
+        """Read all topics again and again, until the node ends."""
         while self._node.context.ok():
             drains, counts = self._drains, [0]
             try:
                 counts += [drain() for drain in drains]
             except InvalidHandle:
-                if drains is self._drains:  # the node ends; else other topics are heard now
+                if drains is self._drains:  # else the subscriptions were replaced
                     return
             if max(counts) < MOST_AT_ONCE:
                 time.sleep(PAUSE)
 
     def _drain(self, handle: Any, kind: Any, raw: bool, take: Callable[[Any], None]) -> int:
-        """Take what waits, but not so much that other topics wait for it; return how much."""
+        """Read at most MOST_AT_ONCE messages of a topic; return how many."""
         with handle:
             for count in range(MOST_AT_ONCE):
                 taken = handle.take_message(kind, raw)
@@ -199,7 +201,7 @@ class Intake:
     def _understood(self, kind: Any, take: Callable[[Any], None], msg: Any) -> None:
         try:
             take(msg)
-        except Exception as error:  # noqa: BLE001 - the streams go on, whatever comes
+        except Exception as error:  # noqa: BLE001 - the streams have to go on
             if not isinstance(error, MessageError):
                 self._node.get_logger().error(traceback.format_exc())
             what = 'profile' if kind is PointCloud2 else 'pose'
@@ -211,11 +213,10 @@ class Intake:
         if self._reader.config != config.profile:
             self._reader = ProfileReader(config.profile)
         profile = self._stamped(self._reader.take(data))
-        offset = round(config.time_offset * 1e9)
-        message = replace(profile, stamp=profile.stamp + offset)
-        for one in split(message, self._before, config.profile):
-            self._live.add_profile(one)
-        self._before = message.stamp
+        message = replace(profile, stamp=profile.stamp + round(config.time_offset * 1e9))
+        for part in split(message, self._last_stamp, config.profile):
+            self._live.add_profile(part)
+        self._last_stamp = message.stamp
 
     def _on_pose(self, data: bytes) -> None:
         self._live.add_poses([self._stamped(pose_from_cdr(data))])
@@ -231,7 +232,7 @@ class Intake:
         self._live.add_poses(self._tracker.add(msg.transforms, static))
 
     def _stamped(self, item: Stamped) -> Stamped:
-        """Return a message of a driver that leaves the stamp empty with the time of receipt."""
+        """Return an item; where its driver leaves the stamp empty, with the time of receipt."""
         if item.stamp:
             return item
         self._node.get_logger().warning(

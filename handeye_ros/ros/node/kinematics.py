@@ -1,4 +1,4 @@
-"""The robot's own error, from the samples of a running session and the joint values heard."""
+"""The errors of the robot's arm, from the samples and joint values of a running node."""
 from __future__ import annotations
 
 from array import array
@@ -9,7 +9,6 @@ from threading import Lock
 from handeye_ros.config import Config
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.diagnosis.settings import require_same_clock
-from handeye_ros.errors import InputError
 from handeye_ros.kinematics.answer import save
 from handeye_ros.kinematics.chain import chain_of, read_urdf
 from handeye_ros.kinematics.errors import ContradictionError, TooFewConfigurationsError
@@ -24,14 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 FOLDER = 'kinematics'  # below that of the session's results
-MOST = 1_000_000  # joint values that are held: hours of a driver at 100 Hz
+MOST = 1_000_000  # messages with joint values that are kept: hours of a driver at 100 Hz
 COMPUTED = 'the kinematics are being computed'
 NO_URDF = ('~/compute_kinematics needs the URDF of the robot: start the node with the parameter '
            'robot_description set to its file, and joint_topic')
 
 
 class LiveKinematics:
-    """Joint values as they come, the poses that the arm of a URDF has at them, and the answer."""
+    """Joint values as they come, the flange poses of the nominal arm, and its errors."""
 
     def __init__(self, live: LiveSession, config: Config) -> None:
         """Read the URDF that robot_description names; raises InputError."""
@@ -40,13 +39,13 @@ class LiveKinematics:
         self._arm = Arm(chain_of(self._urdf, config.robot_base_frame,
                                  config.robot_effector_frame, path))
         self._stamps, self._joints = array('q'), array('d')
-        if live.samples.store.path:  # a session that goes on
-            known = joints_of(Path(live.samples.store.path), config, self._arm.chain)
-            self._stamps.extend(known[0].tolist())
-            self._joints.extend(known[1].ravel().tolist())
+        if live.samples.store.path:  # an earlier session is continued
+            stamps, q = joints_of(Path(live.samples.store.path), config, self._arm.chain)
+            self._stamps.extend(stamps.tolist())
+            self._joints.extend(q.ravel().tolist())
 
     def pose(self, data: bytes) -> TimedPose:
-        """Return the flange pose at a serialised JointState, which is held; MessageError."""
+        """Return the flange pose of a serialised JointState, and keep it; raises MessageError."""
         q, pose = joints_and_pose(self._arm, data)
         with self._lock:
             self._stamps.append(pose.stamp)
@@ -55,31 +54,26 @@ class LiveKinematics:
                 del self._stamps[:MOST // 2], self._joints[:MOST // 2 * len(q)]
         return pose
 
-    def _heard(self) -> tuple[NDArray[np.int64], Array]:
+    def _received(self) -> tuple[NDArray[np.int64], Array]:
+        """Return stamps (n,) and joint values (n, joints)."""
         with self._lock:
             stamps = np.array(self._stamps, dtype=np.int64)
             return stamps, np.array(self._joints).reshape(len(stamps), len(self._arm.chain.joints))
 
     def between(self, first: int, last: int) -> Iterator[tuple[int, bytes]]:
-        """Yield the messages that were heard between two stamps, to be stored."""
-        stamps, q = self._heard()
+        """Yield stamps and serialised messages between two stamps, to be stored."""
+        stamps, q = self._received()
         rows = np.flatnonzero((stamps >= first) & (stamps <= last))
         given = self._arm.chain.given(q[rows])
         for stamp, values in zip(stamps[rows], np.column_stack(list(given.values())), strict=True):
             yield int(stamp), joints_cdr(int(stamp), values, list(given))
 
     def compute(self) -> str:
-        """Find and write the corrected arm; return what to say. Raises HandeyeError."""
-        live = self._live
-        live.samples.extract_again()
-        with live.samples.work:
-            live.samples.judge_rest()
-            session, config = live.copied(), live.config
-        live.streams.wake.set()
-        session.require_stations()
-        chain = self._arm.chain
+        """Estimate and write the corrected arm; return what to say. Raises HandeyeError."""
+        live, chain = self._live, self._arm.chain
+        session, config = live.samples.evaluated(live.samples.judge_rest)
         source = Source(session.samples, session.rejects, session.frame_id,
-                        configured(config, chain), *self._heard(),
+                        configured(config, chain), *self._received(),
                         inputs=[{'topic': config.profile_topic}, {'topic': config.joint_topic}])
         with live.progress.doing(COMPUTED):
             try:
@@ -90,10 +84,3 @@ class LiveKinematics:
         folder = live.place.folder(config) / FOLDER
         sentences = (sentence(answer), save(answer, self._urdf, folder, config.save.formats))
         return '; '.join([*sentences, *answer.warnings])
-
-
-def compute(kinematics: LiveKinematics | None) -> str:
-    """Return what ~/compute_kinematics says; raises InputError without a URDF."""
-    if kinematics is None:
-        raise InputError(NO_URDF)
-    return kinematics.compute()

@@ -1,5 +1,5 @@
 """
-A verification by a running node: between start and result the stops are no samples.
+A verification by a running node: between its start and its result stops give no samples.
 
 Knows no ROS.
 """
@@ -31,24 +31,22 @@ from handeye_ros.verification.session import VerificationSession
 from handeye_ros.verification.verification import Verification
 
 ANSWERS = ('pass', 'fail')  # the verdicts that end a verification
-NEXT = 'what begins from now on counts'
-NO_ROUTINE = 'the verification was ended: stops are samples again'
 
 
 class LiveVerification:
     """
-    A verification of the calibration by the stops of the robot: a consumer of stops.
+    The verification of the calibration, while the robot stops or scans.
 
-    last: the last verdict with its figures, empty before; on_change: called after it began or
-    ended.
+    last: the last verdict with its figures, empty before; on_change: called after a verification
+    began or gave a verdict.
     """
 
     def __init__(self, samples: LiveSamples, answer: Answer, place: Place, runner: Runner,
                  progress: Progress) -> None:
-        """Start with none going on; runner: runs what takes long."""
+        """Start without a verification; runner: runs what takes long."""
         self._samples, self._answer, self._place = samples, answer, place
         self._runner, self._progress = runner, progress
-        self._course: VerificationSession | None = None
+        self._session: VerificationSession | None = None
         self.last = ''
         self.on_change: Callable[[], None] = lambda: None
 
@@ -58,120 +56,115 @@ class LiveVerification:
 
     @property
     def text(self) -> str:
-        """Return how far it is, in words; empty where none goes on."""
-        return self._course.text if self._course else ''
+        """Return the progress in words; empty without a verification."""
+        return self._session.text if self._session else ''
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return that it goes on."""
-        course = self._course
-        return () if course is None else (
-            f'a verification ({course.routine.name}) continues: stops are not samples until '
+        """Return that stops give no samples, as one sentence; empty where they do."""
+        session = self._session
+        return () if session is None else (
+            f'a verification ({session.routine.name}) continues: stops are not samples until '
             '~/verify_result',)
-
-    # what comes in
 
     def add_profile(self, profile: AnyProfile) -> None:
         """Take a profile."""
-        course = self._course
-        if course and course.scans:
-            course.parts[-1].add_profile(profile)
+        session = self._session
+        if session and session.scans:
+            session.parts[-1].add_profile(profile)
 
     def add_poses(self, poses: Iterable[TimedPose]) -> None:
         """Take poses."""
-        course = self._course
-        if course and course.scans:
-            course.parts[-1].add_poses(poses)
+        session = self._session
+        if session and session.scans:
+            session.parts[-1].add_poses(poses)
 
-    def count(self, stop: Stop, over: bool = True) -> str:
+    def add(self, stop: Stop, over: bool = True) -> str:
         """
-        Let a stop count for the verification; return what to say.
+        Add a stop to the verification; return what to say.
 
-        One that the robot still stands in counts as it is now, and again when it is over.
+        A stop that is not over is added as it is now, and replaced when it is over.
         """
-        course = self._course
+        session = self._session
         if over:
             self._samples.streams.leave(stop)
-        if course is None:  # it was ended this moment
-            return NO_ROUTINE
-        if course.scans:
-            return f'{course.text}: stops do not count, points are taken while the robot moves'
-        found = course.add(stop, self._config, self._samples.judge.result)
-        text = f'{course.text}; {sample_summary(found)}'
-        self._samples.attempt = Attempt(not isinstance(found, Reject), 0,
+        if session is None:  # another thread has just ended it
+            return 'the verification was ended: stops are samples again'
+        if session.scans:
+            return f'{session.text}: stops do not count, points are taken while the robot moves'
+        result = session.add(stop, self._config, self._samples.judge.result)
+        text = f'{session.text}; {sample_summary(result)}'
+        self._samples.attempt = Attempt(not isinstance(result, Reject), 0,
                                         f'verification: {text}')
-        self._samples.on_outcome(Outcome(0, stop, found))
+        self._samples.on_outcome(Outcome(0, stop, result))
         return text
 
     def take(self, stop: Stop) -> str:
-        """Let a stop count that was asked for; raises UnusableStopError."""
-        course, text = self._course, self.count(stop)
-        found = course.parts[-1].stops.get(stop.began) if course else None
-        if isinstance(found, Reject):
-            raise UnusableStopError(found.reason)
+        """Add a stop that was asked for; raises UnusableStopError."""
+        session, text = self._session, self.add(stop)
+        result = session.parts[-1].stops.get(stop.began) if session else None
+        if isinstance(result, Reject):
+            raise UnusableStopError(result.reason)
         return text
 
-    # what is asked; each returns what to say
+    # services; each returns what to say
 
     def begin(self) -> str:
         """
-        Begin a verification, or the next face, ball or pass of the one that goes on.
+        Begin a verification, or the next part (face, ball, pass) of the current one.
 
         Raises NoRoutineError, UnknownNameError, WrongCountError and NothingToVerifyError.
         """
         self._samples.judge_all()
-        course = self._course
-        if course is None or course.is_full:
-            course = VerificationSession(self._config)
-            self._to_verify()  # a file may have to be read, and nobody is to wait for that
+        session = self._session
+        if session is None or session.is_full:
+            session = VerificationSession(self._config)
+            self._to_verify()  # may read a file, so outside of the lock
         else:
-            course.go_on()
+            session.go_on()
         with self._samples.work:
-            for stop in self._samples.streams.copied().rest():  # here the robot stood before
+            for stop in self._samples.streams.copied().rest():  # they began before
                 self._samples.streams.leave(stop)
-            self._course, self._samples.consumer = course, self
+            self._session, self._samples.consumer = session, self
         self.on_change()
-        what = 'scan the gauge' if course.scans else 'move on, and stop with other tilts'
-        return f'{course.text}; {what}: {NEXT}, until ~/verify_result'
+        what = 'scan the gauge' if session.scans else 'move on, and stop with other tilts'
+        return (f'{session.text}; {what}: what begins from now on counts, until '
+                '~/verify_result')
 
     def result(self) -> str:
         """
-        Return the verdict with its figures, and write them; the stop of now counts as over.
+        Write the verdict with its figures; the stop that the robot stands in counts as over.
 
         Raises NotStartedError, NothingToVerifyError, TooFewSeenError, DataError, and
-        NoAnswerError where it is neither pass nor fail: the verification then goes on.
+        NoAnswerError where it is neither pass nor fail: the verification then continues.
         """
         with self._samples.work:
-            course = self._course
-            if course is None:
+            session = self._session
+            if session is None:
                 raise NotStartedError
             self._samples.judge_rest()
-            asked = course.copied()
-        found = self._verified(asked)
+            copied = session.copied()
+        with self._progress.doing('the calibration is verified'):
+            found = self._runner.run(copied.result, self._to_verify(), self._config, urgent=True)
         self.last = verification.sentence(found)
         text = f'{self.last}; {self._written(found)}'
         with self._samples.work:
-            if found.verdict in ANSWERS and self._course is course:
+            if found.verdict in ANSWERS and self._session is session:
                 self.end()
         self.on_change()
         if found.verdict not in ANSWERS:
             raise NoAnswerError(found.verdict, (*found.reasons, text))
         return text
 
-    def _verified(self, course: VerificationSession) -> Verification:
-        """Return what a verification shows; other services go on meanwhile."""
-        with self._progress.doing('the calibration is verified'):
-            return self._runner.run(course.result, self._to_verify(), self._config, urgent=True)
-
     def configured(self, before: Config, after: Config) -> None:
-        """End it where another routine is set."""
+        """End the verification where another routine is set."""
         if before.verify.routine != after.verify.routine:
             self.end()
 
     def end(self) -> None:
-        """Let stops be samples again."""
+        """End the verification: stops give samples again."""
         self._samples.consumer = None
-        self._course = None
+        self._session = None
 
     def _to_verify(self) -> Calibration:
         """Return the calibration of verify.calibration, or the answer; NothingToVerifyError."""

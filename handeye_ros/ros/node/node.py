@@ -1,19 +1,19 @@
-"""The node `handeye`: topics and services around a session that goes on."""
+"""The node `handeye`: topics, services and parameters around a running session."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
 from handeye_ros.diagnosis.summaries import in_the_way, sample_summary, with_trouble
-from handeye_ros.errors import HandeyeError
+from handeye_ros.errors import HandeyeError, InputError
 from handeye_ros.ros.executable import offer, UNSENDABLE
 from handeye_ros.ros.node import params
 from handeye_ros.ros.node.diagnostics import RepeatedWarnings, same_name, topics_of
 from handeye_ros.ros.node.intake import Intake
-from handeye_ros.ros.node.kinematics import compute
+from handeye_ros.ros.node.kinematics import NO_URDF
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.publishers import Publishers
 from handeye_ros.ros.node.status import state_of
@@ -25,15 +25,19 @@ from handeye_ros.sampling.state import State
 from handeye_ros.sampling.stops import Outcome
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
-from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
-CURRENT = 0.2  # s between two pictures of what is seen now
-LOWER = 5  # priority of what takes long
+CURRENT = 0.2  # s between two messages on ~/current
+NICER = 5  # nice value of the process that solves: the streams come first
+# Services of type Trigger; those of a group wait for each other.
+GROUPS = (('compute_calibration',), ('save_calibration',), ('compute_kinematics',),
+          ('verify_start', 'verify_result'),
+          ('take_sample', 'remove_last_sample', 'clear_samples'))
 
 
 class HandeyeNode(Node):
@@ -45,11 +49,11 @@ class HandeyeNode(Node):
         config, stored = params.declare(self)
         self._place = place = Place(self.get_namespace())
         self.live = LiveSession(config, place, SessionStore(place.folder, stored),
-                                WorkerProcess(LOWER), WorkerProcess())
+                                WorkerProcess(NICER), WorkerProcess())
         self._outputs = Publishers(self, self.live)
         self._intake = Intake(self, self.live)
         self._warnings = RepeatedWarnings(self.get_logger().warning)
-        self._changing = Lock()  # the page sets parameters, too
+        self._changing = Lock()  # the page sets parameters from its own thread
         self._serve()
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._apply_change)
@@ -73,12 +77,12 @@ class HandeyeNode(Node):
             self._page = serve(self)
 
     def stop(self) -> None:
-        """End what is being computed, and tell nothing more of it."""
+        """End what is being computed, and publish nothing more."""
         self._outputs.close()
         self.live.stop()
 
     def destroy_node(self) -> None:
-        """End the page and what is being computed, too."""
+        """End the page and what is being computed, then the node."""
         self.stop()
         if self._page:
             self._page.stop()
@@ -86,7 +90,7 @@ class HandeyeNode(Node):
 
     @property
     def is_busy(self) -> bool:
-        """Return whether a thread is at work that Python would wait for."""
+        """Return whether a thread is at work for which Python would wait at its end."""
         return bool(self.live.progress.text)
 
     @property
@@ -107,35 +111,36 @@ class HandeyeNode(Node):
 
     @property
     def state(self) -> State:
-        """Return all that is told of the session, as of now."""
+        """Return the current state of the session."""
         return state_of(self.live, self._intake.obstacle, same_name(self))
 
     def _serve(self) -> None:
-        samples = MutuallyExclusiveCallbackGroup()
-        for services in ((self.compute_calibration,), (self.save_calibration,),
-                         (self.compute_kinematics,),
-                         (self.verify_start, self.verify_result)):
-            self._offer_all(services, MutuallyExclusiveCallbackGroup())
-        self._offer_all((self.take_sample, self.remove_last_sample, self.clear_samples), samples)
-        offer(self, SetBool, 'auto_sample', self._auto_sample, samples)
-        self.create_subscription(Empty, '~/take', self._on_take, 10, callback_group=samples)
-        # of wall time: the state is told even when a simulated clock stands still
-        for period, tell in ((1.0, self._diagnose), (CURRENT, self._outputs.show_current)):
-            self.create_timer(period, partial(self._quietly, tell),
+        live = self.live
+        self._services: dict[str, Callable[[], str]] = {
+            'take_sample': live.samples.take,
+            'remove_last_sample': live.samples.remove_last,
+            'clear_samples': self._clear_samples,
+            'compute_calibration': lambda: live.answer.compute()[1],
+            'save_calibration': live.answer.save,
+            'compute_kinematics': self._compute_kinematics,
+            'verify_start': live.verification.begin,
+            'verify_result': live.verification.result}
+        for names in GROUPS:
+            group = MutuallyExclusiveCallbackGroup()
+            for name in names:
+                offer(self, Trigger, name, partial(self._answer, name), group)
+        offer(self, SetBool, 'auto_sample', self._auto_sample, group)
+        self.create_subscription(Empty, '~/take', self._on_take, 10, callback_group=group)
+        # steady time: the state is published even when a simulated clock stands still
+        for period, work in ((1.0, self._diagnose), (CURRENT, self._outputs.show_current)):
+            self.create_timer(period, partial(self._quietly, work),
                               MutuallyExclusiveCallbackGroup(),
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _offer_all(self, services: Iterable[Callable[[], str]], group: CallbackGroup) -> None:
-        """Create services of which one waits for the other."""
-        for service in services:
-            offer(self, Trigger, service.__name__, partial(self._answer, service), group)
-
-    # what is reported
-
-    def _quietly(self, tell: Callable[..., object], *args: Any) -> None:
-        """Tell something, unless the node ends, and nobody hears of it any more."""
+    def _quietly(self, work: Callable[..., object], *args: Any) -> None:
+        """Do what publishes something; that this fails while the node ends is no error."""
         try:
-            tell(*args)
+            work(*args)
         except UNSENDABLE:
             if rclpy.ok():
                 raise
@@ -154,36 +159,22 @@ class HandeyeNode(Node):
         self._outputs.diagnose(state)
         self._warnings.update((*state.troubles, *state.session.notes))
 
-    # what is asked; each returns what to say
-
-    def take_sample(self) -> str:
-        """Take a sample where the robot stands."""
-        return self.live.samples.take()
-
-    def remove_last_sample(self) -> str:
-        """Forget the last sample."""
-        return self.live.samples.remove_last()
-
-    def clear_samples(self) -> str:
-        """Forget all samples and all that was received."""
+    def _clear_samples(self) -> str:
         text = self.live.clear_samples()
         self._intake.restart()
         return text
 
-    def compute_calibration(self) -> str:
-        """Solve, and publish the answer if there is one."""
-        return self.live.answer.compute()[1]
-
-    def save_calibration(self) -> str:
-        """Write the last answer."""
-        return self.live.answer.save()
+    def _compute_kinematics(self) -> str:
+        if self._intake.kinematics is None:
+            raise InputError(NO_URDF)
+        return self._intake.kinematics.compute()
 
     def open_session(self, name: str) -> str:
-        """Go on with a former session of this name, with the settings of now; HandeyeError."""
+        """Go on with a former session, with the current settings; raises HandeyeError."""
         config = self.live.config
         path = self._place.folder(config) / Path(name).name
         if path == Path(self.live.samples.store.path):
-            return f'{path} is the session of now'
+            return f'{path} is the current session'
         stored = read_session(path)
         store, session = SessionStore(self._place.folder, stored), stored.session(config)
         text = self.live.replace_session(store, session, stored.config)
@@ -191,43 +182,31 @@ class HandeyeNode(Node):
                                        list(stored.config.samples.exclude))])
         return text
 
-    def compute_kinematics(self) -> str:
-        """Find the errors of the arm, and write the corrected one."""
-        return compute(self._intake.kinematics)
-
-    def verify_start(self) -> str:
-        """Let the stops from now on verify the calibration."""
-        return self.live.verification.begin()
-
-    def verify_result(self) -> str:
-        """Tell and write what they say of it."""
-        return self.live.verification.result()
-
-    def ask(self, service: Callable[[], str]) -> tuple[bool, str]:
-        """Return whether one of these succeeds, and the one sentence that tells so."""
+    def ask(self, name: str) -> tuple[bool, str]:
+        """Return whether a service succeeds, and what it says."""
         try:
-            text, success = service(), True
+            text, success = self._services[name](), True
         except HandeyeError as error:
             text, success = str(error), False
-        text = with_trouble(text, in_the_way(self.state, success, service.__name__))
+        text = with_trouble(text, in_the_way(self.state, success, name))
         log = self.get_logger()
         if not success:
-            log.warning(f'{service.__name__}: {text}')
-        elif service != self.take_sample:  # which is in the log as an outcome
+            log.warning(f'{name}: {text}')
+        elif name != 'take_sample':  # its outcome is in the log already
             log.info(text)
         return success, text
 
-    def _answer(self, service: Callable[[], str], _: Trigger.Request,
-                response: Trigger.Response) -> Trigger.Response:
+    def _answer(self, name: str, _: Trigger.Request, response: Trigger.Response
+                ) -> Trigger.Response:
         try:
-            response.success, response.message = self.ask(service)
+            response.success, response.message = self.ask(name)
         except UNSENDABLE:
-            if rclpy.ok():  # else the node ends, and nobody hears of it any more
+            if rclpy.ok():  # else the node ends
                 raise
         return response
 
     def _on_take(self, _: Empty) -> None:
-        self._quietly(self.ask, self.take_sample)
+        self._quietly(self.ask, 'take_sample')
 
     def _auto_sample(self, request: SetBool.Request, response: SetBool.Response
                      ) -> SetBool.Response:
@@ -238,8 +217,6 @@ class HandeyeNode(Node):
             response.message = ('a sample is taken at every stop of the robot' if request.data
                                 else 'samples are taken by ~/take_sample only')
         return response
-
-    # what is set
 
     def _check_change(self, changes: list[Parameter]) -> SetParametersResult:
         try:

@@ -1,8 +1,8 @@
 """
-The parameters of the node: those of config/, declared so that they explain themselves.
+The parameters of the node: those of config/, with their descriptions and ranges.
 
-`ros2 param describe /handeye noise.sensor` prints the description and the range. Types are
-dynamic, so that 3 is taken where 3.0 is meant; config/ checks every value.
+`ros2 param describe /handeye noise.sensor` prints them. Types are dynamic, so that 3 is accepted
+for 3.0; config/ checks every value.
 """
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-# What the node subscribes to, or tells others, from its start on.
+# Keys that cannot change while the node runs.
 FIXED = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port', 'page.address')
-# Keys that serve only targets that are solved from files.
+# Keys of targets that are solved from files alone.
 FILES_ONLY = ('tracker.', 'sensor_frame')
 
 
@@ -32,9 +32,10 @@ def declare(node: Node) -> tuple[Config, Stored | None]:
 
     Raises UnknownKeyError and BadValueError for what the user gave, InputError for a session
     that cannot be read.
-
     """
-    config, stored = resumed(_given(node), Place(node.get_namespace()))
+    # rclpy offers no other way to what parameter files and arguments set
+    given = _values(node._parameter_overrides.values())
+    config, stored = resumed(given, Place(node.get_namespace()))
     _check_names(config)
     values = configuration.flatten(config)
     for parameter in parameters():
@@ -49,18 +50,12 @@ def declare(node: Node) -> tuple[Config, Stored | None]:
 
 
 def parameters() -> tuple[Parameter, ...]:
-    """Return the keys that serve the node."""
+    """Return the parameters that the node has."""
     return tuple(p for p in configuration.parameters() if not p.key.startswith(FILES_ONLY))
 
 
-def _given(node: Node) -> dict[str, Any]:
-    """Return what parameter files and arguments set, by key; raises UnknownKeyError."""
-    # rclpy tells what was given only for names that it is asked for
-    return _values(node._parameter_overrides.values())
-
-
 def _values(given: Iterable[RosParameter]) -> dict[str, Any]:
-    """Return the values of parameters that are ours, by key; raises UnknownKeyError."""
+    """Return the values of the parameters of this package by key; raises UnknownKeyError."""
     values = {p.name: _value(p) for p in given if not p.name.startswith(EVERY_NODES)}
     known = [p.key for p in parameters()]
     for name in values:
@@ -70,7 +65,7 @@ def _values(given: Iterable[RosParameter]) -> dict[str, Any]:
 
 
 def _value(parameter: RosParameter) -> Any:
-    """Return the value of a parameter; lists as lists, an empty one has no type in ROS."""
+    """Return the value of a parameter, arrays as lists; an empty list has no type in ROS."""
     if parameter.type_ == RosParameter.Type.NOT_SET:
         return []
     value = parameter.value
@@ -78,7 +73,7 @@ def _value(parameter: RosParameter) -> Any:
 
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:
-    """Return what `ros2 param describe` tells of a parameter."""
+    """Return what `ros2 param describe` prints of a parameter."""
     made = ParameterDescriptor(description=parameter.description, dynamic_typing=True,
                                additional_constraints=_constraints(parameter))
     low, high = parameter.minimum, parameter.maximum
@@ -103,10 +98,9 @@ def _constraints(parameter: Parameter) -> str:
 
 def changed(config: Config, changes: Iterable[RosParameter]) -> Config:
     """
-    Return config with a change at run time put in.
+    Return the configuration with changes made at run time.
 
-    Raises BadValueError, or InputError when the change has to be made at the start.
-
+    Raises BadValueError, and InputError for a key that is fixed.
     """
     values = _values(changes)
     new = configuration.with_values(config, values, "the node's parameters")
@@ -119,6 +113,6 @@ def changed(config: Config, changes: Iterable[RosParameter]) -> Config:
 
 
 def _check_names(config: Config) -> None:
-    """Refuse names that would only fail later; raises BadValueError."""
+    """Refuse names of methods and folders that would fail later; raises BadValueError."""
     targets.method_for(config)
     folder_name(config)

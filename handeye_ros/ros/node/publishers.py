@@ -1,9 +1,8 @@
 """
-What the node publishes of its session: the answer, the samples, what they look like.
+What the node publishes: the answer, the samples, the state, markers.
 
-A latched topic keeps its last message for whoever joins later. Where there is no answer any
-more, the publisher is created again, so that a late joiner gets none; ~/status informs those who
-have the old one.
+A latched topic keeps its last message for late subscribers. Where the answer is withdrawn, its
+publisher is created again, so that a late subscriber gets none; ~/status informs the others.
 """
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ from handeye_ros.results.report.scene import in_sensor
 from handeye_ros.ros.node.diagnostics import diagnostics
 from handeye_ros.ros.node.intake import TFMessage
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.node.scene import current_markers, ends, put, Seen, session_markers
+from handeye_ros.ros.node.scene import current_markers, DrawnSample, ends, put, session_markers
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.sampling.state import GuidanceState, samples_message, State, status_message
 from handeye_ros.sampling.stops import Outcome
@@ -41,7 +40,7 @@ UNWATCHED = PublisherEventCallbacks(use_default_callbacks=False)
 
 
 class Publishers:
-    """The publishers; each state is reported once."""
+    """The publishers; what has not changed is not published again."""
 
     def __init__(self, node: Node, live: LiveSession) -> None:
         """Advertise all topics."""
@@ -68,31 +67,31 @@ class Publishers:
         self._tf_static = TFMessage and latched_publisher(self._node, TFMessage, '/tf_static')
 
     def show(self) -> None:
-        """Publish what has changed since the last time."""
+        """Publish what has changed."""
         with self._lock:
             if self._closed:
                 return
             state, calibration = state_of(self._live), self._live.calibration
-            others = self._say('samples', json.dumps(samples_message(state)))
-            another = calibration is not self._shown
-            if another:
+            changed = self._publish_text('samples', json.dumps(samples_message(state)))
+            if calibration is not self._shown:
                 self._show_answer(calibration)
-            if others or another:
+                changed = True
+            if changed:
                 self._draw(state, calibration)
-            self._say('status', json.dumps(status_message(state)))
+            self._publish_text('status', json.dumps(status_message(state)))
             self._show_guidance(state.guidance)
 
     def close(self) -> None:
         """
-        Publish no changes any more.
+        Publish no more changes.
 
-        To make a publisher anew wakes the executor, and once that is gone ends the process.
+        A publisher that is created after the executor has ended would end the process.
         """
         with self._lock:
             self._closed = True
 
-    def _say(self, name: str, text: str) -> bool:
-        """Publish a text if it is another than before; return whether it is."""
+    def _publish_text(self, name: str, text: str) -> bool:
+        """Publish a text if it has changed; return whether it has."""
         if self._published.get(name) == text:
             return False
         self._published[name] = text
@@ -100,18 +99,25 @@ class Publishers:
         return True
 
     def _show_answer(self, calibration: Calibration | None) -> None:
-        if calibration is None:
-            self._withdraw()
-        else:
-            self._publish(calibration)
         self._shown = calibration
+        if calibration is None:
+            for publisher in filter(None, (self._calibration, self._tf_static)):
+                self._node.destroy_publisher(publisher)
+            self._advertise_answer()
+            return
+        config = self._live.framed
+        transform = transform_stamped(calibration, self._node.get_clock().now().to_msg())
+        self._calibration.publish(transform)
+        robot = (config.base_frame, config.robot_effector_frame)
+        if self._tf_static and calibration.child_frame not in robot:
+            self._tf_static.publish(TFMessage(transforms=[transform]))
 
     def _show_guidance(self, guidance: GuidanceState | None) -> None:
-        """Publish what to do next, and the pose of it while there is one."""
+        """Publish what to do next, and the next pose while there is one."""
         if guidance is None or guidance == self._advised:
             return
         self._advised = guidance
-        self._say('guidance', guidance.text)
+        self._publish_text('guidance', guidance.text)
         if guidance.translation is None or guidance.rotation is None:
             self._node.destroy_publisher(self._next_pose)
             self._next_pose = latched_publisher(self._node, PoseStamped, '~/next_pose')
@@ -120,41 +126,28 @@ class Publishers:
                 guidance.translation, guidance.rotation, self._live.framed.base_frame,
                 self._node.get_clock().now().to_msg()))
 
-    def _withdraw(self) -> None:
-        for publisher in filter(None, (self._calibration, self._tf_static)):
-            self._node.destroy_publisher(publisher)
-        self._advertise_answer()
-
-    def _publish(self, calibration: Calibration) -> None:
-        config = self._live.framed
-        transform = transform_stamped(calibration, self._node.get_clock().now().to_msg())
-        self._calibration.publish(transform)
-        robot = (config.base_frame, config.robot_effector_frame)
-        if self._tf_static and calibration.child_frame not in robot:
-            self._tf_static.publish(TFMessage(transforms=[transform]))
-
     def _draw(self, state: State, calibration: Calibration | None) -> None:
         live = self._live
         residuals = {sample.number: sample.residual for sample in state.samples}
         self._markers.publish(session_markers(
-            [Seen(o.number, o.sample, residuals.get(o.number)) for o in live.copied().outcomes
+            [DrawnSample(o.number, o.sample, residuals.get(o.number)) for o in live.copied().outcomes
              if o.sample], calibration, live.framed))
 
     def show_current(self) -> None:
-        """Publish what the sensor sees now, if anybody looks."""
+        """Publish what the sensor sees now, if there is a subscriber."""
         if self._current.get_subscription_count():
             config = self._live.framed
             self._current.publish(current_markers(
                 self._live.streams.latest.current(config), self._live.calibration, config))
 
     def show_features(self, outcome: Outcome) -> None:
-        """Publish what a new sample saw."""
+        """Publish the features of a new sample."""
         if outcome.sample:
             self._features.publish(feature_cloud(outcome.sample, self._live.config,
                                                  self._live.copied().frame_id))
 
     def diagnose(self, state: State) -> None:
-        """Publish the state of each concern."""
+        """Publish the state on /diagnostics."""
         name = self._node.get_fully_qualified_name().lstrip('/')
         self._diagnostics.publish(diagnostics(state, self._live.streams.arrivals, name,
                                               self._node.get_clock().now().to_msg()))
@@ -164,13 +157,13 @@ def latched_publisher(node: Node, kind: Any, name: str) -> Publisher:
     """
     Create a latched publisher that may be destroyed while an executor waits.
 
-    It would wait for the events of the publisher, too, and end where they are gone.
+    It has no event callbacks: an executor that waits for these ends when they are destroyed.
     """
     return node.create_publisher(kind, name, LATCHED, event_callbacks=UNWATCHED)
 
 
 def transform_stamped(calibration: Calibration, stamp: Time) -> TransformStamped:
-    """Return the answer as a transform of the sensor in its parent frame."""
+    """Return the answer as the pose of the sensor in its parent frame."""
     msg = TransformStamped(child_frame_id=calibration.child_frame)
     msg.header = Header(stamp=stamp, frame_id=calibration.parent_frame)
     T = calibration.T_flange_sensor
@@ -181,7 +174,7 @@ def transform_stamped(calibration: Calibration, stamp: Time) -> TransformStamped
 
 def pose_stamped(translation: Sequence[float], rotation: Sequence[float], frame_id: str,
                  stamp: Time) -> PoseStamped:
-    """Return a pose (x y z, quaternion x y z w) in a frame."""
+    """Return a pose (x y z in m, quaternion x y z w) in a frame."""
     msg = PoseStamped(header=Header(stamp=stamp, frame_id=frame_id))
     put(msg.pose.position, 'xyz', translation)
     put(msg.pose.orientation, 'xyzw', rotation)
@@ -189,14 +182,14 @@ def pose_stamped(translation: Sequence[float], rotation: Sequence[float], frame_
 
 
 def feature_cloud(sample: Sample, config: Config, frame_id: str) -> PointCloud2:
-    """Return the points that stand for a sample's features, in the sensor's frame."""
-    spots = [f.point[None] for f in sample.features if isinstance(f, EdgePoint)]
-    spots += [f.points for f in sample.features if isinstance(f, Arc)]
-    points = in_sensor(np.concatenate([*spots, ends(sample.features)]), config)
+    """Return edge points, points of arcs and ends of lines of a sample, in the sensor frame."""
+    points = [f.point[None] for f in sample.features if isinstance(f, EdgePoint)]
+    points += [f.points for f in sample.features if isinstance(f, Arc)]
+    xyz = in_sensor(np.concatenate([*points, ends(sample.features)]), config)
     sec, nanosec = divmod(sample.stamp, 1_000_000_000)
     return PointCloud2(
         header=Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=frame_id),
-        height=1, width=len(points), point_step=12, row_step=12 * len(points), is_dense=True,
+        height=1, width=len(xyz), point_step=12, row_step=12 * len(xyz), is_dense=True,
         fields=[PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
                 for i, name in enumerate('xyz')],
-        data=points.astype('<f4').tobytes())
+        data=xyz.astype('<f4').tobytes())

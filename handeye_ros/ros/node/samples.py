@@ -17,7 +17,7 @@ from handeye_ros.errors import FeatureError, HandeyeError, InputError
 from handeye_ros.ros.node.streams import StopConsumer, Streams
 from handeye_ros.ros.node.worker import Judge, Progress
 from handeye_ros.ros.sessions.store import Store
-from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError, SilentPosesError
+from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.state import Attempt
 from handeye_ros.sampling.stops import Outcome, Stop
@@ -25,9 +25,6 @@ from handeye_ros.sampling.stops import Outcome, Stop
 # Keys, or the beginnings of keys, on which it depends what a stop gives.
 OF_SAMPLES = ('method', 'profile.', 'target.', 'noise.sensor', 'sampling.min_points',
               'sampling.settle_time', 'time_offset', 'rotation_lag_std')
-# s without a pose after which its place is unknown: while profiles come, and where both end
-POSES_SILENT, BOTH_SILENT = 2.0, 30.0
-PROFILES_COME = 1.0  # s since the last profile
 
 
 class LiveSamples:
@@ -95,7 +92,7 @@ class LiveSamples:
         """Put the outcome of a stop into the session, in place of that from before it was over."""
         if consumer := self.consumer:
             if over or not self.streams.is_taken(stop):
-                consumer.count(stop, over)
+                consumer.add(stop, over)
             return
         result = self.judge.result(stop, self.config)
         with self.streams.lock:
@@ -129,6 +126,20 @@ class LiveSamples:
         self.store_trouble = ''
         return stored
 
+    def evaluated(self, judge: Callable[[], None]) -> tuple[Session, Config]:
+        """
+        Return a copy of the session and its settings, by which all samples were extracted.
+
+        judge: judge_all or judge_rest. Raises DataError where there are no stops.
+        """
+        self.extract_again()
+        with self.work:
+            judge()
+            session, config = self.streams.copied(), self.config
+        self.streams.wake.set()
+        session.require_stations()
+        return session, config
+
     def extract_again(self) -> None:
         """Evaluate the stored stops again where settings changed that they depend on."""
         with self._extracting:
@@ -154,7 +165,7 @@ class LiveSamples:
 
     def _take(self) -> str:
         if consumer := self.consumer:
-            stop = self._standing()
+            stop = self.streams.standing()
             with self.work:
                 self.judge_all()
                 return consumer.take(stop)
@@ -184,22 +195,12 @@ class LiveSamples:
     def _sampled(self) -> tuple[Stop, Sample, tuple[int, Config]]:
         """Return the stop that the robot stands in, its sample, and by which state it was made."""
         state = self.cleared, self.config
-        stop = self._standing()
+        stop = self.streams.standing()
         try:
             return stop, self.judge.sample(stop, state[1]), state
         except FeatureError:
             self.refused[stop.began] = stop.pose(state[1])
             raise
-
-    def _standing(self) -> Stop:
-        """Return the stop that the robot stands in; raises DataError as the session does."""
-        arrivals = self.streams.arrivals
-        silence = arrivals.silence('pose')
-        limit = POSES_SILENT if arrivals.silence('profile') < PROFILES_COME else BOTH_SILENT
-        if arrivals.counts['pose'] and silence > limit:
-            raise SilentPosesError(silence)
-        with self.streams.lock:
-            return self.streams.session.current_stop()
 
     def remove_last(self) -> str:
         """Forget the last sample; raises DataError when there is none, InputError unstored."""

@@ -1,4 +1,4 @@
-"""Markers of the session: where samples were taken, what they saw, what is seen now."""
+"""Markers: where samples were taken, what they saw, and what the sensor sees now."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,16 +28,17 @@ TARGET, EDGES, BALL = _color(0.1, 0.8, 0.3, 0.4), _color(0.0, 0.6, 0.5), _color(
 UNKNOWN, LASER, FOUND = _color(0.7, 0.7, 0.7), _color(0.9, 0.1, 0.1), _color(1.0, 0.6, 0.0)
 AXES = (_color(0.9, 0.2, 0.2), _color(0.2, 0.8, 0.2), _color(0.2, 0.4, 0.9))
 
+LISTS = (Marker.SPHERE_LIST, Marker.LINE_LIST)  # markers that RViz refuses without points
 AXIS = 0.03  # m, of a drawn frame
 ELLIPSOID = 0.02  # m, the largest half axis of the uncertainty as it is drawn
 DOT, LINE, TEXT = 0.003, 0.001, 0.012  # m
-ARM = 0.2  # m from the flange to the target, for the noise that a colour compares with
-WORST = 3.0  # times that noise: the residual that is drawn red
+ARM = 0.2  # m from the flange to the target, for the stated noise at the target
+WORST = 3.0  # times the stated noise: the residual that is drawn red
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """A sample with its number, and its residual (metres) where one is known."""
+class DrawnSample:
+    """A sample with its number and its residual (m), None without a review."""
 
     number: int
     sample: Sample
@@ -45,12 +46,12 @@ class Seen:
 
 
 def frame_of(config: Config) -> str:
-    """Return the frame that all is drawn in: what the target rests in."""
+    """Return the frame of all markers, in which the target is at rest."""
     in_hand = config.calibration_type == 'eye_in_hand'
     return config.base_frame if in_hand else config.robot_effector_frame
 
 
-def session_markers(samples: Sequence[Seen], calibration: Calibration | None, config: Config
+def session_markers(samples: Sequence[DrawnSample], calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
     """Return where the samples were taken and, once there is an answer, what they saw."""
     found = [Marker(action=Marker.DELETEALL)]
@@ -66,7 +67,7 @@ def session_markers(samples: Sequence[Seen], calibration: Calibration | None, co
 
 def current_markers(current: Current | None, calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
-    """Return the profile of now where the answer puts it, with what is found in it."""
+    """Return the current profile and its features, as the answer places them."""
     found = [Marker(action=Marker.DELETEALL)]
     if current and calibration:
         T = in_mount(current.T_base_flange, config) @ calibration.T_flange_sensor
@@ -81,9 +82,9 @@ def current_markers(current: Current | None, calibration: Calibration | None, co
     return _array(found, config)
 
 
-def _seen(samples: Sequence[Seen], poses: Sequence[Array], calibration: Calibration,
+def _seen(samples: Sequence[DrawnSample], poses: Sequence[Array], calibration: Calibration,
           config: Config) -> list[Marker]:
-    """Return target, samples and sensor of an answer."""
+    """Return markers of target, samples and sensor of an answer; poses: of the mount, (4, 4)."""
     T_sensors = [T @ calibration.T_flange_sensor for T in poses]
     spots = [se3.apply(T, in_sensor(_spots(seen.sample.features), config))
              for seen, T in zip(samples, T_sensors, strict=True)]
@@ -104,19 +105,16 @@ def _seen(samples: Sequence[Seen], poses: Sequence[Array], calibration: Calibrat
     return [marker for marker in found if marker.type not in LISTS or marker.points]
 
 
-LISTS = (Marker.SPHERE_LIST, Marker.LINE_LIST, Marker.POINTS)
-
-
 def _residual_label(residual: float | None) -> str:
     return '' if residual is None else f': {residual * 1e3:.3f} mm'
 
 
 def _by_residual(residual: float | None, worst: float) -> ColorRGBA:
-    """Return green for none, over yellow to red for the worst; grey where none is known."""
+    """Return green for 0, yellow, then red for the worst; grey for None."""
     if residual is None:
         return UNKNOWN
-    share = min(residual / worst, 1.0)
-    return _color(min(1.0, 2 * share), min(1.0, 2 * (1 - share)), 0.1)
+    ratio = min(residual / worst, 1.0)
+    return _color(min(1.0, 2 * ratio), min(1.0, 2 * (1 - ratio)), 0.1)
 
 
 def _target(target: Mapping[str, Any], config: Config, near: Array) -> list[Marker]:
@@ -130,7 +128,7 @@ def _target(target: Mapping[str, Any], config: Config, near: Array) -> list[Mark
 
 
 def _sensor(T: Array, calibration: Calibration) -> list[Marker]:
-    """Return the frame of the sensor and its uncertainty, enlarged so that it can be seen."""
+    """Return the axes of the sensor and its uncertainty ellipsoid, enlarged to be visible."""
     R_mount = T[:3, :3] @ calibration.T_flange_sensor[:3, :3].T
     axes = R_mount @ half_axes(calibration.covariance[:3, :3])
     factor = enlargement(float(np.linalg.norm(axes, axis=0).max()), ELLIPSOID)

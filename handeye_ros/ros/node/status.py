@@ -1,4 +1,4 @@
-"""The state of a running session: everything that is told of it, gathered at one moment."""
+"""The state of a running node: all that is reported, gathered at one moment."""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -37,9 +37,10 @@ Obstacle = Callable[[str], str]
 def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '', same_name: str = ''
              ) -> State:
     """
-    Return the state of a session.
+    Return the state of a running node.
 
-    obstacle: tells why no profile, or pose, comes in; same_name: that another node has its name.
+    obstacle: returns why no messages of a kind (profile, pose) come; same_name: that another node
+    has the same name.
     """
     session, config = live.copied(), live.config
     by_topic = config.pose_source == 'topic'
@@ -78,7 +79,7 @@ def _calibration(answer: Answer, stamps: frozenset[int]) -> CalibrationState:
 
 
 def _guidance(advice: Advice | None, sample: int) -> GuidanceState | None:
-    """Return an advice as plain values; sample: the number of the last one that it knows of."""
+    """Return the advice as plain values; sample: the number of the last one that it includes."""
     if advice is None:
         return None
     pose = advice.next
@@ -91,11 +92,11 @@ def _guidance(advice: Advice | None, sample: int) -> GuidanceState | None:
 
 
 def _agreements(reviewer: Reviewer) -> dict[int, Agreement]:
-    """Return what the last review says of each sample, by number."""
-    found = reviewer.review
-    if found is None:
+    """Return the residuals of the last review by the number of the sample."""
+    review = reviewer.review
+    if review is None:
         return {}
-    pairs = zip(reviewer.reviewed, found.agreements, strict=False)
+    pairs = zip(reviewer.reviewed, review.agreements, strict=False)
     return {outcome.number: agreement for outcome, agreement in pairs if agreement}
 
 
@@ -126,11 +127,11 @@ def _motion(session: Session) -> MotionState:
 
 
 def _trouble(live: LiveSession, session: Session, same_name: str) -> str:
-    """Return why what comes in now is of no use, and what to do; empty if it is."""
-    found = (str(session.conflict or ''), late_sentence(session.late) if session.late else '',
-             live.streams.arrivals.clocks, session.unasked, live.samples.store_trouble,
-             live.threads.failure, same_name)
-    return '; '.join(filter(None, found))
+    """Return why what comes now cannot be used, and what to do; empty where it can."""
+    troubles = (str(session.conflict or ''), late_sentence(session.late) if session.late else '',
+                live.streams.arrivals.clocks, session.unasked, live.samples.store_trouble,
+                live.threads.failure, same_name)
+    return '; '.join(filter(None, troubles))
 
 
 def _sample(outcome: Outcome, session: Session, agreement: Agreement | None) -> SampleState:

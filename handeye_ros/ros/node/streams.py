@@ -1,5 +1,5 @@
 """
-What a running node receives: counts, clocks, the last messages, and the session that it feeds.
+What a running node receives: counts, clocks, the last messages, and the session fed with them.
 
 Knows no ROS.
 """
@@ -17,15 +17,19 @@ from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Feature, TimedPose
 from handeye_ros.errors import FeatureError, UnusableMessageError
 from handeye_ros.sampling.dwells import interpolate
+from handeye_ros.sampling.errors import SilentPosesError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 
-MOST_STOPS = 16  # that wait to be judged, of 7 MB at most with 1280 points a profile
+MOST_STOPS = 16  # that wait to be evaluated: at most 7 MB each with 1280 points a profile
 KINDS = ('profile', 'pose')
-LAST = 100  # messages of a kind that are kept: the one of the two streams may be late
-BAD_IN_A_ROW = 3  # messages that cannot be understood, that are reported
-FRESH = 1.0  # s: the clocks are compared where both kinds came so recently
-LARGEST_APART = 5.0  # s between the clocks that a slow network or a queue explains
+LAST = 100  # messages of a kind that are kept: one of the two streams may be late
+BAD_IN_A_ROW = 3  # messages that cannot be understood until that is reported
+FRESH = 1.0  # s since the last message of each kind for which the clocks are compared
+# s without a pose after which its place is unknown: while profiles come, and where both end
+POSES_SILENT, BOTH_SILENT = 2.0, 30.0
+PROFILES_COME = 1.0  # s since the last profile
+LARGEST_APART = 5.0  # s of difference of the clocks that a slow network or a queue explains
 
 
 class Arrivals:
@@ -42,7 +46,7 @@ class Arrivals:
         self._bad_in_a_row: Counter[str] = Counter()
 
     def came(self, kind: str, stamp: int) -> None:
-        """Count a good message; stamp: its own, in ns."""
+        """Count a good message; stamp: of its header, in ns."""
         self.counts[kind] += 1
         self._bad_in_a_row[kind] = 0
         self._latest[kind] = time.monotonic()
@@ -56,12 +60,12 @@ class Arrivals:
         self.last_malformed = self._reasons[kind] = reason
 
     def unusable(self, kind: str) -> str:
-        """Return how many of a kind cannot be understood, if that is most or now, and why."""
-        bad, good, now = self.bad[kind], self.counts[kind], self._bad_in_a_row[kind]
+        """Return that most, or the last, messages of a kind cannot be used, and why."""
+        bad, good, last = self.bad[kind], self.counts[kind], self._bad_in_a_row[kind]
         if bad > good:
             count = f'{bad} of {bad + good} {kind}s'
-        elif now >= BAD_IN_A_ROW:
-            count = f'the last {now} {kind}s'
+        elif last >= BAD_IN_A_ROW:
+            count = f'the last {last} {kind}s'
         else:
             return ''
         return f'{count} cannot be used; the last reason: {self._reasons[kind]}'
@@ -72,15 +76,15 @@ class Arrivals:
 
     @property
     def clocks(self) -> str:
-        """Return by how much the clocks of the two kinds differ, if they cannot be one."""
+        """Return that the clocks of profiles and poses differ; empty where they may be one."""
         if any(kind not in self._stamps or self.silence(kind) > FRESH for kind in KINDS):
             return ''
         profile, pose = (self._stamps[kind] * 1e-9 + self.silence(kind) for kind in KINDS)
-        apart = profile - pose
-        if abs(apart) < LARGEST_APART:
+        ahead = profile - pose
+        if abs(ahead) < LARGEST_APART:
             return ''
-        size = f'{abs(apart):.1f} s' if abs(apart) < 3600 else f'{abs(apart) / 3600:.2f} hours'
-        return (f'the stamps of the profiles are {size} {"ahead of" if apart > 0 else "behind"} '
+        size = f'{abs(ahead):.1f} s' if abs(ahead) < 3600 else f'{abs(ahead) / 3600:.2f} hours'
+        return (f'the stamps of the profiles are {size} {"ahead of" if ahead > 0 else "behind"} '
                 'those of the poses: the clocks of sensor and robot differ; set them to one time '
                 '(PTP or NTP), or let one driver stamp as the other does')
 
@@ -88,9 +92,9 @@ class Arrivals:
 @dataclass(frozen=True, eq=False)
 class Current:
     """
-    What the sensor sees: points (n, 2) and features in its plane; T_base_flange (4, 4).
+    What the sensor sees now: points (n, 2) and features in its plane, at T_base_flange (4, 4).
 
-    reason: why there are no features, empty where there are.
+    reason: why there are no features, empty where there are some.
     """
 
     T_base_flange: Array
@@ -132,14 +136,14 @@ class Latest:
         return None if last is None else se3.from_quaternion(last.translation, last.quaternion)
 
     def current(self, config: Config) -> Current | None:
-        """Return the last profile that poses surround; None where there is none to use."""
+        """Return the last usable profile with poses before and after it; None without one."""
         with self._lock:
             profiles = list(self._profiles)
-            # a recording that is played again, or two robots, repeat stamps: the last one counts
-            of_stamp = {pose.stamp: pose for pose in self._poses}
-        if len(of_stamp) < 2:
+            # of equal stamps, as of a recording that is played again, the last pose counts
+            by_stamp = {pose.stamp: pose for pose in self._poses}
+        if len(by_stamp) < 2:
             return None
-        poses = sorted(of_stamp.values(), key=lambda pose: pose.stamp)
+        poses = sorted(by_stamp.values(), key=lambda pose: pose.stamp)
         inside = [p for p in profiles if poses[0].stamp <= p.stamp <= poses[-1].stamp]
         if not inside:
             return None
@@ -156,10 +160,10 @@ class Latest:
 
 
 class StopConsumer(Protocol):
-    """Takes the stops of the robot that would be samples otherwise."""
+    """Receives the stops of the robot instead of the samples."""
 
-    def count(self, stop: Stop, over: bool = True) -> str:
-        """Take a stop; over: it does not come again; return what to say."""
+    def add(self, stop: Stop, over: bool = True) -> str:
+        """Take a stop; over: it does not come again. Return what to say."""
 
     def take(self, stop: Stop) -> str:
         """Take a stop that was asked for; raises UnusableStopError."""
@@ -169,9 +173,9 @@ class Streams:
     """
     The streams of a running node, and the session that they feed.
 
-    lock: held around the session, for as long as a message takes; waiting: stops that are over,
-    but not yet judged; early: the one that the robot stands in, once it can be judged; wake: of
-    the thread that judges them.
+    lock: held while the session is used, as long as one message takes; waiting: stops that are
+    over and not yet evaluated; early: the stop that the robot stands in, once it has enough
+    profiles; wake: wakes the thread that evaluates them.
     """
 
     def __init__(self, config: Config) -> None:
@@ -184,7 +188,7 @@ class Streams:
         self.wake = threading.Event()
         self.arrivals = Arrivals()
         self.latest = Latest()
-        self._skipped = 0  # stops, as too many waited
+        self._skipped = 0  # stops that were left out
 
     def add_profile(self, profile: AnyProfile) -> None:
         """Take a profile."""
@@ -206,7 +210,7 @@ class Streams:
             self._put_off(self.session.passed())
 
     def _put_off(self, stops: Iterable[Stop]) -> None:
-        """Leave stops to the thread that judges them, the newest where it cannot keep up."""
+        """Queue stops to be evaluated, without the oldest where too many wait."""
         self.session.keep_waiting(MOST_STOPS)
         self.waiting.extend(stops)
         while len(self.waiting) > MOST_STOPS:
@@ -215,24 +219,33 @@ class Streams:
         if self.waiting or self.early:
             self.wake.set()
 
+    def standing(self) -> Stop:
+        """Return the stop that the robot stands in; raises DataError as the session does."""
+        silence = self.arrivals.silence('pose')
+        limit = POSES_SILENT if self.arrivals.silence('profile') < PROFILES_COME else BOTH_SILENT
+        if self.arrivals.counts['pose'] and silence > limit:
+            raise SilentPosesError(silence)
+        with self.lock:
+            return self.session.current_stop()
+
     def is_taken(self, stop: Stop) -> bool:
-        """Return whether a stop is given no more."""
+        """Return whether a stop is not given again."""
         with self.lock:
             return self.session.is_taken(stop)
 
     def leave(self, stop: Stop) -> None:
-        """Let a stop be given no more."""
+        """Let a stop give no sample."""
         with self.lock:
             self.session.leave(stop)
 
     def copied(self) -> Session:
-        """Return the session of this moment."""
+        """Return a copy of the session at this moment."""
         with self.lock:
             return self.session.copied()
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return what was left out as the processor could not keep up, one sentence each."""
+        """Return that stops were left out, as one sentence; empty where none were."""
         return (f'left {self._skipped} stops out, the oldest of more than {MOST_STOPS} that '
                 'waited to be judged: the processor cannot keep up; stop less often, or publish '
                 'fewer points',) if self._skipped else ()

@@ -22,13 +22,12 @@ SERVICES = {'take': 'take_sample', 'undo': 'remove_last_sample', 'clear': 'clear
             'verify': 'verify_start', 'verdict': 'verify_result'}
 SLOW = frozenset({'compute', 'save', 'verdict', 'open', 'file'})
 EXCLUDE = 'samples.exclude'
-# What a person sets at the cell.
+# Parameters that a person sets at the cell.
 SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise.robot_class',
             'target.radius', 'target.size', 'guidance.accuracy', 'sampling.mode')
 VERIFY = ('verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
           'verify.tolerance')
 ROUTINES = ('line', 'plane', 'point', 'sphere', 'ball_bar', 'step', 'square', 'tooth')
-
 
 Act = Callable[[Mapping[str, Any]], tuple[bool, str]]
 Read = Callable[[Mapping[str, str]], Any]
@@ -39,20 +38,20 @@ class Source:
     """
     What the page shows and does.
 
-    tell: plain values, gathered when called; acts: the buttons by name, each called with the
-    values of its request, returns whether it succeeded and what to say; slow: those that may
-    take long, and keep none of the others waiting; reads: what is asked for, by name, each called
-    with the values of its query: plain values, or name and text of a file.
+    state: returns plain values; acts: the buttons by name, each is called with the values of its
+    request and returns success and message; slow: names of those that may take long: the others
+    do not wait for them; reads: by name, each is called with the values of its query and returns
+    plain values, or name and text of a file.
     """
 
-    tell: Callable[[], Mapping[str, Any]]
+    state: Callable[[], Mapping[str, Any]]
     acts: Mapping[str, Act]
     slow: frozenset[str] = frozenset()
     reads: Mapping[str, Read] = field(default_factory=dict)
 
 
 class Served(Protocol):
-    """The node, as far as the page knows it."""
+    """What the page needs of the node."""
 
     live: LiveSession
 
@@ -62,7 +61,7 @@ class Served(Protocol):
 
     @property
     def state(self) -> State:
-        """Return all that is told of the session."""
+        """Return the current state of the session."""
 
     @property
     def sessions(self) -> list[str]:
@@ -71,7 +70,7 @@ class Served(Protocol):
     def topics_of(self, kind: str) -> list[str]:
         """Return the topics on which others publish messages of a type."""
 
-    def ask(self, service: Callable[[], str]) -> tuple[bool, str]:
+    def ask(self, name: str) -> tuple[bool, str]:
         """Return whether a service succeeds, and what it says."""
 
     def open_session(self, name: str) -> str:
@@ -94,11 +93,11 @@ def source(node: Served) -> Source:
 
 def acts(node: Served) -> dict[str, Act]:
     """Return what each button does."""
-    found: dict[str, Act] = {name: _service(node, service) for name, service in SERVICES.items()}
-    return found | {'exclude': lambda values: _excluded(node, values, True),
-                    'include': lambda values: _excluded(node, values, False),
-                    'set': lambda values: _set(node, values),
-                    'open': lambda values: _opened(node, str(values.get('session', '')))}
+    services = {button: _service(node, name) for button, name in SERVICES.items()}
+    return services | {'exclude': lambda values: _excluded(node, values, True),
+                       'include': lambda values: _excluded(node, values, False),
+                       'set': lambda values: _set(node, values),
+                       'open': lambda values: _opened(node, str(values.get('session', '')))}
 
 
 def cell(node: Served) -> dict[str, Any]:
@@ -135,7 +134,7 @@ def report(calibration: Any, session: str) -> str:
 
 
 def _service(node: Served, name: str) -> Act:
-    return lambda values: node.ask(getattr(node, name))
+    return lambda values: node.ask(name)
 
 
 def _opened(node: Served, session: str) -> tuple[bool, str]:

@@ -1,9 +1,9 @@
 """
 Serves the page: static files, a stream of events, and one request for each button.
 
-aiohttp runs in a thread and a loop of its own. What is reported is gathered by another thread, at
-most RATE times a second and only while somebody looks; what is asked waits in a short queue. So
-no request, and no slow reader, holds up the node.
+aiohttp runs in a thread and an event loop of its own. Another thread gathers the state, at most
+RATE times a second and only while a browser is connected; requests wait in a short queue. So no
+request, and no slow browser, holds up the node.
 """
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MOST_CLIENTS = 8
 MOST_WAITING = 4  # requests of one kind
 LARGEST_BODY = 1024  # bytes
 COOKIE_AGE = 30 * 86400  # s
-PATIENCE = 10.0  # s for a client to take an event, for the server to start
+PATIENCE = 10.0  # s in which a client takes an event, and the server starts
 FILES = ('page.css', 'page.js', 'scene.js', 'profile.js', 'cell.js', 'language.js', 'de.js')
 KINDS = {'.html': 'text/html', '.css': 'text/css', '.js': 'text/javascript'}
 HEADERS = {
@@ -55,7 +55,7 @@ def serve(node: Served) -> PageServer | None:
 
 
 class PageServer:
-    """A running page; stop ends it."""
+    """The server of a page, from its construction until stop."""
 
     def __init__(self, source: Source, address: str, port: int,
                  token_file: Path | None = None) -> None:
@@ -66,13 +66,13 @@ class PageServer:
             raise PageError.address(address) from error
         except OSError as error:
             raise PageError.token(token_file, error.strerror or str(error)) from error
-        self._busy: dict[asyncio.BaseTransport, int] = {}  # requests now, of each connection
+        self._busy: dict[asyncio.BaseTransport, int] = {}  # requests at work, by connection
         self._source, self._address, self._port = source, address, port
         self._clients = 0
         self._waiting = dict.fromkeys((True, False), 0)
         self._pools = {slow: ThreadPoolExecutor(1, 'page') for slow in (True, False)}
-        self._teller = ThreadPoolExecutor(1, 'page')
-        self._told = ''
+        self._gatherer = ThreadPoolExecutor(1, 'page')
+        self._event = ''
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name='page', daemon=True)
         self._thread.start()
@@ -84,7 +84,7 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """Return the address; the token, where one is needed, is not told."""
+        """Return the address, without the token."""
         name = f'[{self._address}]' if ':' in self._address else self._address
         return f'http://{name}:{self._port}/'
 
@@ -99,10 +99,10 @@ class PageServer:
         self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=15.0)
         await self._runner.setup()
         self._server = await self._loop.create_server(self._protocol, self._address, self._port)
-        self._telling = self._loop.create_task(self._tell())
+        self._gathering = self._loop.create_task(self._gather())
 
     def _protocol(self) -> asyncio.BaseProtocol:
-        """Return what serves a new connection: nothing where there are too many."""
+        """Return the protocol of a new connection."""
         assert self._runner.server is not None
         return Gate(self._runner.server, self._busy)
 
@@ -114,32 +114,30 @@ class PageServer:
 
     async def _stop(self) -> None:
         self._ending = True
-        self._telling.cancel()
+        self._gathering.cancel()
         self._server.close()
-        async with self._changed:  # or cleanup would wait for the streams of events, which go on
+        async with self._changed:  # end the streams of events: cleanup waits for them
             self._changed.notify_all()
         await self._runner.cleanup()
 
     def _end_loop(self) -> None:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(PATIENCE)
-        for pool in (self._teller, *self._pools.values()):
+        for pool in (self._gatherer, *self._pools.values()):
             pool.shutdown(wait=False, cancel_futures=True)
 
-    # what is reported
-
-    async def _tell(self) -> None:
-        """Gather what is told while somebody looks."""
+    async def _gather(self) -> None:
+        """Gather the state while a browser is connected."""
         while True:
             if self._clients:
-                self._told = await self._loop.run_in_executor(self._teller, self._text)
+                self._event = await self._loop.run_in_executor(self._gatherer, self._text)
                 async with self._changed:
                     self._changed.notify_all()
             await asyncio.sleep(1 / RATE)
 
     def _text(self) -> str:
         try:
-            return json.dumps(plain(self._source.tell()), allow_nan=False)
+            return json.dumps(plain(self._source.state()), allow_nan=False)
         except HandeyeError as error:
             return json.dumps({'error': str(error)})
 
@@ -153,15 +151,13 @@ class PageServer:
             while not self._ending:
                 async with self._changed:
                     await self._changed.wait()
-                await asyncio.wait_for(response.write(f'data: {self._told}\n\n'.encode()),
+                await asyncio.wait_for(response.write(f'data: {self._event}\n\n'.encode()),
                                        PATIENCE)
         except (TimeoutError, ConnectionError):
             pass
         finally:
             self._clients -= 1
         return response
-
-    # what is asked
 
     @web.middleware
     async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -172,14 +168,14 @@ class PageServer:
         if refusal:
             return _sentence(refusal.status, refusal.text)
         connection = request.transport
-        if connection is None:  # it went while this waited
+        if connection is None:  # closed while the request waited
             return _sentence(400, 'the connection is closed')
         self._busy[connection] = self._busy.get(connection, 0) + 1
         try:
             return await handler(request)
         except web.HTTPException as error:
             return _sentence(error.status, error.reason.lower())
-        except ConnectionError:  # it went before all of the request had come
+        except ConnectionError:  # closed before all of the request had come
             return _sentence(400, 'the connection is closed')
         finally:
             if connection in self._busy:
@@ -228,7 +224,7 @@ class PageServer:
         return web.json_response({'success': found[0], 'message': found[1]}, headers=HEADERS)
 
     async def _queued(self, name: str, work: Callable[[Any], Any], values: Any) -> Any:
-        """Return what a work gives when it is its turn, or an answer where too many wait."""
+        """Return what work(values) returns, or a refusal where too many requests wait."""
         slow = name in self._source.slow
         if self._waiting[slow] >= MOST_WAITING:
             return _sentence(429, 'busy: wait for the answer of what was asked before')

@@ -26,7 +26,7 @@ def plate() -> tuple[Any, Any, Any, Any]:
     session = pipeline.gather(recording.profiles, recording.poses, config)
     calibration = pipeline.solve(session.samples, session.rejects, config, session.frame_id)
     residuals = {report.stamp: report.residual for report in calibration.samples}
-    seen = [scene.Seen(o.number, o.sample, residuals[o.sample.stamp])
+    seen = [scene.DrawnSample(o.number, o.sample, residuals[o.sample.stamp])
             for o in session.outcomes if o.sample]
     return recording, seen, calibration, config
 
@@ -66,8 +66,8 @@ def test_the_samples_lie_on_the_edges_that_are_drawn(plate: Any) -> None:
 
 def test_a_large_residual_is_red_and_a_small_one_green(plate: Any) -> None:
     _, seen, calibration, config = plate
-    marked = [scene.Seen(1, seen[0].sample, 0.0), scene.Seen(2, seen[1].sample, 1e-2),
-              scene.Seen(3, seen[2].sample)]
+    marked = [scene.DrawnSample(1, seen[0].sample, 0.0), scene.DrawnSample(2, seen[1].sample, 1e-2),
+              scene.DrawnSample(3, seen[2].sample)]
     (samples,) = named(scene.session_markers(marked, calibration, config), 'samples')
     good, bad, unknown = samples.colors
     assert good.g > 0.9 > 0.2 > good.r and bad.r > 0.9 > 0.2 > bad.g
