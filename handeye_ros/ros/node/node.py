@@ -116,7 +116,7 @@ class HandeyeNode(Node):
 
     def _serve(self) -> None:
         live = self.live
-        self._services: dict[str, Callable[[], str]] = {
+        self._triggers: dict[str, Callable[[], str]] = {
             'take_sample': live.samples.take,
             'remove_last_sample': live.samples.remove_last,
             'clear_samples': self._clear_samples,
@@ -185,7 +185,7 @@ class HandeyeNode(Node):
     def ask(self, name: str) -> tuple[bool, str]:
         """Return whether a service succeeds, and what it says."""
         try:
-            text, success = self._services[name](), True
+            text, success = self._triggers[name](), True
         except HandeyeError as error:
             text, success = str(error), False
         text = with_trouble(text, in_the_way(self.state, success, name))

@@ -127,11 +127,10 @@ class Publishers:
                 self._node.get_clock().now().to_msg()))
 
     def _draw(self, state: State, calibration: Calibration | None) -> None:
-        live = self._live
         residuals = {sample.number: sample.residual for sample in state.samples}
-        self._markers.publish(session_markers(
-            [DrawnSample(o.number, o.sample, residuals.get(o.number)) for o in live.copied().outcomes
-             if o.sample], calibration, live.framed))
+        samples = [DrawnSample(outcome.number, outcome.sample, residuals.get(outcome.number))
+                   for outcome in self._live.copied().outcomes if outcome.sample]
+        self._markers.publish(session_markers(samples, calibration, self._live.framed))
 
     def show_current(self) -> None:
         """Publish what the sensor sees now, if there is a subscriber."""

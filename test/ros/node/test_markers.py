@@ -66,8 +66,8 @@ def test_the_samples_lie_on_the_edges_that_are_drawn(plate: Any) -> None:
 
 def test_a_large_residual_is_red_and_a_small_one_green(plate: Any) -> None:
     _, seen, calibration, config = plate
-    marked = [scene.DrawnSample(1, seen[0].sample, 0.0), scene.DrawnSample(2, seen[1].sample, 1e-2),
-              scene.DrawnSample(3, seen[2].sample)]
+    marked = [scene.DrawnSample(number, seen[number - 1].sample, residual)
+              for number, residual in ((1, 0.0), (2, 1e-2), (3, None))]
     (samples,) = named(scene.session_markers(marked, calibration, config), 'samples')
     good, bad, unknown = samples.colors
     assert good.g > 0.9 > 0.2 > good.r and bad.r > 0.9 > 0.2 > bad.g
