@@ -21,7 +21,6 @@ SERVICES = {'take': 'take_sample', 'undo': 'remove_last_sample', 'clear': 'clear
             'compute': 'compute_calibration', 'save': 'save_calibration',
             'verify': 'verify_start', 'verdict': 'verify_result'}
 SLOW = frozenset({'compute', 'save', 'verdict', 'open', 'file'})
-EXCLUDE = 'samples.exclude'
 # Parameters that a person sets at the cell.
 SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise.robot_class',
             'target.radius', 'target.size', 'guidance.accuracy', 'sampling.mode')
@@ -101,15 +100,15 @@ def acts(node: Served) -> dict[str, Act]:
 
 
 def cell(node: Served) -> dict[str, Any]:
-    """Return what can be set, what is published, and which sessions there are."""
-    known = {p.key: p for p in configuration.parameters()}
+    """Return the settings with their choices, and the names of the sessions."""
+    parameters = {p.key: p for p in configuration.parameters()}
     values = configuration.flatten(node.live.config)
     choices = {'profile_topic': node.topics_of(CLOUD), 'pose_topic': node.topics_of(POSE),
                'verify.routine': list(ROUTINES)}
     return {'sessions': node.sessions, 'session': Path(node.live.samples.store.path).name,
             'settings': [{
-                'key': key, 'value': values[key], 'description': known[key].description,
-                'choices': choices.get(key, list(known[key].choices))}
+                'key': key, 'value': values[key], 'description': parameters[key].description,
+                'choices': choices.get(key, list(parameters[key].choices))}
                 for key in (*SETTINGS, *VERIFY)]}
 
 
@@ -127,7 +126,7 @@ def file(live: LiveSession, name: str) -> tuple[str, str]:
 
 
 def report(calibration: Any, session: str) -> str:
-    """Return the report of an answer from a session; it takes seconds."""
+    """Return the report of a calibration and its session as HTML; takes seconds."""
     from handeye_ros.results.report import page  # matplotlib
     from handeye_ros.ros.bags.bag import evidence
     return page.html(calibration, evidence(calibration, Path(session) if session else None))
@@ -145,7 +144,7 @@ def _opened(node: Served, session: str) -> tuple[bool, str]:
 
 
 def _set(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
-    """Set parameters of the cell, as they are written in YAML: all of them, or none."""
+    """Set parameters, given as YAML: all of them, or none."""
     config, changes = node.live.config, []
     try:
         for key, text in values.items():
@@ -169,7 +168,8 @@ def _excluded(node: Served, values: Mapping[str, Any], leave_out: bool) -> tuple
         return False, f'there is no sample {str(number)[:20]}'
     others = [n for n in node.live.config.samples.exclude if n != number]
     numbers = sorted([*others, number]) if leave_out else others
-    result, = node.set_parameters([Parameter(EXCLUDE, Parameter.Type.INTEGER_ARRAY, numbers)])
+    result, = node.set_parameters([Parameter('samples.exclude', Parameter.Type.INTEGER_ARRAY,
+                                             numbers)])
     if not result.successful:
         return False, result.reason
     return True, (f'sample {number} is left out' if leave_out else f'sample {number} is back')

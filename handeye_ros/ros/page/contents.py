@@ -1,4 +1,4 @@
-"""What the page shows of a session: its state, the profile of now, each stop, and the scene."""
+"""What the page shows: state, current profile, profiles of stops, and the scene."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -11,7 +11,6 @@ from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Featu
 from handeye_ros.diagnosis.review import Review
 from handeye_ros.diagnosis.summaries import stop_snapshot
 from handeye_ros.errors import InputError
-from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import in_mount
 from handeye_ros.guidance.following import anchor_of
 from handeye_ros.guidance.limits import extremes
@@ -22,18 +21,18 @@ from handeye_ros.results.target_shape import shape
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.streams import Current
 from handeye_ros.sampling.state import State
-from handeye_ros.sampling.stops import Outcome
 import numpy as np
 
-MOST_POINTS = 400  # of a profile: a tablet shows no more
-DIGITS = 6  # of a metre in a picture
+MOST_POINTS = 400  # of a profile: about what the width of a tablet shows
+DIGITS = 6  # after the decimal point of a metre
 
 
 def contents(state: State, live: LiveSession) -> dict[str, Any]:
-    """Return what the page shows, as plain values; rows: the lines of the table of the answer."""
+    """Return what the page shows, as plain values; rows: of the table of the answer."""
     config, current = live.config, live.streams.latest.current(live.config)
     verification = live.verification
-    return {**asdict(state), 'profile': _profile(current), 'scene': scene(live, current),
+    profile = current and _drawn(current.points, current.features, current.reason)
+    return {**asdict(state), 'profile': profile, 'scene': scene(live, current),
             'accuracy': config.guidance.accuracy, 'edges': _edges(live),
             'rows': list(answer_rows(live.answer.calibration)),
             'verification': {'running': verification.text, 'verdict': verification.last,
@@ -41,7 +40,7 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
 
 
 def answer_rows(calibration: Calibration | None) -> Iterator[tuple[str, str, str, str]]:
-    """Yield name, value, 1 sigma and unit of what a calibration says, as the table of a solve."""
+    """Yield name, value, 1 sigma and unit, as the table of `handeye solve` shows them."""
     if calibration is None:
         return
     quality = calibration.quality
@@ -52,21 +51,16 @@ def answer_rows(calibration: Calibration | None) -> Iterator[tuple[str, str, str
 
 
 def stop_profile(live: LiveSession, number: int) -> dict[str, Any]:
-    """Return a profile of a stop and what was found in it; raises InputError for no such stop."""
+    """Return a profile of a stop and its features; raises InputError without such a stop."""
     for outcome in live.copied().outcomes:
         if outcome.number == number:
-            seen = stop_snapshot(outcome, live.config)
-            return _drawn(seen.points, seen.features, seen.reason)
+            snapshot = stop_snapshot(outcome, live.config)
+            return _drawn(snapshot.points, snapshot.features, snapshot.reason)
     raise InputError(f'there is no stop {number}')
 
 
-def _profile(current: Current | None) -> dict[str, Any] | None:
-    """Return points and features of the profile of now."""
-    return None if current is None else _drawn(current.points, current.features, current.reason)
-
-
 def _drawn(points: Array, features: Iterable[Feature], reason: str) -> dict[str, Any]:
-    """Return points, lines and spots, (x, range) each."""
+    """Return points, lines and edge points in the sensor plane, (x, range) each."""
     points = points[np.isfinite(points).all(axis=1)]
     every = -(-len(points) // MOST_POINTS) or 1
     lines, spots = [], []
@@ -82,32 +76,31 @@ def _drawn(points: Array, features: Iterable[Feature], reason: str) -> dict[str,
 
 
 def _edges(live: LiveSession) -> dict[int, str]:
-    """Return the edges of the target that each sample of the fit crosses, by its number."""
+    """Return the edges of the target that each used sample crosses, by its number."""
     review = live.reviewer.review
-    return {} if review is None else dict(_crossed(review, live.reviewer.reviewed))
-
-
-def _crossed(review: Review, reviewed: Sequence[Outcome]) -> Iterator[tuple[int, str]]:
-    problem = review.solution.problem
+    if review is None:
+        return {}
+    problem, edges = review.solution.problem, {}
     names, kinds = problem.method.kinds, edge_kinds(problem.method)
-    used = [outcome for outcome, agreement in zip(reviewed, review.agreements, strict=False)
-            if agreement and agreement.used]
+    used = [outcome for outcome, agreement in zip(live.reviewer.reviewed, review.agreements,
+                                                  strict=False) if agreement and agreement.used]
     for station, outcome in enumerate(used):
-        seen = set(problem.observations.kind[problem.observations.station == station])
-        yield outcome.number, ', '.join(names[kind] for kind in kinds if kind in seen)
+        crossed = set(problem.observations.kind[problem.observations.station == station])
+        edges[outcome.number] = ', '.join(names[kind] for kind in kinds if kind in crossed)
+    return edges
 
 
 def scene(live: LiveSession, current: Current | None) -> dict[str, Any]:
     """
-    Return poses (rows of T (3, 4)) in what the target rests in, and what is drawn with them.
+    Return poses (rows of T (3, 4)) in the frame in which the target rests, and the target.
 
-    known: whether they are those of the sensor, which is roughly known, or else of the flange;
-    view: the field of view in the sensor plane; aim: the way to the next pose; move: what to do
-    before the sensor is known.
+    known: whether the poses are of the sensor, or of the flange while the sensor's is unknown;
+    view: outline of the field of view in the sensor plane; aim: the way to the next pose; move:
+    what to do while the sensor's pose is unknown.
     """
     config, review, advice = live.config, live.reviewer.review, live.reviewer.advice
-    solution = review.solution if review and advice.sigmas else None
-    X = np.eye(4) if solution is None else solution.estimate.X
+    review = review if advice.sigmas else None
+    X = review.solution.estimate.X if review else np.eye(4)
     samples = [(o.number, o.sample.T_base_flange) for o in live.copied().outcomes if o.sample]
     pose = live.streams.latest.pose
     aim = advice.next.T_base_flange if advice.next else None
@@ -115,24 +108,24 @@ def scene(live: LiveSession, current: Current | None) -> dict[str, Any]:
     if current:
         seen = extremes(np.concatenate([seen, current.points]))
     away = seen - seen.mean(axis=0) if len(seen) else seen
-    around = seen[np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
+    outline = seen[np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
 
     def drawn(T_base_flange: Array | None) -> Any:
         return None if T_base_flange is None else rounded(
             (in_mount(T_base_flange, config) @ X)[:3])
 
     return {
-        'known': solution is not None, 'range_sign': config.profile.range_sign,
+        'known': review is not None, 'range_sign': config.profile.range_sign,
         'round': config.target.type == 'sphere',
-        'view': rounded(around), 'live': drawn(pose),
+        'view': rounded(outline), 'live': drawn(pose),
         'stations': [{'number': number, 'T': drawn(T)} for number, T in samples],
         'next': drawn(aim), 'aim': None if pose is None or aim is None else _way(pose, aim),
         'move': advice.move and _move(advice.move),
-        **(_target(solution, config) if solution else {'edges': [], 'outline': []})}
+        **(_target(review, config) if review else {'edges': [], 'outline': []})}
 
 
 def _way(T_base_flange: Array, aim: Array) -> dict[str, Any]:
-    """Return what is left to do: metres along the axes of the base, rad about the flange's."""
+    """Return the motion to a pose: m along the axes of the base, rad about those of the flange."""
     turn = se3.log_rotation(T_base_flange[:3, :3].T @ aim[:3, :3])
     shift = aim[:3, 3] - T_base_flange[:3, 3]
     return {'shift': rounded(shift), 'turn': rounded(turn),
@@ -140,37 +133,33 @@ def _way(T_base_flange: Array, aim: Array) -> dict[str, Any]:
 
 
 def _move(move: Move) -> dict[str, Any]:
-    """Return a move from the first pose; R: (3, 3) of the sensor in that pose."""
+    """Return a move from the first pose; R: (3, 3) of the sensor after the move."""
     R = se3.exp_rotation(np.array([0.0, 0.0, move.turn])) @ se3.exp_rotation(
         np.append(move.tilt, 0.0))
     return {'turn': move.turn, 'tilt': rounded(move.tilt), 'place': rounded(move.place),
             'beside': move.beside, 'edge': move.edge, 'R': rounded(R)}
 
 
-def _target(solution: Solution, config: Config) -> Mapping[str, Any]:
-    problem, estimate = solution.problem, solution.estimate
-    near = np.array([_spot(solution, i) for i in range(len(problem.poses))])
-    found = shape(problem.method.measures.describe(estimate.target, solution.target_std),
-                  config.target.size, near)
+def _target(review: Review, config: Config) -> Mapping[str, Any]:
+    """Return edges, outline and ball of the target, and a point (3,) for each station."""
+    problem, estimate = review.solution.problem, review.solution.estimate
+    anchors = np.array([anchor_of(problem, i) for i in range(len(problem.poses))])
+    in_sensor = np.insert(anchors, 1, 0.0, axis=1)  # (x, range) as (x, 0, range)
+    points = se3.apply(problem.poses @ estimate.X, in_sensor[:, None])[:, 0]
+    found = shape(problem.method.measures.describe(estimate.target, review.solution.target_std),
+                  config.target.size, points)
     ball = found.ball and (rounded(found.ball[0]), found.ball[1])
     return {'edges': [rounded(line) for line in found.edges], 'ball': ball,
-            'outline': [rounded(line) for line in found.outline], 'spots': rounded(near)}
-
-
-def _spot(solution: Solution, station: int) -> Array:
-    """Return the point (3,) that stands for what a station saw."""
-    x, z = anchor_of(solution.problem, station)
-    return np.asarray((solution.problem.poses[station] @ solution.estimate.X
-                       @ [x, 0.0, z, 1.0])[:3])
+            'outline': [rounded(line) for line in found.outline], 'spots': rounded(points)}
 
 
 def rounded(values: Array | Sequence[float]) -> Any:
-    """Return plain values that a picture can show."""
+    """Return an array as lists with DIGITS decimals."""
     return np.round(values, DIGITS).tolist()
 
 
 def plain(value: Any) -> Any:
-    """Return plain values without infinities and NaN, which JSON does not know."""
+    """Return plain values with None for infinities and NaN, which JSON lacks."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

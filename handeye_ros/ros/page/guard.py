@@ -1,10 +1,10 @@
 """
-Who may read the page, and act: requests of this host's own pages, or with the token.
+Access to the page: requests of the page itself, and from other machines with the token.
 
-Another site's page in the same browser must neither act (its Origin gives it away, and
-Sec-Fetch-Site) nor read through a name that it lets point here (its Host does). Where other
-machines can reach the page a token is needed too; the first visit puts it into a cookie. The
-token is kept in a file that its user alone can read, and survives a restart.
+Pages of other sites in the same browser are refused by Origin and Sec-Fetch-Site, and names that
+such a site lets point to this machine by Host. Where other machines can reach the page a token is
+needed; the first visit puts it into a cookie. It is kept in a file that only its user can read,
+and so survives a restart.
 """
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ import time
 from aiohttp import web
 
 MOST_CONNECTIONS = 64
-MOST_A_SECOND = 20.0  # requests
-BURST = 60.0
+MOST_A_SECOND = 20.0  # requests, on average
+BURST = 60.0  # requests at once
 TOKEN_BYTES = 18
 
 
@@ -38,16 +38,16 @@ class Refusal:
 
 class Guard:
     """
-    Judges requests.
+    Decides which requests are answered.
 
     token: empty where only this machine can reach the page.
     """
 
     def __init__(self, address: str, port: int, token_file: Path | None = None) -> None:
         """
-        Take the token of a file, or make a new one, where one is needed.
+        Read the token from its file, or make one, where one is needed.
 
-        Raises ValueError for an address that is none, OSError for a file that cannot be written.
+        Raises ValueError for an invalid address, OSError for a file that cannot be written.
         """
         self.port = port
         self.local = is_loopback(address)
@@ -60,8 +60,8 @@ class Guard:
         """Return the name of the cookie that holds the token; cookies know no ports."""
         return f'handeye_{self.port}'
 
-    def refusal(self, headers: Mapping[str, str], given: str) -> Refusal | None:
-        """Return why a request is refused, None where it is not; given: its token."""
+    def refusal(self, headers: Mapping[str, str], token: str) -> Refusal | None:
+        """Return why a request is refused, None where it is not; token: of the request."""
         host = headers.get('Host', '')
         if not self._is_ours(host):
             return Refusal(403, 'this page is not served under that name')
@@ -69,10 +69,10 @@ class Guard:
         site = headers.get('Sec-Fetch-Site', 'same-origin')
         if origin not in (None, f'http://{host}') or site not in ('same-origin', 'none'):
             return Refusal(403, 'requests of other pages are refused')
-        if self.token and not hmac.compare_digest(given.encode(errors='replace'),
+        if self.token and not hmac.compare_digest(token.encode(errors='replace'),
                                                   self.token.encode()):
             return Refusal(401, 'the token is missing or wrong')
-        # refused requests come first: they must not count against those that may come
+        # last: requests that are refused anyway do not count
         if not self._in_time():
             return Refusal(429, 'too many requests: wait a second')
         return None
@@ -88,7 +88,7 @@ class Guard:
             return False
 
     def _in_time(self) -> bool:
-        """Tell whether a request may come now (token bucket)."""
+        """Return whether a request may come now (token bucket)."""
         now = time.monotonic()
         self._left = min(BURST, self._left + (now - self._since) * MOST_A_SECOND)
         self._since = now
@@ -100,9 +100,9 @@ class Guard:
 
 class Gate(asyncio.Protocol):
     """
-    Lets a new connection in; where there are too many, the oldest that asks for nothing goes.
+    Accepts a new connection; where there are too many, the oldest idle one is closed.
 
-    busy: how many requests each connection has at work, in the order in which they came.
+    busy: number of requests at work, by connection, the oldest first.
     """
 
     def __init__(self, server: web.Server, busy: dict[asyncio.BaseTransport, int]) -> None:
@@ -125,7 +125,7 @@ class Gate(asyncio.Protocol):
 
 
 def token_of(file: Path | None) -> str:
-    """Return the token in a file, a new one that is written into it where there is none."""
+    """Return the token of a file; write a new one where it holds none."""
     if file is None:
         return secrets.token_urlsafe(TOKEN_BYTES)
     with suppress(OSError, UnicodeDecodeError):
@@ -141,5 +141,5 @@ def token_of(file: Path | None) -> str:
 
 
 def is_loopback(address: str) -> bool:
-    """Return whether only this machine can reach an address; raises ValueError for none."""
+    """Return whether only this machine can reach an address; raises ValueError."""
     return address == 'localhost' or ipaddress.ip_address(address).is_loopback

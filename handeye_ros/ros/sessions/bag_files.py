@@ -1,11 +1,11 @@
 """
-The files of a session: each written whole, or not at all, and on the disk when it is there.
+The files of a session: each is written whole or not at all.
 
-A file is written under another name, synced, and renamed; then metadata.yaml is written in the
-same way, and the folder synced. Whenever the process ends: all files are complete bags, and
-metadata.yaml lists all of them but perhaps the last one, which no answer has named. The same where
-the power ends, but for the moment until metadata.yaml is synced, which nobody waits for: it says
-nothing that the files do not, and is written anew.
+A file is written under another name, synced, and renamed; then metadata.yaml is written under
+another name and renamed, and the folder is synced. Whenever the process is killed, all files are
+complete bags, and metadata.yaml lists all of them but perhaps the last, which no answer of the
+node has named. After a loss of power metadata.yaml may be older: it is synced later, holds only
+what the files hold, and is written again when the session is continued.
 """
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from mcap.writer import CompressionType, Writer
 
 SUFFIX = '.mcap'
 METADATA = 'metadata.yaml'
-CHUNK = 1 << 22  # bytes; a chunk is what a reader has to unpack to read one message
+CHUNK = 1 << 22  # bytes, of a chunk: the part that a reader unpacks to read one message
 INFORMATION = """\
 rosbag2_bagfile_information:
   version: 9
@@ -69,7 +69,7 @@ FILE = """\
 
 @dataclass(frozen=True)
 class BagFile:
-    """What metadata.yaml tells of a file: times in ns, and how many messages by topic."""
+    """What metadata.yaml holds of a file: first and last time in ns, counts by topic."""
 
     name: str
     first: int
@@ -79,13 +79,13 @@ class BagFile:
 
 def write_file(path: Path, messages: Sequence[Raw], types: dict[str, str]) -> BagFile:
     """
-    Write messages as an .mcap file, whole or not at all; raises OSError.
+    Write messages as an .mcap file, whole or not at all; types: by topic. Raises OSError.
 
-    Its name is on the disk when the folder is synced, as write_metadata does.
+    Its name is on the disk once the folder is synced; write_metadata does that.
     """
     temporary = path.with_name(f'.{path.name}.tmp')
     try:
-        with temporary.open('wb') as stream:  # one that a killed process left is in no one's way
+        with temporary.open('wb') as stream:  # replaces what a killed process left
             _write_messages(stream, messages, types)
             stream.flush()
             os.fsync(stream.fileno())
@@ -99,7 +99,7 @@ def write_file(path: Path, messages: Sequence[Raw], types: dict[str, str]) -> Ba
 
 @dataclass(frozen=True)
 class Content:
-    """What is in a file: what metadata.yaml tells of it, types by topic, and messages."""
+    """What a file holds: its entry in metadata.yaml, types by topic, and messages."""
 
     file: BagFile
     types: dict[str, str]
@@ -126,14 +126,14 @@ def read_file(path: Path, topics: Sequence[str] = ()) -> Content:
         raise BagError(path, f'cannot be read: {error.strerror or error}') from error
     except BagError:
         raise
-    except Exception as error:  # damaged bytes lead parsers to errors of all kinds
+    except Exception as error:  # damaged bytes make parsers raise errors of all kinds
         raise BagError(path, f'is damaged: {error}') from error
     file = BagFile(path.name, statistics.message_start_time, statistics.message_end_time, counts)
     return Content(file, types, messages)
 
 
 def _described(name: str, messages: Iterable[Raw]) -> BagFile:
-    """Return what metadata.yaml tells of a file with these messages."""
+    """Return the entry of metadata.yaml for a file with these messages."""
     times, counts = [], dict[str, int]()
     for message in messages:
         times.append(message.log_time)
@@ -157,20 +157,15 @@ def _write_messages(stream: Any, messages: Sequence[Raw], types: dict[str, str])
 
 
 def write_metadata(folder: Path, files: Sequence[BagFile], types: dict[str, str]) -> None:
-    """Write metadata.yaml of all files, whole or not at all; sync their names; raises OSError."""
+    """Write metadata.yaml, whole or not at all, and sync the names of files; raises OSError."""
     temporary = folder / f'.{METADATA}.tmp'
     temporary.write_text(_metadata(files, types), encoding='utf-8')
     os.replace(temporary, folder / METADATA)
-    sync_folder(folder)
-
-
-def sync_metadata(folder: Path) -> None:
-    """Let metadata.yaml be on the disk; raises OSError."""
-    _sync(folder / METADATA)
+    sync(folder)
 
 
 def _metadata(files: Sequence[BagFile], types: dict[str, str]) -> str:
-    """Return its text, in a hundredth of the time that a YAML library takes for many files."""
+    """Return the text of metadata.yaml, 100 times faster than a YAML library."""
     first, last = min(file.first for file in files), max(file.last for file in files)
     counts = {topic: sum(file.counts.get(topic, 0) for file in files) for topic in types}
     topics = [TOPIC.format(name=json.dumps(topic), type=kind, hash=_hash(kind),
@@ -185,16 +180,12 @@ def _metadata(files: Sequence[BagFile], types: dict[str, str]) -> str:
 
 @cache
 def _hash(kind: str) -> str:
-    """Return what tells the definition of a type from others."""
+    """Return the type hash (REP 2011) of a message type."""
     return str(typestore().hash_rihs01(kind))
 
 
-def sync_folder(folder: Path) -> None:
-    """Let the names in a folder be on the disk; raises OSError."""
-    _sync(folder)
-
-
-def _sync(path: Path) -> None:
+def sync(path: Path) -> None:
+    """Write a file, or the names in a folder, through to the disk; raises OSError."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -202,12 +193,13 @@ def _sync(path: Path) -> None:
         os.close(handle)
 
 
-def number_of(path: Path) -> int:
-    """Return the place of a file in its session, -1 if it is none of its files."""
-    match = re.search(rf'_(\d+){re.escape(SUFFIX)}$', path.name)
-    return int(match[1]) if match and not path.name.startswith('.') else -1
+def number_of(name: str) -> int:
+    """Return the number of a file in its session, -1 for the name of another file."""
+    match = re.search(rf'_(\d+){re.escape(SUFFIX)}$', name)
+    return int(match[1]) if match and not name.startswith('.') else -1
 
 
 def files_of(folder: Path) -> list[Path]:
-    """Return the files of a session in the order in which they were written; raises OSError."""
-    return sorted((path for path in folder.iterdir() if number_of(path) >= 0), key=number_of)
+    """Return the files of a session in the order of their numbers; raises OSError."""
+    files = [path for path in folder.iterdir() if number_of(path.name) >= 0]
+    return sorted(files, key=lambda path: number_of(path.name))

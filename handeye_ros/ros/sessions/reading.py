@@ -6,7 +6,7 @@ JSON in messages of type String. Stops that are read back are judged again.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -41,17 +41,17 @@ CONFIGURATION = '/handeye_ros/session/configuration'
 OUTCOME = '/handeye_ros/session/outcome'
 FEATURES = '/handeye_ros/session/features'
 
-STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # what happened
+STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # kinds of events
 
 
 @dataclass(frozen=True)
 class Event:
     """
-    What happened: a stop was judged, a sample was removed, or the settings were changed.
+    An event: a stop was evaluated, a sample was removed, or the settings were changed.
 
-    number: of the stop, 0 for settings; began: the stamp of its first pose; taken: whether it
-    gave a sample; text: what was seen or why there is none; refused: why its sample is none,
-    whatever is extracted from it.
+    number: of the stop, 0 for settings; began: stamp of its first pose; taken: whether it gave a
+    sample; text: why there is no sample; refused: why its sample is not used, whatever is
+    extracted from it.
     """
 
     kind: str
@@ -81,7 +81,7 @@ def texts_of(event: Event, outcome: Outcome | None) -> dict[str, str]:
 
 
 def _plain(feature: Feature) -> dict[str, Any]:
-    """Return a feature as plain values, without the points that it was made of."""
+    """Return a feature as plain values, without its raw points."""
     values = {item.name: getattr(feature, item.name) for item in fields(feature)
               if item.name != 'raw'}
     return {'type': type(feature).__name__} | {
@@ -90,7 +90,7 @@ def _plain(feature: Feature) -> dict[str, Any]:
 
 
 def event_of(configuration: str, outcome: str, path: object) -> Event:
-    """Return the event that two texts describe; raises SessionError."""
+    """Return the event of two JSON texts; path: for errors. Raises SessionError."""
     config = _content(configuration, path).get('config')
     values = _content(outcome, path)
     if not isinstance(config, dict):
@@ -123,10 +123,10 @@ def _content(text: str, path: object) -> Mapping[str, Any]:
 @dataclass(frozen=True, eq=False)
 class Stored:
     """
-    A session as it lies in its folder.
+    A session on the disk.
 
-    config: the last one; stops: by number, those that were not removed; numbers: the last one
-    given; files: all of it.
+    config: the last settings; stops: by number, without removed ones; numbers: the largest number
+    so far; types: by topic.
     """
 
     path: Path
@@ -136,22 +136,19 @@ class Stored:
     files: tuple[BagFile, ...]
     types: dict[str, str]
 
-    def outcomes(self, config: Config) -> Iterator[Outcome]:
-        """Yield what becomes of the stops with a configuration, in the order of their numbers."""
-        for number, (event, stop) in sorted(self.stops.items()):
-            yield judged(Outcome(number, stop, Reject(stop.began, ''), event.refused), config)
-
     def session(self, config: Config) -> Session:
-        """Return the session, to be solved or to go on with."""
+        """Return the session, its stops evaluated with a configuration."""
         session = Session(config)
         frames = (profile.frame_id for _, stop in self.stops.values()
                   for profile in stop.load(config).profiles)
-        session.restore(list(self.outcomes(config)), self.numbers, next(frames, ''))
+        outcomes = [judged(Outcome(number, stop, Reject(stop.began, ''), event.refused), config)
+                    for number, (event, stop) in sorted(self.stops.items())]
+        session.restore(outcomes, self.numbers, next(frames, ''))
         return session
 
 
 def is_session(path: Path) -> bool:
-    """Tell whether a folder holds a session."""
+    """Return whether a folder holds a session."""
     try:
         files = files_of(path) if path.is_dir() else []
         return bool(files) and OUTCOME in read_file(files[0], (OUTCOME,)).types
@@ -197,9 +194,9 @@ def _event(messages: Sequence[Raw], file: Path) -> Event:
 
 
 def load(file: Path, config: Config) -> Seen:
-    """Return what was seen at a stop, from its file; raises BagError."""
+    """Return poses and profiles of a stop from its file; raises BagError."""
     content = read_file(file)
-    # the time of receipt is the stamp that a profile had: a driver may send none
+    # log_time is the stamp that the node used: a driver may send none
     offset = round(config.time_offset * 1e9)
     reader = ProfileReader(config.profile)
     poses, profiles = [], []

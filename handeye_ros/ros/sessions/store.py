@@ -20,16 +20,16 @@ SOURCE = "the node's parameters"
 @dataclass(frozen=True)
 class Place:
     """
-    Where the folder <name> of a node is.
+    Where a node keeps its folder <name>.
 
-    That is output_dir where it is set, else $ROS_HOME/handeye_ros (~/.ros/handeye_ros where
-    ROS_HOME is not set), below it the namespace, so that two nodes do not share a folder.
+    In output_dir where that is set, else in $ROS_HOME/handeye_ros/<namespace> (ROS_HOME is ~/.ros
+    where it is not set). Two nodes do not share a folder.
     """
 
     namespace: str = '/'
 
     def parent(self, config: Config) -> Path:
-        """Return what is above the folder of a name, absolute; raises UnwritableError."""
+        """Return the folder above the folders of names, absolute; raises UnwritableError."""
         home = os.environ.get('ROS_HOME') or '~/.ros'
         parent = Path(config.output_dir) if config.output_dir else (
             Path(home) / FOLDER / self.namespace.strip('/'))
@@ -45,10 +45,10 @@ class Place:
 
 class Store:
     """
-    Keeps what a session is made of: this one in memory alone, sessions/writing.py on the disk.
+    Keeps the events of a session: this class nowhere, that of sessions/writing.py on the disk.
 
-    All calls but sync return when it is on the disk, or raise UnwritableError. joints: gives the
-    serialised joint values that were heard between two stamps, with their stamps.
+    All methods but sync return when the event is on the disk, or raise UnwritableError. joints:
+    returns stamps and serialised joint values between two stamps; None without joint values.
     """
 
     joints: Callable[[int, int], Iterable[tuple[int, bytes]]] | None = None
@@ -59,7 +59,7 @@ class Store:
         return ''
 
     def add(self, outcome: Outcome, config: Config) -> Outcome:
-        """Keep what became of a stop; return it, to be loaded from there."""
+        """Keep the outcome of a stop; return it with the stop as stored."""
         return outcome
 
     def remove(self, number: int, config: Config) -> None:
@@ -69,10 +69,10 @@ class Store:
         """Keep another configuration."""
 
     def sync(self) -> None:
-        """Keep what else helps to read it; no answer waits for that."""
+        """Sync what no answer has to wait for."""
 
     def close(self) -> None:
-        """Let another go on with the session."""
+        """Release the session for other nodes."""
 
     def restart(self, config: Config) -> str:
         """Begin another session; return what to say of the one before."""
@@ -83,7 +83,8 @@ def resumed(given: Mapping[str, Any], place: Place) -> tuple[Config, Stored | No
     """
     Return the settings, and the session to go on with, None for a new one.
 
-    given: what the user set, by key; all else is as it was in the session. Raises InputError.
+    given: what the user set, by key; all other settings are those of the session. Raises
+    InputError.
     """
     config = with_values(Config(), given, SOURCE)
     path = _path(config, given, place)

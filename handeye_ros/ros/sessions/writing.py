@@ -1,4 +1,4 @@
-"""The store of a running node: what happens is on the disk before anybody is told of it."""
+"""The store of a running node: an event is on the disk before an answer names it."""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -21,9 +21,10 @@ from handeye_ros.ros.bags.contents import CLOUD, full_name, JOINTS, POSE, Raw, S
 from handeye_ros.ros.errors import SessionError
 from handeye_ros.ros.sessions.bag_files import (
     BagFile,
+    METADATA,
+    number_of,
     SUFFIX,
-    sync_folder,
-    sync_metadata,
+    sync,
     write_file,
     write_metadata,
 )
@@ -48,29 +49,25 @@ LOCK = '.lock'
 
 class SessionStore(Store):
     """
-    Writes one session after the other.
+    Writes sessions, one after the other.
 
-    parent: gives the folder in which the next session gets one of its own.
+    parent: returns the folder in which the next session gets a folder of its own.
     """
 
     def __init__(self, parent: Callable[[Config], Path], stored: Stored | None = None) -> None:
-        """Begin with the first thing that happens, or go on with a session; SessionError."""
+        """Begin with the first event, or go on with a session; raises SessionError."""
         self._parent = parent
         self._folder: Path | None = stored.path if stored else None
         self._files: list[BagFile] = list(stored.files) if stored else []
         self._types: dict[str, str] = dict(stored.types) if stored else {}
         self._lock: int | None = None
-        self._turn = threading.RLock()  # a stop, and what somebody sets, are stored by threads
+        self._turn = threading.RLock()  # stops and settings are stored by different threads
         if stored:
-            self._reopen(stored)
-
-    def _reopen(self, stored: Stored) -> None:
-        """Go on: only one node may, and all files are listed from now on."""
-        try:
-            self._claim(stored.path)
-            write_metadata(stored.path, self._files, self._types)
-        except OSError as error:
-            raise UnwritableError(stored.path, error.strerror or str(error)) from error
+            try:
+                self._claim(stored.path)
+                write_metadata(stored.path, self._files, self._types)
+            except OSError as error:
+                raise UnwritableError(stored.path, error.strerror or str(error)) from error
 
     @property
     def path(self) -> str:
@@ -78,13 +75,13 @@ class SessionStore(Store):
         return str(self._folder or '')
 
     def close(self) -> None:
-        """Let another node go on with the session, as if this process had ended."""
+        """Release the lock, so that another node can go on with the session."""
         if self._lock is not None:
             os.close(self._lock)
         self._lock = None
 
     def add(self, outcome: Outcome, config: Config) -> Outcome:
-        """Keep what became of a stop; return it, to be loaded from there; UnwritableError."""
+        """Write the outcome of a stop; return it with the stop on the disk. UnwritableError."""
         sample, stop = outcome.sample, outcome.stop
         text = outcome.result.reason if not sample else ''  # type: ignore[union-attr]
         event = Event(STOP, config, outcome.number, stop.began, sample is not None, text,
@@ -93,20 +90,20 @@ class SessionStore(Store):
         return replace(outcome, stop=Stop(stop.began, partial(load, file)))
 
     def remove(self, number: int, config: Config) -> None:
-        """Keep that a sample was removed; raises UnwritableError."""
+        """Write that a sample was removed; raises UnwritableError."""
         if self._folder:
             self._append(Event(REMOVED, config, number), config)
 
     def configured(self, config: Config) -> None:
-        """Keep another configuration; raises UnwritableError."""
+        """Write another configuration; raises UnwritableError."""
         if self._folder:
             self._append(Event(CONFIGURED, config), config)
 
     def sync(self) -> None:
-        """Let the list of files be on the disk, which no answer waits for: they tell the same."""
+        """Sync metadata.yaml; no answer waits for it, as the files hold the same."""
         if self._folder:
             with suppress(OSError):
-                sync_metadata(self._folder)
+                sync(self._folder / METADATA)
 
     def restart(self, config: Config) -> str:
         """Begin another session; return what to say of the one before; UnwritableError."""
@@ -116,13 +113,13 @@ class SessionStore(Store):
                 return ''
             self._folder, self._files, self._types, self._lock = None, [], {}, None
             try:
-                # so that the last session is this one, without samples
+                # the new session exists at once, so that `last` names it
                 self._append(Event(CONFIGURED, config), config)
             except UnwritableError:
                 self._folder, self._files, self._types, self._lock = before
                 raise
         if before[3] is not None:
-            os.close(before[3])  # another node may have it
+            os.close(before[3])
         return f'; they are kept in {before[0]}'
 
     def _append(self, event: Event, config: Config, outcome: Outcome | None = None) -> Path:
@@ -142,14 +139,14 @@ class SessionStore(Store):
     def _write(self, folder: Path, event: Event, config: Config, outcome: Outcome | None
                ) -> Path:
         types, messages = self._messages(event, config, outcome)
-        numbers = [int(file.name.rsplit('_', 1)[1].removesuffix(SUFFIX)) for file in self._files]
-        path = folder / f'{folder.name}_{max(numbers, default=-1) + 1}{SUFFIX}'
+        number = 1 + max((number_of(file.name) for file in self._files), default=-1)
+        path = folder / f'{folder.name}_{number}{SUFFIX}'
         written = write_file(path, messages, types)
         try:
             write_metadata(folder, [*self._files, written], self._types | types)
         except OSError:
             with suppress(OSError):
-                path.unlink()  # nobody is told of it, so it is not to come back
+                path.unlink()  # the event is refused, so it must not be read back
             raise
         self._files.append(written)
         self._types |= types
@@ -157,7 +154,7 @@ class SessionStore(Store):
 
     def _messages(self, event: Event, config: Config, outcome: Outcome | None
                   ) -> tuple[dict[str, str], list[Raw]]:
-        """Return what a file holds: the types of its topics, and its messages."""
+        """Return the types by topic and the messages of a file."""
         profiles = full_name(config.profile_topic)
         by_topic = config.pose_source == 'topic'
         poses = full_name(config.pose_topic if by_topic else 'flange_pose')
@@ -185,13 +182,13 @@ class SessionStore(Store):
             parent = self._parent(config)
             parent.mkdir(parents=True, exist_ok=True)
             folder = _new_folder(parent)
-            sync_folder(parent)
+            sync(parent)
             self._claim(folder)
             self._folder = folder
         return self._folder
 
     def _claim(self, folder: Path) -> None:
-        """Let no other node write into a session; the lock ends with the process."""
+        """Lock a session against other nodes; the lock ends with the process. SessionError."""
         lock = os.open(folder / LOCK, os.O_RDONLY | os.O_CREAT, 0o644)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -214,7 +211,7 @@ def _new_folder(parent: Path) -> Path:
 
 
 def _cloud(profile: Any, config: Config) -> bytes:
-    """Return a profile as it was received, or as a driver would have sent it."""
+    """Return the message of a profile as received, or as a driver would send it."""
     fetch = getattr(profile, 'fetch', None)
     if fetch:
         return bytes(fetch())
