@@ -43,9 +43,3 @@ def test_the_node_corrects_the_arm(tmp_path: Path, client: Client) -> None:
         resumed = client.call('compute_kinematics')
     assert resumed.success, resumed.message
     assert resumed.message.split(';')[0] == done.message.split(';')[0]
-
-
-def test_without_a_urdf_it_says_what_is_needed(tmp_path: Path, client: Client) -> None:
-    with running_node(tmp_path):
-        done = client.call('compute_kinematics')
-    assert not done.success and 'needs the URDF of the robot' in done.message

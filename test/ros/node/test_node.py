@@ -37,6 +37,7 @@ from ros_helpers import (  # noqa: E402
     sphere_profile,
 )
 from sensor_msgs.msg import PointCloud2  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
@@ -62,11 +63,15 @@ def test_a_bag_through_the_node_gives_the_offline_result(
     settings = load(config)
     recording = read(bag, settings)
     offline = calibrate(recording.profiles, recording.poses, settings)
-    features, markers = [], []
+    features, markers, texts, poses = [], [], [], []
     client.node.create_subscription(PointCloud2, '/handeye/features', features.append, 100)
     client.node.create_subscription(MarkerArray, '/handeye/markers', markers.append, LATCHED)
-    with running_node(tmp_path, '--params-file', str(config)):
+    client.node.create_subscription(String, '/handeye/guidance', texts.append, LATCHED)
+    client.node.create_subscription(PoseStamped, '/handeye/next_pose', poses.append, LATCHED)
+    with running_node(tmp_path, '--params-file', str(config), '-p', 'guidance.accuracy:=1e-5'):
         client.connect()
+        client.until(lambda: texts, 'there is advice before the first sample')
+        assert texts[0].data.startswith('Take the first sample: ')
         replay(bag)
         client.until_counted(profiles=len(recording.profiles), poses=len(recording.poses),
                              malformed=0)
@@ -81,6 +86,9 @@ def test_a_bag_through_the_node_gives_the_offline_result(
         path = tmp_path / settings.name / 'calibration.yaml'
         assert (saved.success, saved.message) == (True, f'wrote {path}')
         client.until(lambda: markers and len(markers[-1].markers) > 3, 'the target is drawn')
+        client.until(lambda: poses, 'a pose is proposed')
+        client.until(lambda: 'points in view are known to' in texts[-1].data.lower(),
+                     'the words say how well it is known')
         assert client.call('remove_last_sample').success
         n = offline.quality.samples_used + offline.quality.samples_rejected
         again = client.call('save_calibration').message
@@ -88,6 +96,12 @@ def test_a_bag_through_the_node_gives_the_offline_result(
         assert again.endswith(
             f'it was computed from {n} samples, which have changed since '
             f'(1 removed): call ~/compute_calibration for an answer from the {n - 1} of now')
+        assert client.call('clear_samples').success
+        client.until(lambda: texts[-1].data.startswith('Take the first sample'),
+                     'the advice starts again')
+    p, first = poses[-1].pose.position, next(iter(recording.poses)).translation
+    assert np.linalg.norm(np.array([p.x, p.y, p.z]) - first) <= settings.guidance.reach + 1e-3
+    assert poses[-1].header.frame_id == 'base'
     online = read_calibration(path)
     np.testing.assert_allclose(online.T_flange_sensor, offline.T_flange_sensor, atol=1e-9, rtol=0)
     np.testing.assert_allclose(online.covariance, offline.covariance, rtol=1e-6, atol=1e-15)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402, I100
+from contract import listed, offered  # noqa: E402, I100
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from geometry_msgs.msg import TransformStamped  # noqa: E402
 from rcl_interfaces.msg import SetParametersResult  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters, SetParameters  # noqa: E402
@@ -65,12 +66,17 @@ def test_refusals_say_why_and_what_to_do(client: Client, node: subprocess.Popen[
             ('take_sample', 'no flange pose was received on /flange_pose: start the robot driver'),
             ('remove_last_sample', 'there is no sample to remove'),
             ('compute_calibration', 'no flange pose was received'),
+            ('compute_kinematics', 'needs the URDF of the robot'),
             ('save_calibration', 'there is no calibration to save: call ~/compute_calibration')):
         answer = client.call(service)
         assert (answer.success, reason in answer.message) == (False, True), answer.message
     state = client.state()
     assert state['level'] == DiagnosticStatus.OK or 'no profiles on /profile' in state['message']
     assert not published
+
+
+def test_it_offers_what_the_contract_lists(client: Client, node: subprocess.Popen[str]) -> None:
+    client.until(lambda: listed() <= offered(client), 'it offers all that docs/contract.md lists')
 
 
 def test_samples_by_hand(client: Client, node: subprocess.Popen[str]) -> None:

@@ -15,10 +15,12 @@ from command import PATIENCE
 from handeye_ros.config import Config
 from handeye_ros.diagnosis.review import NoReviewError, review
 from handeye_ros.ros.errors import WorkerEndedError
-from handeye_ros.ros.node.worker import COMMAND, Judge, Runner, WorkerProcess
+from handeye_ros.ros.node.worker import COMMAND, give_back, Judge, Runner, TRIM, WorkerProcess
 from handeye_ros.sampling.errors import SilentPosesError
 from handeye_ros.sampling.stops import evenly
 import pytest
+
+MESSAGES, SIZE = 4000, 15_000  # in memory: number, and bytes of each
 
 
 @pytest.fixture
@@ -170,3 +172,20 @@ def until(condition) -> None:
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
+
+
+def resident() -> int:
+    """Return the resident memory of this process in bytes."""
+    pages = Path('/proc/self/statm').read_text(encoding='utf-8').split()[1]
+    return int(pages) * os.sysconf('SC_PAGE_SIZE')
+
+
+@pytest.mark.skipif(TRIM is None, reason='this C library gives back by itself, or not at all')
+def test_what_lies_between_kept_messages_is_given_back() -> None:
+    messages = [bytes([i % 256]) * SIZE for i in range(MESSAGES)]
+    kept = messages[::50]
+    before = resident()
+    del messages
+    give_back()
+    assert before - resident() > 0.7 * MESSAGES * SIZE
+    assert all(len(message) == SIZE for message in kept)
