@@ -35,6 +35,14 @@ def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Pop
         yield process
 
 
+@pytest.fixture(scope='module')
+def client() -> Iterator[Client]:
+    """Give one client to all tests: a new one is discovered in some seconds only."""
+    client = Client()
+    yield client
+    client.close()
+
+
 @pytest.fixture
 def node(process: subprocess.Popen[str], client: Client) -> subprocess.Popen[str]:
     """Connect to a node that is as if just started, but for its counts."""
