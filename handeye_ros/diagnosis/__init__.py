@@ -5,9 +5,8 @@ Reviews samples while they are taken, and tests whether other settings explain t
 """
 
 OFFERED = (
-    'review.Agreement', 'review.FEWEST', 'review.flat_crossing', 'review.review', 'review.Review',
-    'settings.require_same_clock', 'settings.require_settings', 'summaries.calibration_summary',
-    'summaries.changes_since', 'summaries.count_of', 'summaries.in_the_way',
-    'summaries.late_sentence', 'summaries.sample_summary', 'summaries.stop_snapshot',
-    'summaries.stop_snapshots', 'summaries.with_trouble',
+    'review.Agreement', 'review.FEWEST', 'review.Review', 'review.flat_crossing',
+    'review.review', 'settings.require_same_clock', 'settings.require_settings',
+    'summaries.count_of', 'summaries.sample_summary', 'summaries.stop_snapshot',
+    'summaries.stop_snapshots',
 )

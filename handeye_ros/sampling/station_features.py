@@ -76,6 +76,11 @@ def _one_by_one(method: Method, profiles: Sequence[Array], config: Config
     return found
 
 
+def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:
+    """Return the features of one profile; raises FeatureError."""
+    return targets.method_for(config).features.extract(profile.points, config)
+
+
 def evenly(profiles: Sequence[AnyProfile], most: int) -> list[AnyProfile]:
     """Return so many of the profiles at most, evenly spread."""
     if len(profiles) <= most:

@@ -2,5 +2,5 @@
 
 OFFERED = (
     'intake.STREAM', 'intake.TFMessage', 'intake.THROTTLE', 'live.LiveSession',
-    'publishers.LATCHED', 'publishers.transform_stamped', 'streams.Current',
+    'publishers.LATCHED', 'publishers.transform_stamped', 'state.State', 'streams.Current',
 )

@@ -14,7 +14,7 @@ from handeye_ros import pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.diagnosis.review import FEWEST, flat_crossing, Review, review
-from handeye_ros.diagnosis.summaries import calibration_summary, changes_since
+from handeye_ros.diagnosis.summaries import count_of
 from handeye_ros.errors import DataError, HandeyeError, InputError
 from handeye_ros.guidance.limits import extremes
 from handeye_ros.output import folder_name
@@ -22,6 +22,7 @@ from handeye_ros.results import exports
 from handeye_ros.results.errors import NothingToSaveError
 from handeye_ros.ros.errors import WorkerEndedError
 from handeye_ros.ros.node.samples import changes, LiveSamples, OF_SAMPLES
+from handeye_ros.ros.node.state import calibration_summary
 from handeye_ros.ros.node.worker import Progress, Runner
 from handeye_ros.ros.sessions.store import Place
 from handeye_ros.sampling.errors import ClearedError
@@ -138,7 +139,15 @@ class Answer:
 
     def changes(self, stamps: frozenset[int]) -> str:
         """Return how samples with these stamps differ from those of the answer, if they do."""
-        return changes_since(self._solved, stamps)
+        solved = self._solved
+        removed, added = len(solved - stamps), len(stamps - solved)
+        if not removed and not added:
+            return ''
+        what = ' and '.join([f'{removed} removed'] * bool(removed)
+                            + [f'{added} added'] * bool(added))
+        return (f'; it was computed from {count_of(len(solved), "sample")}, which have changed '
+                f'since ({what}): call ~/compute_calibration for an answer from the {len(stamps)} '
+                'of now')
 
 
 def stamps_of(session: Session) -> frozenset[int]:

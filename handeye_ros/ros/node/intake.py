@@ -27,7 +27,7 @@ from handeye_ros.ros.node.diagnostics import why_silent
 from handeye_ros.ros.node.kinematics import LiveKinematics
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.streams import Arrivals
-from rclpy.callback_groups import CallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -55,23 +55,12 @@ NO_TF = ('pose_source is tf, but tf2_msgs is not installed: '
          f'{INSTALL_TF2}; or publish the poses on pose_topic')
 
 
-class NoExecutor(CallbackGroup):
-    """
-    The group of subscriptions that no executor takes from.
-
-    One round of an executor takes as long as reading ten messages.
-    """
+class NoExecutor(MutuallyExclusiveCallbackGroup):
+    """Keeps subscriptions from executors, whose round takes as long as reading ten messages."""
 
     def can_execute(self, entity: Any) -> bool:
-        """Keep a subscription out of the sets that executors wait for."""
+        """Return that no executor may wait for a subscription."""
         return False
-
-    def beginning_execution(self, entity: Any) -> bool:
-        """Let no executor take a message."""
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        """Do nothing."""
 
 
 def topics_of(config: Config) -> tuple[str, str, str]:

@@ -16,9 +16,9 @@ from handeye_ros.output import write_whole
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.ros.node.answer import Answer
 from handeye_ros.ros.node.samples import LiveSamples
+from handeye_ros.ros.node.state import Attempt
 from handeye_ros.ros.node.worker import Progress, Runner
 from handeye_ros.ros.sessions.store import Place
-from handeye_ros.sampling.state import Attempt
 from handeye_ros.sampling.stops import Outcome, Stop
 from handeye_ros.verification import verification
 from handeye_ros.verification.errors import (

@@ -7,7 +7,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from handeye_ros.diagnosis.summaries import in_the_way, sample_summary, with_trouble
+from handeye_ros.diagnosis.summaries import sample_summary
 from handeye_ros.errors import HandeyeError, InputError
 from handeye_ros.ros.executable import offer, UNSENDABLE
 from handeye_ros.ros.node import params
@@ -16,12 +16,12 @@ from handeye_ros.ros.node.intake import Intake
 from handeye_ros.ros.node.kinematics import NO_URDF
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.publishers import Publishers
+from handeye_ros.ros.node.state import State
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.ros.node.worker import WorkerProcess
 from handeye_ros.ros.sessions.reading import is_session, read_session
 from handeye_ros.ros.sessions.store import Place
 from handeye_ros.ros.sessions.writing import SessionStore
-from handeye_ros.sampling.state import State
 from handeye_ros.sampling.stops import Outcome
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
@@ -46,8 +46,8 @@ class HandeyeNode(Node):
     def __init__(self) -> None:
         """Subscribe and serve; raises InputError for what the user configured."""
         super().__init__('handeye')
-        config, stored = params.declare(self)
         self._place = place = Place(self.get_namespace())
+        config, stored = params.declare(self, place)
         self.live = LiveSession(config, place, SessionStore(place.folder, stored),
                                 WorkerProcess(NICER), WorkerProcess())
         self._outputs = Publishers(self, self.live)
@@ -188,7 +188,7 @@ class HandeyeNode(Node):
             text, success = self._triggers[name](), True
         except HandeyeError as error:
             text, success = str(error), False
-        text = with_trouble(text, in_the_way(self.state, success, name))
+        text = self.state.with_trouble(text, success, name)
         log = self.get_logger()
         if not success:
             log.warning(f'{name}: {text}')

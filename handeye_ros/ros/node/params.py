@@ -10,12 +10,12 @@ from collections.abc import Iterable
 from typing import Any
 
 from handeye_ros import config as configuration
-from handeye_ros import targets
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD, RECORD_NAMES
 from handeye_ros.errors import InputError, UnknownKeyError
 from handeye_ros.output import folder_name
 from handeye_ros.ros.sessions.reading import Stored
 from handeye_ros.ros.sessions.store import Place, resumed
+from handeye_ros.sampling.session import Session
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
@@ -26,7 +26,7 @@ FIXED = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port', 'pa
 FILES_ONLY = ('tracker.', 'sensor_frame')
 
 
-def declare(node: Node) -> tuple[Config, Stored | None]:
+def declare(node: Node, place: Place) -> tuple[Config, Stored | None]:
     """
     Declare all parameters of the node; return the configuration and the session to go on with.
 
@@ -35,7 +35,7 @@ def declare(node: Node) -> tuple[Config, Stored | None]:
     """
     # rclpy offers no other way to what parameter files and arguments set
     given = _values(node._parameter_overrides.values())
-    config, stored = resumed(given, Place(node.get_namespace()))
+    config, stored = resumed(given, place)
     _check_names(config)
     values = configuration.flatten(config)
     for parameter in parameters():
@@ -114,5 +114,5 @@ def changed(config: Config, changes: Iterable[RosParameter]) -> Config:
 
 def _check_names(config: Config) -> None:
     """Refuse names of methods and folders that would fail later; raises BadValueError."""
-    targets.method_for(config)
+    Session(config)
     folder_name(config)

@@ -23,8 +23,8 @@ from handeye_ros.ros.node.diagnostics import diagnostics
 from handeye_ros.ros.node.intake import TFMessage
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.scene import current_markers, DrawnSample, ends, put, session_markers
+from handeye_ros.ros.node.state import GuidanceState, samples_message, State, status_message
 from handeye_ros.ros.node.status import state_of
-from handeye_ros.sampling.state import GuidanceState, samples_message, State, status_message
 from handeye_ros.sampling.stops import Outcome
 import numpy as np
 from rclpy.event_handler import PublisherEventCallbacks

@@ -14,12 +14,12 @@ from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.diagnosis.summaries import count_of, sample_summary
 from handeye_ros.errors import FeatureError, HandeyeError, InputError
+from handeye_ros.ros.node.state import Attempt
 from handeye_ros.ros.node.streams import StopConsumer, Streams
 from handeye_ros.ros.node.worker import Judge, Progress
 from handeye_ros.ros.sessions.store import Store
 from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.state import Attempt
 from handeye_ros.sampling.stops import Outcome, Stop
 
 # Keys, or the beginnings of keys, on which it depends what a stop gives.

@@ -5,13 +5,13 @@ from collections.abc import Callable
 
 from handeye_ros import se3
 from handeye_ros.diagnosis.review import Agreement
-from handeye_ros.diagnosis.summaries import calibration_summary, late_sentence, sample_summary
+from handeye_ros.diagnosis.summaries import sample_summary
 from handeye_ros.guidance.advice import Advice
 from handeye_ros.output import folder_name
 from handeye_ros.ros.node.answer import Answer, Reviewer, stamps_of
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.state import (
+from handeye_ros.ros.node.state import (
+    calibration_summary,
     CalibrationState,
     CURRENT,
     GuidanceState,
@@ -25,6 +25,7 @@ from handeye_ros.sampling.state import (
     StreamState,
     WITHDRAWN,
 )
+from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome
 import numpy as np
 
@@ -128,9 +129,11 @@ def _motion(session: Session) -> MotionState:
 
 def _trouble(live: LiveSession, session: Session, same_name: str) -> str:
     """Return why what comes now cannot be used, and what to do; empty where it can."""
-    troubles = (str(session.conflict or ''), late_sentence(session.late) if session.late else '',
-                live.streams.arrivals.clocks, session.unasked, live.samples.store_trouble,
-                live.threads.failure, same_name)
+    late = (f'{" and ".join(session.late)} are dropped, as their stamps are older than those '
+            'before: sampling continues by itself if the clock was set back'
+            ) if session.late else ''
+    troubles = (str(session.conflict or ''), late, live.streams.arrivals.clocks, session.unasked,
+                live.samples.store_trouble, live.threads.failure, same_name)
     return '; '.join(filter(None, troubles))
 
 

@@ -12,13 +12,14 @@ import threading
 import time
 from typing import Protocol
 
-from handeye_ros import se3, targets
+from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Feature, TimedPose
 from handeye_ros.errors import FeatureError, UnusableMessageError
 from handeye_ros.sampling.dwells import interpolate
 from handeye_ros.sampling.errors import SilentPosesError
 from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.station_features import features_of
 from handeye_ros.sampling.stops import Stop
 
 MOST_STOPS = 16  # that wait to be evaluated: at most 7 MB each with 1280 points a profile
@@ -153,8 +154,7 @@ class Latest:
             return None
         (T,) = interpolate(poses, [profile.stamp])
         try:
-            features = targets.method_for(config).features.extract(profile.points, config)
-            return Current(T, profile.points, features)
+            return Current(T, profile.points, features_of(profile, config))
         except FeatureError as error:
             return Current(T, profile.points, (), str(error))
 

@@ -13,8 +13,8 @@ from handeye_ros.results import calibration_file, exports
 from handeye_ros.results.errors import NothingToSaveError
 from handeye_ros.ros.bags.contents import CLOUD, POSE
 from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.ros.node.state import State
 from handeye_ros.ros.page.contents import contents, stop_profile
-from handeye_ros.sampling.state import State
 from rclpy.parameter import Parameter
 
 SERVICES = {'take': 'take_sample', 'undo': 'remove_last_sample', 'clear': 'clear_samples',

@@ -19,8 +19,8 @@ from handeye_ros.guidance.rules import edge_kinds
 from handeye_ros.results import table
 from handeye_ros.results.target_shape import shape
 from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.ros.node.state import State
 from handeye_ros.ros.node.streams import Current
-from handeye_ros.sampling.state import State
 import numpy as np
 
 MOST_POINTS = 400  # of a profile: about what the width of a tablet shows

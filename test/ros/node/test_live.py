@@ -10,10 +10,10 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.ros.node.live import LiveSession
+from handeye_ros.ros.node.state import samples_message, status_message
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.ros.sessions.store import Place
 from handeye_ros.sampling.errors import FlatCrossingError
-from handeye_ros.sampling.state import samples_message, status_message
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.measuring import rendered
 from handeye_ros.simulate.scenes import SCENES

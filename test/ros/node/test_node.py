@@ -18,6 +18,7 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 from command import PATIENCE  # noqa: E402, I100
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped  # noqa: E402
 from handeye_ros.ros.node import params  # noqa: E402
+from handeye_ros.ros.sessions.store import Place  # noqa: E402
 from rcl_interfaces.srv import GetParameters  # noqa: E402
 import rclpy  # noqa: E402
 from rclpy.context import Context  # noqa: E402
@@ -257,7 +258,7 @@ def test_wrong_parameters(argument: str, reason: str) -> None:
     rclpy.init(args=['--ros-args', '-p', argument], context=context)
     try:
         with pytest.raises(InputError, match=reason):
-            params.declare(Node('handeye', context=context))
+            params.declare(Node('handeye', context=context), Place())
     finally:
         rclpy.shutdown(context=context)
 

@@ -1,13 +1,19 @@
 """
-What a person at the cell should know of a session, as one plain value.
+What a running node reports, as one plain value, and the sentences about it.
 
-Everybody who tells of a session (services, /diagnostics, ~/samples, ~/status, a page) reads it
-from here, so that all say the same in the same sentences. SI units; see docs/session.md.
+Services, /diagnostics, ~/samples, ~/status and the page all report this value, so that they agree
+and use the same sentences. SI units; see docs/session.md.
 """
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+import math
 from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.data import Calibration
+from handeye_ros.diagnosis.summaries import count_of
+import numpy as np
 
 SAMPLES_FORMAT = 'handeye_ros/samples/1'
 STATUS_FORMAT = 'handeye_ros/status/1'
@@ -18,11 +24,11 @@ NONE, CURRENT, OUTDATED, WITHDRAWN = 'none', 'current', 'outdated', 'withdrawn'
 @dataclass(frozen=True)
 class StreamState:
     """
-    What comes in of one kind, 'profile' or 'pose'.
+    The messages of one kind, 'profile' or 'pose'.
 
     place: the topic; count, malformed: good messages, and those that could not be understood;
-    age: seconds since the last good one, or since the start; trouble: why nothing usable comes
-    and what to do, empty where it does.
+    age: seconds since the last good one, or since the start; trouble: why no usable messages come
+    and what to do, empty where they come.
     """
 
     kind: str
@@ -36,7 +42,7 @@ class StreamState:
 
 @dataclass(frozen=True)
 class MotionState:
-    """How the robot moves: m/s, rad/s, seconds it has stood still; text: the same in words."""
+    """How the robot moves: m/s, rad/s, seconds at rest; text: the same in words."""
 
     standing: bool
     speed: float
@@ -83,8 +89,8 @@ class SessionState:
     Where a session is kept, and how samples are taken.
 
     path: its folder, empty before the first sample; mode: sampling.mode; working: what is being
-    done now, in words; trouble: what stands in the way, and what to do; notes: what was dropped,
-    or is odd, one sentence each.
+    done now, in words; trouble: why messages cannot be used, and what to do; notes: what was
+    dropped, or is unusual, one sentence each.
     """
 
     path: str
@@ -97,12 +103,12 @@ class SessionState:
 @dataclass(frozen=True)
 class CalibrationState:
     """
-    The answer, and whether it is one.
+    The answer and its state.
 
     state: none, current, outdated (samples or settings have changed since) or withdrawn (there
-    is none any more: what was published before is not the answer). T_parent_child: translation,
-    rotation (x y z w), rpy; std: 1 sigma of x y z rx ry rz. All None where there is none. saved:
-    the file that this answer was written to, empty before.
+    is none any more: what was published before is not the answer). translation, rotation
+    (x y z w), rpy: of the child in the parent; std: 1 sigma of x y z rx ry rz; all None without
+    an answer. saved: the file of this answer, empty before it is saved.
     """
 
     state: str
@@ -135,8 +141,8 @@ class GuidanceState:
     """
     What is advised next.
 
-    sample: the number of the last sample that it knows of, 0 for none; text: all of it, beginning
-    with that; sentences: the same one by one; enough: whether to stop, why: the reason;
+    sample: the number of the last sample that it includes, 0 for none; text: all of it, beginning
+    with that number; sentences: the same one by one; enough: whether to stop, why: the reason;
     sigmas: of each direction, last that of mapped points, empty before there is an answer;
     translation, rotation: the flange in the base at the pose that helps most (quaternion
     x y z w), None before the sensor is roughly known; expected: 1 sigma of mapped points with
@@ -157,10 +163,10 @@ class GuidanceState:
 @dataclass(frozen=True)
 class State:
     """
-    A session at one moment.
+    A running node at one moment.
 
     samples: in the order of their numbers; worst: the numbers of the samples that have a
-    left-out residual, worst first; review: why there are no residuals yet, empty where there
+    left-out residual, the largest first; review: why there are no residuals yet, empty where there
     are; attempt: the last one, None before; guidance: what is advised next, None before the
     first sample.
     """
@@ -179,18 +185,31 @@ class State:
 
     @property
     def taken(self) -> int:
-        """Return how many samples there are, those left out included."""
+        """Return the number of samples, with those that are left out."""
         return sum(sample.taken for sample in self.samples)
 
     @property
     def troubles(self) -> tuple[str, ...]:
-        """Return all that stands in the way, one sentence each."""
-        found = (self.profiles.trouble, self.poses.trouble, self.session.trouble)
-        return tuple(filter(None, found))
+        """Return why messages cannot be used, one sentence for each cause."""
+        return tuple(filter(None, (self.profiles.trouble, self.poses.trouble,
+                                   self.session.trouble)))
+
+    def with_trouble(self, text: str, success: bool, service: str) -> str:
+        """
+        Return the answer of a service with the troubles that a person should know of.
+
+        Silence of a stream is said where it explains a refusal, and to who takes a sample.
+        """
+        takes = service == 'take_sample'
+        streams = [stream.trouble for stream in (self.profiles, self.poses)
+                   if takes or not success and (
+                       stream.count == 0 or stream.malformed > stream.count)]
+        trouble = '; '.join(filter(None, (*streams, self.session.trouble)))
+        return text if trouble in text else f'{text}; {trouble}'
 
 
 def samples_message(state: State) -> dict[str, Any]:
-    """Return what ~/samples carries, as plain values."""
+    """Return the content of ~/samples, as plain values."""
     return {'format': SAMPLES_FORMAT, 'session': state.session.path, 'mode': state.session.mode,
             'samples': [asdict(sample) for sample in state.samples],
             'worst_first': list(state.worst), 'review': state.review,
@@ -198,5 +217,20 @@ def samples_message(state: State) -> dict[str, Any]:
 
 
 def status_message(state: State) -> dict[str, Any]:
-    """Return what ~/status carries, as plain values."""
+    """Return the content of ~/status, as plain values."""
     return {'format': STATUS_FORMAT, **asdict(state.calibration)}
+
+
+def calibration_summary(calibration: Calibration) -> str:
+    """Return the transform with its 1 sigma, and how well the samples agree."""
+    T, quality = calibration.T_flange_sensor, calibration.quality
+    std = np.sqrt(np.diag(calibration.covariance))
+    position = ', '.join(f'{v * 1e3:.3f} ± {s * 1e3:.3f}'
+                         for v, s in zip(T[:3, 3], std[:3], strict=True))
+    angles = ', '.join(f'{math.degrees(v):.4f}' for v in se3.rpy(T))
+    turns = ', '.join(f'{math.degrees(s):.4f}' for s in std[3:])
+    return (f'{calibration.child_frame} in {calibration.parent_frame}: x, y, z = {position} mm; '
+            f'roll, pitch, yaw = {angles} degrees (± {turns} about x, y, z); residual '
+            f'{quality.residual_rms * 1e3:.3f} mm RMS, left out '
+            f'{quality.holdout_rms * 1e3:.3f} mm; {count_of(quality.samples_used, "sample")} '
+            f'used, {quality.samples_rejected} rejected; save it with ~/save_calibration')
