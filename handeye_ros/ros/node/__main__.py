@@ -107,7 +107,7 @@ def run(make: Callable[[], Any]) -> None:
             node.stop()
             executor.shutdown()
             node.destroy_node()
-        if node.is_busy:
+        if node.live.progress.text:
             # Python would wait for the thread that solves
             flushed()
             os._exit(0)

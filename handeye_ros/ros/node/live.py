@@ -162,10 +162,7 @@ class LiveSession:
             self.samples.store.close()
             store.joints, self.samples.store = self.samples.store.joints, store
             text = self.restore(session, before)
-        self.answer.withdraw('another session was opened')
-        with self.streams.lock:
-            self.reviewer.clear()
-        self.on_change()
+        self._withdraw('another session was opened')
         return text
 
     def _judge_stops(self) -> None:
@@ -193,12 +190,16 @@ class LiveSession:
         with self.samples.work:
             self.verification.end()
             text = self.samples.clear()
-        self.answer.withdraw('the samples were cleared')
         self.answer.asked = False
+        self._withdraw('the samples were cleared')
+        return text
+
+    def _withdraw(self, why: str) -> None:
+        """Withdraw answer, review and advice."""
+        self.answer.withdraw(why)
         with self.streams.lock:
             self.reviewer.clear()
         self.on_change()
-        return text
 
     def configure(self, config: Config) -> None:
         """Go on with another configuration, already checked by params.changed."""

@@ -19,7 +19,7 @@ from handeye_ros.ros.node.publishers import Publishers
 from handeye_ros.ros.node.state import State
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.ros.node.worker import WorkerProcess
-from handeye_ros.ros.sessions.reading import is_session, read_session
+from handeye_ros.ros.sessions.reading import read_session
 from handeye_ros.ros.sessions.store import Place
 from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.stops import Outcome
@@ -87,23 +87,6 @@ class HandeyeNode(Node):
         if self._page:
             self._page.stop()
         super().destroy_node()
-
-    @property
-    def is_busy(self) -> bool:
-        """Return whether a thread is at work for which Python would wait at its end."""
-        return bool(self.live.progress.text)
-
-    @property
-    def token_file(self) -> Path:
-        """Return the file that keeps the token of the page."""
-        return self._place.parent(self.live.config) / '.page_token'
-
-    @property
-    def sessions(self) -> list[str]:
-        """Return the names of the sessions that can be opened, the newest first."""
-        folder = self._place.folder(self.live.config)
-        folders = folder.iterdir() if folder.is_dir() else ()
-        return sorted((path.name for path in folders if is_session(path)), reverse=True)
 
     def topics_of(self, kind: str) -> list[str]:
         """Return the topics on which others publish messages of a type."""

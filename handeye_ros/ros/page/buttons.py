@@ -15,6 +15,7 @@ from handeye_ros.ros.bags.contents import CLOUD, POSE
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.state import State
 from handeye_ros.ros.page.contents import contents, stop_profile
+from handeye_ros.ros.sessions.reading import sessions_in
 from rclpy.parameter import Parameter
 
 SERVICES = {'take': 'take_sample', 'undo': 'remove_last_sample', 'clear': 'clear_samples',
@@ -55,16 +56,8 @@ class Served(Protocol):
     live: LiveSession
 
     @property
-    def token_file(self) -> Path:
-        """Return the file that keeps the token of the page."""
-
-    @property
     def state(self) -> State:
         """Return the current state of the session."""
-
-    @property
-    def sessions(self) -> list[str]:
-        """Return the names of the sessions that can be opened, the newest first."""
 
     def topics_of(self, kind: str) -> list[str]:
         """Return the topics on which others publish messages of a type."""
@@ -105,7 +98,9 @@ def cell(node: Served) -> dict[str, Any]:
     values = configuration.flatten(node.live.config)
     choices = {'profile_topic': node.topics_of(CLOUD), 'pose_topic': node.topics_of(POSE),
                'verify.routine': list(ROUTINES)}
-    return {'sessions': node.sessions, 'session': Path(node.live.samples.store.path).name,
+    live = node.live
+    return {'sessions': [path.name for path in sessions_in(live.place.folder(live.config))],
+            'session': Path(live.samples.store.path).name,
             'settings': [{
                 'key': key, 'value': values[key], 'description': parameters[key].description,
                 'choices': choices.get(key, list(parameters[key].choices))}

@@ -43,14 +43,15 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 def serve(node: Served) -> PageServer | None:
     """Serve the page of a node; None, and a warning in the log, where it cannot be served."""
-    config, log = node.live.config.page, node.get_logger()
+    config, log = node.live.config, node.get_logger()
     try:
-        page = PageServer(source(node), config.address, config.port, node.token_file)
+        token_file = node.live.place.parent(config) / '.page_token'
+        page = PageServer(source(node), config.page.address, config.page.port, token_file)
     except PageError as error:
         log.warning(str(error))
         return None
     log.info(f'page for a browser: {page.url}' + (
-        f'; it asks for the token in {node.token_file}' if page.guard.token else ''))
+        f'; it asks for the token in {token_file}' if page.guard.token else ''))
     return page
 
 

@@ -2,6 +2,6 @@
 
 OFFERED = (
     'reading.Stored', 'reading.is_session', 'reading.joints_of', 'reading.read_session',
-    'reading.source_of_session', 'store.Place', 'store.Store', 'store.resumed',
-    'writing.SessionStore',
+    'reading.sessions_in', 'reading.source_of_session', 'store.Place', 'store.Store',
+    'store.resumed', 'writing.SessionStore',
 )

@@ -6,7 +6,7 @@ JSON in messages of type String. Stops that are read back are judged again.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -156,11 +156,10 @@ def is_session(path: Path) -> bool:
         return False
 
 
-def last_session(parent: Path) -> Path | None:
-    """Return the newest session below the folder of a name, None if there is none."""
-    folders = sorted((path for path in parent.iterdir() if path.is_dir()), reverse=True
-                     ) if parent.is_dir() else []
-    return next((folder for folder in folders if is_session(folder)), None)
+def sessions_in(folder: Path) -> Iterator[Path]:
+    """Yield the sessions in the folder of a name, the newest first."""
+    paths = sorted(folder.iterdir(), reverse=True) if folder.is_dir() else []
+    return filter(is_session, paths)
 
 
 def read_session(path: Path) -> Stored:

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from itertools import islice
 import os
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import UnwritableError
 from handeye_ros.output import folder_name
-from handeye_ros.ros.sessions.reading import LAST, last_session, read_session, Stored
+from handeye_ros.ros.sessions.reading import LAST, read_session, sessions_in, Stored
 from handeye_ros.sampling.stops import Outcome
 
 FOLDER = 'handeye_ros'
@@ -99,9 +100,10 @@ def _path(config: Config, given: Mapping[str, Any], place: Place) -> Path | None
         return None
     if config.session != LAST:
         return Path(config.session).expanduser().absolute()
-    if 'name' in given or 'target.type' in given:
-        return last_session(place.folder(config))
     parent = place.parent(config)
-    folders = [path for path in parent.iterdir() if path.is_dir()] if parent.is_dir() else []
-    sessions = [session for folder in folders if (session := last_session(folder))]
-    return max(sessions, key=lambda session: session.name, default=None)
+    if 'name' in given or 'target.type' in given:
+        folders = [place.folder(config)]
+    else:
+        folders = list(parent.iterdir()) if parent.is_dir() else []
+    sessions = [path for folder in folders for path in islice(sessions_in(folder), 1)]
+    return max(sessions, key=lambda path: path.name, default=None)

@@ -21,7 +21,7 @@ from handeye_ros.ros.bags.bag_write import write
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.ros.sessions.bag_files import BagFile, files_of, write_metadata
-from handeye_ros.ros.sessions.reading import is_session, last_session, read_session
+from handeye_ros.ros.sessions.reading import is_session, read_session, sessions_in
 from handeye_ros.ros.sessions.store import Place, resumed
 from handeye_ros.ros.sessions.writing import SessionStore
 from mcap.reader import make_reader
@@ -188,7 +188,7 @@ def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path
     before = Path(live.samples.store.path)
     assert f'they are kept in {before}' in live.clear_samples()
     assert len(read_session(before).stops) == 2
-    assert last_session(tmp_path / 'sphere') == Path(live.samples.store.path) != before
+    assert next(sessions_in(tmp_path / 'sphere')) == Path(live.samples.store.path) != before
     assert again(live).copied().outcomes == ()
 
 
