@@ -66,19 +66,19 @@ class Answer:
         there is no answer; the former answer is then withdrawn.
         """
         self.asked = True
-        return self._compute(self._samples.judge_rest)
+        return self._compute(self._samples.evaluate_rest)
 
     def update(self) -> None:
         """Compute the answer again where it is due; a refusal is reported by the state."""
         if self._due:
             with suppress(DataError, InputError):
-                self._compute(self._samples.judge_all)
+                self._compute(self._samples.evaluate_all)
 
-    def _compute(self, judge: Callable[[], None]) -> tuple[Calibration, str]:
-        """Return the same as compute; judge() evaluates the stops that count."""
+    def _compute(self, evaluate: Callable[[], None]) -> tuple[Calibration, str]:
+        """Return the same as compute; evaluate: see LiveSamples.evaluated."""
         self._due, cleared = False, self._samples.cleared
         try:
-            calibration, stamps = self._solve(judge)
+            calibration, stamps = self._solve(evaluate)
         except WorkerEndedError:  # no refusal: the former answer stays
             self._due = self.asked
             raise
@@ -94,9 +94,9 @@ class Answer:
         self.on_change()
         return calibration, calibration_summary(calibration)
 
-    def _solve(self, judge: Callable[[], None]) -> tuple[Calibration, frozenset[int]]:
+    def _solve(self, evaluate: Callable[[], None]) -> tuple[Calibration, frozenset[int]]:
         """Return the answer from the current samples, and their stamps."""
-        session, config = self._samples.evaluated(judge)
+        session, config = self._samples.evaluated(evaluate)
         with self._progress.doing(COMPUTED):
             calibration = pipeline.solve_session(
                 session, config, partial(self._runner.run, pipeline.solve, urgent=True))
@@ -195,14 +195,14 @@ class Reviewer:
         refused = self._refused()
         if _stops(self.reviewed) == _stops(outcomes) and self._basis == (settings, len(refused)):
             return
-        found, why = None, ''
+        result, why = None, ''
         try:
-            found = self._runner_for(samples).run(review, samples, included, config)
+            result = self._runner_for(samples).run(review, samples, included, config)
         except DataError as error:
             why = str(error)
         with self._samples.streams.lock:
             if self._samples.cleared == cleared:
-                self.review, self.no_review, self.reviewed = found, why, outcomes
+                self.review, self.no_review, self.reviewed = result, why, outcomes
         self.on_change()
         self._advise(settings, refused)
 

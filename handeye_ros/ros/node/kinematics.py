@@ -71,7 +71,7 @@ class LiveKinematics:
     def compute(self) -> str:
         """Estimate and write the corrected arm; return what to say. Raises HandeyeError."""
         live, chain = self._live, self._arm.chain
-        session, config = live.samples.evaluated(live.samples.judge_rest)
+        session, config = live.samples.evaluated(live.samples.evaluate_rest)
         source = Source(session.samples, session.rejects, session.frame_id,
                         configured(config, chain), *self._received(),
                         inputs=[{'topic': config.profile_topic}, {'topic': config.joint_topic}])

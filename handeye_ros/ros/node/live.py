@@ -17,7 +17,7 @@ from handeye_ros.ros.node.answer import Answer, Reviewer
 from handeye_ros.ros.node.live_verify import LiveVerification
 from handeye_ros.ros.node.samples import LiveSamples
 from handeye_ros.ros.node.streams import Streams
-from handeye_ros.ros.node.worker import give_back, Judge, Progress, Runner
+from handeye_ros.ros.node.worker import Evaluator, give_back, Progress, Runner
 from handeye_ros.ros.sessions.store import Place, Store
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome
@@ -75,22 +75,22 @@ class LiveSession:
     """
 
     def __init__(self, config: Config, place: Place, store: Store | None = None,
-                 solver: Runner | None = None, judge: Runner | None = None) -> None:
+                 solver: Runner | None = None, evaluation: Runner | None = None) -> None:
         """
         Start without samples; raises BadValueError for a method that does not exist.
 
-        solver: runs what takes long; judge: runs the evaluation of stops.
+        solver: runs what takes long; evaluation: runs that of the stops.
         """
         self.place = place
-        self.solver, self._judge = solver or Runner(), Judge(judge or Runner())
+        self.solver, self._evaluator = solver or Runner(), Evaluator(evaluation or Runner())
         self.progress = Progress()
         self.streams = Streams(config)
-        self.samples = LiveSamples(self.streams, self._judge, store or Store(), self.progress)
+        self.samples = LiveSamples(self.streams, self._evaluator, store or Store(), self.progress)
         self.reviewer = Reviewer(self.samples, self.solver)
         self.answer = Answer(self.samples, self.solver, place, self.progress)
         self.verification = LiveVerification(self.samples, self.answer, place, self.solver,
                                              self.progress)
-        self._judged = threading.Event()  # wakes the thread that does what follows from stops
+        self._evaluated = threading.Event()  # wakes the thread that does what follows from stops
         self.threads = Threads(lambda text: self.on_failure(text))
         self.samples.objection = self.reviewer.objection
         self.samples.on_outcome = lambda outcome: self.on_outcome(outcome)
@@ -119,7 +119,7 @@ class LiveSession:
     def warnings(self) -> tuple[str, ...]:
         """Return what a person should know besides errors, one sentence each."""
         return (*self.verification.warnings, *self.streams.warnings,
-                *filter(None, (self._judge.trouble,)))
+                *filter(None, (self._evaluator.trouble,)))
 
     def copied(self) -> Session:
         """Return a copy of the session at this moment."""
@@ -138,15 +138,15 @@ class LiveSession:
 
     def start(self) -> None:
         """Start the threads."""
-        self._judge.begin()
-        self.threads.start(self.streams.wake, self._judge_stops)
-        self.threads.start(self._judged, self._derive)
+        self._evaluator.begin()
+        self.threads.start(self.streams.wake, self._evaluate_stops)
+        self.threads.start(self._evaluated, self._derive)
 
     def stop(self) -> None:
         """End the threads, and the processes whatever they do."""
         self.threads.stop()
         self.solver.stop()
-        self._judge.stop()
+        self._evaluator.stop()
 
     def restore(self, session: Session, before: Config) -> str:
         """Go on with the samples of an earlier run and solve them; see LiveSamples.restore."""
@@ -165,16 +165,16 @@ class LiveSession:
         self._withdraw('another session was opened')
         return text
 
-    def _judge_stops(self) -> None:
-        self.samples.judge_all()
+    def _evaluate_stops(self) -> None:
+        self.samples.evaluate_all()
         self.on_change()
-        self._judged.set()
+        self._evaluated.set()
         self.samples.store.sync()
         give_back()
 
     def update(self) -> None:
         """Do once, in this thread, what the threads do."""
-        self.samples.judge_all()
+        self.samples.evaluate_all()
         self._derive()
 
     def _derive(self) -> None:

@@ -92,7 +92,7 @@ class LiveVerification:
             return 'the verification was ended: stops are samples again'
         if session.scans:
             return f'{session.text}: stops do not count, points are taken while the robot moves'
-        result = session.add(stop, self._config, self._samples.judge.result)
+        result = session.add(stop, self._config, self._samples.evaluator.result)
         text = f'{session.text}; {sample_summary(result)}'
         self._samples.attempt = Attempt(not isinstance(result, Reject), 0,
                                         f'verification: {text}')
@@ -115,7 +115,7 @@ class LiveVerification:
 
         Raises NoRoutineError, UnknownNameError, WrongCountError and NothingToVerifyError.
         """
-        self._samples.judge_all()
+        self._samples.evaluate_all()
         session = self._session
         if session is None or session.is_full:
             session = VerificationSession(self._config)
@@ -142,18 +142,18 @@ class LiveVerification:
             session = self._session
             if session is None:
                 raise NotStartedError
-            self._samples.judge_rest()
+            self._samples.evaluate_rest()
             copied = session.copied()
         with self._progress.doing('the calibration is verified'):
-            found = self._runner.run(copied.result, self._to_verify(), self._config, urgent=True)
-        self.last = verification.sentence(found)
-        text = f'{self.last}; {self._written(found)}'
+            result = self._runner.run(copied.result, self._to_verify(), self._config, urgent=True)
+        self.last = verification.sentence(result)
+        text = f'{self.last}; {self._written(result)}'
         with self._samples.work:
-            if found.verdict in ANSWERS and self._session is session:
+            if result.verdict in ANSWERS and self._session is session:
                 self.end()
         self.on_change()
-        if found.verdict not in ANSWERS:
-            raise NoAnswerError(found.verdict, (*found.reasons, text))
+        if result.verdict not in ANSWERS:
+            raise NoAnswerError(result.verdict, (*result.reasons, text))
         return text
 
     def configured(self, before: Config, after: Config) -> None:
@@ -175,12 +175,12 @@ class LiveVerification:
             raise NothingToVerifyError
         return self._answer.calibration
 
-    def _written(self, found: Verification) -> str:
+    def _written(self, result: Verification) -> str:
         """Write a verification into the folder of the name; return what to say."""
         config = self._config
         poses = config.pose_topic if config.pose_source == 'topic' else '/tf'
-        text = verification.yaml_text(replace(found, inputs=(config.profile_topic, poses)))
-        file = self._place.folder(config) / f'verification_{found.routine}.yaml'
+        text = verification.yaml_text(replace(result, inputs=(config.profile_topic, poses)))
+        file = self._place.folder(config) / f'verification_{result.routine}.yaml'
         former = exports.set_aside(file.parent, [file.name], {file.name})
         write_whole(file, text)
         return str(exports.Saved((file,), former))

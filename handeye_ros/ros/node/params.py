@@ -57,10 +57,10 @@ def parameters() -> tuple[Parameter, ...]:
 def _values(given: Iterable[RosParameter]) -> dict[str, Any]:
     """Return the values of the parameters of this package by key; raises UnknownKeyError."""
     values = {p.name: _value(p) for p in given if not p.name.startswith(EVERY_NODES)}
-    known = [p.key for p in parameters()]
+    keys = [p.key for p in parameters()]
     for name in values:
-        if name not in known and not name.startswith(RECORD):
-            raise UnknownKeyError(name, known, "the node's parameters")
+        if name not in keys and not name.startswith(RECORD):
+            raise UnknownKeyError(name, keys, "the node's parameters")
     return values
 
 

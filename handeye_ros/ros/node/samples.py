@@ -16,7 +16,7 @@ from handeye_ros.diagnosis.summaries import count_of, sample_summary
 from handeye_ros.errors import FeatureError, HandeyeError, InputError
 from handeye_ros.ros.node.state import Attempt
 from handeye_ros.ros.node.streams import StopConsumer, Streams
-from handeye_ros.ros.node.worker import Judge, Progress
+from handeye_ros.ros.node.worker import Evaluator, Progress
 from handeye_ros.ros.sessions.store import Store
 from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError
 from handeye_ros.sampling.session import Session
@@ -37,9 +37,10 @@ class LiveSamples:
     for and gave no sample, by the stamp of their begin; on_outcome: called with each new outcome.
     """
 
-    def __init__(self, streams: Streams, judge: Judge, store: Store, progress: Progress) -> None:
+    def __init__(self, streams: Streams, evaluator: Evaluator, store: Store, progress: Progress
+                 ) -> None:
         """Start empty."""
-        self.streams, self.judge, self.store = streams, judge, store
+        self.streams, self.evaluator, self.store = streams, evaluator, store
         self._progress = progress
         self.work = threading.RLock()
         self.cleared = 0
@@ -72,29 +73,29 @@ class LiveSamples:
         count = sum(outcome.sample is not None for outcome in session.outcomes)
         return f'going on with {count_of(count, "sample")} of {self.store.path}'
 
-    def judge_all(self) -> None:
+    def evaluate_all(self) -> None:
         """Evaluate all stops that are over, and the current one once it has enough profiles."""
         with self.work:
             while self.streams.waiting:
-                self._judge(self.streams.waiting.popleft())
+                self._evaluate(self.streams.waiting.popleft())
             early, self.streams.early = self.streams.early, None
             if early:
-                self._judge(early, over=False)
+                self._evaluate(early, over=False)
 
-    def judge_rest(self) -> None:
+    def evaluate_rest(self) -> None:
         """Evaluate all stops; the one that the robot stands in counts as over."""
         with self.work:
-            self.judge_all()
+            self.evaluate_all()
             for stop in self.streams.copied().rest():
-                self._judge(stop)
+                self._evaluate(stop)
 
-    def _judge(self, stop: Stop, over: bool = True) -> None:
+    def _evaluate(self, stop: Stop, over: bool = True) -> None:
         """Put the outcome of a stop into the session, in place of that from before it was over."""
         if consumer := self.consumer:
             if over or not self.streams.is_taken(stop):
                 consumer.add(stop, over)
             return
-        result = self.judge.result(stop, self.config)
+        result = self.evaluator.result(stop, self.config)
         with self.streams.lock:
             session = self.streams.session
             if not over and session.is_taken(stop):  # by hand, meanwhile
@@ -126,15 +127,15 @@ class LiveSamples:
         self.store_trouble = ''
         return stored
 
-    def evaluated(self, judge: Callable[[], None]) -> tuple[Session, Config]:
+    def evaluated(self, evaluate: Callable[[], None]) -> tuple[Session, Config]:
         """
         Return a copy of the session and its settings, by which all samples were extracted.
 
-        judge: judge_all or judge_rest. Raises DataError where there are no stops.
+        evaluate: evaluate_all or evaluate_rest. Raises DataError where there are no stops.
         """
         self.extract_again()
         with self.work:
-            judge()
+            evaluate()
             session, config = self.streams.copied(), self.config
         self.streams.wake.set()
         session.require_stations()
@@ -147,7 +148,7 @@ class LiveSamples:
                 with self.work, self.streams.lock:  # nobody evaluates by the former settings
                     self._stale, outcomes = False, self.streams.session.outcomes
                 with self._progress.doing('the samples are extracted again from their profiles'):
-                    fresh = [self.judge.again(outcome, self.config) for outcome in outcomes]
+                    fresh = [self.evaluator.again(outcome, self.config) for outcome in outcomes]
                     with self.streams.lock:
                         self.streams.session.replace(fresh)
 
@@ -167,11 +168,11 @@ class LiveSamples:
         if consumer := self.consumer:
             stop = self.streams.standing()
             with self.work:
-                self.judge_all()
+                self.evaluate_all()
                 return consumer.take(stop)
         stop, sample, state = self._sampled()  # outside of work: others are stored meanwhile
         with self.work:
-            self.judge_all()
+            self.evaluate_all()
             if state != (self.cleared, self.config):
                 stop, sample, _ = self._sampled()
             with self.streams.lock:
@@ -197,7 +198,7 @@ class LiveSamples:
         state = self.cleared, self.config
         stop = self.streams.standing()
         try:
-            return stop, self.judge.sample(stop, state[1]), state
+            return stop, self.evaluator.sample(stop, state[1]), state
         except FeatureError:
             self.refused[stop.began] = stop.pose(state[1])
             raise
@@ -205,8 +206,8 @@ class LiveSamples:
     def remove_last(self) -> str:
         """Forget the last sample; raises DataError when there is none, InputError unstored."""
         with self.work:
-            self.judge_all()
-            last = self.streams.copied().last(self.judge.result)
+            self.evaluate_all()
+            last = self.streams.copied().last(self.evaluator.result)
             self.store.remove(last.number, self.config)
             with self.streams.lock:
                 self.streams.session.remove(last)

@@ -54,32 +54,32 @@ def frame_of(config: Config) -> str:
 def session_markers(samples: Sequence[DrawnSample], calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
     """Return where the samples were taken and, once there is an answer, what they saw."""
-    found = [Marker(action=Marker.DELETEALL)]
+    markers = [Marker(action=Marker.DELETEALL)]
     poses = [in_mount(seen.sample.T_base_flange, config) for seen in samples]
     if samples:
-        found.append(_points('flanges', FLANGES, np.array(poses)[:, :3, 3], 0.01))
-        found += [_text('numbers', str(seen.number), T[:3, 3], NUMBERS)
-                  for seen, T in zip(samples, poses, strict=True)]
+        markers.append(_points('flanges', FLANGES, np.array(poses)[:, :3, 3], 0.01))
+        markers += [_text('numbers', str(seen.number), T[:3, 3], NUMBERS)
+                    for seen, T in zip(samples, poses, strict=True)]
     if calibration:
-        found += _seen(samples, poses, calibration, config)
-    return _array(found, config)
+        markers += _seen(samples, poses, calibration, config)
+    return _array(markers, config)
 
 
 def current_markers(current: Current | None, calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
     """Return the current profile and its features, as the answer places them."""
-    found = [Marker(action=Marker.DELETEALL)]
+    markers = [Marker(action=Marker.DELETEALL)]
     if current and calibration:
         T = in_mount(current.T_base_flange, config) @ calibration.T_flange_sensor
         for name, color, size, plane in (('profile', LASER, DOT / 2, current.points),
                                          ('feature', FOUND, 2 * DOT, _spots(current.features))):
             if len(plane):
-                found.append(_points(name, color, se3.apply(T, in_sensor(plane, config)), size))
+                markers.append(_points(name, color, se3.apply(T, in_sensor(plane, config)), size))
         lines = ends(current.features)
         if len(lines):
-            found.append(_lines('feature', FOUND, se3.apply(T, in_sensor(lines, config))))
-        found += _sensor(T, calibration)
-    return _array(found, config)
+            markers.append(_lines('feature', FOUND, se3.apply(T, in_sensor(lines, config))))
+        markers += _sensor(T, calibration)
+    return _array(markers, config)
 
 
 def _seen(samples: Sequence[DrawnSample], poses: Sequence[Array], calibration: Calibration,
@@ -91,18 +91,19 @@ def _seen(samples: Sequence[DrawnSample], poses: Sequence[Array], calibration: C
     lines = [se3.apply(T, in_sensor(ends(seen.sample.features), config))
              for seen, T in zip(samples, T_sensors, strict=True)]
     near = np.concatenate([*spots, *lines]) if samples else np.empty((0, 3))
-    found = _target(calibration.target, config, near)
+    markers = _target(calibration.target, config, near)
     if len(near):
         scale = WORST * stated_noise(config.noise, ARM)
-        found.append(_points('samples', UNKNOWN, np.concatenate(spots), DOT, [
+        markers.append(_points('samples', UNKNOWN, np.concatenate(spots), DOT, [
             _by_residual(seen.residual, scale) for seen, points in zip(samples, spots, strict=True)
             for _ in points]))
-        found.append(_lines('face lines', LINES, np.concatenate(lines)))
-        found += [_text('numbers at the target', f'{seen.number}{_residual_label(seen.residual)}',
-                        points.mean(axis=0), _by_residual(seen.residual, scale))
-                  for seen, points in zip(samples, spots, strict=True) if len(points)]
-        found += _sensor(T_sensors[-1], calibration)
-    return [marker for marker in found if marker.type not in LISTS or marker.points]
+        markers.append(_lines('face lines', LINES, np.concatenate(lines)))
+        markers += [_text('numbers at the target',
+                          f'{seen.number}{_residual_label(seen.residual)}', points.mean(axis=0),
+                          _by_residual(seen.residual, scale))
+                    for seen, points in zip(samples, spots, strict=True) if len(points)]
+        markers += _sensor(T_sensors[-1], calibration)
+    return [marker for marker in markers if marker.type not in LISTS or marker.points]
 
 
 def _residual_label(residual: float | None) -> str:
@@ -118,11 +119,11 @@ def _by_residual(residual: float | None, worst: float) -> ColorRGBA:
 
 
 def _target(target: Mapping[str, Any], config: Config, near: Array) -> list[Marker]:
-    found = shape(target, config.target.size, near)
-    markers = [_lines('target', TARGET, _pairs(line)) for line in found.outline]
-    markers += [_lines('edges', EDGES, _pairs(line), 2 * LINE) for line in found.edges]
-    if found.ball:
-        centre, radius = found.ball
+    form = shape(target, config.target.size, near)
+    markers = [_lines('target', TARGET, _pairs(line)) for line in form.outline]
+    markers += [_lines('edges', EDGES, _pairs(line), 2 * LINE) for line in form.edges]
+    if form.ball:
+        centre, radius = form.ball
         markers.append(_ellipsoid('target', TARGET, centre, np.eye(3) * radius))
     return markers
 
@@ -207,7 +208,7 @@ def put(msg: Any, names: str, values: Iterable[float]) -> Any:
     return msg
 
 
-def _array(found: list[Marker], config: Config) -> MarkerArray:
-    for number, marker in enumerate(found):
+def _array(markers: list[Marker], config: Config) -> MarkerArray:
+    for number, marker in enumerate(markers):
         marker.header.frame_id, marker.id = frame_of(config), number
-    return MarkerArray(markers=found)
+    return MarkerArray(markers=markers)

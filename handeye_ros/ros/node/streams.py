@@ -247,5 +247,5 @@ class Streams:
     def warnings(self) -> tuple[str, ...]:
         """Return that stops were left out, as one sentence; empty where none were."""
         return (f'left {self._skipped} stops out, the oldest of more than {MOST_STOPS} that '
-                'waited to be judged: the processor cannot keep up; stop less often, or publish '
-                'fewer points',) if self._skipped else ()
+                'waited to be evaluated: the processor cannot keep up; stop less often, or '
+                'publish fewer points',) if self._skipped else ()

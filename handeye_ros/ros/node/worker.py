@@ -1,8 +1,8 @@
 """
 Processes that do what takes long, and what is being done, in words.
 
-Solves and the judging of stops run in processes: Python runs one thread at a time, so they would
-slow down streams and services. A process is started when it is first needed.
+Solves and the evaluation of stops run in processes: Python runs one thread at a time, so they
+would slow down streams and services. A process is started when it is first needed.
 """
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class WorkerProcess(Runner):
                 self._process.wait()
 
 
-class Judge:
+class Evaluator:
     """
     Evaluates stops by a runner; in this process where the process of the runner has ended.
 
@@ -167,7 +167,7 @@ class Judge:
         try:
             result = self._runner.run(function, *args, urgent=urgent)
         except WorkerEndedError as error:  # the sample must not be lost
-            self.trouble = f'{error}; the node itself has judged the stop'
+            self.trouble = f'{error}; the node itself has evaluated the stop'
             return function(*args)
         self.trouble = ''
         return result

@@ -111,13 +111,13 @@ def file(live: LiveSession, name: str) -> tuple[str, str]:
     """Return name and text of a file of the answer; raises HandeyeError without one."""
     if live.calibration is None:
         raise NothingToSaveError
-    found = calibration_file.dated(replace(
+    calibration = calibration_file.dated(replace(
         live.calibration, name=folder_name(live.config)))
     if name == exports.REPORT:
-        text = live.solver.run(report, found, live.samples.store.path, urgent=True)
+        text = live.solver.run(report, calibration, live.samples.store.path, urgent=True)
         return name, text
     form = exports.of(name)
-    return form.file_name(found), form.text(found)
+    return form.file_name(calibration), form.text(calibration)
 
 
 def report(calibration: Any, session: str) -> str:

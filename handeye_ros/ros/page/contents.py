@@ -146,11 +146,11 @@ def _target(review: Review, config: Config) -> Mapping[str, Any]:
     anchors = np.array([anchor_of(problem, i) for i in range(len(problem.poses))])
     in_sensor = np.insert(anchors, 1, 0.0, axis=1)  # (x, range) as (x, 0, range)
     points = se3.apply(problem.poses @ estimate.X, in_sensor[:, None])[:, 0]
-    found = shape(problem.method.measures.describe(estimate.target, review.solution.target_std),
-                  config.target.size, points)
-    ball = found.ball and (rounded(found.ball[0]), found.ball[1])
-    return {'edges': [rounded(line) for line in found.edges], 'ball': ball,
-            'outline': [rounded(line) for line in found.outline], 'spots': rounded(points)}
+    form = shape(problem.method.measures.describe(estimate.target, review.solution.target_std),
+                 config.target.size, points)
+    ball = form.ball and (rounded(form.ball[0]), form.ball[1])
+    return {'edges': [rounded(line) for line in form.edges], 'ball': ball,
+            'outline': [rounded(line) for line in form.outline], 'spots': rounded(points)}
 
 
 def rounded(values: Array | Sequence[float]) -> Any:

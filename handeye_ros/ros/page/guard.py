@@ -129,9 +129,9 @@ def token_of(file: Path | None) -> str:
     if file is None:
         return secrets.token_urlsafe(TOKEN_BYTES)
     with suppress(OSError, UnicodeDecodeError):
-        known = file.read_text(encoding='ascii').strip()
-        if len(known) >= TOKEN_BYTES and not file.stat().st_mode & 0o077:
-            return known
+        token = file.read_text(encoding='ascii').strip()
+        if len(token) >= TOKEN_BYTES and not file.stat().st_mode & 0o077:
+            return token
     token = secrets.token_urlsafe(TOKEN_BYTES)
     file.parent.mkdir(parents=True, exist_ok=True)
     file.unlink(missing_ok=True)

@@ -200,15 +200,15 @@ class PageServer:
         if read is None:
             return _sentence(404, 'there is no such page')
         try:
-            found = await self._queued(name, read, request.query)
+            answer = await self._queued(name, read, request.query)
         except (HandeyeError, ValueError) as error:
             return _sentence(404, str(error))
-        if isinstance(found, web.Response):
-            return found
-        if isinstance(found, tuple):
-            named = {'Content-Disposition': f'attachment; filename="{found[0]}"'}
-            return web.Response(text=found[1], headers=HEADERS | named)
-        return web.json_response(plain(found), headers=HEADERS)
+        if isinstance(answer, web.Response):
+            return answer
+        if isinstance(answer, tuple):
+            named = {'Content-Disposition': f'attachment; filename="{answer[0]}"'}
+            return web.Response(text=answer[1], headers=HEADERS | named)
+        return web.json_response(plain(answer), headers=HEADERS)
 
     async def _act(self, request: web.Request) -> web.StreamResponse:
         act = self._source.acts.get(request.match_info['name'])
@@ -219,10 +219,10 @@ class PageServer:
         values = object_of(await request.read())
         if values is None:
             return _sentence(400, 'expected a JSON object')
-        found = await self._queued(request.match_info['name'], act, values)
-        if isinstance(found, web.Response):
-            return found
-        return web.json_response({'success': found[0], 'message': found[1]}, headers=HEADERS)
+        answer = await self._queued(request.match_info['name'], act, values)
+        if isinstance(answer, web.Response):
+            return answer
+        return web.json_response({'success': answer[0], 'message': answer[1]}, headers=HEADERS)
 
     async def _queued(self, name: str, work: Callable[[Any], Any], values: Any) -> Any:
         """Return what work(values) returns, or a refusal where too many requests wait."""
@@ -250,7 +250,7 @@ def _static(name: str, status: int = 200) -> web.Response:
 def object_of(text: bytes) -> dict[str, Any] | None:
     """Return what a JSON text holds if that is an object."""
     try:
-        found = json.loads(text or b'{}')
+        value = json.loads(text or b'{}')
     except (ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return value if isinstance(value, dict) else None

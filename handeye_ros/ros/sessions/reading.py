@@ -2,7 +2,7 @@
 A session on the disk: what its files record, and how it is read back.
 
 Besides profiles and poses (and joint values) each file holds what happened and the settings, as
-JSON in messages of type String. Stops that are read back are judged again.
+JSON in messages of type String. Stops that are read back are evaluated again.
 """
 from __future__ import annotations
 

@@ -73,16 +73,16 @@ def test_stamps_that_come_again_give_no_error() -> None:
 def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     live, told, done = LiveSession(SPHERE.config, Place()), Event(), Event()
     log: list[str] = []
-    judge_all = live.samples.judge_all
+    evaluate_all = live.samples.evaluate_all
     live.on_failure = lambda text: (log.append(text), told.set())
     live.on_change = done.set
-    monkeypatch.setattr(live.samples, 'judge_all', lambda: 1 / 0)
+    monkeypatch.setattr(live.samples, 'evaluate_all', lambda: 1 / 0)
     live.start()
     live.streams.wake.set()
     assert told.wait(PATIENCE) and 'ZeroDivisionError' in log[0]
     assert "failed, which should not happen: ZeroDivisionError('division by zero')" in state_of(
         live).session.trouble
-    monkeypatch.setattr(live.samples, 'judge_all', judge_all)
+    monkeypatch.setattr(live.samples, 'evaluate_all', evaluate_all)
     live.streams.wake.set()
     assert done.wait(PATIENCE)
     while live.threads.failure:
@@ -102,12 +102,12 @@ def test_a_process_that_ends_is_asked_once_more(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(live.reviewer, 'update', ended)
     live.start()
-    live._judged.set()
+    live._evaluated.set()
     while len(update) < 2:
         done.wait(0.01)
     while 'ended by signal 9' not in state_of(live).session.trouble:
         done.wait(0.01)
-    live._judged.set()
+    live._evaluated.set()
     assert done.wait(PATIENCE), 'the next time'
     assert update[0] == '' and 'please report' not in update[1]
 

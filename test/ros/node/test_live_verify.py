@@ -39,7 +39,7 @@ def feed(live: LiveSession, profiles, poses) -> None:
             live.add_poses([item])
         else:
             live.add_profile(item)
-    live.samples.judge_all()
+    live.samples.evaluate_all()
 
 
 @pytest.fixture(scope='module')

@@ -14,7 +14,7 @@ from handeye_ros.data import TimedPose
 from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
-from handeye_ros.ros.node.worker import Judge, Runner, WorkerProcess
+from handeye_ros.ros.node.worker import Evaluator, Runner, WorkerProcess
 from handeye_ros.ros.sessions.store import Place
 from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.errors import MovingError
@@ -174,7 +174,7 @@ def test_that_the_robot_moves_is_reported_while_stops_wait_to_be_judged(tmp_path
     live = running(tmp_path, judging=judging)
     feed(live, *PARTS[0])
     feed(live, [], PARTS[1][1][:1])
-    with judging.closed(live.samples.judge_all):
+    with judging.closed(live.samples.evaluate_all):
         with pytest.raises(MovingError):
             live.samples.take()
         live.configure(changed(live.config, 'limits.translation', 0.004))
@@ -185,22 +185,22 @@ def test_stops_give_the_same_in_another_process_and_where_that_has_ended(tmp_pat
     live = running(tmp_path)
     feed(live, *PARTS[0])
     waiting = list(live.streams.waiting)[:2]  # in memory
-    live.samples.judge_all()
+    live.samples.evaluate_all()
     outcomes = live.copied().outcomes[:2]  # on the disk
     assert len(waiting) == len(outcomes) == 2
     other = with_values(live.config, {'noise.sensor': 4e-5}, 'test')
     second = WorkerProcess()
     try:
-        told = [described(Judge(second), waiting, outcomes, other)]
+        told = [described(Evaluator(second), waiting, outcomes, other)]
     finally:
         second.stop()
-    told += [described(Judge(runner), waiting, outcomes, other)
+    told += [described(Evaluator(runner), waiting, outcomes, other)
              for runner in (second, Runner())]
     assert told[0] == told[1] == told[2]
     assert told[0][-1] == [repr(judged(outcome, other).sample) for outcome in outcomes]
 
 
-def described(judge: Judge, stops: Any, outcomes: Any, config: Config) -> list[Any]:
-    return [[repr(judge.result(stop, config)) for stop in stops],
-            [repr(judge.sample(stop, config)) for stop in stops],
-            [repr(judge.again(outcome, config).sample) for outcome in outcomes]]
+def described(evaluator: Evaluator, stops: Any, outcomes: Any, config: Config) -> list[Any]:
+    return [[repr(evaluator.result(stop, config)) for stop in stops],
+            [repr(evaluator.sample(stop, config)) for stop in stops],
+            [repr(evaluator.again(outcome, config).sample) for outcome in outcomes]]

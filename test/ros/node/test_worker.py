@@ -15,7 +15,7 @@ from command import PATIENCE
 from handeye_ros.config import Config
 from handeye_ros.diagnosis.review import NoReviewError, review
 from handeye_ros.ros.errors import WorkerEndedError
-from handeye_ros.ros.node.worker import COMMAND, give_back, Judge, Runner, TRIM, WorkerProcess
+from handeye_ros.ros.node.worker import COMMAND, Evaluator, give_back, Runner, TRIM, WorkerProcess
 from handeye_ros.sampling.errors import SilentPosesError
 from handeye_ros.sampling.stops import evenly
 import pytest
@@ -76,11 +76,11 @@ def test_one_that_is_suspended_is_ended_and_reported(monkeypatch: pytest.MonkeyP
         with pytest.raises(WorkerEndedError, match=r'was suspended \(SIGSTOP\)'):
             worker.run(os.kill, pid, signal.SIGSTOP)
         assert worker.run(os.getpid) != pid
-        judge, many = Judge(worker), list(range(100))
-        assert judge._run(evenly, many, 5) and not judge.trouble
+        evaluator, many = Evaluator(worker), list(range(100))
+        assert evaluator._run(evenly, many, 5) and not evaluator.trouble
         monkeypatch.setattr(worker, 'run', lambda *_, **__: raised(WorkerEndedError(-9)))
-        assert judge._run(evenly, many, 5) == evenly(many, 5)
-        assert 'ended by signal 9' in judge.trouble and 'the node itself' in judge.trouble
+        assert evaluator._run(evenly, many, 5) == evenly(many, 5)
+        assert 'ended by signal 9' in evaluator.trouble and 'the node itself' in evaluator.trouble
     finally:
         worker.stop()
 
