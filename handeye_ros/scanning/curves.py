@@ -110,3 +110,12 @@ def through(points: Array) -> Curve:
     simple, flexible = cubic(points), spline(t, points)
     apart = simple.position(t) - flexible.position(t)
     return simple if np.sqrt((apart ** 2).sum(axis=1).mean()) < SAME else flexible
+
+
+def averaged(values: Array, reach: int = 10) -> Array:
+    """Return the means of neighbouring rows."""
+    total = np.cumsum(np.vstack([np.zeros((1, values.shape[1])), values]), axis=0)
+    index = np.arange(len(values))
+    half = np.minimum(np.minimum(index, len(values) - 1 - index), reach)
+    return np.asarray((total[index + half + 1] - total[index - half])
+                      / (2 * half + 1)[:, None])

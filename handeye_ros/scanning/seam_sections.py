@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from handeye_ros.data import Array
-from handeye_ros.scanning.curves import arc_length, Curve, spline
+from handeye_ros.scanning.curves import arc_length, averaged, Curve, spline
 from handeye_ros.scanning.errors import InterruptedSeamError, NoLineError
 from handeye_ros.scanning.seam_edges import Course
 from handeye_ros.scanning.seam_sheets import Rims, Sheets
@@ -35,7 +35,8 @@ MISSING = 5e-3  # m of an edge that may be missing
 WINDOW = 5e-3  # m along the seam whose pairs tell the rough edges
 OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may go on
 SHORT = 0.365  # of 1 / q: what the likeliest end falls short by on average, of few points
-MET = 4.0  # spacings between the lower edges of a V without a root gap
+ROOT_GAP = 0.5  # spacings between the lower edges of a V on average: more is a root gap, else
+MET = 4.0  # spacings that they may be apart in a section, and meet
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +112,10 @@ def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Cours
     (t0, a0, b0), (t1, a1, b1) = sections[0], sections[-1]
     filled = [(t, a, b) for t, a, b in sections
               if min(np.ptp(a.span), np.ptp(b.span)) > 0.5 * step - spacing]
-    rows = np.array([_joint(rough.kind, a, b, spacing) for _, a, b in filled])
+    gap = np.median([(a.end - b.end) @ (b.outwards - a.outwards)
+                     / np.linalg.norm(b.outwards - a.outwards) for _, a, b in filled])
+    met = {'fillet': np.inf, 'v': MET * spacing * (gap < ROOT_GAP * spacing)}
+    rows = np.array([_joint(rough.kind, a, b, met.get(rough.kind, 0.0)) for _, a, b in filled])
     return Edges(np.array([t for t, _, _ in filled]), rows[:, 0], rows[:, 1], rows[:, 2],
                  rows[:, 3:], float(np.median([s.noise for _, *both in filled for s in both])),
                  (t0 + max(a0.span[0], b0.span[0]), t1 + min(a1.span[1], b1.span[1])))
@@ -119,7 +123,7 @@ def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Cours
 
 def _line(rims: Rims, rough: Course, spacing: float) -> _Line:
     """Return a smooth curve along the rough course, and the pairs in order across it."""
-    t = arc_length(_averaged(rough.middle))
+    t = arc_length(averaged(rough.middle))
     t, index = np.unique(t, return_index=True)
     points, pairs = rough.middle[index], rough.pairs[index]
     curve = spline(t, points)
@@ -134,15 +138,6 @@ def _line(rims: Rims, rough: Course, spacing: float) -> _Line:
     across = np.cross(up, curve.advance(t))
     turned = ((rims.outlook[i] - rims.outlook[j]) * across).sum(axis=1) < 0
     return _Line(curve, t, at, (np.where(turned, j, i), np.where(turned, i, j)))
-
-
-def _averaged(values: Array, reach: int = 10) -> Array:
-    """Return the means of neighbouring rows."""
-    total = np.cumsum(np.vstack([np.zeros((1, values.shape[1])), values]), axis=0)
-    index = np.arange(len(values))
-    half = np.minimum(np.minimum(index, len(values) - 1 - index), reach)
-    return np.asarray((total[index + half + 1] - total[index - half])
-                      / (2 * half + 1)[:, None])
 
 
 def _side(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, line: _Line, side: int,
@@ -228,8 +223,12 @@ def _end_of(b: Array, noise: float, density: float) -> float:
     return float(brentq(excess, low, high, xtol=1e-8)) + SHORT / density
 
 
-def _joint(kind: str, a: _Side, b: _Side, spacing: float) -> Array:
-    """Return the two edges, the root and the two normals (5, 3) of a section."""
+def _joint(kind: str, a: _Side, b: _Side, meeting: float) -> Array:
+    """
+    Return the two edges, the root and the two normals (5, 3) of a section.
+
+    meeting: edges of a corner that are nearer are where the sheets meet (m).
+    """
     first, second, root = a.end, b.end, 0.5 * (a.end + b.end)
     if kind == 'lap':
         normal = a.normal + b.normal  # the curvature of the sheets cancels
@@ -238,7 +237,7 @@ def _joint(kind: str, a: _Side, b: _Side, spacing: float) -> Array:
         root = lower.end + lower.outwards * (
             ((upper.end - lower.end) @ across) / (lower.outwards @ across))
         first, second = (first, root) if upper is a else (root, second)
-    elif kind == 'fillet' or (kind == 'v' and np.linalg.norm(first - second) < MET * spacing):
+    elif np.linalg.norm(first - second) < meeting:
         ways = np.column_stack([a.outwards, -b.outwards])
         root = a.end + a.outwards * np.linalg.lstsq(ways, b.end - a.end, rcond=None)[0][0]
     return np.array([first, second, root, a.normal, b.normal])

@@ -25,6 +25,7 @@ FLAT = 1.35  # times the usual thickness of a neighbourhood: no plane
 SAME_PLANE = 4.0  # sigmas from a sheet; neighbours that are joined may differ by 1.5 times that
 SAME_NORMAL = 0.98  # cosine of the angle between neighbouring normals of a sheet
 SMALLEST = 60  # points of a sheet
+THINNEST = 0.25  # spacings across a sheet, as a standard deviation: less is a single profile
 FREE_ANGLE = 2.2  # rad without neighbours: an edge
 CHUNK = 20_000
 
@@ -71,7 +72,25 @@ def sheets_of(points: Array, tree: cKDTree, spacing: float, up: Array) -> Sheets
     _take_rest(points, label, normals, 2 * REACH * spacing, SAME_PLANE * noise)
     # one displaced profile is a band that is not flat, and must not divide a sheet
     label = _joined(points, normals, linked, label >= 0, 1.5 * SAME_PLANE * noise)
-    return Sheets(label, normals, noise)
+    return Sheets(_without_lines(points, label, THINNEST * spacing), normals, noise)
+
+
+def _without_lines(points: Array, label: NDArray[np.intp], thinnest: float) -> NDArray[np.intp]:
+    """
+    Return the labels (n,) less those of sheets that are narrower: single profiles.
+
+    A face seen at a low angle is rows of points that are far from each other.
+    """
+    kept, own = np.flatnonzero(label >= 0), label.copy()
+    names, sheet = np.unique(label[kept], return_inverse=True)
+    size = np.bincount(sheet)
+    mean = np.stack([np.bincount(sheet, column) for column in points[kept].T], axis=1)
+    offset = points[kept] - (mean / size[:, None])[sheet]
+    spread = np.array([[np.bincount(sheet, offset[:, i] * offset[:, j]) / size
+                        for j in range(3)] for i in range(3)])
+    middle = np.linalg.eigvalsh(np.moveaxis(spread, 2, 0))[:, 1]
+    own[np.isin(label, names[middle < thinnest ** 2])] = -1
+    return own
 
 
 def _take_rest(points: Array, label: NDArray[np.intp], normals: Array, reach: float, thick: float

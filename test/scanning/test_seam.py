@@ -108,6 +108,27 @@ def test_joints_as_a_sensor_sees_them(name, kind):
     assert seam.residual < 10 * seam.noise
 
 
+def test_a_narrow_root_gap_of_a_v_is_none_that_the_bevels_close():
+    truth = joints.scanned(joints.vee(8, 0.6, 45.0, length=40.0), np.random.default_rng(1))
+    seam = find_seam(truth.points)
+    assert seam.kind == 'v'
+    assert off_line(truth, tool_frames(seam, 5e-3).T_base_tool[:, :3, 3]).max() < 1e-4
+
+
+def test_single_profiles_of_a_face_seen_at_a_low_angle_are_no_sheets():
+    rng = np.random.default_rng(0)
+    along, away = np.arange(0, 20e-3, 1e-4), np.arange(0, 20e-3, 4e-4)
+    plate = np.stack(np.meshgrid(along, away, [0.0], indexing='ij'), axis=-1).reshape(-1, 3)
+    rows = np.stack(np.meshgrid([4e-3, 5.2e-3, 6.4e-3], [-1e-3], -along, indexing='ij'),
+                    axis=-1).reshape(-1, 3)
+    plate[:, 2] += 3e-5 * rng.normal(size=len(plate))
+    rows[:, 1] += 3e-5 * rng.normal(size=len(rows))  # the errors of a row are in one plane
+    points = np.concatenate([plate, rows])
+    sheets = sheets_of(points, cKDTree(points), spacing_of(points), np.array([0.0, 0.0, 1.0]))
+    assert (sheets.label[len(plate):] >= 0).mean() < 0.1
+    assert (sheets.label[:len(plate)] >= 0).all()
+
+
 def test_a_displaced_profile_does_not_divide_a_sheet():
     rng = np.random.default_rng(0)
     points = np.stack(np.meshgrid(np.arange(0, 20e-3, 1e-4), np.arange(0, 20e-3, 4e-4), [0.0],
