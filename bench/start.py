@@ -25,7 +25,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.consensus import consensus, SUBSETS
-from handeye_ros.estimation.linearise import points_in_base, Problem
+from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate, UNUSED
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.solution import evaluate, fitted
@@ -131,7 +131,7 @@ def posed(samples: tuple[Sample, ...], config: Config) -> Problem:
 
 def from_truth(problem: Problem, truth: Estimate) -> float:
     """Return the squared whitened residuals per condition of the solution near the truth."""
-    p = points_in_base(problem, truth.X)
+    p = problem.points_in_base(truth.X)
     obs = problem.method.geometry.relabel(problem.observations, p, truth.target, problem.config)
     problem = replace(problem, observations=obs.select(obs.kind != UNUSED))
     solution = evaluate(problem, fitted(problem, truth, Noise()), Noise())

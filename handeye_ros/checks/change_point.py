@@ -28,10 +28,10 @@ from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.consensus import Consensus, fast_consensus
-from handeye_ros.estimation.linearise import points_in_base, Problem
+from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.noise import TURN_LENGTH, whitening
 from handeye_ros.estimation.outliers import chi2_isf
-from handeye_ros.estimation.posterior import BELIEF_NOISE, evaluated, weighed_again
+from handeye_ros.estimation.posterior import evaluated, weighed_again
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
@@ -142,7 +142,7 @@ def change_point(solution: Solution) -> ChangePoint | None:
     weighed = _Steps.of(reported, changes)
     if next(weighed.peaks()).evidence < HOPELESS:
         return None
-    unmoved, tried = _score(weighed_again(reported)), set[tuple[bool, int]]()
+    unmoved, tried = weighed_again(reported).deviance, set[tuple[bool, int]]()
     best = ChangePoint(0, False, np.zeros(6), -np.inf)
     while len(tried) < (MOST_TRIED if best.evidence > 0 else FIRST_TRIED):
         peaks = (peak for peak in weighed.peaks() if peak.where not in tried)
@@ -150,7 +150,7 @@ def change_point(solution: Solution) -> ChangePoint | None:
             break
         tried.add(one.where)
         moved = weighed_again(reported, _blocks(reported, one))
-        evidence = unmoved - _score(moved)
+        evidence = unmoved - moved.deviance
         if evidence > best.evidence:
             step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
             smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
@@ -164,15 +164,6 @@ def change_point(solution: Solution) -> ChangePoint | None:
     return best if best.chance < RARELY else None
 
 
-def _score(solution: Solution) -> float:
-    """Return -2 log of the marginal likelihood of a solution, with the belief in its noise."""
-    white = whitening(solution.problem, solution.linear, solution.noise)
-    spread = -2 * sum(float(np.log(np.einsum('nii->ni', f)).sum()) for f in white.factors)
-    factors = solution.noise.factors
-    belief = BELIEF_NOISE * float((np.log(factors) + 1 / factors - 1).sum())
-    return float(spread + np.linalg.slogdet(solution.information)[1] + solution.squares + belief)
-
-
 def _blocks(solution: Solution, move: ChangePoint) -> tuple[ParameterBlock, ...]:
     """Return the blocks of a move: its translation and its rotation."""
     columns = _by_steps(solution)[:, :6] if move.sensor else _by_steps(solution)[:, 6:]
@@ -184,7 +175,7 @@ def _blocks(solution: Solution, move: ChangePoint) -> tuple[ParameterBlock, ...]
 def _by_steps(solution: Solution) -> Array:
     """Return the derivatives (m, 12) by steps of sensor and target in prior sigmas."""
     linear = solution.linear
-    p = points_in_base(solution.problem, linear.estimate.X)
+    p = solution.problem.points_in_base(linear.estimate.X)
     about = se3.cross(p - p.mean(axis=0), linear.by_base)
     steps = np.hstack([linear.jacobian[:, :6], linear.by_base, about])
     return np.asarray(steps * np.tile(STEP, 2))
@@ -207,7 +198,7 @@ class _Steps:
     @classmethod
     def of(cls, solution: Solution, changes: NDArray[np.intp]) -> _Steps:
         """Return it at a solution."""
-        white = whitening(solution.problem, solution.linear, solution.noise)
+        white = whitening(solution.linear, solution.noise)
         D, J = white(_by_steps(solution)), solution.jacobian
         rows = np.split(np.arange(len(D)), np.searchsorted(
             solution.problem.observations.station, changes))

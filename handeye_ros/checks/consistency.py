@@ -31,11 +31,9 @@ from handeye_ros.config import Config, LimitsConfig, UNNAMED_FRAME
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import degrees
 from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import points_in_base, Problem
+from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Method
-from handeye_ros.estimation.noise import expected_rms
-from handeye_ros.estimation.search import shows_essential
-from handeye_ros.estimation.solution import redundancy, Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, name_direction, other_axes
 from handeye_ros.se3 import worst_rotation, worst_translation
 import numpy as np
@@ -141,7 +139,7 @@ def require_judged(agreed: Consensus) -> None:
     Raises TooFewConditionsError, and UnidentifiedOutlierError where that would be so without the
     one sample that seems to be wrong.
     """
-    dropped, left = len(agreed.dropped), redundancy(agreed.solution)
+    dropped, left = len(agreed.dropped), agreed.solution.redundancy
     needed = FEWEST_REDUNDANT * (1 + dropped) + bool(dropped)
     if left < needed:
         raise TooFewConditionsError(len(agreed.used), dropped, left, needed)
@@ -187,7 +185,7 @@ class Misfit:
 
 def misfit_of(problem: Problem, agreed: Consensus) -> Misfit:
     """Return by how much the samples of a problem contradict what they agree on."""
-    return Misfit(residual_rms(agreed.solution), expected_rms(agreed.solution.linear),
+    return Misfit(residual_rms(agreed.solution), agreed.solution.expected_rms,
                   len(agreed.dropped) / len(problem.poses), agreed.solution.variance_factor,
                   problem.config.limits)
 
@@ -227,10 +225,10 @@ def require_edges(agreed: Consensus) -> None:
     method = agreed.whole.method
     if not method.essential:
         return
-    used = int(shows_essential(agreed.solution.problem).sum())
+    used = int(agreed.solution.problem.shows_essential.sum())
     if used < method.minimum:
         raise TooFewEdgesError(method.name, used, len(agreed.used), method.minimum)
-    shown = int(shows_essential(agreed.whole).sum())
+    shown = int(agreed.whole.shows_essential.sum())
     if shown - used > LARGEST_DROPPED_SHARE * shown:
         raise LostEdgesError(lost_edges(agreed))
 
@@ -250,9 +248,9 @@ def lost_edges(agreed: Consensus) -> str:
     """Return which edges the answer has no use for, in words, '' where it uses all."""
     if not len(agreed.unused):
         return ''
-    shown = int(shows_essential(agreed.whole.subset(agreed.used)).sum())
+    shown = int(agreed.whole.subset(agreed.used).shows_essential.sum())
     part, estimate = agreed.whole.subset(agreed.unused), agreed.solution.estimate
-    where = part.method.measures.elsewhere(part.observations, points_in_base(part, estimate.X),
+    where = part.method.measures.elsewhere(part.observations, part.points_in_base(estimate.X),
                                            estimate.target, part.config)
     return (f'the edges of {len(agreed.unused)} of the {shown} samples that show one lie on none '
             'of the target' + (f': {where}' if where else ''))

@@ -24,7 +24,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import points_in_base, Problem
+from handeye_ros.estimation.linearise import Problem
 from handeye_ros.profiles.range_sign import range_sign_evidence
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +95,7 @@ def _mounted_on_base(agreed: Consensus) -> bool:
     """
     problem, X = agreed.solution.problem, agreed.solution.estimate.X
     seen = problem.observations.points @ X[:3, [0, 2]].T + X[:3, 3]
-    other = points_in_base(problem, X)
+    other = problem.points_in_base(X)
     return bool(np.linalg.norm(seen, axis=1).mean() > np.linalg.norm(other, axis=1).mean())
 
 

@@ -12,13 +12,13 @@ from handeye_ros.checks.errors import ScaleError
 from handeye_ros.config import Config
 from handeye_ros.data import Array, TimeOffset
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.blocks import ParameterBlock, tolerances
+from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.consensus import Consensus, consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.outliers import f_isf
 from handeye_ros.estimation.search import CONVINCING
-from handeye_ros.estimation.solution import redundancy, Solution
+from handeye_ros.estimation.solution import Solution
 import numpy as np
 
 CONTRADICTION = 4.0  # sigmas that make an answer wrong
@@ -76,7 +76,7 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
 
 def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
     """Yield the measures of the target that are not as the configuration states them."""
-    stated = tolerances(replace(solution.problem, config=config))
+    stated = replace(solution.problem, config=config).tolerances
     method, target = solution.problem.method, solution.estimate.target
     labels = method.labels
     used = {d.name: value for d, value, _, _ in sizes(replace(solution, conservative=None))}
@@ -134,8 +134,8 @@ def scale_error(solution: Solution) -> tuple[float, float, float]:
     positions = problem.robot_poses[:, :3, 3]
     moved = (positions - positions.mean(axis=0))[problem.observations.station]
     by_scale = (solution.linear.by_pose[:, :3] * moved).sum(axis=1)
-    measures = solution.linear.jacobian[:, 6:][:, tolerances(problem) > 0]
-    white = whitening(problem, solution.linear, solution.noise)
+    measures = solution.linear.jacobian[:, 6:][:, problem.tolerances > 0]
+    white = whitening(solution.linear, solution.noise)
     column: Array = white(by_scale)
     Q, _ = np.linalg.qr(np.column_stack([solution.jacobian, white(measures)]))
     free = column - Q @ (Q.T @ column)
@@ -167,7 +167,7 @@ def require_not_only_scale(solution: Solution) -> None:
     would be wrong by as much of the lever. By an F-test. Raises ScaleError.
     """
     scale, std, total = scale_error(solution)
-    explained, freedom = (scale / std) ** 2, max(redundancy(solution), 1)
+    explained, freedom = (scale / std) ** 2, max(solution.redundancy, 1)
     left = max(total - explained, 0.0)
     if explained < MOST * total or not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
         return

@@ -13,7 +13,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import consensus
-from handeye_ros.estimation.linearise import points_in_base, Problem
+from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import UNUSED
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mounted
@@ -92,7 +92,7 @@ def _residuals(samples: Sequence[Sample], solution: Solution, config: Config) ->
     """Return the RMS residual (n,) of each sample at a solution, NaN where it shows nothing."""
     method, estimate = solution.problem.method, solution.estimate
     whole = Problem(method, mounted(samples, config), method.features.observe(samples), config)
-    labelled = method.geometry.relabel(whole.observations, points_in_base(whole, estimate.X),
+    labelled = method.geometry.relabel(whole.observations, whole.points_in_base(estimate.X),
                                        estimate.target, config)
     problem = Problem(method, whole.poses, labelled.select(labelled.kind != UNUSED), config)
     measured = measured_points(samples, problem)

@@ -25,7 +25,6 @@ from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Array, Profile, Reject, Sample
 from handeye_ros.errors import DataError, FeatureError, mm, NamedCauseError, UnusableMessageError
 from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.solution import redundancy
 from handeye_ros.frames import mounted
 from handeye_ros.profiles.range_sign import range_sign_evidence
 from handeye_ros.sampling import station_features
@@ -70,12 +69,12 @@ def require_settings(session: Session, config: Config) -> None:
     stated = _fit(stops, config)
     least = float(FEWEST_CONDITIONS)
     if stated and believable(stated):
-        least = MORE * redundancy(stated[0].solution)
+        least = MORE * stated[0].solution.redundancy
     best: tuple[int, Hypothesis, Fit] | None = None
     for values in _changes(config):
         one = _hypothesis(stops, config, values)
         fit = one.refit()
-        count = redundancy(fit[0].solution) if fit and believable(fit) else 0
+        count = fit[0].solution.redundancy if fit and believable(fit) else 0
         if fit and count >= least and len(fit[0].used) >= LEAST_SHARE * len(stops):
             if best is None or count > best[0]:
                 best = count, one, fit
@@ -252,7 +251,7 @@ def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
     def refit() -> Fit | None:
         fit = fit_of([replace(still.sample, T_base_flange=stop.pose)
                       for still, stop in _pairs(stills, behind) if still.sample], config)
-        return fit if fit and redundancy(fit[0].solution) >= FEWEST_CONDITIONS else None
+        return fit if fit and fit[0].solution.redundancy >= FEWEST_CONDITIONS else None
 
     def refusal(fit: Fit) -> DataError:
         return ClocksDifferError(_offset(stills, behind), config.time_offset)

@@ -98,15 +98,9 @@ def prepared(first: Linear) -> Callable[[Linear], tuple[ParameterBlock, ...]]:
     return at
 
 
-def tolerances(problem: Problem) -> Array:
-    """Return 1 sigma (k,) of the target's parameters that are stated with one, 0 of others."""
-    stated = problem.method.measures.tolerances(problem.config)
-    return stated if len(stated) else np.zeros(len(problem.method.labels))
-
-
 def stated_measures(first: Linear) -> Blocks:
     """Return the blocks of the target's stated measures."""
-    method, stds = first.problem.method, tolerances(first.problem)
+    method, stds = first.problem.method, first.problem.tolerances
 
     def retract_by(i: int) -> Retraction:
         def retract(problem: Problem, estimate: Estimate, change: Array
@@ -132,7 +126,7 @@ def robot_scale(first: Linear) -> Blocks:
     twists[:, :3, 0] = poses[:, :3, 3].mean(axis=0) - poses[:, :3, 3]
 
     def at(linear: Linear) -> Iterator[ParameterBlock]:
-        yield ParameterBlock('scale', by_twists(linear, twists) * std, std, twists=twists,
+        yield ParameterBlock('scale', linear.by_twists(twists) * std, std, twists=twists,
                              report='scale', origin=1.0)
     return at
 
@@ -212,15 +206,9 @@ def pose_model(first: Linear) -> Blocks:
         for name, count, std, end in zip(model.names, model.counts, model.stds, last, strict=True):
             block = slice(int(end) - count, int(end))
             own = twists[:, :, block]
-            yield ParameterBlock(name, by_twists(linear, own) * std, std, twists=own,
+            yield ParameterBlock(name, linear.by_twists(own) * std, std, twists=own,
                                  retract=retract_in(block), least=model.least, report=name)
     return at
-
-
-def by_twists(linear: Linear, twists: Array) -> Array:
-    """Return the derivatives (m, k) of the residuals by parameters with twists (n, 6, k)."""
-    station = linear.problem.observations.station
-    return np.asarray((linear.by_pose[:, None] @ twists[station])[:, 0])
 
 
 def best_fit_motions(linear: Linear, blocks: Sequence[ParameterBlock]) -> Array:

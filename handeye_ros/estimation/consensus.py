@@ -20,14 +20,7 @@ from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.outliers import GROSS, outliers, shared_scale
 from handeye_ros.estimation.posterior import map_solution
-from handeye_ros.estimation.search import (
-    far,
-    guesses,
-    LARGEST_SQUARE,
-    Refined,
-    refined,
-    unused_essential,
-)
+from handeye_ros.estimation.search import far, LARGEST_SQUARE, Refined, refined, unused_essential
 from handeye_ros.estimation.solution import evaluate, fitted, Solution, station_statistic
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +74,7 @@ def consensus(problem: Problem, rng: np.random.Generator, subsets: int = 0,
     """
     if start is not None:
         return without_outliers(refined(problem, start))
-    starts = chain(guesses(problem, rng), subset_starts(problem, subsets, rng))
+    starts = chain(problem.guesses(rng), subset_starts(problem, subsets, rng))
     best = refined(problem, next(starts))
     while not best.accepted and (other := next(starts, None)):
         if not far(problem, other):
@@ -92,7 +85,7 @@ def consensus(problem: Problem, rng: np.random.Generator, subsets: int = 0,
 def fast_consensus(problem: Problem, seed: int = 0) -> Consensus | None:
     """Return what the samples agree on, None where the first few guesses promise nothing."""
     try:
-        for start in islice(guesses(problem, np.random.default_rng(seed)), FAST_STARTS):
+        for start in islice(problem.guesses(np.random.default_rng(seed)), FAST_STARTS):
             if far(problem, start):
                 continue
             trial = refined(problem, start)
@@ -108,7 +101,7 @@ def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Ite
     n, size = len(problem.poses), max(SUBSET_SIZE, problem.method.minimum)
     for _ in range(count if n > size else 0):
         chosen = np.sort(rng.permutation(n)[:size])
-        yield next(guesses(problem.subset(chosen), rng))
+        yield next(problem.subset(chosen).guesses(rng))
 
 
 def without_outliers(trial: Refined) -> Consensus:

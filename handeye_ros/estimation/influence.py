@@ -17,7 +17,7 @@ from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
 from handeye_ros.estimation.outliers import chi2_sf, leave_own_out
 from handeye_ros.estimation.posterior import evaluated
-from handeye_ros.estimation.solution import corrected_poses, retracted, Solution
+from handeye_ros.estimation.solution import Solution
 import numpy as np
 from numpy.typing import NDArray
 
@@ -72,7 +72,7 @@ def contamination(solution: Solution, dropped: int) -> Contamination | None:
     if weight <= 0:
         return None
     configured = evaluated(solution.problem, solution.estimate, Noise())
-    white = whitening(configured.problem, configured.linear, configured.noise)
+    white = whitening(configured.linear, configured.noise)
     wrong = white(configured.linear.by_pose * POSE_ERROR)
     log_odds, explained = np.empty((2, n))
     shifts, covariances = np.empty((n, 6)), np.empty((n, 6, 6))
@@ -113,8 +113,8 @@ def predictions(solution: Solution, fold: NDArray[np.intp]) -> tuple[list[Estima
     folds = np.arange(fold.max() + 1)
     steps = _steps_without_one(solution)[np.argsort(fold)] if len(folds) == len(fold) else (
         np.array([_step_without(solution, np.flatnonzero(fold == k)) for k in folds]))
-    return ([retracted(problem, estimate, step) for step in steps[:, :u]],
-            corrected_poses(solution, solution.nuisance + steps[fold, u:]))
+    return ([problem.retracted(estimate, step) for step in steps[:, :u]],
+            solution.corrected_poses(solution.nuisance + steps[fold, u:]))
 
 
 def _steps_without_one(solution: Solution) -> Array:

@@ -6,7 +6,7 @@ p = R_i (X s) + a_i.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -97,6 +97,36 @@ class Problem:
         """Return the products (n, r * r) of each two columns of this root."""
         return products(self.smooth)
 
+    @property
+    def tolerances(self) -> Array:
+        """Return 1 sigma (k,) of the target's parameters that are stated with one, 0 of others."""
+        stated = self.method.measures.tolerances(self.config)
+        return stated if len(stated) else np.zeros(len(self.method.labels))
+
+    @property
+    def shows_essential(self) -> NDArray[np.bool_]:
+        """Return which stations (n,) have an observation of an essential kind."""
+        method, obs = self.method, self.observations
+        of_kind = np.array([*(name in method.essential for name in method.kinds), False])  # UNUSED
+        shows = np.zeros(len(self.poses), dtype=bool)
+        shows[obs.station[of_kind[obs.kind]]] = True
+        return shows
+
+    def guesses(self, rng: np.random.Generator) -> Iterator[Estimate]:
+        """Return estimates to start from, best first, made when they are asked for."""
+        return iter(self.method.guess(self, rng))
+
+    def points_in_base(self, X: Array) -> Array:
+        """Return the observed points (m, 3) in the base."""
+        return self.observations.in_base(self.poses, X)
+
+    def retracted(self, estimate: Estimate, step: Array) -> Estimate:
+        """Return the estimate, or several, moved by a step (..., u) in the unknown columns."""
+        delta = np.zeros((*step.shape[:-1], 6 + len(self.method.labels)))
+        delta[..., self.columns] = step
+        return Estimate(se3.perturb(estimate.X, delta[..., :6]),
+                        self.method.geometry.retract(estimate.target, delta[..., 6:]))
+
     def with_pose_values(self, values: Array) -> Problem:
         """Return the problem with the poses that its model gives for values (k,)."""
         assert self.pose_model is not None
@@ -157,7 +187,7 @@ class Linear:
     def by_pose(self) -> Array:
         """Return the derivative (..., m, 6) by the robot's error, base frame, about the flange."""
         R, a = self.problem.flanges
-        to_point = np.einsum('mij,...mj->...mi', R, self.lever + self._origin)
+        to_point = np.einsum('mij,...mj->...mi', R, self.lever + self.estimate.X[..., None, :3, 3])
         if self.problem.in_hand:
             return np.concatenate([self.by_base, se3.cross(to_point, self.by_base)], axis=-1)
         # the poses are those of the base in the flange; the robot errs in its base
@@ -199,21 +229,10 @@ class Linear:
         share = np.divide(self.residuals, square, out=np.zeros(len(g)), where=square > 0)
         return np.asarray(self.problem.observations.points - g * share[:, None])
 
-    @property
-    def _origin(self) -> Array:
-        return np.asarray(self.estimate.X[..., None, :3, 3])
-
-
-def points_at(observations: Observations, poses: Array, X: Array) -> Array:
-    """Return the observed points (m, 3) in the base frame, of poses (n, 4, 4) and X (4, 4)."""
-    in_mount = observations.points @ X[:3, [0, 2]].T + X[:3, 3]
-    T = poses[observations.station]
-    return np.asarray(np.einsum('mij,mj->mi', T[:, :3, :3], in_mount) + T[:, :3, 3])
-
-
-def points_in_base(problem: Problem, X: Array) -> Array:
-    """Return the observed points (m, 3) of a problem in the base frame."""
-    return points_at(problem.observations, problem.poses, X)
+    def by_twists(self, twists: Array) -> Array:
+        """Return the derivatives (m, k) by parameters that move the poses by twists (n, 6, k)."""
+        station = self.problem.observations.station
+        return np.asarray((self.by_pose[:, None] @ twists[station])[:, 0])
 
 
 def linearise(problem: Problem, estimate: Estimate) -> Linear:

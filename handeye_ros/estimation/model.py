@@ -52,6 +52,12 @@ class Observations:
         """Return the observations where keep (m,) is true."""
         return type(self)(*(getattr(self, f.name)[keep] for f in fields(self)))
 
+    def in_base(self, poses: Array, X: Array) -> Array:
+        """Return the points (m, 3) in the base, at poses (n, 4, 4) with the sensor at X (4, 4)."""
+        in_mount = self.points @ X[:3, [0, 2]].T + X[:3, 3]
+        T = poses[self.station]
+        return np.asarray(np.einsum('mij,mj->mi', T[:, :3, :3], in_mount) + T[:, :3, 3])
+
     def repeated(self, stations: int, points: Array) -> Self:
         """Return those of one station at so many, with points (stations * m, 2)."""
         every = (getattr(self, f.name) for f in fields(self))

@@ -14,13 +14,14 @@ from dataclasses import dataclass, field, replace
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
 from handeye_ros.estimation.linalg import Stations
-from handeye_ros.estimation.linearise import Linear, Problem
+from handeye_ros.estimation.linearise import Linear
 import numpy as np
 from numpy.typing import NDArray
 
 SMALLEST_STD = 1e-9  # of a feature without any noise, which would weigh infinitely (m)
 TURN_LENGTH = 0.3  # over which an error of the robot's joints turns as much as it shifts (m)
 LOCAL = 0.6  # of the distortion, which differs from station to station: speckle, and waves
+PRIOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
 ROUNDING = 1e-12  # keeps a covariance invertible that one pose error rules
 
 
@@ -78,56 +79,44 @@ def _white(factor: Array, values: Array) -> Array:
     return np.asarray((factor @ by_station).reshape(values.shape))
 
 
-def covariances(problem: Problem, linear: Linear, at: Stations) -> Array:
+def covariances(linear: Linear, at: Stations) -> Array:
     """
     Return the parts of the covariance, (3), as (p, stations, c, c), for variance factors of 1.
 
-    The p parts: the features' two components, the distortion that is each station's own, poses,
-    and the values that poses depend on, where there are such.
+    The p parts: the features' two components, the distortion that differs from station to station,
+    poses, and the values that poses depend on, where there are such.
     """
-    noise = problem.config.noise
-    feature = _feature(linear, at)
+    noise = linear.problem.config.noise
     # no covariance between the components, so that any factors keep the sum positive
     values = () if linear.by_values is None else (_squared(at.of(linear.by_values)),)
-    return np.array([*feature * at.components,
-                     at.near * _squared(at.of(linear.by_point), _local(problem)),
+    return np.array([*_feature(linear, at) * at.components,
+                     at.near * _squared(at.of(linear.by_point), _local(noise)),
                      _squared(at.of(linear.by_pose), _pose(noise)), *values])
 
 
-def lumped(problem: Problem, linear: Linear, at: Stations) -> Array:
+def total_covariance(linear: Linear, at: Stations, noise: Noise) -> Array:
     """
-    Return covariances (stations, c, c) of the residuals from what all stations share.
+    Return the covariance (stations, c, c), (3), and that of the blocks where these are lumped.
 
-    The distortion of a sensor is smooth: points near each other in its plane share it.
+    Lumped are the distortion (smooth: points near each other in the sensor plane share it), the
+    robot's smooth error, and the errors of the target's own.
     """
-    noise = problem.config.noise
-    return np.asarray(at.near * _squared(at.of(linear.by_point), noise.distortion ** 2)
-                      + _own(problem, linear, at)
-                      + _squared(at.of(linear.by_pose), _smooth(noise)))
-
-
-def expected_rms(linear: Linear) -> float:
-    """Return the RMS (m) of residuals from configured noise and nuisance parameters."""
-    problem = linear.problem
-    total = sum(float(np.einsum('nii->', covariances(problem, linear, at).sum(axis=0)
-                                + lumped(problem, linear, at))) for at in problem.stations)
-    return float((total / len(linear.residuals)) ** 0.5)
-
-
-def _total(problem: Problem, linear: Linear, at: Stations, noise: Noise) -> Array:
-    """Return the sum (stations, c, c) of covariances, and of what is lumped with them."""
-    config, shared = problem.config.noise, float(noise.lumped)
+    problem, config = linear.problem, linear.problem.config.noise
     total = _feature(linear, at)
     first, second = at.components
     total *= noise.feature * first + noise.feature_2 * second if at.mixed else noise.feature
-    distortion = noise.local * _local(problem) + shared * config.distortion ** 2
+    distortion, robot = noise.local * _local(config), noise.robot * _pose(config)
+    if noise.lumped:
+        distortion = distortion + config.distortion ** 2
+        robot = robot + config.robot_smooth ** 2 * np.repeat([1.0, TURN_LENGTH ** -2], 3)
     if distortion:
         total += at.near * _squared(at.of(linear.by_point), distortion)
-    robot = noise.robot * _pose(config) + shared * _smooth(config)
     total += _squared(at.of(linear.by_pose), robot)
     if linear.by_values is not None:
         total += noise.values * _squared(at.of(linear.by_values))
-    return total + _own(problem, linear, at) if shared else total
+    if noise.lumped and problem.method.nuisances:
+        total += _squared(at.of(problem.method.nuisances.feature_errors(linear))) * at.shared
+    return total
 
 
 def _feature(linear: Linear, at: Stations) -> Array:
@@ -142,26 +131,14 @@ def _feature(linear: Linear, at: Stations) -> Array:
     return feature
 
 
-def _own(problem: Problem, linear: Linear, at: Stations) -> Array:
-    """Return the covariances (stations, c, c) from the features' errors of the target's own."""
-    if problem.method.nuisances is None:
-        return np.zeros(1)
-    return np.asarray(_squared(at.of(problem.method.nuisances.feature_errors(linear))) * at.shared)
-
-
-def _local(problem: Problem) -> float:
-    """Return the variance of the distortion that is each station's own."""
-    return (LOCAL * problem.config.noise.distortion) ** 2
+def _local(noise: NoiseConfig) -> float:
+    """Return the variance of the distortion that differs from station to station."""
+    return (LOCAL * noise.distortion) ** 2
 
 
 def _pose(noise: NoiseConfig) -> Array:
-    """Return the variances (6,) of a pose's own error."""
+    """Return the variances (6,) of the white error of a pose."""
     return np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
-
-
-def _smooth(noise: NoiseConfig) -> Array:
-    """Return the variances (6,) of the robot's smooth error at a pose."""
-    return noise.robot_smooth ** 2 * np.repeat([1.0, TURN_LENGTH ** -2], 3)
 
 
 def _squared(factor: Array, variances: Array | float = 1.0) -> Array:
@@ -170,10 +147,11 @@ def _squared(factor: Array, variances: Array | float = 1.0) -> Array:
     return np.asarray(scaled @ np.swapaxes(scaled, 1, 2))
 
 
-def whitening(problem: Problem, linear: Linear, noise: Noise) -> Whitening:
+def whitening(linear: Linear, noise: Noise) -> Whitening:
     """Return the map to residuals of unit covariance."""
-    return Whitening(tuple(at.rows for at in problem.stations), tuple(
-        inverse_roots(_total(problem, linear, at, noise)) for at in problem.stations))
+    stations = linear.problem.stations
+    return Whitening(tuple(at.rows for at in stations), tuple(
+        inverse_roots(total_covariance(linear, at, noise)) for at in stations))
 
 
 def inverse_roots(covariance: Array) -> Array:

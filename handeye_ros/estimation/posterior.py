@@ -21,9 +21,9 @@ from handeye_ros.estimation.blocks import ParameterBlock, prepared
 from handeye_ros.estimation.linalg import FactoredJacobian, from_information
 from handeye_ros.estimation.linearise import Linear, linearise, MANY, Problem, State
 from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.noise import covariances, Noise, Whitening, whitening
+from handeye_ros.estimation.noise import covariances, Noise, PRIOR_FREEDOM, Whitening, whitening
 from handeye_ros.estimation.scales import prior_scales, Scales
-from handeye_ros.estimation.solution import columns_of, retracted, Solution
+from handeye_ros.estimation.solution import columns_of, Solution
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,7 +33,6 @@ STEADY_NOISE = 0.1  # the same, of the noise, on the way
 CONVERGED = 0.03  # step in sigmas; relative change of a variance
 DIVERGED = 4.0  # of a step over the smallest before
 SIZING = 1  # rounds in which a block may turn out so large that the step grows
-BELIEF_NOISE = 4.0  # in the configured noise, in degrees of freedom
 MAP = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # factors that an estimate is best made with
 SMALLEST, LARGEST = 1e-4, 1e8
 
@@ -128,7 +127,7 @@ class _System:
                  blocks_at: Callable[[Linear], tuple[ParameterBlock, ...]]) -> _System:
         """Return the system of what is linearised, whitened by a noise."""
         problem, residuals = state.problem, linear.residuals
-        white: Whitening = whitening(problem, linear, noise)
+        white: Whitening = whitening(linear, noise)
         for block in blocks:
             if block.retract and block.name in state.values:
                 residuals = residuals - block.columns @ (state.values[block.name] / block.std)
@@ -205,7 +204,7 @@ class _System:
         every = -(-len(self.problem.poses) // MANY)
         for stations, factors in zip(self.problem.stations, self.white.factors, strict=True):
             at, root = stations.every(every), factors[::every]
-            V = covariances(self.problem, self.linear, at)
+            V = covariances(self.linear, at)
             W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(len(V), -1)
             r = self.r[at.rows] + columns.change(x, at.rows)
             left = np.eye(r.shape[1]) - columns.predicted_covariance(covariance, at.rows)
@@ -213,14 +212,14 @@ class _System:
             sums[:len(V)] += W @ np.column_stack([both.ravel(), left.ravel()])
         before = self.noise.factors
         sums *= before[:, None]
-        after = before * (sums[:, 0] + BELIEF_NOISE * believed / before) / (
-            np.maximum(sums[:, 1], 0.0) + BELIEF_NOISE)
+        after = before * (sums[:, 0] + PRIOR_FREEDOM * believed / before) / (
+            np.maximum(sums[:, 1], 0.0) + PRIOR_FREEDOM)
         return self.noise.with_factors(np.clip(after, SMALLEST, LARGEST))
 
     def moved(self, x: Array) -> State:
         """Return the state moved by a solution."""
         problem, values = self.problem, dict(self.state.values)
-        estimate = retracted(problem, self.state.estimate, x[:self.u])
+        estimate = problem.retracted(self.state.estimate, x[:self.u])
         scaled = x * self.scales
         for first, block in zip(self.u + self.first, self.blocks, strict=True):
             if block.retract:
@@ -253,6 +252,6 @@ class _System:
         columns = self.columns.scaled(s)
         sized = tuple(replace(d, std=d.std * float(size))
                       for d, size in zip(self.blocks, s[self.u:][self.first], strict=True))
-        estimate = retracted(self.problem, self.state.estimate, x[:self.u])
+        estimate = self.problem.retracted(self.state.estimate, x[:self.u])
         return Solution(self.problem, estimate, self.noise, self.linear, self.r + columns.times(x),
                         columns, covariance, x[self.u:], sized)

@@ -7,14 +7,14 @@ refined while stations that do not fit lose weight.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.linearise import linearise, points_in_base, Problem
+from handeye_ros.estimation.linearise import linearise, Problem
 from handeye_ros.estimation.model import Estimate, UNUSED
 from handeye_ros.estimation.noise import Noise
-from handeye_ros.estimation.solution import evaluate, retracted, system, Weighed, weighed
+from handeye_ros.estimation.solution import evaluate, system, Weighed, weighed
 from handeye_ros.estimation.solver import (
     believed,
     BELIEVED_SHARE,
@@ -85,11 +85,6 @@ class Refined:
         return float((far_off | unused_essential(self.whole, self.problem)).mean())
 
 
-def guesses(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-    """Return estimates to start from, best first, made when they are asked for."""
-    return iter(problem.method.guess(problem, rng))
-
-
 def refined(problem: Problem, estimate: Estimate) -> Refined:
     """Return the trial that graduated non-convexity leads to from an estimate."""
     def refit(at: Weighed, weights: Array) -> Weighed:
@@ -121,7 +116,7 @@ def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = No
     before: with the labels of another estimate; it is returned where these are the same, as what
     it has found out about its stations still holds.
     """
-    p = points_in_base(problem, estimate.X)
+    p = problem.points_in_base(estimate.X)
     labelled = problem.method.geometry.relabel(problem.observations, p, estimate.target,
                                                problem.config)
     found = labelled.select(labelled.kind != UNUSED)
@@ -140,16 +135,7 @@ def _mean_squares(at: Weighed) -> Array:
 
 def unused_essential(whole: Problem, labelled: Problem) -> NDArray[np.bool_]:
     """Return which stations (n,) show what is essential, none of which is used as labelled."""
-    return shows_essential(whole) & ~shows_essential(labelled)
-
-
-def shows_essential(problem: Problem) -> NDArray[np.bool_]:
-    """Return which stations (n,) of a problem have an observation of an essential kind."""
-    method, obs = problem.method, problem.observations
-    of_kind = np.array([*(name in method.essential for name in method.kinds), False])  # UNUSED
-    shows = np.zeros(len(problem.poses), dtype=bool)
-    shows[obs.station[of_kind[obs.kind]]] = True
-    return shows
+    return whole.shows_essential & ~labelled.shows_essential
 
 
 def far(problem: Problem, estimate: Estimate) -> bool:
@@ -173,7 +159,7 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
         return there.residuals, there.jacobian[..., problem.columns]
 
     def retract(states: States, steps: Array) -> States:
-        moved = retracted(problem, Estimate(*states), steps)
+        moved = problem.retracted(Estimate(*states), steps)
         return moved.X, moved.target
 
     few = len(problem.poses) <= FEW_STATIONS

@@ -10,21 +10,19 @@ from handeye_ros.estimation.blocks import best_fit_motions, ParameterBlock, pose
 from handeye_ros.estimation.linalg import covariance_of, covering, FactoredJacobian
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.noise import Noise, Whitening, whitening
+from handeye_ros.estimation.noise import (
+    Noise,
+    PRIOR_FREEDOM,
+    total_covariance,
+    Whitening,
+    whitening,
+)
 from handeye_ros.estimation.outliers import leave_own_out
 from handeye_ros.estimation.solver import least_squares, Rows, System
 import numpy as np
 from numpy.typing import NDArray
 
 SAME = 1e-3  # relative singular value of what a station says twice, but for its noise
-
-
-def retracted(problem: Problem, estimate: Estimate, step: Array) -> Estimate:
-    """Return the estimate, or several, moved by a step (..., u) in the unknown columns."""
-    delta = np.zeros((*step.shape[:-1], 6 + len(problem.method.labels)))
-    delta[..., problem.columns] = step
-    return Estimate(se3.perturb(estimate.X, delta[..., :6]),
-                    problem.method.geometry.retract(estimate.target, delta[..., 6:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +35,7 @@ class Weighed:
     @cached_property
     def white(self) -> Whitening:
         """Return the map to residuals of unit covariance."""
-        return whitening(self.linear.problem, self.linear, self.noise)
+        return whitening(self.linear, self.noise)
 
 
 def weighed(problem: Problem, estimate: Estimate, noise: Noise) -> Weighed:
@@ -52,7 +50,7 @@ def system(problem: Problem, noise: Noise) -> System[Weighed]:
                     lambda: at.white)
 
     def moved(at: Weighed, step: Array) -> Weighed:
-        return weighed(problem, retracted(problem, at.linear.estimate, step), noise)
+        return weighed(problem, problem.retracted(at.linear.estimate, step), noise)
     return System(rows, moved, problem.observations.station)
 
 
@@ -174,10 +172,52 @@ class Solution:
         return std
 
 
+    @property
+    def redundancy(self) -> int:
+        """
+        Return how many independent conditions there are beyond the number of unknowns.
+
+        A pose that is taken again says nothing new; of very many poses some are counted.
+        """
+        return int(self.ranks[self.problem.distinct].sum()) - self.unknowns
+
+    @property
+    def expected_rms(self) -> float:
+        """Return the RMS (m) of residuals from configured noise and nuisance parameters."""
+        total = sum(float(np.einsum('nii->', total_covariance(self.linear, at, Noise())))
+                    for at in self.problem.stations)
+        return float((total / len(self.linear.residuals)) ** 0.5)
+
+    @property
+    def deviance(self) -> float:
+        """Return -2 log of the marginal likelihood, the prior of the noise factors included."""
+        white = whitening(self.linear, self.noise)
+        spread = -2 * sum(float(np.log(np.einsum('nii->ni', f)).sum()) for f in white.factors)
+        factors = self.noise.factors
+        prior = PRIOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
+        return float(spread + np.linalg.slogdet(self.information)[1] + self.squares + prior)
+
+    def corrected_poses(self, nuisance: Array | None = None) -> Array:
+        """
+        Return the poses (n, 4, 4) without the estimated errors of the robot.
+
+        nuisance: (n, q) parameters of the blocks at each pose, None: as estimated.
+        """
+        problem, estimated = self.problem, self.nuisance
+        # what retracts is in the poses already
+        inside = [np.full(b.count, float(b.retract is not None)) for b in self.blocks]
+        values = (estimated if nuisance is None else nuisance) - estimated * np.concatenate(
+            [[], *inside])
+        errors, T = pose_corrections(problem, self.blocks, values), problem.robot_poses
+        corrected = se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
+                                  T[:, :3, 3] + errors[:, :3])
+        return corrected if problem.in_hand else se3.inverse(corrected)
+
+
 def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
     """Return the solution that an estimate is, with its covariance."""
     linear = linearise(problem, estimate)
-    white = whitening(problem, linear, noise)
+    white = whitening(linear, noise)
     r, J = white(linear.residuals), white(linear.jacobian[:, problem.columns])
     return Solution(problem, estimate, noise, linear, r, columns_of(problem, J, 0),
                     covariance_of(J))
@@ -189,15 +229,6 @@ def columns_of(problem: Problem, own: Array, axes: int) -> FactoredJacobian:
     shared, both = (problem.smooth, problem.smooth_products) if axes else (nothing, nothing)
     return FactoredJacobian(own, shared, both, axes, [at.rows for at in problem.stations],
                             problem.observations.station)
-
-
-def redundancy(solution: Solution) -> int:
-    """
-    Return how many independent conditions there are beyond the number of unknowns.
-
-    A pose that is taken again says nothing new; of very many poses some are counted.
-    """
-    return int(solution.ranks[solution.problem.distinct].sum()) - solution.unknowns
 
 
 def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
@@ -215,19 +246,3 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
         left_out = leave_own_out(explained, r)
         statistic[station[rows[:, 0]]] = (r * left_out).sum(axis=1)
     return statistic, np.bincount(station, minlength=n)
-
-
-def corrected_poses(solution: Solution, nuisance: Array | None = None) -> Array:
-    """
-    Return the poses (n, 4, 4) without the errors of the robot that were found.
-
-    nuisance: (n, q) parameters of the blocks at each pose, None: as found.
-    """
-    problem, found = solution.problem, solution.nuisance
-    # what retracts is in the poses already
-    inside = [np.full(b.count, float(b.retract is not None)) for b in solution.blocks]
-    values = (found if nuisance is None else nuisance) - found * np.concatenate([[], *inside])
-    errors, T = pose_corrections(problem, solution.blocks, values), problem.robot_poses
-    corrected = se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
-                              T[:, :3, 3] + errors[:, :3])
-    return corrected if problem.in_hand else se3.inverse(corrected)

@@ -145,7 +145,7 @@ class Search:
             return np.zeros((0, 1, len(batch.columns)))
         linear = linearise(batch, self.solution.estimate)
         noise = replace(self.solution.noise, lumped=True)  # doubts: errors of each station here
-        rows = whitening(batch, linear, noise)(linear.jacobian[:, batch.columns])
+        rows = whitening(linear, noise)(linear.jacobian[:, batch.columns])
         return rows.reshape(len(batch.poses), -1, rows.shape[1])
 
 

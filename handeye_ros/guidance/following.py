@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.linearise import linearise, points_in_base, Problem
+from handeye_ros.estimation.linearise import linearise, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.guidance import rules
 from handeye_ros.guidance.limits import View
@@ -192,7 +192,7 @@ def _facing(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
 def _recognised(batch: Batch) -> NDArray[np.bool_]:
     """Return which stations the method would take for what they are meant to be."""
     problem, estimate = batch.problem, batch.estimate
-    p = points_in_base(problem, estimate.X)
+    p = problem.points_in_base(estimate.X)
     labelled = problem.method.geometry.relabel(problem.observations, p, estimate.target,
                                                rules.stricter(problem.config))
     same = labelled.kind == problem.observations.kind

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.linearise import Linear, points_in_base
+from handeye_ros.estimation.linearise import Linear
 from handeye_ros.estimation.model import Method
 from handeye_ros.guidance.limits import View
 from handeye_ros.targets.ends import EdgeObservations
@@ -156,7 +156,7 @@ def corners(linear: Linear, count: int) -> Corners | None:
     places = np.linalg.solve(A, height[..., None])[..., 0]
     at = replace(problem, observations=replace(
         obs, points=np.repeat(places, count, axis=0)))
-    here = points_in_base(at, linear.estimate.X).reshape(-1, count, 3)[:, 0]
+    here = at.points_in_base(linear.estimate.X).reshape(-1, count, 3)[:, 0]
     edge = np.cross(first[3], second[3])
     reach = [((middle - here) * np.cross(normal, edge)).sum(axis=1)
              for _, _, middle, normal, _ in (first, second)]
@@ -172,7 +172,7 @@ def _face(linear: Linear, rows: NDArray[np.bool_], count: int) -> tuple[Array, .
     The normal (n, 2) and the middle (n, 2) in the sensor plane, middle and normal (n, 3) in base,
     and the cosine (n,) between normal and viewing direction.
     """
-    p = points_in_base(linear.problem, linear.estimate.X)
+    p = linear.problem.points_in_base(linear.estimate.X)
     share = rows / np.maximum(rows.sum(axis=1, keepdims=True), 1)
 
     def mean(values: Array) -> Array:

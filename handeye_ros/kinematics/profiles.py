@@ -17,7 +17,6 @@ from handeye_ros.estimation.consensus import consensus, SUBSETS
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
-from handeye_ros.estimation.solution import retracted
 from handeye_ros.frames import in_mount
 from handeye_ros.kinematics.errors import TargetsApartError
 from handeye_ros.kinematics.model import Arm
@@ -77,7 +76,7 @@ class Profiles:
 
     def moved(self, state: State, step: Array) -> State:
         """Return a state moved by a step: X, targets, parameters of the arm, smooth."""
-        after = [retracted(problem, own, np.append(step[:6], step[at]))
+        after = [problem.retracted(own, np.append(step[:6], step[at]))
                  for problem, own, at in zip(self.problems, self._estimates(state), self._columns,
                                              strict=True)]
         targets = np.concatenate([own.target for own in after])
@@ -105,7 +104,7 @@ class Profiles:
             own = linear.jacobian[:, problem.columns]
             J = np.zeros((len(r), self.unknowns))
             J[:, :6], J[:, columns] = own[:, :6], own[:, 6:]
-            white = whitening(problem, linear, Noise())(np.column_stack([J, by_arm, by_smooth, r]))
+            white = whitening(linear, Noise())(np.column_stack([J, by_arm, by_smooth, r]))
             residuals.append(white[:, -1])
             rows.append(white[:, :-1])
         return np.concatenate(residuals), np.concatenate(rows)

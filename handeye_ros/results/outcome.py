@@ -18,9 +18,9 @@ from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.influence import predictions
-from handeye_ros.estimation.linearise import points_in_base, Problem
+from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.solution import corrected_poses, Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, name_direction, sensor_axes
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
     parent = mount_frame(config)
     used = [samples[i] for i in agreed.used]
     measured = measured_points(used, problem)
-    residuals = measured.residuals(problem, solution.estimate, corrected_poses(solution))
+    residuals = measured.residuals(problem, solution.estimate, solution.corrected_poses())
     reports = [*_used_reports(used, problem, measured.station, residuals),
                *_dropped_reports(samples, agreed),
                *(SampleReport(r.stamp, False, reason=r.reason) for r in rejects)]
@@ -80,7 +80,7 @@ def other_surfaces(agreed: Consensus) -> str:
     sensors = problem.poses[obs.station[unused]] @ estimate.X[:, 3]
     height, of_sensor = (problem.method.geometry.conditions(
         p, obs.kind[unused], estimate.target, problem.config).g
-        for p in (points_in_base(whole, estimate.X)[unused], sensors[:, :3]))
+        for p in (whole.points_in_base(estimate.X)[unused], sensors[:, :3]))
     nearer = height * np.sign(of_sensor) > 0
     where = 'nearer and farther' if 0 < nearer.sum() < len(nearer) else (
         'nearer' if nearer.any() else 'farther')

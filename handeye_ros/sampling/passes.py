@@ -17,7 +17,7 @@ from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import AnyProfile, Array, Feature, Profile, Sample, TimedPose
 from handeye_ros.errors import DataError, UnusableMessageError
 from handeye_ros.estimation.basis import process_in_time
-from handeye_ros.estimation.blocks import Blocks, by_twists, ParameterBlock
+from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.linearise import Linear, Problem
 from handeye_ros.estimation.model import PoseModel
 from handeye_ros.estimation.noise import TURN_LENGTH
@@ -162,7 +162,7 @@ def errors_in_motion(stamps: NDArray[np.int64], first: Linear) -> Blocks:
                                 ('tracking_rotation', slice(3, 6), size / TURN_LENGTH)):
             twists = np.einsum('xa,nk->nxak', np.eye(6)[:, axes], functions)
             twists = twists.reshape(len(functions), 6, -1)
-            yield ParameterBlock(name, by_twists(linear, twists) * std, std, twists=twists,
+            yield ParameterBlock(name, linear.by_twists(twists) * std, std, twists=twists,
                                  report=f'{name}_error')
         if linear.problem.config.profile.exposure and linear.problem.method.nuisances:
             yield _exposure(linear)
@@ -180,4 +180,4 @@ def _exposure(linear: Linear) -> ParameterBlock:
     assert problem.pose_model is not None and problem.method.nuisances is not None
     twists = problem.pose_model.at(problem.pose_values)[1][:, :, :1]
     inwards = np.sign(problem.method.nuisances.feature_errors(linear))
-    return ParameterBlock('exposure', inwards * np.abs(by_twists(linear, twists)) * std, std)
+    return ParameterBlock('exposure', inwards * np.abs(linear.by_twists(twists)) * std, std)

@@ -15,12 +15,10 @@ from itertools import islice
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
-from handeye_ros.estimation.blocks import by_twists
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, Whitening, whitening
-from handeye_ros.estimation.search import guesses, relabelled
-from handeye_ros.estimation.solution import retracted
+from handeye_ros.estimation.search import relabelled
 from handeye_ros.estimation.solver import (
     believed,
     graduated,
@@ -83,7 +81,7 @@ def _searched(problem: Problem, rng: np.random.Generator) -> _At:
         values = np.zeros(len(problem.pose_values))
         values[0] = offset * problem.config.time_offset_std
         there = problem.with_pose_values(values)
-        for start in islice(guesses(there, rng), STARTS):
+        for start in islice(there.guesses(rng), STARTS):
             found = _refined(there, start)
             best = found if best is None or found.loss < best.loss else best
         if best and believed(best.squares) < CONVINCING:
@@ -128,7 +126,7 @@ class _At:
 
     @cached_property
     def white(self) -> Whitening:
-        return whitening(self.problem, self.linear, Noise())
+        return whitening(self.linear, Noise())
 
     @cached_property
     def squares(self) -> Array:
@@ -156,7 +154,7 @@ class _At:
         linear, problem, model = self.linear, self.problem, self.problem.pose_model
         assert model is not None
         J = np.hstack([linear.jacobian[:, problem.columns],
-                       by_twists(linear, model.at(self.values)[1])])
+                       linear.by_twists(model.at(self.values)[1])])
         priors = np.eye(J.shape[1])[-len(self.values):] / self.prior_stds[:, None]
         return np.vstack([J, priors])
 
@@ -167,7 +165,7 @@ class _At:
     def moved(self, step: Array) -> _At:
         """Return the same moved by a step of all unknowns, offset and lag the last of them."""
         k = len(self.values)
-        estimate = retracted(self.problem, self.estimate, step[:-k])
+        estimate = self.problem.retracted(self.estimate, step[:-k])
         return _At(self.problem.with_pose_values(self.values + step[-k:]), estimate)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
-from handeye_ros.estimation.linearise import Linear, points_in_base
+from handeye_ros.estimation.linearise import Linear
 from handeye_ros.estimation.model import Nuisances
 from handeye_ros.targets.ends import edges_of, ENDS, ends_of, out_of_face
 import numpy as np
@@ -68,7 +68,7 @@ def flatness(first: Linear) -> Blocks:
     problem, std = first.problem, first.problem.config.noise.flatness
     if not std:
         return _none
-    p = points_in_base(problem, first.estimate.X)
+    p = problem.points_in_base(first.estimate.X)
     heights = zip(*(bent_surface(p, problem.observations.kind == i, list(FLATNESS))
                     for i, name in enumerate(problem.method.kinds) if name.startswith('face')),
                   strict=True)

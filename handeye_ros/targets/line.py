@@ -16,7 +16,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
-from handeye_ros.estimation.linearise import points_at, points_in_base, Problem
+from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import (
     Conditions,
     Estimate,
@@ -144,7 +144,7 @@ def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
 def _nearness(problem: Problem, estimate: Estimate) -> float:
     """Return the distance from the line that the nearest edge points of most stations keep."""
     edge = problem.observations.select(problem.observations.kind == EDGE_Y)
-    away = _away(points_at(edge, problem.poses, estimate.X), estimate.target)
+    away = _away(edge.in_base(problem.poses, estimate.X), estimate.target)
     nearest = np.full(len(problem.poses), np.inf)
     np.minimum.at(nearest, edge.station, away)
     return float(np.quantile(nearest[np.isfinite(nearest)], BELIEVED_SHARE))
@@ -195,7 +195,7 @@ def _estimate(x: Array, R: Array, a_mean: Array) -> Estimate:
 def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
     """Return the estimate with the target's z turned to the normal of the face most seen."""
     T = estimate.target.reshape(4, 4)
-    p = points_in_base(problem, estimate.X)
+    p = problem.points_in_base(estimate.X)
     angle = 2 * _turns(problem.observations, p, estimate.target)
     near = np.cos(angle[:, None] - angle) > np.cos(2 * SAME_FACE)
     middle = angle[np.argmax(near.sum(axis=1))]

@@ -15,7 +15,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Feature, Sample
-from handeye_ros.estimation.linearise import points_in_base, Problem
+from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import (
     Conditions,
     Estimate,
@@ -138,7 +138,7 @@ def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
 
 def _typical_distance(problem: Problem, estimate: Estimate) -> float:
     """Return the distance from the plane (m) that the nearest surface of most stations keeps."""
-    p = points_in_base(problem, estimate.X)
+    p = problem.points_in_base(estimate.X)
     labelled = relabel(problem.observations, p, estimate.target, problem.config)
     used = labelled.kind != UNUSED
     station, n = labelled.station[used], len(problem.poses)

@@ -15,7 +15,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
-from handeye_ros.estimation.linearise import points_in_base, Problem
+from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import (
     Conditions,
     Estimate,
@@ -151,7 +151,7 @@ def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> 
     """Return an estimate of the plate in an estimated plane."""
     observations = problem.observations
     T_base_plane = _facing_sensor(problem, plane)
-    p = points_in_base(problem, plane.X)
+    p = problem.points_in_base(plane.X)
     flat = ((p - T_base_plane[:3, 3]) @ T_base_plane[:3, :3])[:, :2]
     edge = np.flatnonzero(observations.kind != FACE)
     corner, turn = two_lines(flat[edge], rng)

@@ -15,7 +15,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Feature, Sample
-from handeye_ros.estimation.linearise import linearise, points_at, Problem
+from handeye_ros.estimation.linearise import linearise, Problem
 from handeye_ros.estimation.model import (
     Conditions,
     Estimate,
@@ -163,7 +163,7 @@ def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
     """Return where the starts lead, each with the labels that it makes, best first."""
     alike: dict[bytes, tuple[Problem, list[Estimate]]] = {}  # starts that make the same labels
     for start in starts:
-        p = points_at(problem.observations, problem.poses, start.X)
+        p = problem.observations.in_base(problem.poses, start.X)
         labelled = relabel(problem.observations, p, start.target, problem.config)
         part = replace(problem, observations=labelled)
         alike.setdefault(labelled.kind.tobytes(), (part, []))[1].append(start)
@@ -193,7 +193,7 @@ def _fitted(points: Array) -> tuple[Array, Array]:
 
 def _edge_in(corners: Observations, poses: Array, face: Estimate) -> Estimate:
     """Return the estimate of the edge through the crossings, with the X of a face's estimate."""
-    p = points_at(corners, poses, face.X)
+    p = corners.in_base(poses, face.X)
     centre = p.mean(axis=0)
     return Estimate(face.X, se3.transform(np.linalg.svd(p - centre)[2].T, centre).ravel())
 
@@ -203,7 +203,7 @@ def _with_faces(problem: Problem, edge: Estimate) -> Estimate:
     T = edge.target.reshape(4, 4).copy()
     T[:3, :3] = se3.nearest_rotation(T[:3, :3])
     obs = problem.observations
-    local = (points_at(obs, problem.poses, edge.X) - T[:3, 3]) @ T[:3, :3]
+    local = (obs.in_base(problem.poses, edge.X) - T[:3, 3]) @ T[:3, :3]
     angle = np.arctan2(local[:, 2], local[:, 1])
     first, second = _two_directions(angle, np.hypot(local[:, 1], local[:, 2]))
     return Estimate(edge.X, np.append(T.ravel(), [first + np.pi / 2, second + np.pi / 2]))

@@ -50,10 +50,11 @@ def test_the_covariance_is_symmetric_and_positive(name: str) -> None:
 def test_the_noise_of_a_station_is_positive_whatever_its_size(
         factors: tuple[float, float, float, float]) -> None:
     solution = solution_of('plate')
-    nuisance = replace(solution.problem, config=with_values(
+    problem = replace(solution.problem, config=with_values(
         solution.problem.config, {'noise.distortion': 2e-5}, 'a test'))
-    for stations in nuisance.stations:
-        noise = np.tensordot(factors, covariances(nuisance, solution.linear, stations), 1)
+    linear = replace(solution.linear, problem=problem)
+    for stations in problem.stations:
+        noise = np.tensordot(factors, covariances(linear, stations), 1)
         assert np.array_equal(noise, np.swapaxes(noise, 1, 2))
         assert np.linalg.eigvalsh(noise).min() > 0
 

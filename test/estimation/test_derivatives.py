@@ -8,7 +8,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import linearise, Problem
 from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.solution import retracted, Solution
+from handeye_ros.estimation.solution import Solution
 import numpy as np
 import pytest
 
@@ -74,6 +74,6 @@ def test_the_derivatives_by_pose_point_and_feature_are_those_of_differences(name
 def test_a_step_and_its_opposite_lead_back(name: str) -> None:
     made, solution = noisy(name).problem, solution_of(name)
     step = np.random.default_rng(0).normal(size=len(made.columns)) * 1e-5
-    back = retracted(made, retracted(made, solution.estimate, step), -step)
+    back = made.retracted(made.retracted(solution.estimate, step), -step)
     assert np.allclose(back.X, solution.estimate.X, atol=1e-9)
     assert np.allclose(back.target, solution.estimate.target, atol=1e-9)

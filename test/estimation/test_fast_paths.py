@@ -6,7 +6,6 @@ from dataclasses import replace
 from cells import cell, solved
 from handeye_ros import se3
 from handeye_ros.estimation import posterior
-from handeye_ros.estimation.linearise import points_in_base
 from handeye_ros.estimation.posterior import map_solution
 from handeye_ros.results.outcome import Measured
 from handeye_ros.simulate import SCENARIOS
@@ -30,7 +29,7 @@ def test_measured_points_are_mapped_as_observed_ones_are() -> None:
     problem, X = cell('plate').problem, np.linalg.inv(cell('sphere').truth.T_flange_sensor)
     obs = problem.observations
     measured = Measured(obs.points, obs.kind, obs.station)
-    np.testing.assert_allclose(measured.mapped(problem.poses @ X), points_in_base(problem, X),
+    np.testing.assert_allclose(measured.mapped(problem.poses @ X), problem.points_in_base(X),
                                atol=1e-12)
 
 

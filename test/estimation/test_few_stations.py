@@ -17,8 +17,7 @@ from handeye_ros.data import Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import consensus, refine
 from handeye_ros.estimation.noise import Noise
-from handeye_ros.estimation.search import guesses
-from handeye_ros.estimation.solution import evaluate, redundancy
+from handeye_ros.estimation.solution import evaluate
 from handeye_ros.results.truth_errors import errors_against
 from handeye_ros.simulate import FAULTS, SCENARIOS, settings, simulate, simulate_samples
 import numpy as np
@@ -40,7 +39,7 @@ def test_a_station_says_as_much_as_its_target_shows(name: str, rank: int) -> Non
     made = cell(name, 0)
     solution = consensus(made.problem, np.random.default_rng(0)).solution
     assert (solution.ranks == rank).all()
-    assert redundancy(solution) == rank * len(made.samples) - solution.jacobian.shape[1]
+    assert solution.redundancy == rank * len(made.samples) - solution.jacobian.shape[1]
 
 
 def test_five_profiles_of_a_plane_are_too_few() -> None:
@@ -115,7 +114,7 @@ def test_six_stations_of_a_plate_are_started_near_the_truth() -> None:
     near = 0
     for seed in range(24):
         made = cell(replace(SCENARIOS['plate'], stations=(3, 3)), seed)
-        start = next(guesses(made.problem, np.random.default_rng(0)))
+        start = next(made.problem.guesses(np.random.default_rng(0)))
         near += made.error(start.X) < 0.02
     assert near >= 21, 'of a plane alone, three conditions more than unknowns'
 

@@ -9,7 +9,6 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import PoseModel
 from handeye_ros.estimation.posterior import map_solution
-from handeye_ros.estimation.solution import corrected_poses
 import numpy as np
 import pytest
 
@@ -46,7 +45,7 @@ def test_what_poses_depend_on_is_found_and_the_poses_are_moved(scenario: str) ->
     assert (np.abs(off) < 4 * std).all() and std.max() < 2e-4
     now, _ = model.at(found.problem.pose_values)
     assert np.allclose(found.problem.robot_poses, now)
-    assert np.allclose(corrected_poses(found), found.problem.poses)
+    assert np.allclose(found.corrected_poses(), found.problem.poses)
     assert made.error(found.estimate.X) < made.error(map_solution(true, start).estimate.X) + 1e-5
     half = problem.with_pose_values(TRUE).subset(np.arange(0, len(wrong), 2))
     assert np.allclose(half.poses, true.poses[::2])

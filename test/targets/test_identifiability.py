@@ -7,7 +7,7 @@ from pathlib import Path
 import re
 
 from cells import Cell, exact_cell
-from handeye_ros.estimation.linearise import linearise, points_in_base
+from handeye_ros.estimation.linearise import linearise
 from handeye_ros.estimation.model import Estimate, UNUSED
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import METHODS
@@ -53,7 +53,7 @@ def singular_values(name: str, motion: str) -> np.ndarray:
     scenario = replace(SCENARIOS[method], motion=ROWS[motion], stations=stations)
     made = exact_cell(scenario, **VALUES.get(name, {}))
     problem, estimate = made.problem, at_truth(made)
-    p = points_in_base(problem, estimate.X)
+    p = problem.points_in_base(estimate.X)
     observations = problem.method.geometry.relabel(problem.observations, p, estimate.target,
                                                    problem.config)
     used = observations.select(observations.kind != UNUSED)

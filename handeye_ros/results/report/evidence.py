@@ -8,7 +8,7 @@ from pathlib import Path
 from handeye_ros import config as configuration
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Feature, Sample
-from handeye_ros.estimation.solution import corrected_poses, Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.outcome import left_out, measured_points
 import numpy as np
@@ -101,7 +101,7 @@ def judged(stops: Sequence[StopSnapshot], used: Sequence[Sample], solution: Solu
     used: the samples of the answer, in the order of the stations of its problem.
     """
     measured = measured_points(used, solution.problem)
-    inside = measured.residuals(solution.problem, solution.estimate, corrected_poses(solution))
+    inside = measured.residuals(solution.problem, solution.estimate, solution.corrected_poses())
     outside = left_out(solution, measured)
     reasons = {report.stamp: report.reason for report in calibration.samples if not report.used}
     found = [replace(stop, reason=reasons.get(stop.stamp, stop.reason)) for stop in stops]
