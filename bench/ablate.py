@@ -26,8 +26,8 @@ import time
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation import consensus, posterior, scales, search, solution
-from handeye_ros.estimation.influence import Contamination
+from handeye_ros.estimation import consensus, noise, posterior, search, solution
+from handeye_ros.estimation.consensus import Contamination
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate
 from handeye_ros.simulate.recording import Simulated
@@ -64,7 +64,7 @@ MECHANISMS: dict[str, tuple[Switch, ...]] = {
     'all': (),
     'contamination': ((consensus, 'contamination', nobody),),
     'best-fit transform': ((solution, 'covering', lambda first, second: first),),
-    'MAP scales of their own': ((scales, 'MAP', scales.CONSERVATIVE),),
+    'MAP scales of their own': ((noise, 'MAP_PRIOR', noise.CONSERVATIVE_PRIOR),),
     'prior scales': ((posterior, 'STEPS', 0), (posterior, 'LAST_STEPS', 0)),
     'variance components': ((posterior._System, 'with_noise', lambda self, *args: self.noise),),
     'starts from subsets': ((pipeline, 'SUBSETS', 0),),

@@ -28,7 +28,7 @@ from handeye_ros.estimation.consensus import consensus, SUBSETS
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate, UNUSED
 from handeye_ros.estimation.noise import Noise
-from handeye_ros.estimation.solution import evaluate, fitted
+from handeye_ros.estimation.search import evaluate, fit
 from handeye_ros.frames import mounted
 from handeye_ros.se3 import transform
 from handeye_ros.simulate import Scenario, settings, simulate_samples
@@ -134,7 +134,7 @@ def from_truth(problem: Problem, truth: Estimate) -> float:
     p = problem.points_in_base(truth.X)
     obs = problem.method.geometry.relabel(problem.observations, p, truth.target, problem.config)
     problem = replace(problem, observations=obs.select(obs.kind != UNUSED))
-    solution = evaluate(problem, fitted(problem, truth, Noise()), Noise())
+    solution = evaluate(problem, fit(problem, truth, Noise()), Noise())
     return float(solution.white @ solution.white)
 
 

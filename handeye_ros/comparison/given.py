@@ -6,10 +6,10 @@ from typing import Any, Protocol, TypeVar
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation import solution
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise
+from handeye_ros.estimation.search import fit
 from handeye_ros.files.method import FileMethod
 from handeye_ros.files.outcome import plane_axes
 from handeye_ros.frames import sensor_axes
@@ -101,7 +101,7 @@ class Stations:
         known = self.known
         part = known.problem.subset(fitted)
         given = _GivenTransform(part.method, part.poses, part.observations, part.config)
-        estimate = solution.fitted(given, Estimate(X, known.estimate.target), known.noise)
+        estimate = fit(given, Estimate(X, known.estimate.target), known.noise)
         points = measured_points(self.samples, known.problem)
         return points.select(np.isin(points.station, measured)).residuals(known.problem, estimate)
 

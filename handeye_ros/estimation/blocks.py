@@ -2,7 +2,7 @@
 Blocks of nuisance parameters: what may be wrong beside the noise (docs/estimator.md, section 2).
 
 With residuals r + J xi + sum of K_b n_b = e, a block gives the columns K_b by its parameters, each
-of a normal prior about nothing. How large they are, over that prior, is estimated (see scales).
+of a normal prior about nothing. How large they are, over that prior, is estimated (see noise).
 
 A new block is one more source: a function that gets the problem linearised at the first estimate,
 and returns a function that gives the blocks at any later one. Those of all targets are in SOURCES,

@@ -4,6 +4,11 @@ Which stations can be believed.
 The first guess that explains nearly all stations is taken. Otherwise further guesses, and those of
 random subsets, compete by how well all stations are explained. Then stations are dropped one by
 one, worst first.
+
+Of few stations one may be wrong without being seen to be, (10) of estimator.md. That a station is
+wrong, by a small error of its pose, and that all are right are weighed against each other (Box and
+Tiao 1968, Biometrika 55:119), with noise and blocks as configured: were these grown until they
+explain it, a wrong station would hide.
 """
 from __future__ import annotations
 
@@ -14,20 +19,31 @@ from operator import attrgetter
 
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation.influence import contamination
 from handeye_ros.estimation.linearise import MANY, Problem
 from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.noise import Noise
-from handeye_ros.estimation.outliers import GROSS, outliers, shared_scale
-from handeye_ros.estimation.posterior import map_solution
-from handeye_ros.estimation.search import far, LARGEST_SQUARE, Refined, refined, unused_essential
-from handeye_ros.estimation.solution import evaluate, fitted, Solution, station_statistic
+from handeye_ros.estimation.noise import Noise, whitening
+from handeye_ros.estimation.outliers import chi2_sf, GROSS, outliers, shared_scale
+from handeye_ros.estimation.posterior import evaluated, map_solution
+from handeye_ros.estimation.search import (
+    evaluate,
+    far,
+    fit,
+    LARGEST_SQUARE,
+    Refined,
+    refined,
+    unused_essential,
+)
+from handeye_ros.estimation.solution import Solution, station_statistic
 import numpy as np
 from numpy.typing import NDArray
 
 SUBSETS, SUBSET_SIZE = 20, 6
 FAST_STARTS = 2
 MOST_FREEDOM = 6  # of a station's residuals: a pose has no more
+POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # of a wrong station (m, rad; 1 sigma of each axis)
+WRONG = 0.05  # prior odds of each station being wrong against none
+SURE = 100.0  # posterior odds of one station being wrong, from which it is dropped
+EXPLAINED = 0.2  # p-value of the squares of the others, below which more than one is wrong
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +130,7 @@ def without_outliers(trial: Refined) -> Consensus:
     estimate = trial.estimate
     while True:
         part = trial.problem.subset(used)
-        estimate = fitted(part, estimate, Noise())
+        estimate = fit(part, estimate, Noise())
         solution = evaluate(part, estimate, Noise())
         mean_square, freedom = _mean_squares(solution)
         scaled = mean_square / shared_scale(mean_square, freedom)
@@ -163,3 +179,78 @@ def _mean_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
     """
     statistic, count = station_statistic(solution)
     return statistic / np.maximum(count, 1), np.clip(count, 1, MOST_FREEDOM)
+
+
+@dataclass(frozen=True, eq=False)
+class Contamination:
+    """
+    The probability of each station being wrong, and by how much it then moves the transform.
+
+    Of (10) probability: (n,) p_i; shifts: (n, 6) m_i; covariances: (n, 6, 6) S_i; rest:
+    (n,) the p-value of the squared residuals that then remain.
+    """
+
+    probability: Array
+    shifts: Array
+    covariances: Array
+    rest: Array
+
+    @property
+    def worst(self) -> int | None:
+        """Return the station that is surely wrong, all others being right, None if none is."""
+        worst = int(np.argmax(self.probability))
+        conclusive = self.probability[worst] > SURE * (1 - self.probability[worst])
+        return worst if conclusive and self.rest[worst] > EXPLAINED else None
+
+    @property
+    def of_any(self) -> float:
+        """Return the probability that one of the stations is wrong."""
+        return float(self.probability.sum())
+
+    @property
+    def covariance(self) -> Array:
+        """Return the term (6, 6) of the covariance of the transform, (10)."""
+        moved = self.covariances + self.shifts[:, :, None] * self.shifts[:, None, :]
+        return np.asarray(np.tensordot(self.probability, moved, 1))
+
+
+def contamination(solution: Solution, dropped: int) -> Contamination | None:
+    """
+    Return which station of a solution may be wrong, None of very many.
+
+    From MANY on this fades, to nothing at twice as many. dropped: how many are known to have
+    been wrong, which makes another one likelier.
+    """
+    n = len(solution.problem.poses)
+    weight = min(1.0, 2 - n / MANY)
+    if weight <= 0:
+        return None
+    configured = evaluated(solution.problem, solution.estimate, Noise())
+    white = whitening(configured.linear, configured.noise)
+    wrong = white(configured.linear.by_pose * POSE_ERROR)
+    log_odds, explained = np.empty((2, n))
+    shifts, covariances = np.empty((n, 6)), np.empty((n, 6, 6))
+    for at in configured.problem.stations:
+        i = configured.problem.observations.station[at.rows[:, 0]]
+        K, J = wrong[at.rows], configured.jacobian[at.rows]
+        across = np.swapaxes(J, 1, 2) @ K
+        moved = configured.covariance @ across
+        inside = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(across, 1, 2) @ moved
+        slope = np.einsum('sci,sc->si', K, configured.white[at.rows])
+        size = np.linalg.solve(inside, slope[..., None])
+        explained[i] = (slope * size[..., 0]).sum(axis=1)
+        log_odds[i] = (explained[i] - np.linalg.slogdet(inside)[1]) / 2
+        to_transform = moved[:, :6]
+        shifts[i] = (to_transform @ size)[..., 0]
+        covariances[i] = to_transform @ np.linalg.solve(inside, np.swapaxes(to_transform, 1, 2))
+    log_odds += np.log(WRONG + dropped / (n + dropped))
+    freedom = max(configured.degrees_of_freedom - len(POSE_ERROR), 1)
+    return Contamination(weight * _probabilities(log_odds), shifts, covariances,
+                         chi2_sf(np.maximum(configured.squares - explained, 0.0), freedom))
+
+
+def _probabilities(log_odds: Array) -> Array:
+    """Return the probabilities (n,) of exclusive cases, by their log odds against none of them."""
+    most = max(0.0, float(log_odds.max()))
+    odds = np.exp(log_odds - most)
+    return np.asarray(odds / (np.exp(-most) + odds.sum()))

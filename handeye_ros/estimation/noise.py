@@ -1,15 +1,16 @@
 """
-What the noise makes of the residuals: their covariances, and the map that makes them white.
+The noise: covariances of the residuals, (3), what makes them white, and the scales of priors, (6).
 
-The error of a condition has two parts: the feature's own, and that of the station's pose, which
-all observations of the station share. Both are whitened together. Blocks, which all stations
-share, are unknowns of the solution (see posterior); while it is searched for they count as errors
-of each station by itself.
+Blocks, which all stations share, are unknowns of the solution (see posterior); during the search
+they count as errors of each station by itself. The scale of a block's parameters, their standard
+deviation over the configured one, has a half-t prior (Gelman 2006, Bayesian Analysis 1:515). The
+most likely scale is zero as soon as few parameters are small by chance: it is summed over.
 """
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
@@ -18,11 +19,28 @@ from handeye_ros.estimation.linearise import Linear
 import numpy as np
 from numpy.typing import NDArray
 
-SMALLEST_STD = 1e-9  # of a feature without any noise, which would weigh infinitely (m)
 TURN_LENGTH = 0.3  # over which an error of the robot's joints turns as much as it shifts (m)
 LOCAL = 0.6  # of the distortion, which differs from station to station: speckle, and waves
 PRIOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
-ROUNDING = 1e-12  # keeps a covariance invertible that one pose error rules
+
+SCALES = np.geomspace(0.001, 1e4, 43)  # of blocks, that are summed over
+VARIANCES = np.square(SCALES)
+LOGARITHMS = np.log(VARIANCES)
+
+
+def _prior(freedom: float, scale: float) -> Array:
+    """Return the logarithm of the half-t prior of SCALES, by equal steps of their logarithm."""
+    return np.asarray(np.log(SCALES) - (freedom + 1) / 2 * np.log1p(
+        VARIANCES / (freedom * scale ** 2)))
+
+
+# For the report: as configured in the mean square, and with some chance several times as much.
+CONSERVATIVE_PRIOR = _prior(3.0, 0.8)
+# The same for a block of one parameter: one value says little about a scale. Not Cauchy's: with
+# it a sigma grows by half and more as samples come that fit (see estimator.md).
+SINGLE_PRIOR = _prior(2.0, 0.8)
+# For the estimate: zero, unless the data show something.
+MAP_PRIOR = _prior(1.0, 0.01)
 
 
 @dataclass(frozen=True)
@@ -65,18 +83,11 @@ class Whitening:
 
     def __call__(self, values: Array) -> Array:
         """Return (m, ...) values with unit covariance."""
-        if len(self.rows) == 1:  # all rows, in their order
-            return _white(self.factors[0], values)
-        white = np.empty_like(values)
+        white = np.empty(values.shape)
         for rows, factor in zip(self.rows, self.factors, strict=True):
-            white[rows.ravel()] = _white(factor, values[rows.ravel()])
+            at = slice(None) if len(self.rows) == 1 else rows.ravel()  # all, in their order
+            white[at] = (factor @ values[at].reshape(*rows.shape, -1)).reshape(values[at].shape)
         return white
-
-
-def _white(factor: Array, values: Array) -> Array:
-    """Return (n * c, ...) values of n stations, whitened by factor (n, c, c)."""
-    by_station = values.reshape(*factor.shape[:2], -1)
-    return np.asarray((factor @ by_station).reshape(values.shape))
 
 
 def covariances(linear: Linear, at: Stations) -> Array:
@@ -96,10 +107,9 @@ def covariances(linear: Linear, at: Stations) -> Array:
 
 def total_covariance(linear: Linear, at: Stations, noise: Noise) -> Array:
     """
-    Return the covariance (stations, c, c), (3), and that of the blocks where these are lumped.
+    Return the covariance (stations, c, c), (3), with that of the blocks where they are lumped.
 
-    Lumped are the distortion (smooth: points near each other in the sensor plane share it), the
-    robot's smooth error, and the errors of the target's own.
+    These are the sensor's distortion, the robot's smooth error, and the target's own.
     """
     problem, config = linear.problem, linear.problem.config.noise
     total = _feature(linear, at)
@@ -127,7 +137,7 @@ def _feature(linear: Linear, at: Stations) -> Array:
         feature[:, every, every] = np.einsum('sck,sck->sc', factor, factor)
     else:
         feature = _squared(factor) * at.shared
-    feature[:, every, every] += SMALLEST_STD ** 2
+    feature[:, every, every] += 1e-9 ** 2  # m; without any noise it would weigh infinitely
     return feature
 
 
@@ -156,8 +166,96 @@ def whitening(linear: Linear, noise: Noise) -> Whitening:
 
 def inverse_roots(covariance: Array) -> Array:
     """Return the whitening factors (n, c, c) of covariances (n, c, c)."""
-    every = np.arange(covariance.shape[1])
-    own = covariance[:, every, every]
-    regular = covariance.copy()
-    regular[:, every, every] += ROUNDING * own.sum(axis=1)[:, None]
+    trace = np.einsum('nii->n', covariance)[:, None, None]
+    regular = covariance + 1e-12 * trace * np.eye(covariance.shape[1])  # of rank 6 at many points
     return np.asarray(np.linalg.inv(np.linalg.cholesky(regular)))
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """
+    The prior scales of d blocks, as variances over the configured ones.
+
+    before: (d,) their variances so far; evidence: (s, d) log likelihood (6) at each of SCALES;
+    fitted: (s, d) the gain, the first term of (6); square: (s, d) sum of the second moments of the
+    parameters there; single: (d,) whether a block has one parameter only.
+    """
+
+    before: Array
+    evidence: Array
+    fitted: Array
+    square: Array
+    single: NDArray[np.bool_]
+
+    @cached_property
+    def map_scales(self) -> Array:
+        """Return the variances (d,) for the estimate."""
+        grown = _matched(MAP_PRIOR[:, None] + self.evidence, self.fitted)
+        return np.where(self._waiting, np.minimum(grown, self.before), grown)
+
+    @cached_property
+    def conservative(self) -> Array:
+        """Return the variances (d,) for the report."""
+        conservative = _matched(self._prior + self.evidence, self.square)
+        return np.where(self._waiting, self.before, conservative)
+
+    @cached_property
+    def _waiting(self) -> NDArray[np.bool_]:
+        """
+        Return which of the blocks of one parameter (d,) do not grow while another one does.
+
+        Two of them may explain the same, and were both large, neither would seem needed: the one
+        that explains most grows first. One grows if its variance more than doubles.
+        """
+        each = _matched(self._prior + self.evidence, self.square)
+        growing = self.single & (each > 2.0 * self.before)
+        if growing.sum() < 2:
+            return np.zeros(len(growing), dtype=bool)
+        # how much likelier the data are over all scales than at that before
+        present = np.array([np.interp(np.log(own), LOGARITHMS, of_block) for own, of_block
+                            in zip(self.before, self.evidence.T, strict=True)])
+        gain = np.logaddexp.reduce(
+            self._prior - np.logaddexp.reduce(self._prior) + self.evidence) - present
+        growing[np.argmax(np.where(growing, gain, -np.inf))] = False
+        return growing
+
+    @cached_property
+    def _prior(self) -> Array:
+        return np.where(self.single, SINGLE_PRIOR[:, None], CONSERVATIVE_PRIOR[:, None])
+
+
+def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], size: Array,
+                 largest: Array) -> Scales:
+    """
+    Return the scales of blocks, (6).
+
+    value (q,) and covariance (q, q) of their parameters in units of their sigma, when the variance
+    of each block is size (d,) times the configured one; first: (d,) ascending, where the
+    parameters of each begin; largest: (d,) bound of the variance.
+    """
+    counts = np.diff([*first, len(value)])
+    ratios, along = np.empty(len(value)), np.empty(len(value))  # posterior over prior variance
+    for start, count in zip(first.tolist(), counts.tolist(), strict=True):
+        block = slice(start, start + count)
+        ratios[block], axes = np.linalg.eigh(covariance[block, block])
+        along[block] = axes.T @ value[block]
+    ratios = np.clip(ratios, 1e-12, 1 - 1e-9)
+    present = np.repeat(size, counts)
+    # what the data alone say, all other unknowns free: information and its gradient
+    information, gradient = (1 / ratios - 1) / present, along / (ratios * np.sqrt(present))
+    v = VARIANCES[:, None]
+    f = 1 + v * information
+    posterior = v / f
+    fitted = posterior * gradient ** 2
+    evidence = 0.5 * np.add.reduceat(fitted - np.log(f), first, axis=1)
+    evidence[v > largest] = -np.inf
+    square = np.add.reduceat(posterior * (1 + fitted), first, axis=1)
+    return Scales(size, evidence, np.add.reduceat(fitted, first, axis=1), square, counts == 1)
+
+
+def _matched(posterior: Array, moment: Array) -> Array:
+    """Return the variances (d,) whose moments are the means of those (s, d) of all scales."""
+    weights = np.exp(posterior - posterior.max(axis=0))
+    means = (weights * moment).sum(axis=0) / weights.sum(axis=0)
+    return np.exp([np.interp(mean, of_block, LOGARITHMS)
+                   for mean, of_block in zip(means, moment.T, strict=True)])

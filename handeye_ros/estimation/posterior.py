@@ -5,7 +5,7 @@ With whitened residuals r + J xi + K n = e, parameters n and noise e of unit var
 squares of [J K; 0 I] give the best linear unbiased xi (Henderson 1975, Biometrics 31:423). The
 variances of the noise are estimated by restricted maximum likelihood in multiplicative fixed-point
 steps (Patterson and Thompson 1971, Biometrika 58:545), held to the configured ones by a weak
-prior; how large the parameters are, from prior and likelihood (see scales).
+prior; how large the parameters are, from prior and likelihood (see noise).
 
 The estimate and its reported covariance are made with different prior scales: a parameter that the
 data show nothing of should not move the answer, but it may well be there.
@@ -21,20 +21,22 @@ from handeye_ros.estimation.blocks import ParameterBlock, prepared
 from handeye_ros.estimation.linalg import FactoredJacobian, from_information
 from handeye_ros.estimation.linearise import Linear, linearise, MANY, Problem, State
 from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.noise import covariances, Noise, PRIOR_FREEDOM, Whitening, whitening
-from handeye_ros.estimation.scales import prior_scales, Scales
+from handeye_ros.estimation.noise import (
+    covariances,
+    Noise,
+    PRIOR_FREEDOM,
+    prior_scales,
+    Scales,
+    Whitening,
+    whitening,
+)
 from handeye_ros.estimation.solution import columns_of, Solution
 import numpy as np
 from numpy.typing import NDArray
 
-ROUNDS = 10  # of linearising
-STEPS, LAST_STEPS = 2, 3  # of estimating sizes in each round, and after the last
-STEADY_NOISE = 0.1  # the same, of the noise, on the way
+STEPS, LAST_STEPS = 2, 3  # of estimating scales in each round, and after the last
 CONVERGED = 0.03  # step in sigmas; relative change of a variance
-DIVERGED = 4.0  # of a step over the smallest before
-SIZING = 1  # rounds in which a block may turn out so large that the step grows
-MAP = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # factors that an estimate is best made with
-SMALLEST, LARGEST = 1e-4, 1e8
+MAP_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
 
 
 def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) -> Solution:
@@ -58,19 +60,19 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) 
 
 
 def _approached(system: _System) -> tuple[_System, bool]:
-    """Return the system at its solution, and whether the way there led astray and was left."""
+    """Return the system at its solution, and whether its steps diverged and it was left."""
     least, best, resting = np.inf, system, False
-    for count in range(ROUNDS):
+    for count in range(10):  # of linearising
         x, covariance = system.solved
         size = float(np.abs(x[:system.u] / np.sqrt(np.diag(covariance)[:system.u])).max())
-        astray = size > DIVERGED * max(least, 1.0)
-        if astray and count > SIZING:
+        astray = size > 4.0 * max(least, 1.0)
+        if astray and count > 1:  # before, a block may turn out so large that the step grows
             return best, True
         best, least = best if astray else system, min(size, least)
         state = system.moved(x)
         noise, before = system.with_noise(x, covariance), system.noise.factors
         change = np.abs(np.log(noise.factors / before)).max()
-        there, steady = system.at(state, noise), change < STEADY_NOISE
+        there, steady = system.at(state, noise), change < 0.1
         system = there if resting and steady else there.sized(STEPS)[0]
         resting = system is there
         if size < CONVERGED and steady:
@@ -98,9 +100,9 @@ class _System:
     """
     The whitened least squares at an estimate, (4).
 
-    r: (m,), of which the blocks are not taken out; columns: derivatives by u unknowns and by q
-    nuisance parameters in prior sigmas; gradient: (u + q,) by all of them; group: (q,) the
-    block of each parameter.
+    r: (m,) whitened residuals without nuisance parameters; columns: derivatives by u unknowns and
+    q nuisance parameters in prior sigmas; gradient: (u + q,) by all of them; group: (q,) the block
+    of each parameter.
     """
 
     state: State
@@ -200,7 +202,7 @@ class _System:
 
     def with_noise(self, x: Array, covariance: Array, believed: Array | float = 1.0) -> Noise:
         """Return the noise with the factors that residuals show, held to those believed, (7)."""
-        sums, columns = np.zeros((len(MAP), 2)), self.columns.scaled(self.scales)
+        sums, columns = np.zeros((len(MAP_FACTORS), 2)), self.columns.scaled(self.scales)
         every = -(-len(self.problem.poses) // MANY)
         for stations, factors in zip(self.problem.stations, self.white.factors, strict=True):
             at, root = stations.every(every), factors[::every]
@@ -214,7 +216,7 @@ class _System:
         sums *= before[:, None]
         after = before * (sums[:, 0] + PRIOR_FREEDOM * believed / before) / (
             np.maximum(sums[:, 1], 0.0) + PRIOR_FREEDOM)
-        return self.noise.with_factors(np.clip(after, SMALLEST, LARGEST))
+        return self.noise.with_factors(np.clip(after, 1e-4, 1e8))
 
     def moved(self, x: Array) -> State:
         """Return the state moved by a solution."""
@@ -241,7 +243,7 @@ class _System:
         likely, wide = (self, self) if found is None else (
             self.with_sizes(found.map_scales), self.with_sizes(found.conservative))
         for _ in range(LAST_STEPS):
-            likely = likely.weighed(likely.with_noise(*likely.solved, MAP))
+            likely = likely.weighed(likely.with_noise(*likely.solved, MAP_FACTORS))
         there = self.at(likely.moved(likely.solved[0]), likely.noise)
         wide = there.weighed(wide.noise)
         return replace(there.solution(), conservative=wide.solution())

@@ -9,19 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.linearise import linearise, Problem
+from handeye_ros.estimation.linalg import covariance_of
+from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate, UNUSED
-from handeye_ros.estimation.noise import Noise
-from handeye_ros.estimation.solution import evaluate, system, Weighed, weighed
+from handeye_ros.estimation.noise import Noise, Whitening, whitening
+from handeye_ros.estimation.solution import columns_of, Solution
 from handeye_ros.estimation.solver import (
     believed,
     BELIEVED_SHARE,
     graduated,
+    least_squares,
     many_least_squares,
     reweighted,
+    Rows,
     States,
+    System,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -182,3 +187,47 @@ def different(X: Array) -> list[int]:
         if not kept or np.abs(X[kept] - X[i]).max(axis=(1, 2)).min() > SAME:
             kept.append(i)
     return kept
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A problem linearised at an estimate, weighed by a noise as soon as that is asked for."""
+
+    linear: Linear
+    noise: Noise
+
+    @cached_property
+    def white(self) -> Whitening:
+        """Return the map to residuals of unit covariance."""
+        return whitening(self.linear, self.noise)
+
+
+def weighed(problem: Problem, estimate: Estimate, noise: Noise) -> Weighed:
+    """Return a problem linearised at an estimate, to be weighed by a noise."""
+    return Weighed(linearise(problem, estimate), noise)
+
+
+def system(problem: Problem, noise: Noise) -> System[Weighed]:
+    """Return what is to be made small; a station is a block."""
+    def rows(at: Weighed) -> Rows:
+        return Rows(at.linear.residuals, lambda: at.linear.jacobian[:, problem.columns],
+                    lambda: at.white)
+
+    def moved(at: Weighed, step: Array) -> Weighed:
+        return weighed(problem, problem.retracted(at.linear.estimate, step), noise)
+    return System(rows, moved, problem.observations.station)
+
+
+def fit(problem: Problem, start: Estimate, noise: Noise) -> Estimate:
+    """Return the estimate with the least squared whitened residuals."""
+    there = least_squares(system(problem, noise), weighed(problem, start, noise))
+    return there.linear.estimate
+
+
+def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
+    """Return the solution that an estimate is, with its covariance."""
+    linear = linearise(problem, estimate)
+    white = whitening(linear, noise)
+    r, J = white(linear.residuals), white(linear.jacobian[:, problem.columns])
+    return Solution(problem, estimate, noise, linear, r, columns_of(problem, J, 0),
+                    covariance_of(J))

@@ -7,57 +7,20 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import best_fit_motions, ParameterBlock, pose_corrections
-from handeye_ros.estimation.linalg import covariance_of, covering, FactoredJacobian
-from handeye_ros.estimation.linearise import Linear, linearise, Problem
+from handeye_ros.estimation.linalg import covering, FactoredJacobian, inverse
+from handeye_ros.estimation.linearise import Linear, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import (
     Noise,
     PRIOR_FREEDOM,
     total_covariance,
-    Whitening,
     whitening,
 )
 from handeye_ros.estimation.outliers import leave_own_out
-from handeye_ros.estimation.solver import least_squares, Rows, System
 import numpy as np
 from numpy.typing import NDArray
 
 SAME = 1e-3  # relative singular value of what a station says twice, but for its noise
-
-
-@dataclass(frozen=True, eq=False)
-class Weighed:
-    """A problem linearised at an estimate, weighed by a noise as soon as that is asked for."""
-
-    linear: Linear
-    noise: Noise
-
-    @cached_property
-    def white(self) -> Whitening:
-        """Return the map to residuals of unit covariance."""
-        return whitening(self.linear, self.noise)
-
-
-def weighed(problem: Problem, estimate: Estimate, noise: Noise) -> Weighed:
-    """Return a problem linearised at an estimate, to be weighed by a noise."""
-    return Weighed(linearise(problem, estimate), noise)
-
-
-def system(problem: Problem, noise: Noise) -> System[Weighed]:
-    """Return what is to be made small; a station is a block."""
-    def rows(at: Weighed) -> Rows:
-        return Rows(at.linear.residuals, lambda: at.linear.jacobian[:, problem.columns],
-                    lambda: at.white)
-
-    def moved(at: Weighed, step: Array) -> Weighed:
-        return weighed(problem, problem.retracted(at.linear.estimate, step), noise)
-    return System(rows, moved, problem.observations.station)
-
-
-def fitted(problem: Problem, start: Estimate, noise: Noise) -> Estimate:
-    """Return the estimate with the least squared whitened residuals."""
-    there = least_squares(system(problem, noise), weighed(problem, start, noise))
-    return there.linear.estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,15 +177,6 @@ class Solution:
         return corrected if problem.in_hand else se3.inverse(corrected)
 
 
-def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
-    """Return the solution that an estimate is, with its covariance."""
-    linear = linearise(problem, estimate)
-    white = whitening(linear, noise)
-    r, J = white(linear.residuals), white(linear.jacobian[:, problem.columns])
-    return Solution(problem, estimate, noise, linear, r, columns_of(problem, J, 0),
-                    covariance_of(J))
-
-
 def columns_of(problem: Problem, own: Array, axes: int) -> FactoredJacobian:
     """Return derivatives, the last axes of own (m, c + axes) by the robot's smooth errors."""
     nothing = np.empty((len(problem.poses), 0))
@@ -246,3 +200,36 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
         left_out = leave_own_out(explained, r)
         statistic[station[rows[:, 0]]] = (r * left_out).sum(axis=1)
     return statistic, np.bincount(station, minlength=n)
+
+
+def predictions(solution: Solution, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
+    """
+    Return the estimates from all stations but those of a fold, for each fold, to first order.
+
+    fold: (n,) from 0, that each station is of. And the poses (n, 4, 4) of the stations without
+    the smooth error of the robot that those of the other folds show.
+    """
+    problem, estimate, u = solution.problem, solution.estimate, solution.unknowns
+    folds = np.arange(fold.max() + 1)
+    steps = _steps_without_one(solution)[np.argsort(fold)] if len(folds) == len(fold) else (
+        np.array([_step_without(solution, np.flatnonzero(fold == k)) for k in folds]))
+    return ([problem.retracted(estimate, step) for step in steps[:, :u]],
+            solution.corrected_poses(solution.nuisance + steps[fold, u:]))
+
+
+def _steps_without_one(solution: Solution) -> Array:
+    """Return by how much the unknowns (n, u + q) differ without each of the stations."""
+    columns, station = solution.columns, solution.problem.observations.station
+    slopes = np.zeros((len(solution.problem.poses), columns.count))
+    for rows in columns.rows:
+        left_out = leave_own_out(columns.predicted_covariance(solution.covariance, rows),
+                                 solution.white[rows])
+        slopes[station[rows[:, 0]]] = columns.gradients(left_out, rows)
+    return slopes @ solution.covariance
+
+
+def _step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
+    """Return by how much the unknowns (u + q,) differ without some stations."""
+    columns, part = solution.columns, solution.columns.of(stations)
+    left = solution.information - columns.gram_of(part)
+    return inverse(left) @ columns.gradient_of(solution.white, part)

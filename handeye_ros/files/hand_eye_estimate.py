@@ -14,8 +14,7 @@ from handeye_ros import se3
 from handeye_ros.checks.consistency import SMALLEST_TURN, turning
 from handeye_ros.checks.errors import OneAxisError, OneOrientationError
 from handeye_ros.data import Array
-from handeye_ros.estimation.outliers import adjust, Adjusted
-from handeye_ros.estimation.scales import first_variances, variance_components
+from handeye_ros.estimation.outliers import adjust, Adjusted, first_variances, variance_components
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.hand_eye_model import (
     causes,

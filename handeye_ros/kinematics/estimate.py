@@ -15,8 +15,8 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import pose_features, process_root
 from handeye_ros.estimation.linalg import covariance_of
+from handeye_ros.estimation.noise import prior_scales, Scales
 from handeye_ros.estimation.outliers import leave_one_out, outliers
-from handeye_ros.estimation.scales import prior_scales, Scales
 from handeye_ros.estimation.solver import least_squares, Rows, System
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.points import Points, State

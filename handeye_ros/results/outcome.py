@@ -17,10 +17,9 @@ from handeye_ros.checks.shape import (
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport
 from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.influence import predictions
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.solution import predictions, Solution
 from handeye_ros.frames import mount_frame, name_direction, sensor_axes
 import numpy as np
 from numpy.typing import NDArray

@@ -16,15 +16,10 @@ from cells import (
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import TooUncertainError
 from handeye_ros.config import with_values
-from handeye_ros.estimation.influence import predictions
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import covariances, Noise
-from handeye_ros.estimation.solution import (
-    evaluate,
-    fitted,
-    Solution,
-    station_statistic,
-)
+from handeye_ros.estimation.search import evaluate, fit
+from handeye_ros.estimation.solution import predictions, Solution, station_statistic
 from handeye_ros.results.outcome import measured_points
 import numpy as np
 import pytest
@@ -114,7 +109,7 @@ def test_residuals_without_a_station_are_those_of_a_real_refit(name: str) -> Non
 
 def refit_without(solution: Solution, station: int) -> Estimate:
     others = np.setdiff1d(np.arange(len(solution.problem.poses)), [station])
-    return fitted(solution.problem.subset(others), solution.estimate, Noise())
+    return fit(solution.problem.subset(others), solution.estimate, Noise())
 
 
 @every_method
@@ -145,7 +140,7 @@ def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
     squares, own = [], []
     for station in range(len(ordered)):
         others = np.setdiff1d(np.arange(len(ordered)), [station])
-        refit = fitted(solution.problem.subset(others), solution.estimate, solution.noise)
+        refit = fit(solution.problem.subset(others), solution.estimate, solution.noise)
         mine = measured.select(measured.station == station)
         squares.append(mine.residuals(solution.problem, refit) ** 2)
         own.append(mine.residuals(solution.problem, solution.estimate) ** 2)

@@ -17,7 +17,7 @@ from handeye_ros.data import Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import consensus, refine
 from handeye_ros.estimation.noise import Noise
-from handeye_ros.estimation.solution import evaluate
+from handeye_ros.estimation.search import evaluate
 from handeye_ros.results.truth_errors import errors_against
 from handeye_ros.simulate import FAULTS, SCENARIOS, settings, simulate, simulate_samples
 import numpy as np

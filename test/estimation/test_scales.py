@@ -1,7 +1,7 @@
 """The scales of priors: what the data show of a block, and no more."""
 from __future__ import annotations
 
-from handeye_ros.estimation.scales import prior_scales
+from handeye_ros.estimation.noise import prior_scales
 import numpy as np
 
 

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.scales import first_variances, variance_components
+from handeye_ros.estimation.outliers import first_variances, variance_components
 import numpy as np
 import pytest
 
