@@ -1,11 +1,13 @@
 """
 Smooth functions of few coefficients: of the sensor's plane, of a surface, of the robot's poses.
 
-What the unknowns of the problem absorb anyway (a motion of the sensor, a tilt of the surface) is
-taken out of them. And the best-fit transform under such errors, (9) of estimator.md: where a robot
-errs differently from station to station, or a sensor's field is bent, no transform is right. The
-one that maps the points of the field of view best, at all stations and but for a motion of the
-target, is another than that of the mount; how far it lies from it follows from the parameters.
+They are orthogonal to what the unknowns of the problem absorb anyway: a motion of the sensor, a
+tilt of the surface.
+
+Also the best-fit transform under such errors, (9) of estimator.md. Where the robot's error differs
+from station to station, or the sensor's field is distorted, no single transform is right. The one
+that maps the points of the field of view best, over all stations and up to a motion of the target,
+differs from that of the mount by a linear function of the parameters.
 """
 from __future__ import annotations
 
@@ -18,12 +20,9 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-ALIKE_POSITION = 1.0  # poses this far apart (m), or turned this far (rad), share half the error
-ALIKE_ROTATION = 1.4
-SAME_PLACE = 0.006  # of these lengths: nearer poses err alike
-ALIKE_TIME, MOST_TIMES = 0.5, 48  # s over which half of an error in time is alike; of these
-MOST_BASIS = 24  # that span the robot's error
-FIELD, GRID = 1.25, 11  # how far the field of view goes beyond the points; its points each way
+# Distances at which the robot's errors have the correlation 0.5: m, rad, s.
+POSITION_LENGTH, ROTATION_LENGTH, TIME_LENGTH = 1.0, 1.4, 0.5
+FIELD = 1.25  # size of the field of view over that of the box of the points
 
 
 def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> list[Array]:
@@ -32,7 +31,7 @@ def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> list[Array]:
 
 
 def _products(u: Array, v: Array, degrees: Sequence[int]) -> list[Array]:
-    """Return the polynomials of u and v (m,) that go from -1 to 1 where they are of RMS 1."""
+    """Return the same for u and v (m,) over the interval -1 to 1, where the RMS is 1."""
     norm = np.sqrt(2 * np.arange(max(degrees) + 1) + 1)
     a, b = (legendre.legvander(w, max(degrees)) * norm for w in (u, v))
     return [a[:, :degree + 1] * b[:, degree::-1] for degree in degrees]
@@ -44,7 +43,7 @@ def _normalised(w: Array) -> Array:
 
 
 def without(columns: Array, absorbed: Array) -> Array:
-    """Return columns (m, k) without what absorbed (m, j) explains of them."""
+    """Return columns (m, k) projected onto the complement of the columns of absorbed (m, j)."""
     length = np.linalg.norm(absorbed, axis=0)
     absorbed = absorbed[:, length > 0] / length[length > 0]
     inverse = np.linalg.pinv(absorbed.T @ absorbed, rcond=1e-10, hermitian=True)
@@ -53,9 +52,10 @@ def without(columns: Array, absorbed: Array) -> Array:
 
 def bending(points: Array, degrees: Sequence[int]) -> list[Array]:
     """
-    Return fields (m, 2, k) over points (m, 2) of the sensor plane, together of RMS 1 each way.
+    Return displacement fields (m, 2, k) at points (m, 2) of the sensor plane, one per degree.
 
-    A list, by the degrees of the polynomials. No motion of the plane in itself is in them.
+    The k fields of one degree have RMS 1 together along each axis, and contain no rigid motion of
+    the plane.
     """
     terms = polynomials(points[:, 0], points[:, 1], degrees)
     deformation = without(_each_way(terms), _rigid(points - points.mean(axis=0)))
@@ -65,13 +65,13 @@ def bending(points: Array, degrees: Sequence[int]) -> list[Array]:
 
 def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
     """
-    Return the motion (3, k) of a plane that fits each bending of it best, for (9).
+    Return the rigid motion (3, k) of the plane that fits each field of bending best, for (9).
 
     Along x and z, and the turn about the origin: over the field of view, less the one that fits
-    the points (m, 2) best. The field is FIELD times the box of these, which are means of many and
-    lie inside it.
+    the points (m, 2) best. The field of view is FIELD times the box of these points, which are
+    means of many and lie inside it.
     """
-    across = np.linspace(-FIELD, FIELD, GRID)
+    across = np.linspace(-FIELD, FIELD, 11)
     u, v = (w.ravel() for w in np.meshgrid(across, across))
     terms = polynomials(points[:, 0], points[:, 1], degrees)
     fitted = [np.linalg.lstsq(_rigid(where), _each_way(some), rcond=None)[0]
@@ -103,9 +103,9 @@ def _each_way(terms: Sequence[Array]) -> Array:
     return both.reshape(2 * m, -1)
 
 
-def bent_surface(p: Array, here: NDArray[np.bool_], degrees: Sequence[int]) -> list[Array]:
-    """Return heights (m, k), together of RMS 1, over a surface through the points p[here]."""
-    points = p[here]
+def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]) -> list[Array]:
+    """Return heights (m, k), together of RMS 1, over the plane through points p[on_surface]."""
+    points = p[on_surface]
     if len(points) <= 3:
         return [np.zeros((len(p), 0))] * len(degrees)
     centred = points - points.mean(axis=0)
@@ -114,68 +114,70 @@ def bent_surface(p: Array, here: NDArray[np.bool_], degrees: Sequence[int]) -> l
     some = polynomials(u, v, degrees)
     flat = np.column_stack([np.ones(len(u)), u, v])
     terms = np.zeros((len(p), sum(part.shape[1] for part in some)))
-    terms[here] = without(np.concatenate(some, axis=1), flat)
+    terms[on_surface] = without(np.concatenate(some, axis=1), flat)
     return _each_of_unit_size(terms, [part.shape[1] for part in some], 1)
 
 
 def _each_of_unit_size(columns: Array, counts: Sequence[int], ways: int) -> list[Array]:
-    """Return columns (..., ways * sum of counts) in parts, each in units of its share."""
+    """Return columns (..., ways * sum of counts) split by counts, the RMS of each part 1."""
     parts = np.split(columns, ways * np.cumsum(counts)[:-1], axis=-1)
     return [part / count ** 0.5 for part, count in zip(parts, counts, strict=True)]
 
 
 def pose_features(poses: Array) -> Array:
-    """Return where poses (n, 4, 4) are, (n, 6), in units over which the robot's error is alike."""
+    """Return positions and rotation vectors (n, 6) of poses (n, 4, 4) over the lengths above."""
     rotations = Rotation.from_matrix(poses[:, :3, :3])
     vectors = (rotations.mean().inv() * rotations).as_rotvec()
-    return np.concatenate([poses[:, :3, 3] / ALIKE_POSITION, vectors / ALIKE_ROTATION], axis=1)
+    return np.concatenate([poses[:, :3, 3] / POSITION_LENGTH, vectors / ROTATION_LENGTH], axis=1)
 
 
 def kernel(a: Array, b: Array) -> Array:
-    """Return the correlations (n, k) of smooth errors at places (n, 6) and (k, 6)."""
+    """Return the rational quadratic correlations (n, k) at pose features (n, 6) and (k, 6)."""
     squared = ((a[:, None] - b[None]) ** 2).sum(axis=2)
     return np.asarray(1.0 / (1.0 + squared))
 
 
-def process_root(place: Array) -> Array:
+def process_root(features: Array) -> Array:
     """
-    Return the root (n, k) of the covariance of a smooth process of unit variance at places.
+    Return a square root (n, k) of the kernel at pose features (n, 6): k <= 24 basis functions.
 
-    A rational quadratic kernel, that is of many scales of length at once; of very many places it
-    is spanned by some (Nystroem).
+    Of many poses, 24 far apart span it (Nystroem).
     """
-    return _root(place, farthest_points(place, MOST_BASIS))
+    return _root(features, farthest_points(features, 24))
 
 
 def process_in_time(times: Array) -> Array:
-    """Return the same (n, k) of a process in time, at times (n,) in s."""
-    count = min(MOST_TIMES, len(times), 2 + int(np.ptp(times) / ALIKE_TIME))
+    """Return a square root (n, k) of the kernel at times (n,) in s, k <= 48."""
+    count = min(48, len(times), 2 + int(np.ptp(times) / TIME_LENGTH))
     evenly = np.linspace(times.min(), times.max(), count)
     nearest = np.abs(times - evenly[:, None]).argmin(axis=1)
-    return _root(times[:, None] / ALIKE_TIME, np.unique(nearest).tolist())
+    return _root(times[:, None] / TIME_LENGTH, np.unique(nearest).tolist())
 
 
-def _root(place: Array, chosen: list[int]) -> Array:
-    """Return the root (n, k) of the covariance at places (n, j), spanned by the chosen ones."""
-    some = place[chosen]
-    own = kernel(some, some)
-    values, vectors = np.linalg.eigh(own)
+def _root(features: Array, chosen: list[int]) -> Array:
+    """Return the root (n, k) of the kernel at features (n, j), spanned by the chosen rows."""
+    some = features[chosen]
+    values, vectors = np.linalg.eigh(kernel(some, some))
     keep = values > 1e-6 * values[-1]
-    return np.asarray(kernel(place, some) @ (vectors[:, keep] / np.sqrt(values[keep])))
+    return np.asarray(kernel(features, some) @ (vectors[:, keep] / np.sqrt(values[keep])))
 
 
-def farthest_points(place: Array, most: int) -> list[int]:
-    """Return the indices of at most so many places (n, 6) that are far from each other."""
+def farthest_points(features: Array, most: int) -> list[int]:
+    """
+    Return the indices of at most so many features (n, 6) that are far from each other.
+
+    Nearer ones than 0.006 (6 mm, 0.5 degrees) are the same pose taken again.
+    """
     chosen = [0]
-    nearest = ((place - place[0]) ** 2).sum(axis=1)
-    while len(chosen) < most and nearest.max() > SAME_PLACE ** 2:
+    nearest = ((features - features[0]) ** 2).sum(axis=1)
+    while len(chosen) < most and nearest.max() > 0.006 ** 2:
         chosen.append(int(np.argmax(nearest)))
-        nearest = np.minimum(nearest, ((place - place[chosen[-1]]) ** 2).sum(axis=1))
+        nearest = np.minimum(nearest, ((features - features[chosen[-1]]) ** 2).sum(axis=1))
     return chosen
 
 
 def of_mount(X: Array) -> Array:
-    """Return the motion (6, 3) of the mount by one of the sensor plane: along x, z, and turned."""
+    """Return the motion (6, 3) in the mount for motions of the sensor plane: along x, z, turn."""
     x, y, z = X[:3, :3].T
     none = np.zeros(3)
     return np.column_stack([np.append(x, none), np.append(z, none), np.append(none, y)])
@@ -183,11 +185,11 @@ def of_mount(X: Array) -> Array:
 
 def motions_by_poses(poses: Array, X: Array, field: Array, in_hand: bool) -> Array:
     """
-    Return by how much (6, n, 6) the best-fit transform moves with errors of the poses.
+    Return the derivatives (6, n, 6) of the best-fit transform by the errors of the poses.
 
-    field: (k, 2) points of the sensor plane over which it fits best. The error of a pose (of
-    poses (n, 4, 4), inverted unless in_hand) is as in Linear.by_pose: of the robot, in its base
-    frame, about the flange.
+    poses: (n, 4, 4), inverted unless in_hand; field: (k, 2) points of the sensor plane over which
+    the transform fits best. The error of a pose is as in Linear.by_pose: in the robot's base
+    frame, its rotation about the flange.
     """
     R, a = poses[:, None, :3, :3], poses[:, None, :3, 3]
     lever = field @ X[:3, [0, 2]].T
@@ -198,7 +200,7 @@ def motions_by_poses(poses: Array, X: Array, field: Array, in_hand: bool) -> Arr
     target = np.concatenate([-every, se3.skew(p)], axis=3)
     if in_hand:
         robot = np.concatenate([every, -se3.skew(p - a)], axis=3)
-    else:  # the poses are those of the base in the flange; the robot errs in its base
+    else:  # the poses are those of the base in the flange; the errors are in the base
         about = lever + X[:3, 3] + (np.swapaxes(R, 2, 3) @ a[..., None])[..., 0]
         robot = -R @ np.concatenate([every, -se3.skew(about)], axis=3)
     A = np.concatenate([mount, target], axis=3).reshape(len(R), -1, 12)

@@ -19,13 +19,12 @@ from handeye_ros.estimation.linearise import Linear
 import numpy as np
 from numpy.typing import NDArray
 
-TURN_LENGTH = 0.3  # over which an error of the robot's joints turns as much as it shifts (m)
-LOCAL = 0.6  # of the distortion, which differs from station to station: speckle, and waves
+TURN_LENGTH = 0.3  # m: a joint's error that turns the flange by 1 rad shifts it by so much
+LOCAL = 0.6  # of the distortion: what differs from station to station (speckle, waves of a face)
 PRIOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
 
 SCALES = np.geomspace(0.001, 1e4, 43)  # of blocks, that are summed over
 VARIANCES = np.square(SCALES)
-LOGARITHMS = np.log(VARIANCES)
 
 
 def _prior(freedom: float, scale: float) -> Array:
@@ -83,11 +82,17 @@ class Whitening:
 
     def __call__(self, values: Array) -> Array:
         """Return (m, ...) values with unit covariance."""
-        white = np.empty(values.shape)
+        if len(self.rows) == 1:  # all rows, in their order
+            return _white(self.factors[0], values)
+        white = np.empty_like(values)
         for rows, factor in zip(self.rows, self.factors, strict=True):
-            at = slice(None) if len(self.rows) == 1 else rows.ravel()  # all, in their order
-            white[at] = (factor @ values[at].reshape(*rows.shape, -1)).reshape(values[at].shape)
+            white[rows.ravel()] = _white(factor, values[rows.ravel()])
         return white
+
+
+def _white(factor: Array, values: Array) -> Array:
+    by_station = values.reshape(*factor.shape[:2], -1)
+    return np.asarray((factor @ by_station).reshape(values.shape))
 
 
 def covariances(linear: Linear, at: Stations) -> Array:
@@ -97,12 +102,12 @@ def covariances(linear: Linear, at: Stations) -> Array:
     The p parts: the features' two components, the distortion that differs from station to station,
     poses, and the values that poses depend on, where there are such.
     """
-    noise = linear.problem.config.noise
+    local, pose = _variances(linear.problem.config.noise)
     # no covariance between the components, so that any factors keep the sum positive
     values = () if linear.by_values is None else (_squared(at.of(linear.by_values)),)
     return np.array([*_feature(linear, at) * at.components,
-                     at.near * _squared(at.of(linear.by_point), _local(noise)),
-                     _squared(at.of(linear.by_pose), _pose(noise)), *values])
+                     at.near * _squared(at.of(linear.by_point), local),
+                     _squared(at.of(linear.by_pose), pose), *values])
 
 
 def total_covariance(linear: Linear, at: Stations, noise: Noise) -> Array:
@@ -115,7 +120,8 @@ def total_covariance(linear: Linear, at: Stations, noise: Noise) -> Array:
     total = _feature(linear, at)
     first, second = at.components
     total *= noise.feature * first + noise.feature_2 * second if at.mixed else noise.feature
-    distortion, robot = noise.local * _local(config), noise.robot * _pose(config)
+    local, pose = _variances(config)
+    distortion, robot = noise.local * local, noise.robot * pose
     if noise.lumped:
         distortion = distortion + config.distortion ** 2
         robot = robot + config.robot_smooth ** 2 * np.repeat([1.0, TURN_LENGTH ** -2], 3)
@@ -141,14 +147,10 @@ def _feature(linear: Linear, at: Stations) -> Array:
     return feature
 
 
-def _local(noise: NoiseConfig) -> float:
-    """Return the variance of the distortion that differs from station to station."""
-    return (LOCAL * noise.distortion) ** 2
-
-
-def _pose(noise: NoiseConfig) -> Array:
-    """Return the variances (6,) of the white error of a pose."""
-    return np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
+def _variances(noise: NoiseConfig) -> tuple[float, Array]:
+    """Return those of the distortion that differs from station to station, and of a pose (6,)."""
+    pose = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
+    return (LOCAL * noise.distortion) ** 2, pose
 
 
 def _squared(factor: Array, variances: Array | float = 1.0) -> Array:
@@ -212,7 +214,7 @@ class Scales:
         if growing.sum() < 2:
             return np.zeros(len(growing), dtype=bool)
         # how much likelier the data are over all scales than at that before
-        present = np.array([np.interp(np.log(own), LOGARITHMS, of_block) for own, of_block
+        present = np.array([np.interp(np.log(own), np.log(VARIANCES), of_block) for own, of_block
                             in zip(self.before, self.evidence.T, strict=True)])
         gain = np.logaddexp.reduce(
             self._prior - np.logaddexp.reduce(self._prior) + self.evidence) - present
@@ -257,5 +259,5 @@ def _matched(posterior: Array, moment: Array) -> Array:
     """Return the variances (d,) whose moments are the means of those (s, d) of all scales."""
     weights = np.exp(posterior - posterior.max(axis=0))
     means = (weights * moment).sum(axis=0) / weights.sum(axis=0)
-    return np.exp([np.interp(mean, of_block, LOGARITHMS)
+    return np.exp([np.interp(mean, of_block, np.log(VARIANCES))
                    for mean, of_block in zip(means, moment.T, strict=True)])

@@ -34,12 +34,9 @@ from scipy.special import chdtrc, chdtri, fdtri
 
 S = TypeVar('S')
 
-GROSS = 64.0  # squared residual, over that of the believed, of a block that is wrong at sight
-BATCH = 50  # one of so many blocks is dropped at a time
-FALSE_ALARM = 1e-3  # of good data losing one block
-STEPS, CONVERGED = 30, 1e-2  # of estimating variance components; relative change that ends it
+GROSS = 64.0  # squared residual over that of the believed share (8 sigma): wrong at once
+FALSE_ALARM = 1e-3  # probability that good data lose one block
 PRIOR_FREEDOM = 0.5  # degrees of freedom of the prior of variance components, about their start
-SMALLEST_VARIANCE = 1e-24  # of a cause at the start
 
 
 def leave_one_out(white: Array, jacobian: Array, covariance: Array, block: NDArray[np.intp]
@@ -70,20 +67,20 @@ def leave_own_out(predicted_covariance: Array, white: Array) -> Array:
 def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
              ) -> NDArray[np.intp]:
     """
-    Return the blocks, worst first, that are to be dropped now: the others do not explain them.
+    Return the blocks, worst first, that are to be dropped now, at most one in 50.
 
-    mean_squares: (n,) squared deleted residuals per degree of freedom; total: how many blocks
-    there were at first; spare: how many there are beyond what is needed.
+    mean_squares: (n,) squared leave-one-out residuals per degree of freedom; total: how many
+    blocks there were at first; spare: how many there are beyond what is needed.
     """
     probability = chi2_sf(mean_squares * freedom, freedom)
-    most = max(1, min(len(mean_squares) // BATCH, spare)) if spare > 0 else 0
+    most = max(1, min(len(mean_squares) // 50, spare)) if spare > 0 else 0
     worst = np.argsort(probability, kind='stable')[:most]
     return np.asarray(worst[probability[worst] < FALSE_ALARM / total])
 
 
 def shared_scale(mean_squares: Array, freedom: NDArray[np.intp] | int) -> float:
     """Return the variance factor that most blocks share, 1 where they fit as they should."""
-    typical = chi2_median(freedom) / freedom
+    typical = chi2_isf(0.5, freedom) / freedom
     return max(1.0, float(np.median(mean_squares / typical)))
 
 
@@ -150,24 +147,20 @@ def _without_outliers(system: System[S], state: S, good: NDArray[np.bool_], mini
         good[used[worst]] = False
 
 
-def chi2_isf(chance: ArrayLike, freedom: ArrayLike) -> Array:
-    """Return what chi-squared of so many degrees of freedom exceeds with that chance."""
-    return np.asarray(chdtri(freedom, chance))
+def chi2_isf(probability: ArrayLike, freedom: ArrayLike) -> Array:
+    """Return the value that chi-squared exceeds with a probability."""
+    return np.asarray(chdtri(freedom, probability))
 
 
 def chi2_sf(value: ArrayLike, freedom: ArrayLike) -> Array:
-    """Return the chance that chi-squared exceeds a value; nan without a degree of freedom."""
+    """Return the probability of chi-squared above a value; nan without degrees of freedom."""
     return np.where(np.asarray(freedom) > 0, chdtrc(freedom, value), np.nan)
 
 
-def chi2_median(freedom: ArrayLike) -> Array:
-    return chi2_isf(0.5, freedom)
-
-
-def f_isf(chance: float, freedom: int, freedom_below: int) -> float:
-    """Return what a ratio of variances of so many degrees of freedom exceeds with that chance."""
-    # P(F(a, b) > x) = P(F(b, a) < 1 / x), which keeps the digits of a small chance
-    return 1 / float(fdtri(freedom_below, freedom, chance))
+def f_isf(probability: float, freedom: int, freedom_below: int) -> float:
+    """Return the value that F, a ratio of variances, exceeds with a probability."""
+    # P(F(a, b) > x) = P(F(b, a) < 1 / x), which keeps the digits of a small probability
+    return 1 / float(fdtri(freedom_below, freedom, probability))
 
 
 def variance_components(residuals: Array, jacobian: Array, parts: Array, start: Array) -> Array:
@@ -179,7 +172,7 @@ def variance_components(residuals: Array, jacobian: Array, parts: Array, start: 
     together are regular; start: (c,) a guess of the variances, all positive.
     """
     variances = start
-    for _ in range(STEPS):
+    for _ in range(30):
         whitener = inverse_roots(np.tensordot(variances, parts, 1))
         J, whitened = whitener @ jacobian, (whitener @ residuals[..., None])[..., 0]
         flat = J.reshape(-1, J.shape[2])
@@ -191,7 +184,7 @@ def variance_components(residuals: Array, jacobian: Array, parts: Array, start: 
         expected = np.maximum(np.einsum('cnii->c', W) - taken, 0.0)
         factors = (form + PRIOR_FREEDOM * start / variances) / (expected + PRIOR_FREEDOM)
         variances = variances * factors
-        if np.abs(np.log(factors)).max() < CONVERGED:
+        if np.abs(np.log(factors)).max() < 1e-2:
             break
     return np.asarray(variances)
 
@@ -205,7 +198,7 @@ def first_variances(residuals: Array, parts: Array) -> Array:
     """
     n = len(residuals)
     lengths = np.linalg.norm(residuals.reshape(n, -1, 3), axis=2)
-    predicted_covariance = np.median(lengths, axis=0) ** 2 / chi2_median(3)
+    predicted_covariance = np.median(lengths, axis=0) ** 2 / chi2_isf(0.5, 3)
     made = np.einsum('cnii->cni', parts).reshape(len(parts), n, -1, 3).mean(axis=(1, 3))
     alone = np.divide(predicted_covariance, made, out=np.full(made.shape, np.inf), where=made > 0)
-    return np.asarray(np.maximum(alone.min(axis=1) / 2, SMALLEST_VARIANCE))
+    return np.asarray(np.maximum(alone.min(axis=1) / 2, 1e-24))

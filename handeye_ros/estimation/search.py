@@ -29,34 +29,30 @@ from handeye_ros.estimation.solver import (
     System,
 )
 import numpy as np
-from numpy.typing import NDArray
 
-LOST_SHARE = 0.1  # of the stations far from an estimate, from which another is looked for
-FAR, FAR_RATIO = 5e-3, 5.0  # residual (m; over the largest of an answer) of a hopeless start
-CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good answer
-LARGEST_SQUARE = 16.0  # squared residual, in variances, that a clean recording stays below
+FAR = 5e-3  # m: a start from which most stations are farther is given up at once
+# Squared whitened residuals: of a good answer, with blocks lumped (4: 2 sigma); of a station that
+# is far from it, over that of the believed share (16: 4 sigma).
+CONVINCING, LARGEST_SQUARE = 4.0, 16.0
+LOST_SHARE = 0.1  # of the stations far from an estimate, beyond which another one is tried
 COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on after them
-MOST = 20  # answers that are worth looking at
-SOME_START = 1e-6  # step of the residuals that ends the way of a start among others (m)
-FEW_STATIONS, MORE_STARTS = 12, 6  # with few stations there may be several answers
-SAME = 1e-3  # m or rad: starts nearer to each other than this lead to the same answer
-LARGEST_VARIANCE = 1.0  # m^2 or rad^2: more is no answer at all
+FEW_STATIONS = 12  # up to so many there may be several answers: more starts go on
 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
     """
-    A robustly refined estimate and the squared residuals (n,) of all stations.
+    A robustly refined estimate and the mean squared residuals (n,) of all stations, whitened.
 
-    problem: with its observations labelled as they fit, those of whole that do. hollow: whether
-    it has no use for some observations, and the rest leave a direction free.
+    problem: whole with its observations labelled as they fit, without those that do not. free:
+    whether observations were left out, and the others do not determine all directions.
     """
 
     whole: Problem
     problem: Problem
     estimate: Estimate
     squares: Array
-    hollow: bool
+    free: bool
 
     @property
     def spread(self) -> float:
@@ -65,18 +61,18 @@ class Refined:
 
     @property
     def misfit(self) -> float:
-        """Return the spread, large where too much was thrown away: less always fits better."""
-        return max(self.spread, 2 * LARGEST_SQUARE) if self.hollow else self.spread
+        """Return the spread, large where too much was left out: fewer always fit better."""
+        return max(self.spread, 2 * LARGEST_SQUARE) if self.free else self.spread
 
     @property
     def loss(self) -> float:
         """
-        Return how poorly all stations are explained, whatever the size of their noise.
+        Return a robust mean of the squares of all stations, large where too much was left out.
 
-        Those that are not explained at all count too: less always fits better.
+        Its logarithm orders estimates alike whatever the size of the noise.
         """
         loss = float(np.log1p(self.squares).mean())
-        return max(loss, float(np.log1p(2 * LARGEST_SQUARE))) if self.hollow else loss
+        return max(loss, float(np.log1p(2 * LARGEST_SQUARE))) if self.free else loss
 
     @property
     def accepted(self) -> bool:
@@ -87,31 +83,27 @@ class Refined:
     def far_share(self) -> float:
         """Return the share of stations far from the estimate, or with nothing essential used."""
         far_off = self.squares > LARGEST_SQUARE * max(1.0, self.spread)
-        return float((far_off | unused_essential(self.whole, self.problem)).mean())
+        unused = self.whole.shows_essential & ~self.problem.shows_essential
+        return float((far_off | unused).mean())
 
 
 def refined(problem: Problem, estimate: Estimate) -> Refined:
-    """Return the trial that graduated non-convexity leads to from an estimate."""
+    """Return the estimate that graduated non-convexity leads to from another one."""
     def refit(at: Weighed, weights: Array) -> Weighed:
         before = at.linear.problem
         at = reweighted(system(before, at.noise), at, weights)
-        now = relabelled(problem, at.linear.estimate, before)
-        return at if now is before else weighed(now, at.linear.estimate, at.noise)
+        labelled = relabelled(problem, at.linear.estimate, before)
+        return at if labelled is before else weighed(labelled, at.linear.estimate, at.noise)
 
     start = weighed(relabelled(problem, estimate), estimate, Noise())
     at = graduated(start, _mean_squares, refit)
     labelled, estimate, squares = at.linear.problem, at.linear.estimate, _mean_squares(at)
-    unused = unused_essential(problem, labelled)
+    unused = problem.shows_essential & ~labelled.shows_essential
     squares = np.where(unused, np.maximum(squares, LARGEST_SQUARE), squares)
-    return Refined(problem, labelled, estimate, squares, _hollow(problem, labelled, estimate))
-
-
-def _hollow(whole: Problem, labelled: Problem, estimate: Estimate) -> bool:
-    """Return whether observations were lost in labelling, and with them a direction."""
-    if len(labelled.observations.kind) == len(whole.observations.kind):
-        return False
-    solution = evaluate(labelled, estimate, Noise())
-    return float(np.linalg.eigvalsh(solution.covariance)[-1]) > LARGEST_VARIANCE
+    fewer = len(labelled.observations) < len(problem.observations)
+    free = fewer and np.linalg.eigvalsh(  # a variance of more than (1 m or 1 rad)^2
+        evaluate(labelled, estimate, Noise()).covariance)[-1] > 1.0
+    return Refined(problem, labelled, estimate, squares, bool(free))
 
 
 def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = None) -> Problem:
@@ -138,11 +130,6 @@ def _mean_squares(at: Weighed) -> Array:
     return np.bincount(station, r ** 2, minlength=n) / np.maximum(count, 1)
 
 
-def unused_essential(whole: Problem, labelled: Problem) -> NDArray[np.bool_]:
-    """Return which stations (n,) show what is essential, none of which is used as labelled."""
-    return whole.shows_essential & ~labelled.shows_essential
-
-
 def far(problem: Problem, estimate: Estimate) -> bool:
     """Return whether most stations are too far from an estimate for it to become a good one."""
     labelled = relabelled(problem, estimate)
@@ -150,7 +137,7 @@ def far(problem: Problem, estimate: Estimate) -> bool:
     count = np.bincount(station, minlength=n)
     squares = np.bincount(station, linearise(labelled, estimate).residuals ** 2, minlength=n)
     typical = np.quantile((squares / np.maximum(count, 1))[count > 0], BELIEVED_SHARE)
-    return bool(np.sqrt(typical) > max(FAR, FAR_RATIO * problem.config.limits.residual))
+    return bool(np.sqrt(typical) > max(FAR, 5 * problem.config.limits.residual))
 
 
 def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:
@@ -160,8 +147,8 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
     more: times as many go on.
     """
     def linear(states: States) -> tuple[Array, Array]:
-        there = linearise(problem, Estimate(*states))
-        return there.residuals, there.jacobian[..., problem.columns]
+        at = linearise(problem, Estimate(*states))
+        return at.residuals, at.jacobian[..., problem.columns]
 
     def retract(states: States, steps: Array) -> States:
         moved = problem.retracted(Estimate(*states), steps)
@@ -171,20 +158,20 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
     states: States = (np.array([start.X for start in starts]),
                       np.array([start.target for start in starts]))
     for iterations, kept in COMPETITION:
-        kept = max(more * kept, MORE_STARTS if few else 0)
-        states, cost = many_least_squares(linear, retract, states, iterations, SOME_START)
+        kept = max(more * kept, 6 if few else 0)
+        states, cost = many_least_squares(linear, retract, states, iterations, 1e-6)
         order = np.argsort(cost, kind='stable')
-        # many lead to the same where there are few stations
+        # of few stations, many starts lead to the same estimate
         best = (order[different(states[0][order])] if few else order)[:kept]
         states = tuple(values[best] for values in states)
-    return [Estimate(X, target) for X, target in zip(*states, strict=True)][:MOST]
+    return [Estimate(X, target) for X, target in zip(*states, strict=True)][:20]
 
 
 def different(X: Array) -> list[int]:
-    """Return which transforms (k, 4, 4) are next to no earlier one."""
+    """Return which transforms (k, 4, 4) differ from all earlier ones by 1e-3 (m, rad)."""
     kept: list[int] = []
     for i in range(len(X)):
-        if not kept or np.abs(X[kept] - X[i]).max(axis=(1, 2)).min() > SAME:
+        if not kept or np.abs(X[kept] - X[i]).max(axis=(1, 2)).min() > 1e-3:
             kept.append(i)
     return kept
 
@@ -220,8 +207,8 @@ def system(problem: Problem, noise: Noise) -> System[Weighed]:
 
 def fit(problem: Problem, start: Estimate, noise: Noise) -> Estimate:
     """Return the estimate with the least squared whitened residuals."""
-    there = least_squares(system(problem, noise), weighed(problem, start, noise))
-    return there.linear.estimate
+    return least_squares(
+        system(problem, noise), weighed(problem, start, noise)).linear.estimate
 
 
 def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
