@@ -111,18 +111,14 @@ def covariances(linear: Linear, at: Stations) -> Array:
 
 
 def total_covariance(linear: Linear, at: Stations, noise: Noise) -> Array:
-    """
-    Return the covariance (stations, c, c), (3), with that of the blocks where they are lumped.
-
-    These are the sensor's distortion, the robot's smooth error, and the target's own.
-    """
+    """Return the covariance (stations, c, c), (3), with that of the blocks if they are lumped."""
     problem, config = linear.problem, linear.problem.config.noise
     total = _feature(linear, at)
     first, second = at.components
     total *= noise.feature * first + noise.feature_2 * second if at.mixed else noise.feature
     local, pose = _variances(config)
     distortion, robot = noise.local * local, noise.robot * pose
-    if noise.lumped:
+    if noise.lumped:  # the sensor's distortion, the robot's smooth error, and the target's own
         distortion = distortion + config.distortion ** 2
         robot = robot + config.robot_smooth ** 2 * np.repeat([1.0, TURN_LENGTH ** -2], 3)
     if distortion:
@@ -168,9 +164,9 @@ def whitening(linear: Linear, noise: Noise) -> Whitening:
 
 def inverse_roots(covariance: Array) -> Array:
     """Return the whitening factors (n, c, c) of covariances (n, c, c)."""
-    trace = np.einsum('nii->n', covariance)[:, None, None]
-    regular = covariance + 1e-12 * trace * np.eye(covariance.shape[1])  # of rank 6 at many points
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(regular)))
+    size = 1e-12 * np.einsum('nii->n', covariance)[:, None, None]  # of many points: of rank 6
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance + size * np.eye(
+        covariance.shape[1]))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +176,7 @@ class Scales:
 
     before: (d,) their variances so far; evidence: (s, d) log likelihood (6) at each of SCALES;
     fitted: (s, d) the gain, the first term of (6); square: (s, d) sum of the second moments of the
-    parameters there; single: (d,) whether a block has one parameter only.
+    parameters there; single: (d,) whether a block has one parameter only; prior: (s, d).
     """
 
     before: Array
@@ -188,6 +184,7 @@ class Scales:
     fitted: Array
     square: Array
     single: NDArray[np.bool_]
+    prior: Array
 
     @cached_property
     def map_scales(self) -> Array:
@@ -198,7 +195,7 @@ class Scales:
     @cached_property
     def conservative(self) -> Array:
         """Return the variances (d,) for the report."""
-        conservative = _matched(self._prior + self.evidence, self.square)
+        conservative = _matched(self.prior + self.evidence, self.square)
         return np.where(self._waiting, self.before, conservative)
 
     @cached_property
@@ -209,21 +206,17 @@ class Scales:
         Two of them may explain the same, and were both large, neither would seem needed: the one
         that explains most grows first. One grows if its variance more than doubles.
         """
-        each = _matched(self._prior + self.evidence, self.square)
+        each = _matched(self.prior + self.evidence, self.square)
         growing = self.single & (each > 2.0 * self.before)
         if growing.sum() < 2:
             return np.zeros(len(growing), dtype=bool)
         # how much likelier the data are over all scales than at that before
         present = np.array([np.interp(np.log(own), np.log(VARIANCES), of_block) for own, of_block
                             in zip(self.before, self.evidence.T, strict=True)])
-        gain = np.logaddexp.reduce(
-            self._prior - np.logaddexp.reduce(self._prior) + self.evidence) - present
+        posterior = self.prior - np.logaddexp.reduce(self.prior) + self.evidence
+        gain = np.logaddexp.reduce(posterior) - present
         growing[np.argmax(np.where(growing, gain, -np.inf))] = False
         return growing
-
-    @cached_property
-    def _prior(self) -> Array:
-        return np.where(self.single, SINGLE_PRIOR[:, None], CONSERVATIVE_PRIOR[:, None])
 
 
 def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], size: Array,
@@ -252,7 +245,10 @@ def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], size:
     evidence = 0.5 * np.add.reduceat(fitted - np.log(f), first, axis=1)
     evidence[v > largest] = -np.inf
     square = np.add.reduceat(posterior * (1 + fitted), first, axis=1)
-    return Scales(size, evidence, np.add.reduceat(fitted, first, axis=1), square, counts == 1)
+    single = counts == 1
+    prior = np.where(single, SINGLE_PRIOR[:, None], CONSERVATIVE_PRIOR[:, None])
+    fitted = np.add.reduceat(fitted, first, axis=1)
+    return Scales(size, evidence, fitted, square, single, prior)
 
 
 def _matched(posterior: Array, moment: Array) -> Array:
