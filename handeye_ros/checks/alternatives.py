@@ -23,12 +23,11 @@ from handeye_ros.estimation.outliers import chi2_isf, FALSE_ALARM
 from handeye_ros.estimation.search import CONVINCING
 import numpy as np
 
-RARE = 1e-5  # chance of naming a cause that is none
-# Twice the log of a Bayes factor. Very strong evidence is so called by Kass and Raftery; decisive
-# is what is asked for before a cause is named.
+RARE = 1e-5  # probability of naming a wrong cause
+# Twice the log of a Bayes factor: very strong by Kass and Raftery; odds of 1 to RARE.
 VERY_STRONG, DECISIVE = 10.0, -2 * float(np.log(RARE))
-SMALLEST = 1e-2  # variance factor, nuisance parameters as noise, of samples without any error
-LARGEST_DROPPED_SHARE = 0.34  # of the stations, that an explanation may leave out
+SMALLEST = 1e-2  # of the variance factor, blocks lumped: simulated samples may have no error
+LARGEST_DROPPED_SHARE = 0.34  # of the stations, that an explanation may leave out: one third
 
 Fit = tuple[Consensus, ...]  # of all stations, or of the parts of a recording
 
@@ -38,8 +37,8 @@ class Hypothesis:
     """
     One changed assumption.
 
-    refit: fits the same samples under it, None where they do not fit at all; refusal: what names
-    it, given that fit.
+    refit(): the fit of the same samples under it, None where there is none; refusal(fit): the
+    error that names it.
     """
 
     refit: Callable[[], Fit | None]
@@ -47,17 +46,13 @@ class Hypothesis:
 
 
 def of_problem(problem: Problem) -> Fit | None:
-    """Return the fit of a problem, None where the first few starts promise nothing."""
+    """Return the fit of a problem, None where the first starts lead to none."""
     found = fast_consensus(problem)
     return (found,) if found else None
 
 
 def score(fit: Fit) -> float:
-    """
-    Return how poorly an explanation does: -2 log of its marginal likelihood, (13).
-
-    One without any fit explains nothing.
-    """
+    """Return -2 log of the marginal likelihood of an explanation, (13); inf without a fit."""
     if not fit:
         return np.inf
     n = sum(len(part.whole.poses) for part in fit)

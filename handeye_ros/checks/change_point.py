@@ -37,13 +37,12 @@ from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_PARTED = 15  # stations after which a recording is parted and fitted again
-MOST_CHANGES = 40  # stations after which a small move is looked for
-FEW = 4  # stations beyond the fewest of a target, with which a small move is looked for
+MOST_CHANGES = 40  # possible moments of a small move
+FEW = 4  # stations beyond the fewest of a target, from which a small move is looked for
 STEP = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
-SIZES = (1.0, 0.25)  # over that, as likely beforehand: of a move that only just matters
+SIZES = (1.0, 0.25)  # factors on it, of equal prior probability
 FIRST_TRIED, MOST_TRIED = 3, 10  # moves with which noise and scales are estimated again
-HOPELESS, STRONG = -VERY_STRONG, 5.0  # evidence: before noise and scales are estimated; to warn
+STRONG = 5.0  # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
 LARGE = 3.0  # times the smooth error of the robot: less may be a part of it
 ORDERS = 200  # random orders of the stations
 RARELY, HARDLY_EVER = 0.1, 0.01  # share of them that show as much: to warn, to refuse
@@ -54,13 +53,13 @@ def require_unmoved(problem: Problem, agreed: Consensus) -> None:
     n, fewest = len(problem.poses), problem.method.minimum
     if n < 2 * fewest:
         return
-    stations = np.unique(np.linspace(fewest, n - fewest, MOST_PARTED).round().astype(int))
+    stations = np.unique(np.linspace(fewest, n - fewest, 15).round().astype(int))
     level = DECISIVE + 2 * float(np.log(len(stations)))
     require_stated((agreed,), [_parted(problem, k) for k in stations.tolist()], level)
 
 
 def _parted(problem: Problem, k: int) -> Hypothesis:
-    """Return that something moved before station k."""
+    """Return the hypothesis that something moved before station k."""
     every = np.arange(len(problem.poses))
 
     def refit() -> Fit | None:
@@ -89,15 +88,15 @@ def moved_slightly(agreed: Consensus) -> str:
 
     Raises SmallMoveError where the evidence is decisive.
     """
-    found = change_point(agreed.solution)
-    if found is None:
+    move = change_point(agreed.solution)
+    if move is None:
         return ''
     config = agreed.whole.config
     refusal = SmallMoveError(
-        int(agreed.used[found.station]), len(agreed.whole.poses), found.sensor,
-        mount_frame(config) if found.sensor else target_frame(config),
-        float(np.linalg.norm(found.step[:3])), float(np.linalg.norm(found.step[3:])))
-    if found.evidence > DECISIVE and found.chance < HARDLY_EVER:
+        int(agreed.used[move.station]), len(agreed.whole.poses), move.sensor,
+        mount_frame(config) if move.sensor else target_frame(config),
+        float(np.linalg.norm(move.step[:3])), float(np.linalg.norm(move.step[3:])))
+    if move.evidence > DECISIVE and move.chance < HARDLY_EVER:
         raise refusal
     return str(refusal)
 
@@ -139,13 +138,13 @@ def change_point(solution: Solution) -> ChangePoint | None:
     changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
     if n < solution.problem.method.minimum + FEW:
         return None
-    weighed = _Steps.of(reported, changes)
-    if next(weighed.peaks()).evidence < HOPELESS:
+    steps = _Steps.of(reported, changes)
+    if next(steps.peaks()).evidence < -VERY_STRONG:  # against a move
         return None
     unmoved, tried = weighed_again(reported).deviance, set[tuple[bool, int]]()
     best = ChangePoint(0, False, np.zeros(6), -np.inf)
     while len(tried) < (MOST_TRIED if best.evidence > 0 else FIRST_TRIED):
-        peaks = (peak for peak in weighed.peaks() if peak.where not in tried)
+        peaks = (peak for peak in steps.peaks() if peak.where not in tried)
         if not (one := next(peaks, None)):
             break
         tried.add(one.where)
@@ -156,11 +155,10 @@ def change_point(solution: Solution) -> ChangePoint | None:
             smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
             best = replace(one, step=step, evidence=evidence, smooth=smooth)
             # with noise and scales that do not stand for the move, its moment shows better
-            weighed = _Steps.of(evaluated(solution.problem, solution.estimate, moved.noise),
-                                changes)
+            steps = _Steps.of(evaluated(solution.problem, solution.estimate, moved.noise), changes)
     if best.evidence < STRONG or not best.clear:
         return None
-    best = replace(best, chance=weighed.chance)
+    best = replace(best, chance=steps.chance)
     return best if best.chance < RARELY else None
 
 
@@ -197,7 +195,7 @@ class _Steps:
 
     @classmethod
     def of(cls, solution: Solution, changes: NDArray[np.intp]) -> _Steps:
-        """Return it at a solution."""
+        """Return the sums at a solution."""
         white = whitening(solution.linear, solution.noise)
         D, J = white(_by_steps(solution)), solution.jacobian
         rows = np.split(np.arange(len(D)), np.searchsorted(

@@ -39,13 +39,11 @@ from handeye_ros.se3 import worst_rotation, worst_translation
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-ENOUGH_TURN = 0.12  # rad: RMS about the second axis, of tilts to both sides by 12 degrees
-FEWEST_REDUNDANT = 3  # conditions that judge an answer, and the choice of each dropped station
-CONTAMINATED = 0.1  # probability of one of few samples being wrong that is too large
+FEWEST_REDUNDANT = 3  # conditions that test an answer, and as many each dropped station
+CONTAMINATED = 0.1  # largest probability that one of few samples is wrong
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
-LARGEST_BESIDE = 1e-3  # m; of profiles beside their plane that need no note
-MISFITTING = 9.0  # variance factor from which something other than noise is looked for
-WILD, WILD_RATIO = 40.0, 4.0  # variance factor and residual over noise that no robot explains
+MISFITTING = 9.0  # variance factor (3 sigma), from which another cause than noise is looked for
+WILD, WILD_RATIO = 40.0, 4.0  # variance factor and RMS over the expected: no robot explains both
 
 
 def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], method: Method) -> None:
@@ -70,14 +68,14 @@ def require_own_frame(frame_id: str, config: Config) -> None:
 
 def frame_notes(frame: str | None, beside: float, config: Config) -> Iterator[str]:
     """
-    Yield what does not fit, one sentence each.
+    Yield what is unusual in the frame of the profiles, one sentence each.
 
-    frame: of the profiles, None before the first; beside: how far they lie beside their plane
-    (metres).
+    frame: its name, None before the first profile; beside: the largest distance (m) of their
+    points from the plane of the two axes used.
     """
     if frame == '':
         yield f'the profiles have no frame_id: the result calls their frame "{UNNAMED_FRAME}"'
-    if beside > LARGEST_BESIDE:
+    if beside > 1e-3:
         yield (f'the profiles lie up to {beside * 1e3:.1f} mm beside the plane of '
                f'{" and ".join(config.profile.axes)} in their frame: that coordinate is not '
                'used, and the result holds for points in the plane')
@@ -152,7 +150,7 @@ def require_judged(agreed: Consensus) -> None:
 def missing_motion(poses: Array, frame: str) -> str:
     """Return what poses (n, 4, 4) should do that they do too little, in words."""
     turns, axes = turning(poses)
-    if turns[1] > ENOUGH_TURN:
+    if turns[1] > 0.12:  # rad RMS: tilts by 12 degrees to both sides
         return ('take more samples with the target in all parts of the field of view (near, far, '
                 'left, right), each with another tilt')
     return (f'the poses turn by only {degrees(turns[1])} RMS about '
@@ -194,8 +192,9 @@ def require_consistent(problem: Problem, agreed: Consensus) -> None:
     """
     Refuse an answer that samples or poses contradict.
 
-    Where the poses turn too little to tell anything, that is said, and not what may follow from
-    it. Raises TooUncertainError, MovedError, ScaleError, InconsistentError,
+    Where the poses turn too little, that is the reason given, not what follows from it.
+
+    Raises TooUncertainError, MovedError, ScaleError, InconsistentError,
     ContradictingStationsError or ScatterError.
     """
     misfit = misfit_of(problem, agreed)
@@ -218,9 +217,9 @@ def residual_rms(solution: Solution) -> float:
 
 def require_edges(agreed: Consensus) -> None:
     """
-    Refuse an answer that has no use for most edges that the stations show.
+    Refuse an answer that leaves out most edges that the stations show.
 
-    What fits without them says nothing of them. Raises TooFewEdgesError or LostEdgesError.
+    Raises TooFewEdgesError or LostEdgesError.
     """
     method = agreed.whole.method
     if not method.essential:
@@ -234,7 +233,7 @@ def require_edges(agreed: Consensus) -> None:
 
 
 def edge_notes(agreed: Consensus) -> list[str]:
-    """Return which edges the answer has no use for, and which the samples never show, in words."""
+    """Return which edges the answer does not use, and which no sample shows, in words."""
     problem, lost = agreed.solution.problem, lost_edges(agreed)
     used = {problem.method.kinds[k] for k in set(problem.observations.kind)}
     edges = [{name.partition('_')[0] for name in names if name in problem.method.essential}
@@ -245,7 +244,7 @@ def edge_notes(agreed: Consensus) -> list[str]:
 
 
 def lost_edges(agreed: Consensus) -> str:
-    """Return which edges the answer has no use for, in words, '' where it uses all."""
+    """Return which edges the answer does not use, in words, '' where it uses all."""
     if not len(agreed.unused):
         return ''
     shown = int(agreed.whole.subset(agreed.used).shows_essential.sum())

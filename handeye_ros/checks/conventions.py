@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-UNSURE = 0.6  # variance factor, nuisance parameters as noise, that makes the sign uncertain
-SCATTERED = 0.6  # mean of the cosines to the best direction, below which there is none
+SIGN_TRIED = 0.6  # variance factor, blocks lumped, from which the other range sign is tried
+SCATTERED = 0.6  # mean cosine to the best direction, below which orientations are scattered
 INVERSE = 'inverse poses'
 
 
@@ -51,7 +51,7 @@ def require_conventions(problem: Problem, agreed: Consensus, flipped: Problem | 
     Raises RangeSignError, CalibrationTypeError, ConventionError or ScatteredOrientationsError.
     """
     misfit = misfit_of(problem, agreed)
-    if flipped and (misfit.variance_factor > UNSURE or misfit.hopeless or agreed.unused_share):
+    if flipped and (misfit.variance_factor > SIGN_TRIED or misfit.hopeless or agreed.unused_share):
         require_stated((agreed,), [_other_sign(flipped, misfit.rms)])
     if not misfit.hopeless and misfit.variance_factor < MISFITTING:
         return
@@ -63,7 +63,7 @@ def require_conventions(problem: Problem, agreed: Consensus, flipped: Problem | 
 
 
 def _other_sign(flipped: Problem, before: float) -> Hypothesis:
-    """Return that the range is counted the other way."""
+    """Return the hypothesis that the range is counted the other way."""
     def refusal(fit: Fit) -> DataError:
         return RangeSignError(flipped.config.profile.range_sign, before,
                               residual_rms(fit[0].solution))
@@ -72,7 +72,7 @@ def _other_sign(flipped: Problem, before: float) -> Hypothesis:
 
 def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], before: float
             ) -> Hypothesis:
-    """Return that the poses were made with an error, which undo takes back."""
+    """Return the hypothesis that the poses have an error, which undo takes back."""
     on_base = problem.config.calibration_type == 'eye_on_base'
     poses = se3.inverse(undo(se3.inverse(problem.poses))) if on_base else undo(problem.poses)
 
@@ -101,9 +101,9 @@ def _mounted_on_base(agreed: Consensus) -> bool:
 
 def orientations_scatter(poses: Array) -> bool:
     """
-    Return whether no direction of the tool keeps to a side, in poses (n, 4, 4).
+    Return whether no axis of the tool keeps to one half space, in poses (n, 4, 4).
 
-    A sensor that sees its target does keep to a side; wrapped angles are as good as random.
+    That of a sensor which sees its target does; wrapped angles are as good as random.
     """
     return float(np.linalg.norm(poses[:, :3, :3].mean(axis=0), 2)) < SCATTERED
 
@@ -111,9 +111,9 @@ def orientations_scatter(poses: Array) -> bool:
 @dataclass(frozen=True)
 class PoseMap:
     """
-    undo: gives poses (n, 4, 4) back; advice: what to do, in words.
+    undo: maps poses (n, 4, 4) to those without the error; advice: what to do, in words.
 
-    other: gives them back where the error has left two ways to read them.
+    other: the same, where the error leaves two ways to read the poses.
     """
 
     undo: Callable[[Array], Array]
@@ -189,19 +189,19 @@ def _both_rpy(T: Array) -> Array:
 
 def _chained(R: Array, first: int, valid: NDArray[np.bool_] | None = None) -> Array:
     """
-    Return of candidates (c, n, 3, 3) one of each pose, such that neighbours are alike.
+    Return one of c candidate rotations (c, n, 3, 3) for each of n poses, each near another one.
 
-    first: which of the first pose it is; valid: (c, n), None: all are. The robot goes from one
-    orientation to the next, the nearest of which come first here.
+    first: which candidate of the first pose is right; valid: (c, n) of the candidates, None: all.
+    From the poses decided so far, the candidate nearest to one of them comes next.
     """
     n = R.shape[1]
-    chosen, left = np.full(n, first), np.ones(n, dtype=bool)
+    chosen, undecided = np.full(n, first), np.ones(n, dtype=bool)
     able = np.ones(R.shape[:2], dtype=bool) if valid is None else valid | ~valid.any(axis=0)
     likeness, pick, pose = np.full(R.shape[:2], -np.inf), first, 0
     for _ in range(n):
-        chosen[pose], left[pose] = pick, False
+        chosen[pose], undecided[pose] = pick, False
         likeness = np.maximum(likeness, np.einsum('cnij,ij->cn', R, R[pick, pose]))
-        best = int(np.argmax(np.where(left & able, likeness, -np.inf)))
+        best = int(np.argmax(np.where(undecided & able, likeness, -np.inf)))
         pick, pose = divmod(best, n)
     return np.asarray(R[chosen, np.arange(n)])
 

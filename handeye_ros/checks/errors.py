@@ -3,8 +3,6 @@ from __future__ import annotations
 
 from handeye_ros.errors import DataError, degrees, mm, NamedCauseError
 
-NOISY = 0.5  # of the residual left out that is in the fit too, where noise rules
-
 
 class TooFewSamplesError(DataError):
     """Fewer samples than the method needs."""
@@ -26,7 +24,7 @@ class TooFewConditionsError(DataError):
 
 
 class UnidentifiedOutlierError(DataError):
-    """Samples one of which seems to be wrong, too few to tell which, or if the robot is."""
+    """Samples too few to tell which of them is wrong, or whether the robot is inaccurate."""
 
     def __init__(self, used: int, more: int) -> None:
         super().__init__(f'these {used} samples contradict each other: either the robot is less '
@@ -148,7 +146,7 @@ def _parted(station: int, total: int) -> str:
 
 
 class ScatteredOrientationsError(DataError):
-    """Orientations that no tool takes that keeps a target in sight."""
+    """Orientations in all directions: no sensor that sees its target takes them."""
 
     def __init__(self, residual: float) -> None:
         super().__init__(f'samples and poses contradict each other by {mm(residual)} RMS, and '
@@ -210,7 +208,7 @@ class LeftOutError(DataError):
     """Stations that the others do not predict."""
 
     def __init__(self, left_out: float, residual: float, limit: float) -> None:
-        noisy = residual > NOISY * left_out
+        noisy = residual > 0.5 * left_out  # else the fit follows single samples
         why = ('the noise of sensor or robot is that large; take more samples, or raise '
                'limits.residual if this accuracy is enough' if noisy else
                'too few samples, or some are wrong; take more')

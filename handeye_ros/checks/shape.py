@@ -21,19 +21,10 @@ from handeye_ros.estimation.search import CONVINCING
 from handeye_ros.estimation.solution import Solution
 import numpy as np
 
-CONTRADICTION = 4.0  # sigmas that make an answer wrong
-NOTED_CONTRADICTION = 3.0  # sigmas of a measure of the target that is noted in the answer
-MORE_EXPLAINED = 0.1  # of the stations, with which a shape is tried to the end
-LARGEST_CHANGE = 0.5  # of a stated measure, relative: more is no tolerance but another target
-LARGEST_SCALE_ERROR = 5e-2  # of the robot's lengths: more is another unit, or a wrong answer
-MOST = 0.5  # of the squared residuals
-SMALLEST_SCALE_ERROR = 2e-3  # that is named as what is wrong
+CONTRADICTION, NOTED_CONTRADICTION = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
+LARGEST_CHANGE = 0.5  # of a stated measure, relative: more is another target
+SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # that is named; more is another unit
 TIME_OFFSET, ROTATION_LAG = 'time_offset', 'rotation_lag'  # blocks
-UNKNOWN = 0.5  # of the prior sigma of the time offset: the motion says nothing of it
-POOR = 5e-4  # s, 1 sigma
-FAST = 0.1  # m/s, for which an offset is given as a length
-LARGE_LAG = 3e-4  # s
-ROUNDING = 1e-12  # of the squared effect of a scale: less is none
 
 
 @dataclass(frozen=True)
@@ -68,9 +59,9 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
     stated = float(problem.method.measures.configured(problem.config)[-1])
     if abs(other.solution.estimate.target[-1] - stated) > LARGEST_CHANGE * stated:
         return agreed
-    # what is left out as the target is not as stated may yet show how it is, once all is refined
+    # stations left out as the target is not as stated may show its shape once all is refined
     complete = believable((other,)) and (
-        other.explained - agreed.explained > MORE_EXPLAINED * len(problem.poses))
+        other.explained - agreed.explained > 0.1 * len(problem.poses))
     return other if complete or evidence((other,), (agreed,)) > VERY_STRONG else agreed
 
 
@@ -79,8 +70,9 @@ def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
     stated = replace(solution.problem, config=config).tolerances
     method, target = solution.problem.method, solution.estimate.target
     labels = method.labels
-    used = {d.name: value for d, value, _, _ in sizes(replace(solution, conservative=None))}
-    for block, _, std, z in sizes(solution):
+    used = {block.name: value for block, value, _, _ in single_parameters(
+        replace(solution, conservative=None))}
+    for block, _, std, z in single_parameters(solution):
         if block.parameter is not None and abs(z) > NOTED_CONTRADICTION:
             estimated = float(target[block.parameter - len(labels)])
             yield Shape(block.name, estimated - used[block.name], estimated, std)
@@ -91,7 +83,7 @@ def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
             yield Shape(labels[i], first, float(target[i - len(labels)]), std)
 
 
-def sizes(solution: Solution) -> Iterator[tuple[ParameterBlock, float, float, float]]:
+def single_parameters(solution: Solution) -> Iterator[tuple[ParameterBlock, float, float, float]]:
     """
     Yield each block of one parameter with its value, 1 sigma, and how it contradicts its prior.
 
@@ -113,7 +105,7 @@ def sizes(solution: Solution) -> Iterator[tuple[ParameterBlock, float, float, fl
 def reported_blocks(solution: Solution) -> dict[str, Any]:
     """Return what is reported of nuisance parameters: values of single ones, scales of others."""
     report: dict[str, Any] = {}
-    for block, value, std, _ in sizes(solution):
+    for block, value, std, _ in single_parameters(solution):
         if block.report:
             report |= {block.report: block.origin + value, f'{block.report}_std': std}
     for block in (solution.conservative or solution).blocks:
@@ -124,11 +116,10 @@ def reported_blocks(solution: Solution) -> dict[str, Any]:
 
 def scale_error(solution: Solution) -> tuple[float, float, float]:
     """
-    Return by how much the robot's lengths exceed the sensor's, relative, and its 1 sigma.
+    Return the scale of the robot's lengths over the sensor's, less 1, its 1 sigma, the squares.
 
-    The step that one more unknown, a scale of the robot's positions, would take from the
-    solution, to first order, and the squares that are left without it. What the target measures
-    is unknown too: a length of it that is not as stated is no scale.
+    To first order the step of one more unknown at the solution, and the sum of squares without
+    it. The stated measures of the target are unknown too: a wrong one is no scale.
     """
     problem = solution.problem
     positions = problem.robot_poses[:, :3, 3]
@@ -141,7 +132,7 @@ def scale_error(solution: Solution) -> tuple[float, float, float]:
     free = column - Q @ (Q.T @ column)
     rest = solution.white - Q @ (Q.T @ solution.white)
     information = float(free @ free)
-    if information < ROUNDING * float(column @ column):
+    if information < 1e-12 * float(column @ column):
         return 0.0, math.inf, float(rest @ rest)
     return float(free @ rest) / information, information ** -0.5, float(rest @ rest)
 
@@ -152,7 +143,7 @@ def require_one_scale(agreed: Consensus) -> None:
 
     Raises ScaleError, or MovedError where that explains it better.
     """
-    for block, value, std, z in sizes(agreed.solution):
+    for block, value, std, z in single_parameters(agreed.solution):
         if block.name == 'scale' and abs(z) > CONTRADICTION and abs(value) > max(
                 SMALLEST_SCALE_ERROR, CONTRADICTION * std):
             moved_slightly(agreed)
@@ -163,13 +154,13 @@ def require_not_only_scale(solution: Solution) -> None:
     """
     Refuse a solution most of whose residuals one small scale error explains.
 
-    Other nuisance parameters could make much of it up, and the answer
-    would be wrong by as much of the lever. By an F-test. Raises ScaleError.
+    By an F-test. Other nuisance parameters could explain much of the scale error, and the answer
+    would be wrong by as much of the lever. Raises ScaleError.
     """
     scale, std, total = scale_error(solution)
     explained, freedom = (scale / std) ** 2, max(solution.redundancy, 1)
     left = max(total - explained, 0.0)
-    if explained < MOST * total or not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
+    if explained < 0.5 * total or not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
         return
     if explained > left * f_isf(RARE, 1, freedom) / freedom:
         raise ScaleError(abs(scale), std * (left / max(solution.degrees_of_freedom, 1)) ** 0.5)
@@ -177,31 +168,31 @@ def require_not_only_scale(solution: Solution) -> None:
 
 def time_offset_of(solution: Solution) -> TimeOffset | None:
     """Return the time offset of the stamps as received, None where the robot only stood."""
-    found = _found(solution, TIME_OFFSET)
-    return found and TimeOffset(solution.problem.config.time_offset + found.value, found.std)
+    offset = _estimate_of(solution, TIME_OFFSET)
+    return offset and TimeOffset(solution.problem.config.time_offset + offset.value, offset.std)
 
 
 def offset_notes(solution: Solution) -> list[str]:
-    """Return what is to be said of offset and lag, in words."""
-    offset, lag = _found(solution, TIME_OFFSET), _found(solution, ROTATION_LAG)
+    """Return notes on the time offset and the lag of the rotation."""
+    offset, lag = _estimate_of(solution, TIME_OFFSET), _estimate_of(solution, ROTATION_LAG)
     if offset is None:
         return []
     notes = []
-    if offset.std > UNKNOWN * solution.problem.config.time_offset_std:
+    if offset.std > 0.5 * solution.problem.config.time_offset_std:
         notes.append('the motion says nothing of the time offset, which is as time_offset and '
                      'time_offset_std state it: sweep across the target, with changes of speed')
-    elif offset.std > POOR:
+    elif offset.std > 5e-4:  # s
         notes.append(f'sweep faster once: the time offset is known to {offset.std * 1e3:.1f} ms '
-                     f'only, that is {offset.std * FAST * 1e3:.2f} mm at {FAST * 1e3:.0f} mm/s')
-    if lag and abs(lag.value) > max(CONTRADICTION * lag.std, LARGE_LAG):
+                     f'only, that is {offset.std * 100:.2f} mm at 100 mm/s')
+    if lag and abs(lag.value) > max(CONTRADICTION * lag.std, 3e-4):
         notes.append(f'the robot reports its rotation {lag.value * 1e3:.2f} ms later than its '
                      'position: a scan with this calibration allows for it')
     return notes
 
 
-def _found(solution: Solution, name: str) -> TimeOffset | None:
+def _estimate_of(solution: Solution, name: str) -> TimeOffset | None:
     """Return the value and 1 sigma of a block of one parameter, None where there is none."""
-    best, wide = ({block.name: (value, std) for block, value, std, _ in sizes(one)}
+    best, wide = ({block.name: (value, std) for block, value, std, _ in single_parameters(one)}
                   for one in (replace(solution, conservative=None), solution))
     if name not in best:
         return None
