@@ -1,20 +1,20 @@
 """
-Blocks of nuisance parameters: what may be wrong beside the noise (docs/estimator.md, section 2).
+Blocks of nuisance parameters: systematic errors beside the noise (docs/estimator.md, section 2).
 
-With residuals r + J xi + sum of K_b n_b = e, a block gives the columns K_b by its parameters, each
-of a normal prior about nothing. How large they are, over that prior, is estimated (see noise).
+With residuals r + J xi + sum of K_b n_b = e, a block gives the columns K_b of its parameters, each
+with a normal prior about 0. The scale of that prior is estimated (see noise).
 
 A new block is one more source: a function that gets the problem linearised at the first estimate,
 and returns a function that gives the blocks at any later one. Those of all targets are in SOURCES,
-those of a target in Method.nuisances. What the poses depend on (a time offset, the joints of the
-robot) comes with the problem instead, as a PoseModel:
+those of a target in Method.nuisances. Parameters that the poses depend on (a time offset, the
+joints of the robot) come with the problem instead, as a PoseModel:
 
     def poses_and_twists(values):  # (k,), so far 0
         return interpolated(stamps + values[0]), velocities(stamps + values[0])[:, :, None]
 
     offset = PoseModel(poses_and_twists, names=('time_offset',), counts=(1,), stds=(0.05,))
     solution = map_solution(Problem(method, poses, observations, config, offset), start)
-    solution.problem.pose_values, solution.problem.poses  # what was found of it
+    solution.problem.pose_values, solution.problem.poses  # as estimated
 
 Poses of an inverted problem (eye_on_base) are the robot's own in a PoseModel, too.
 """
@@ -31,11 +31,10 @@ from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import TURN_LENGTH
 import numpy as np
 
-# Share of the RMS of each degree of the polynomials: the first of them are the largest.
+# RMS of the polynomials of each degree over noise.distortion.
 DISTORTION = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
 SENSOR_SCALE = 0.3  # prior sigma of the sensor's scale over that of the robot's
-LARGEST_SCALE = 400.0  # of variances over the configured ones: 20 times as large
-STATED_MEASURE = 1e8  # the same of a stated measure, which may be plainly wrong
+LARGEST_SCALE = 400.0  # largest variance over the configured one: 20 times the sigma
 
 Retraction = Callable[[Problem, Estimate, Array], tuple[Problem, Estimate]]
 
@@ -43,13 +42,13 @@ Retraction = Callable[[Problem, Estimate, Array], tuple[Problem, Estimate]]
 @dataclass(frozen=True, eq=False)
 class ParameterBlock:
     """
-    Some nuisance parameters of one prior, at an estimate.
+    Nuisance parameters with one prior, at an estimate.
 
     columns: (m, k) derivatives of the residuals by the parameters in units of their prior sigma
     std (m, rad, s or 1). functions: (n, f) at the poses; then each column stands for f parameters,
     each of which acts by one of the functions. twists: (n, 6, k) change of the poses by the
     parameters (not in sigmas), as in Linear.by_pose, None where they change none.
-    best_fit(linear): (6, k * f) by how much the transform that maps points best moves.
+    best_fit(linear): (6, k * f) derivatives of the best-fit transform.
     retract(problem, estimate, change (k,)): both with the parameters changed, None where they
     are only taken out of the residuals. parameter: which of the target's it is, None if none.
     least, largest: bounds of the variance over the configured one. report: the key under which
@@ -84,9 +83,9 @@ Source = Callable[[Linear], Blocks]
 
 def prepared(first: Linear) -> Callable[[Linear], tuple[ParameterBlock, ...]]:
     """
-    Return what gives all blocks at an estimate, prepared at the first one.
+    Return the function that gives all blocks at an estimate, prepared at the first one.
 
-    Those of functions of the poses are the last.
+    Blocks with functions of the poses are the last.
     """
     own = (first.problem.method.nuisances, first.problem.pose_model)
     sources = [each.blocks for each in own if each and each.blocks]
@@ -114,7 +113,8 @@ def stated_measures(first: Linear) -> Blocks:
         for i in np.flatnonzero(stds).tolist():
             std = float(stds[i])
             yield ParameterBlock(method.labels[i], linear.jacobian[:, 6 + i:7 + i] * std, std,
-                                 retract=retract_by(i), parameter=i, largest=STATED_MEASURE)
+                                 retract=retract_by(i), parameter=i,
+                                 largest=1e8)  # a stated measure may be plainly wrong
     return at
 
 
@@ -132,7 +132,7 @@ def robot_scale(first: Linear) -> Blocks:
 
 
 def robot_smooth(first: Linear) -> Blocks:
-    """Return the block of the robot's smooth errors: joints that shift the flange turn it too."""
+    """Return the block of the robot's smooth errors, of position and rotation."""
     size = first.problem.config.noise.robot_smooth
     axes = np.diag(np.repeat([1.0, 1 / TURN_LENGTH], 3))
 
@@ -161,7 +161,7 @@ def sensor_scale(first: Linear) -> Blocks:
 
 
 def sensor_distortion(first: Linear) -> Blocks:
-    """Return the blocks of the sensor's distortion: polynomials of its plane, by their degree."""
+    """Return the blocks of the sensor's distortion: polynomials in its plane, one per degree."""
     std, degrees = first.problem.config.noise.distortion, list(DISTORTION)
     fields = bending(first.points_on_target, degrees) if std else []
 
@@ -212,7 +212,7 @@ def pose_model(first: Linear) -> Blocks:
 
 
 def best_fit_motions(linear: Linear, blocks: Sequence[ParameterBlock]) -> Array:
-    """Return by how much (6, q) the best-fit transform moves with the parameters of blocks."""
+    """Return the derivatives (6, q) of the best-fit transform by the parameters of blocks."""
     parts = [np.zeros((6, block.count)) if block.best_fit is None else
              block.best_fit(linear) * block.std for block in blocks]
     return np.concatenate([np.zeros((6, 0)), *parts], axis=1)
@@ -220,10 +220,10 @@ def best_fit_motions(linear: Linear, blocks: Sequence[ParameterBlock]) -> Array:
 
 def pose_corrections(problem: Problem, blocks: Sequence[ParameterBlock], values: Array) -> Array:
     """
-    Return the corrections (n, 6) of the reported poses that the blocks stand for.
+    Return the corrections (n, 6) of the reported poses by the parameters of blocks.
 
     values: (q,) of the parameters of all blocks, one after the other, in their present sigmas; or
-    (n, q), of each pose its own.
+    (n, q), for each pose.
     """
     n = len(problem.poses)
     errors, values = np.zeros((n, 6)), np.broadcast_to(values, (n, values.shape[-1]))

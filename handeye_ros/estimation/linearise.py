@@ -1,5 +1,5 @@
 """
-What is to be solved, and its residuals and derivatives at an estimate: (1), (2) of estimator.md.
+The problem, and its residuals and derivatives at an estimate: (1), (2) of estimator.md.
 
 A condition g(p) = 0 holds for a point of the sensor plane s = (x, 0, z) carried to the base,
 p = R_i (X s) + a_i.
@@ -19,16 +19,16 @@ from handeye_ros.estimation.model import Estimate, Method, Observations, PoseMod
 import numpy as np
 from numpy.typing import NDArray
 
-MANY = 200  # stations: what so many show, further ones do not change by 1 % of a sigma
+MANY = 200  # stations: further ones change variance factors by less than 1 % of a sigma
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
     """
-    What is to be solved: T_base_flange (n, 4, 4), observations of them, and settings.
+    A calibration problem: poses (n, 4, 4) of the mount, their observations, and settings.
 
-    What follows from these alone, whatever the estimate, is found once. pose_model: what the
-    poses depend on, None if on nothing; pose_values: (k,) what that is taken to be.
+    pose_model: the parameters that the poses depend on, None if on none; pose_values: (k,) their
+    values.
     """
 
     method: Method
@@ -39,7 +39,7 @@ class Problem:
     pose_values: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        """Take what poses depend on for nothing at first."""
+        """Set the values that the poses depend on to 0 where none are given."""
         if self.pose_model is not None and not len(self.pose_values):
             object.__setattr__(self, 'pose_values', np.zeros(sum(self.pose_model.counts)))
 
@@ -64,17 +64,17 @@ class Problem:
 
     @cached_property
     def stations(self) -> tuple[Stations, ...]:
-        """Return what the observations of each station have in common."""
+        """Return the observations by station, grouped by their number."""
         return stations_of(self.observations)
 
     @cached_property
     def pose_features(self) -> Array:
-        """Return where the poses are (n, 6), in units over which the robot's error is alike."""
+        """Return the features (n, 6) of the poses, see basis.pose_features."""
         return pose_features(self.poses)
 
     @cached_property
     def distinct(self) -> list[int]:
-        """Return stations of poses that differ, MANY at most: one may be taken again."""
+        """Return the stations of distinct poses, at most MANY."""
         return farthest_points(self.pose_features, MANY)
 
     @property
@@ -89,7 +89,7 @@ class Problem:
 
     @cached_property
     def smooth(self) -> Array:
-        """Return the root (n, r) of the covariance of a smooth error at the poses."""
+        """Return basis functions (n, r) of the robot's smooth error at the poses."""
         return process_root(pose_features(self.robot_poses))
 
     @cached_property
@@ -133,7 +133,7 @@ class Problem:
         poses, _ = self.pose_model.at(values)
         other = replace(self, poses=poses if self.in_hand else se3.inverse(poses),
                         pose_values=values)
-        # how alike errors are at the poses, and what stations have in common, hardly changes
+        # such small changes of the poses hardly change the basis, and not the observations
         vars(other).update(smooth=self.smooth, smooth_products=self.smooth_products,
                            stations=self.stations)
         return other
@@ -153,7 +153,7 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """An estimate, and what the parameters of blocks that retract are, in their own units."""
+    """An estimate, and the values of the parameters of blocks that retract, in their units."""
 
     problem: Problem
     estimate: Estimate
@@ -170,7 +170,7 @@ class State:
 @dataclass(frozen=True, eq=False)
 class Linear:
     """
-    Residuals (..., m) at an estimate, their Jacobian (..., m, 6 + k), what the errors do to them.
+    Residuals (..., m) at an estimate, their Jacobian (..., m, 6 + k), derivatives by errors.
 
     lever: (..., m, 3) from the sensor to the points, in the mount; by_base: (..., m, 3)
     derivative by the point in the base.
@@ -219,10 +219,9 @@ class Linear:
     @cached_property
     def points_on_target(self) -> Array:
         """
-        Return the points (m, 2) of the sensor's plane where their conditions hold.
+        Return the points (m, 2) of the sensor's plane moved to where their conditions hold.
 
-        The points as measured have their errors in them: of many such least squares would find
-        that all lengths are nothing, with which the errors vanish, too.
+        With the measured points, which have errors, least squares would shrink all lengths.
         """
         g = self.by_point
         square = (g ** 2).sum(axis=1)
@@ -239,7 +238,7 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     """
     Return residuals and derivatives r, J at an estimate, (2).
 
-    Or at several at once, X (n, 4, 4) and target (n, s), where the method can do that.
+    Or at several estimates at once, X (n, 4, 4) and target (n, s), where the method allows that.
     """
     obs, X = problem.observations, estimate.X
     R, a = problem.flanges

@@ -17,13 +17,13 @@ UNUSED = -1  # the kind of an observation that belongs to nothing
 @dataclass(frozen=True, eq=False)
 class Observations:
     """
-    Points of the sensor plane, each with one scalar condition to fulfil.
+    Points of the sensor plane, each with one scalar condition.
 
     station: (m,) index of the pose, ascending; points: (m, 2); kind: (m,) which condition, an
     index into the method's kinds; noise: (m, 2, 2) factor L, the point's error is L @ e with
     e of unit covariance; source: (m,) observations of equal source share their e. component:
-    (m,) 0 or 1, which of two variance factors its noise has. A target adds what it knows of its
-    points in a class of its own, arrays (m, ...).
+    (m,) 0 or 1, which of two variance factors its noise has, by default the first. A target adds
+    further arrays (m, ...) in a subclass.
     """
 
     station: NDArray[np.intp]
@@ -34,7 +34,7 @@ class Observations:
     component: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
     def __post_init__(self) -> None:
-        """Take points of which nothing is said for those of the first component."""
+        """Set the component to the first where none is given."""
         if len(self.component) < len(self.station):
             object.__setattr__(self, 'component', np.zeros(len(self.station), dtype=np.intp))
 
@@ -59,7 +59,7 @@ class Observations:
         return np.asarray(np.einsum('mij,mj->mi', T[:, :3, :3], in_mount) + T[:, :3, 3])
 
     def repeated(self, stations: int, points: Array) -> Self:
-        """Return those of one station at so many, with points (stations * m, 2)."""
+        """Return the observations of one station repeated, with points (stations * m, 2)."""
         every = (getattr(self, f.name) for f in fields(self))
         many = type(self)(*(np.tile(v, (stations, *[1] * (v.ndim - 1))) for v in every))
         return replace(many, points=points, station=np.repeat(np.arange(stations), len(self)))
@@ -68,7 +68,7 @@ class Observations:
 @dataclass(frozen=True, eq=False)
 class PoseModel:
     """
-    Poses that depend on parameters which are known by a prior: a time offset, a robot's joints.
+    Poses that depend on parameters with a prior: a time offset, a robot's joints.
 
     evaluate(values (k,)): poses T_base_flange (N, 4, 4) of all samples, and their twists
     (N, 6, k), the derivatives by the values: a translation, and a rotation vector about the
@@ -125,7 +125,7 @@ def kind_unchanged(observations: Observations, points: Array, target: Array, con
 
 def observed_points(sample: Sample, points: Array, kind: NDArray[np.intp]
                     ) -> tuple[Array, NDArray[np.intp]]:
-    """Return the observations themselves as what was measured."""
+    """Return the observations themselves as the measured points."""
     return points, kind
 
 
@@ -148,10 +148,10 @@ class FeatureModel:
     """
     What a target shows in profiles.
 
-    extract(points, config): features of one profile. observe(samples): what is to be fulfilled.
-    measured(sample, points, kind): all measured points (k, 2) and their kinds, that the used
-    observations (points, kind) of a sample stand for. extract_each(profiles, config): what
-    extract gives of each, or the error that it raises; where many at once are quicker.
+    extract(points, config): features of one profile. observe(samples): their observations.
+    measured(sample, points, kind): all measured points (k, 2) and their kinds that the used
+    observations (points, kind) of a sample stand for. extract_each(profiles, config): the same as
+    extract for many at once, faster: features or the error of each.
     """
 
     extract: Callable[[Array, Config], tuple[Feature, ...]]
@@ -165,7 +165,7 @@ class FeatureModel:
 @dataclass(frozen=True, eq=False)
 class Geometry:
     """
-    What must hold of points on a target.
+    The conditions of points on a target.
 
     conditions(points in base (m, 3), kind (m,), target (s,), config): see Conditions.
     retract(target (s,), delta (k,)): the target moved. free(config): (k,) which of its parameters
@@ -182,14 +182,14 @@ class Geometry:
 @dataclass(frozen=True, eq=False)
 class Measures:
     """
-    What is stated of a target, and what is reported of it.
+    The stated measures of a target, and what is reported of it.
 
-    tolerances(config): (k,) 1 sigma of those of its parameters that are stated with one, 0 of all
-    others; configured(config): (k,) the values of those. relax(config): the configuration with
-    the target's shape (its last parameter) unknown, None where it is. describe(target, std (k,)):
-    what else was estimated, as plain values. one_axis: what turns about one axis alone leave
-    open, in words. elsewhere(observations that are none of the target's, points in base, target,
-    config): where these are, in words, '' where nothing is to be said.
+    tolerances(config): (k,) 1 sigma of the parameters that are stated with one, 0 of all others;
+    configured(config): (k,) the stated values. relax(config): the configuration with the target's
+    shape (its last parameter) unknown, None where it is unknown already. describe(target, std
+    (k,)): the target's estimate as plain values. one_axis: what rotations about one axis alone
+    leave undetermined, in words. elsewhere(observations that do not lie on the target, points in
+    base, target, config): where these lie, in words, '' where there is nothing to say.
     """
 
     describe: Callable[[Array, Array], dict[str, Any]]
@@ -203,11 +203,11 @@ class Measures:
 @dataclass(frozen=True, eq=False)
 class Nuisances:
     """
-    What may be wrong beside the noise, of a target's own.
+    Nuisance parameters of a target's own.
 
-    blocks: what prepares blocks of nuisance parameters, a Source of blocks.py (which imports
+    blocks: the source of blocks of nuisance parameters, a Source of blocks.py (which imports
     this module). feature_errors(linear): (m, 1) derivatives of the residuals by errors of unit
-    variance that each feature has by itself, as long as the blocks are not unknowns.
+    variance of each feature, which stand for the blocks during the search.
     """
 
     blocks: Callable[[Any], Any]

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 TURN_LENGTH = 0.3  # m: a joint's error that turns the flange by 1 rad shifts it by so much
-LOCAL = 0.6  # of the distortion: what differs from station to station (speckle, waves of a face)
+LOCAL = 0.6  # of the distortion: what differs from station to station, as speckle does
 PRIOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
 
 SCALES = np.geomspace(0.001, 1e4, 43)  # of blocks, that are summed over
