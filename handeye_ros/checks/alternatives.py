@@ -3,13 +3,13 @@ The same samples under one changed assumption, and which of two explanations the
 
 Two explanations are compared by twice the logarithm of the Bayes factor, as the Schwarz criterion
 approximates it (Schwarz 1978, Ann. Statist. 6:461; Kass and Raftery 1995, J. Am. Stat. Assoc.
-90:773). With m conditions, f degrees of freedom, u unknowns and the variance factor s, an
-explanation scores, (13),
+90:773). With m conditions, u unknowns, f = m - u and the variance factor s, an explanation has the
+deviance, (13),
 
     f (log v + s / v) + u log m + sum of the limits of what it leaves out,    v = max(s, SMALLEST)
 
-where m counts the conditions. A station that is left out costs what makes a station count as an
-outlier, and so does an edge that a station shows and the explanation has no use for.
+A station that is left out costs the limit from which a station is an outlier, and so does an edge
+that a station shows and the explanation does not use.
 """
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def of_problem(problem: Problem) -> Fit | None:
     return (found,) if found else None
 
 
-def score(fit: Fit) -> float:
+def deviance(fit: Fit) -> float:
     """Return -2 log of the marginal likelihood of an explanation, (13); inf without a fit."""
     if not fit:
         return np.inf
@@ -86,7 +86,7 @@ def believable(fit: Fit) -> bool:
 
 def evidence(other: Fit, stated: Fit) -> float:
     """Return twice the log of the Bayes factor for another explanation against the stated."""
-    return score(stated) - score(other)
+    return deviance(stated) - deviance(other)
 
 
 def require_stated(stated: Fit, hypotheses: Iterable[Hypothesis], level: float = DECISIVE
@@ -99,5 +99,5 @@ def require_stated(stated: Fit, hypotheses: Iterable[Hypothesis], level: float =
     fits = [(one, fit) for one in hypotheses if (fit := one.refit()) and believable(fit)
             and evidence(fit, stated) > level]
     if fits:
-        best, fit = min(fits, key=lambda pair: score(pair[1]))
+        best, fit = min(fits, key=lambda pair: deviance(pair[1]))
         raise best.refusal(fit)

@@ -184,8 +184,8 @@ class Contamination:
     """
     The probability of each station being wrong, and by how much it then moves the transform.
 
-    Of (10) probability: (n,) p_i; shifts: (n, 6) m_i; covariances: (n, 6, 6) S_i; rest:
-    (n,) the p-value of the squared residuals that then remain.
+    Of (10), probability: (n,) p_i; shifts: (n, 6) h_i; covariances: (n, 6, 6) Sigma_i. rest: (n,)
+    the p-value of the squared residuals that then remain.
     """
 
     probability: Array
@@ -216,8 +216,8 @@ def contamination(solution: Solution, dropped: int) -> Contamination | None:
     """
     Return which station of a solution may be wrong, None of very many.
 
-    From MANY on this fades, to nothing at twice as many. dropped: how many are known to have
-    been wrong, which makes another one likelier.
+    The probabilities fade from MANY stations to 0 at twice as many. dropped: how many stations
+    were dropped as wrong, which makes another one likelier.
     """
     n = len(solution.problem.poses)
     weight = min(1.0, 2 - n / MANY)
