@@ -1,10 +1,10 @@
-"""Which frames sensor and target are fixed in, and poses of one in the other."""
+"""Frames that sensor and target are fixed in, poses of one in the other, directions in words."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from handeye_ros import se3
-from handeye_ros.config import Config
+from handeye_ros.config import Config, UNNAMED_FRAME
 from handeye_ros.data import Array, Sample
 import numpy as np
 
@@ -68,3 +68,18 @@ def other_axes(direction: Array, frame: str) -> str:
     """Return the two axes of a frame that are most across a direction."""
     names = [name for _, name in sorted(zip(np.abs(direction), 'xyz', strict=True))]
     return f'{frame} {" or ".join(sorted(names[:2]))}'
+
+
+def frame_notes(frame: str | None, beside: float, config: Config) -> Iterator[str]:
+    """
+    Yield what is unusual in the frame of the profiles, one sentence each.
+
+    frame: its name, None before the first profile; beside: the largest distance (m) of their
+    points from the plane of the two axes used.
+    """
+    if frame == '':
+        yield f'the profiles have no frame_id: the result calls their frame "{UNNAMED_FRAME}"'
+    if beside > 1e-3:
+        yield (f'the profiles lie up to {beside * 1e3:.1f} mm beside the plane of '
+               f'{" and ".join(config.profile.axes)} in their frame: that coordinate is not '
+               'used, and the result holds for points in the plane')

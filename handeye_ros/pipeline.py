@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 from handeye_ros import targets
+from handeye_ros.checks.alternatives import require_range_sign
 from handeye_ros.checks.change_point import moved_slightly
 from handeye_ros.checks.consistency import (
     require_certain,
@@ -19,13 +20,13 @@ from handeye_ros.checks.consistency import (
     require_rotations,
     require_samples,
 )
-from handeye_ros.checks.conventions import require_conventions, require_range_sign
+from handeye_ros.checks.conventions import require_conventions
 from handeye_ros.checks.errors import CountedWrongWayError, LeftOutError, TooUncertainError
-from handeye_ros.checks.shape import believable_shape, require_one_scale
+from handeye_ros.checks.shape import believable_shape, offset_notes, require_one_scale
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
+from handeye_ros.diagnosis.review import stop_snapshots
 from handeye_ros.diagnosis.settings import require_same_clock, require_settings
-from handeye_ros.diagnosis.summaries import stop_snapshots
 from handeye_ros.errors import DataError, NamedCauseError
 from handeye_ros.estimation.consensus import Consensus, consensus, refine, SUBSETS
 from handeye_ros.estimation.linearise import Problem
@@ -173,7 +174,8 @@ def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None,
             solution = estimate(moved.samples, (), config, moved.estimate)[1]
         except DataError as error:
             trouble = str(error)
-    return advice.advise(samples, config, solution, trouble, seen, refused)
+    notes = offset_notes(solution) if solution else ()
+    return advice.advise(samples, config, solution, trouble, seen, refused, notes)
 
 
 def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Config,

@@ -7,15 +7,15 @@ to do. Knows samples and estimates, and no file and no message.
 
 OFFERED = (
     'alternatives.believable', 'alternatives.Fit', 'alternatives.Hypothesis',
-    'alternatives.of_problem', 'alternatives.require_stated', 'change_point.moved_slightly',
-    'consistency.edge_notes', 'consistency.frame_notes', 'consistency.require_certain',
+    'alternatives.of_problem', 'alternatives.range_sign_evidence',
+    'alternatives.require_range_sign', 'alternatives.require_stated',
+    'change_point.moved_slightly', 'consistency.edge_notes', 'consistency.require_certain',
     'consistency.require_consistent', 'consistency.require_edges', 'consistency.require_judged',
     'consistency.require_own_frame', 'consistency.require_rotations',
     'consistency.require_samples', 'consistency.residual_rms', 'consistency.SMALLEST_TURN',
-    'consistency.turning', 'conventions.require_conventions', 'conventions.require_range_sign',
-    'errors.ConventionError', 'errors.CountedWrongWayError', 'errors.LeftOutError',
-    'errors.OneAxisError', 'errors.OneOrientationError', 'errors.TooUncertainError',
-    'shape.believable_shape', 'shape.contradictions', 'shape.offset_notes',
-    'shape.reported_blocks', 'shape.require_one_scale', 'shape.ROTATION_LAG', 'shape.TIME_OFFSET',
-    'shape.time_offset_of',
+    'consistency.turning', 'conventions.require_conventions', 'errors.ConventionError',
+    'errors.CountedWrongWayError', 'errors.LeftOutError', 'errors.OneAxisError',
+    'errors.OneOrientationError', 'errors.TooUncertainError', 'shape.believable_shape',
+    'shape.contradictions', 'shape.offset_notes', 'shape.reported_blocks',
+    'shape.require_one_scale', 'shape.ROTATION_LAG', 'shape.TIME_OFFSET', 'shape.time_offset_of',
 )

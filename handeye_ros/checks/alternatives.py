@@ -1,6 +1,10 @@
 """
 The same samples under one changed assumption, and which of two explanations they favour.
 
+The sign of the range is tested without a solution, too. A face ends where the surface turns away
+from the sensor or drops. Read with the wrong sign, a corner that turns away stands in front of the
+face instead, and there is no edge.
+
 Two explanations are compared by twice the logarithm of the Bayes factor, as the Schwarz criterion
 approximates it (Schwarz 1978, Ann. Statist. 6:461; Kass and Raftery 1995, J. Am. Stat. Assoc.
 90:773). With m conditions, u unknowns, f = m - u and the variance factor s, an explanation has the
@@ -13,9 +17,12 @@ that a station shows and the explanation does not use.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+from handeye_ros.checks.errors import CountedWrongWayError
+from handeye_ros.config import Config
+from handeye_ros.data import EdgePoint, Feature, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import Consensus, fast_consensus
 from handeye_ros.estimation.linearise import Problem
@@ -101,3 +108,66 @@ def require_stated(stated: Fit, hypotheses: Iterable[Hypothesis], level: float =
     if fits:
         best, fit = min(fits, key=lambda pair: deviance(pair[1]))
         raise best.refusal(fit)
+
+
+def require_range_sign(stations: Sequence[Sample | Reject], config: Config) -> None:
+    """Raise CountedWrongWayError where the profiles alone show that the range is."""
+    hint = range_sign_evidence(stations).hint(config)
+    if hint:
+        raise CountedWrongWayError(hint)
+
+
+EDGES = ('roof', 'step', 'shadow', 'gap')
+TURNED_EDGES = EDGES[:3]  # that depend on the sign of the range
+MOST_SHARE, LEAST_SHARE = 0.5, 0.8  # of stations with an edge: as set, the other way
+
+
+@dataclass(frozen=True)
+class RangeSignEvidence:
+    """
+    The number of stations that show an edge, by the sign of the range.
+
+    as_set: with profile.range_sign; flipped: with the other sign; both: with either; total: of
+    all stations.
+    """
+
+    as_set: int
+    flipped: int
+    both: int
+    total: int
+
+    @property
+    def against(self) -> bool:
+        """Return whether the stations contradict profile.range_sign (a sign test at 0.01)."""
+        if not self.total or self.as_set > MOST_SHARE * self.total:
+            return False
+        only_as_set, only_flipped = self.as_set - self.both, self.flipped - self.both
+        return (self.flipped >= LEAST_SHARE * self.total
+                and 2.0 ** -(only_flipped - 4 * only_as_set) < 0.01)
+
+    def hint(self, config: Config) -> str:
+        """Return the sentence of a refusal, empty when the stations do not contradict it."""
+        if not self.against:
+            return ''
+        sign = config.profile.range_sign
+        return (f'with profile.range_sign {sign}, {self.as_set} of {self.total} stations show an '
+                f'edge; counted the other way {self.flipped} of {self.total} do: set '
+                f'profile.range_sign to {-sign} (or, if it is right, remove what is higher '
+                'beside the target)')
+
+
+def range_sign_evidence(stations: Iterable[Sample | Reject]) -> RangeSignEvidence:
+    """
+    Return the evidence of stations, with and without a sample, on profile.range_sign.
+
+    Ends of faces at the border of the field of view must be left out. For targets without edges
+    the evidence is never against.
+    """
+    seen = [(isinstance(s, Sample) and _has_edge(s.features, EDGES),
+             _has_edge(s.flipped, TURNED_EDGES)) for s in stations]
+    return RangeSignEvidence(sum(a for a, _ in seen), sum(b for _, b in seen),
+                             sum(a and b for a, b in seen), len(seen))
+
+
+def _has_edge(features: Iterable[Feature], kinds: Sequence[str]) -> bool:
+    return any(isinstance(f, EdgePoint) and f.kind in kinds for f in features)

@@ -2,11 +2,11 @@
 Whether sensor or target moved in the middle of a recording.
 
 Where the samples fit no answer, each part of the recording is fitted by itself. Where they do, a
-move after station k is one more term of the model, r + J xi + K n + D_k beta = e with the prior
-beta ~ N(0, S^2), linearised at the answer. Two tests have to agree. With and without the move,
-noise and scales are estimated again: else they stand for it. And the order of time has to show
-more than random orders of the same stations do: errors of a robot that the model does not hold
-look like moves in any order.
+move after station i is two more blocks of nuisance parameters, linearised at the answer, (14) of
+estimator.md. Two tests have to agree. Noise and scales are estimated again with and without the
+move, as they partly explain it otherwise. And the order of time has to show more than random
+orders of the same stations do: errors of a robot that the model does not contain look like moves
+in any order.
 """
 from __future__ import annotations
 

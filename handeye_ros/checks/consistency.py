@@ -7,7 +7,7 @@ edges that it leaves unexplained.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros.checks.alternatives import LARGEST_DROPPED_SHARE
@@ -27,7 +27,7 @@ from handeye_ros.checks.errors import (
     UnidentifiedOutlierError,
 )
 from handeye_ros.checks.shape import require_not_only_scale
-from handeye_ros.config import Config, LimitsConfig, UNNAMED_FRAME
+from handeye_ros.config import Config, LimitsConfig
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import degrees
 from handeye_ros.estimation.consensus import Consensus
@@ -64,21 +64,6 @@ def require_own_frame(frame_id: str, config: Config) -> None:
                         ('robot_base_frame', config.base_frame)):
         if frame_id == robots:
             raise SensorFrameError(frame_id, key)
-
-
-def frame_notes(frame: str | None, beside: float, config: Config) -> Iterator[str]:
-    """
-    Yield what is unusual in the frame of the profiles, one sentence each.
-
-    frame: its name, None before the first profile; beside: the largest distance (m) of their
-    points from the plane of the two axes used.
-    """
-    if frame == '':
-        yield f'the profiles have no frame_id: the result calls their frame "{UNNAMED_FRAME}"'
-    if beside > 1e-3:
-        yield (f'the profiles lie up to {beside * 1e3:.1f} mm beside the plane of '
-               f'{" and ".join(config.profile.axes)} in their frame: that coordinate is not '
-               'used, and the result holds for points in the plane')
 
 
 def require_rotations(poses: Array, config: Config, lost: str) -> None:

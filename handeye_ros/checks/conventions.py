@@ -6,26 +6,28 @@ samples agree names the mistake.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
 from handeye_ros import se3
-from handeye_ros.checks.alternatives import Fit, Hypothesis, of_problem, require_stated
+from handeye_ros.checks.alternatives import (
+    Fit,
+    Hypothesis,
+    of_problem,
+    require_stated,
+)
 from handeye_ros.checks.consistency import misfit_of, MISFITTING, residual_rms
 from handeye_ros.checks.errors import (
     CalibrationTypeError,
     ConventionError,
-    CountedWrongWayError,
     RangeSignError,
     ScatteredOrientationsError,
 )
-from handeye_ros.config import Config
-from handeye_ros.data import Array, Reject, Sample
+from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
-from handeye_ros.profiles.range_sign import range_sign_evidence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -33,13 +35,6 @@ from scipy.spatial.transform import Rotation
 SIGN_TRIED = 0.6  # variance factor, blocks lumped, from which the other range sign is tried
 SCATTERED = 0.6  # mean cosine to the best direction, below which orientations are scattered
 INVERSE = 'inverse poses'
-
-
-def require_range_sign(stations: Sequence[Sample | Reject], config: Config) -> None:
-    """Raise CountedWrongWayError where the profiles alone show that the range is."""
-    hint = range_sign_evidence(stations).hint(config)
-    if hint:
-        raise CountedWrongWayError(hint)
 
 
 def require_conventions(problem: Problem, agreed: Consensus, flipped: Problem | None) -> None:

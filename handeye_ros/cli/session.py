@@ -78,7 +78,7 @@ def _gathered(path: Path, settings: 'Config') -> 'Session':
 
 def _table(session: 'Session', agreements: dict[int, tuple[float, float, bool]]) -> 'Table':
     """Return the samples with what is known of them, those that agree worst first."""
-    from handeye_ros.diagnosis.summaries import sample_summary
+    from handeye_ros.diagnosis.review import sample_summary
     from rich import box
     from rich.table import Table
     columns = Table(box=box.SIMPLE_HEAD, pad_edge=False)

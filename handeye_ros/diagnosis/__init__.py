@@ -5,8 +5,7 @@ Reviews samples while they are taken, and tests whether other settings explain t
 """
 
 OFFERED = (
-    'review.Agreement', 'review.FEWEST', 'review.Review', 'review.flat_crossing',
-    'review.review', 'settings.require_same_clock', 'settings.require_settings',
-    'summaries.count_of', 'summaries.sample_summary', 'summaries.stop_snapshot',
-    'summaries.stop_snapshots',
+    'review.Agreement', 'review.count_of', 'review.FEWEST', 'review.flat_crossing',
+    'review.review', 'review.Review', 'review.sample_summary', 'review.stop_snapshot',
+    'review.stop_snapshots', 'settings.require_same_clock', 'settings.require_settings',
 )

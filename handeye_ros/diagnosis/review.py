@@ -1,28 +1,33 @@
 """
-How well each sample agrees with the others: from three samples on, long before an answer.
+How well each sample agrees with the others, and what was seen at each stop.
 
-The fit is that of the solver, with none of the checks that an answer must pass.
+The review needs three samples. Its fit is that of the solver, without the checks of an answer.
 """
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
-from handeye_ros import targets
+from handeye_ros import se3, targets
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint, Sample
-from handeye_ros.errors import DataError
+from handeye_ros.data import Array, EdgePoint, Reject, Sample
+from handeye_ros.errors import DataError, UnusableMessageError
 from handeye_ros.estimation.consensus import consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import UNUSED
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.frames import mounted
+from handeye_ros.frames import in_mount, mounted
 from handeye_ros.results.outcome import left_out, Measured, measured_points
+from handeye_ros.results.report.evidence import StopSnapshot
 from handeye_ros.sampling.edge_shapes import consistent_edges
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import Outcome, Seen
 import numpy as np
 
-FEWEST = 3  # samples that can say anything of each other
-TOO_FAR = 5e-3  # m from every known edge: it is another one, or the fit is still wrong
+FEWEST = 3  # samples that can be compared
+TOO_FAR = 5e-3  # m from every edge of the target: it is another one, or the fit is still wrong
 
 
 class NoReviewError(DataError):
@@ -153,3 +158,49 @@ def _crossing(samples: Sequence[Sample], points: Array, solution: Solution, name
     along_laser = across @ pose[:3, 0] / np.linalg.norm(across, axis=1)
     steepness = min(1.0, float(np.linalg.norm(along_laser)))
     return float(distance[nearest]), float(np.arcsin(steepness))
+
+
+NAMES = {'FaceLine': 'face line', 'EdgePoint': 'edge point', 'Arc': 'arc'}
+
+
+def count_of(count: int, what: str) -> str:
+    """Return `1 sample`, `2 samples`."""
+    return f'{count} {what}' if count == 1 else f'{count} {what}s'
+
+
+def sample_summary(sample: Sample | Reject) -> str:
+    """Return what was seen in a sample, or why there is none."""
+    if isinstance(sample, Reject):
+        return sample.reason
+    counts = Counter(NAMES[type(feature).__name__] for feature in sample.features)
+    seen = ', '.join(count_of(count, name) for name, count in counts.items())
+    return f'{seen} from {count_of(sample.profiles, "profile")}'
+
+
+def stop_snapshots(session: Session, config: Config) -> tuple[StopSnapshot, ...]:
+    """Return what was seen at the stops, in the order of their numbers; all count as unused."""
+    return tuple(stop_snapshot(outcome, config) for outcome in session.outcomes)
+
+
+def stop_snapshot(outcome: Outcome, config: Config) -> StopSnapshot:
+    """Return what was seen at a stop."""
+    seen, sample = outcome.stop.load(config), outcome.sample
+    stamp = outcome.result.stamp
+    T = sample.T_base_flange if sample else _middle(seen)
+    return StopSnapshot(outcome.number, stamp, in_mount(T, config), _points(seen, stamp, config),
+                        sample.features if sample else (), getattr(outcome.result, 'reason', ''),
+                        samples=tuple(s.stamp for s in sample.single) if sample else ())
+
+
+def _points(seen: Seen, stamp: int, config: Config) -> Array:
+    """Return the points of the profile nearest to a stamp, none if it is unusable."""
+    profile = min(seen.profiles, key=lambda p: abs(p.stamp - stamp), default=None)
+    if profile is not None:
+        with suppress(UnusableMessageError):
+            return profile.read(config.profile).points
+    return np.empty((0, 2))
+
+
+def _middle(seen: Seen) -> Array:
+    pose = seen.poses[len(seen.poses) // 2]
+    return se3.from_quaternion(pose.translation, pose.quaternion)

@@ -6,9 +6,8 @@ the same stops again. The data then differ, and no likelihoods can be compared: 
 where nearly all its samples fit about as well as the configured noise allows, and where these are
 most of the stops; of several that with the most conditions beyond its unknowns.
 
-Clocks: what the sensor sees stands still when the robot does. Where its stillness begins or ends
-later than that of the poses, stop after stop, and the samples fit the poses of that other time,
-the clocks differ by as much.
+Clocks differ where the profiles come to rest or leave it later than the poses, stop after stop,
+and the samples fit the poses of that other time.
 """
 from __future__ import annotations
 
@@ -19,14 +18,20 @@ from functools import partial
 from itertools import permutations
 
 from handeye_ros import se3, targets
-from handeye_ros.checks.alternatives import believable, Fit, Hypothesis, of_problem, require_stated
+from handeye_ros.checks.alternatives import (
+    believable,
+    Fit,
+    Hypothesis,
+    of_problem,
+    range_sign_evidence,
+    require_stated,
+)
 from handeye_ros.checks.consistency import residual_rms
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Array, Profile, Reject, Sample
 from handeye_ros.errors import DataError, FeatureError, mm, NamedCauseError, UnusableMessageError
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.frames import mounted
-from handeye_ros.profiles.range_sign import range_sign_evidence
 from handeye_ros.sampling import station_features
 from handeye_ros.sampling.dwells import interpolate, NS
 from handeye_ros.sampling.edge_shapes import consistent_edges
@@ -37,16 +42,13 @@ from handeye_ros.sampling.stops import needed, result_of, Seen, Stop
 import numpy as np
 
 MOST_STOPS, MOST_PROFILES = 40, 4  # that are read again, and of each stop
-LEAST_SHARE = 0.7  # of the stops that fit, at the least
+LEAST_SHARE = 0.7  # of the stops fit, at least
 FEWEST_CONDITIONS = 6  # beyond the unknowns
 MORE = 1.5  # times the conditions of the setting as it is, where that fits too
 LAG = NS // 20  # between two profiles that are compared
-GRID = 60  # places along the line at which they are
-CHANGED = 0.8  # quantile of the changes there, which shows an edge that passes too
-STILL_SHARE = 0.1  # of the comparisons, at the least, are of a robot that stands still
+STILL_SHARE = 0.1  # of the comparisons, at least, are of a robot that stands still
 MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # times the change at rest; m
-FEWEST_PROFILES = 3
-SMALLEST = 0.05  # s: no stop shows less
+SMALLEST = 0.05  # s: a smaller time offset is not visible at stops
 
 
 class WrongSettingError(NamedCauseError):
@@ -66,8 +68,7 @@ def require_settings(session: Session, config: Config) -> None:
         return
     stops = [_thinned(outcome.stop, config) for outcome in session.outcomes
              if not outcome.refused][:MOST_STOPS]
-    stated = _fit(stops, config)
-    least = float(FEWEST_CONDITIONS)
+    stated, least = _fit(stops, config), float(FEWEST_CONDITIONS)
     if stated and believable(stated):
         least = MORE * stated[0].solution.redundancy
     best: tuple[int, Hypothesis, Fit] | None = None
@@ -97,7 +98,7 @@ def _changes(config: Config) -> Iterator[dict[str, str]]:
 
 
 def _hypothesis(stops: Sequence[Stop], config: Config, values: dict[str, str]) -> Hypothesis:
-    """Return that other values are meant."""
+    """Return the hypothesis that other values are meant."""
     def refusal(fit: Fit) -> DataError:
         return WrongSettingError(values, len(fit[0].used), len(stops),
                                  residual_rms(fit[0].solution))
@@ -120,7 +121,7 @@ def _fit(stops: Sequence[Stop], config: Config) -> Fit | None:
 
 
 def fit_of(samples: Sequence[Sample], config: Config) -> Fit | None:
-    """Return what samples agree on, None where they are too few or fit nothing."""
+    """Return the fit of samples, None where they are too few or there is none."""
     method = targets.method_for(config)
     ordered, _ = consistent_edges(samples)
     if len(ordered) < method.minimum:
@@ -198,9 +199,9 @@ def _change(a: Array, b: Array) -> float:
     if min(len(a), len(b)) < 2:
         return 0.0 if len(a) == len(b) else np.inf
     low, high = (max(a[:, 0].min(), b[:, 0].min()), min(a[:, 0].max(), b[:, 0].max()))
-    x = np.linspace(low, high, GRID)
+    x = np.linspace(low, high, 60)
     (za, zb) = (np.interp(x, *points[np.argsort(points[:, 0])].T) for points in (a, b))
-    return float(np.quantile(np.abs(za - zb), CHANGED))
+    return float(np.quantile(np.abs(za - zb), 0.8))  # an edge that passes changes a part only
 
 
 def _still(profiles: list[Profile], pose: Array, start: int, end: int, limit: float,
@@ -217,7 +218,7 @@ def _still(profiles: list[Profile], pose: Array, start: int, end: int, limit: fl
 
 
 def _sample(profiles: list[Profile], pose: Array, config: Config) -> Sample | None:
-    if len(profiles) < FEWEST_PROFILES:
+    if len(profiles) < 3:
         return None
     try:
         used, features = station_features.of_station(profiles, targets.method_for(config), config)
@@ -228,9 +229,9 @@ def _sample(profiles: list[Profile], pose: Array, config: Config) -> Sample | No
 
 def _offset(stills: Sequence[_Still], behind: int) -> float:
     """
-    Return by how much the profiles are late (s), if they show the stop so many before.
+    Return the delay of the profiles (s), if they show the stop so many before.
 
-    Clocks that differ show at most stops; a few that the robot did not reach at rest prove none.
+    Where the clocks differ, most stops show it; a few stops without rest prove nothing.
     """
     found, about = [], []
     for still, stop in _pairs(stills, behind):
@@ -247,7 +248,7 @@ def _pairs(stills: Sequence[_Still], behind: int) -> list[tuple[_Still, _Still]]
 
 
 def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
-    """Return that what was seen during each stop is of the stop so many before."""
+    """Return the hypothesis that the profiles of each stop belong to the stop so many before."""
     def refit() -> Fit | None:
         fit = fit_of([replace(still.sample, T_base_flange=stop.pose)
                       for still, stop in _pairs(stills, behind) if still.sample], config)

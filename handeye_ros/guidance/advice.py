@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3, targets
-from handeye_ros.checks.shape import offset_notes
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution
@@ -82,13 +81,14 @@ class Advice:
 
 def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
            trouble: str = '', seen: Array | None = None,
-           refused: Sequence[Array] = ()) -> Advice:
+           refused: Sequence[Array] = (), notes: Sequence[str] = ()) -> Advice:
     """
     Return the advice after some samples, the first of them being what guidance.* counts from.
 
     solution: from these samples (or those that agree), None before there is one; trouble: why
     there is none, or why it was refused; seen: points (n, 2) of profiles, to learn the view
-    from; refused: poses of the flange (4, 4) at which stops gave no sample.
+    from; refused: poses of the flange (4, 4) at which stops gave no sample; notes: on the time
+    offset, during a sweep.
     """
     method = targets.method_for(config)
     if not samples:
@@ -104,7 +104,7 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
     limits = limits_of(mounted(samples, config)[0], config)
     sigmas = sigma_table(solution, known, config)
     if config.sampling.moving:
-        return _of_sweep(solution, sigmas, missing(solution, view, limits)[:TOLD], trouble)
+        return _of_sweep(solution, sigmas, missing(solution, view, limits)[:TOLD], trouble, notes)
     surely = view.shrunk(known.std(_stated(solution)))  # seen there, wherever the sensor is
     search = Search(solution, surely, limits, known, visited(samples, refused, config),
                     samples[-1].T_base_flange)
@@ -126,11 +126,11 @@ def _unguided(text: str, move: Move | None, trouble: str) -> Advice:
     return Advice(tuple(filter(None, [text, trouble])), None, move, (), False, why)
 
 
-def _of_sweep(solution: Solution, sigmas: tuple[Sigma, ...], lacking: Sequence[str], trouble: str
-              ) -> Advice:
+def _of_sweep(solution: Solution, sigmas: tuple[Sigma, ...], lacking: Sequence[str], trouble: str,
+              notes: Sequence[str]) -> Advice:
     """Return the advice during a sweep: what it lacks, and no pose to go to."""
     enough, why = judged(sigmas, None, None, len(solution.problem.poses))
-    content = [trouble, why, *offset_notes(solution), *(() if enough else lacking)]
+    content = [trouble, why, *notes, *(() if enough else lacking)]
     return Advice(tuple(filter(None, content)), None, None, sigmas, enough and not trouble, why)
 
 

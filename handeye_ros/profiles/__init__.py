@@ -8,6 +8,6 @@ OFFERED = (
     'arcs.arc_features', 'arcs.arcs_of_each', 'arcs.normal_points', 'circles.fit_circle',
     'corners.corner_features', 'edge_rounding.RADII', 'edge_rounding.reach',
     'faces.face_features', 'faces.plane_features', 'lines.combined_line', 'lines.on_line',
-    'range_sign.range_sign_evidence', 'segment.Segment', 'segment.noise_level',
+    'segment.Segment', 'segment.noise_level',
     'segment.straight_segments',
 )

@@ -11,10 +11,10 @@ from copy import copy
 import math
 from typing import Self
 
-from handeye_ros.checks.consistency import frame_notes
 from handeye_ros.config import Config, UNNAMED_FRAME
 from handeye_ros.data import AnyProfile, TimedPose
 from handeye_ros.errors import InputError
+from handeye_ros.frames import frame_notes
 from handeye_ros.sampling.dwells import Dwell, FOREVER, Motion, NS
 from handeye_ros.sampling.errors import (
     LatePosesError,

@@ -13,8 +13,7 @@ from functools import partial
 from handeye_ros import pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
-from handeye_ros.diagnosis.review import FEWEST, flat_crossing, Review, review
-from handeye_ros.diagnosis.summaries import count_of
+from handeye_ros.diagnosis.review import count_of, FEWEST, flat_crossing, Review, review
 from handeye_ros.errors import DataError, HandeyeError, InputError
 from handeye_ros.guidance.limits import extremes
 from handeye_ros.output import folder_name

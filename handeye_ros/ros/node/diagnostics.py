@@ -7,7 +7,7 @@ import time
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from handeye_ros.diagnosis.summaries import count_of
+from handeye_ros.diagnosis.review import count_of
 from handeye_ros.ros.node.state import CURRENT, NONE, State, WITHDRAWN
 from handeye_ros.ros.node.streams import Arrivals
 from rclpy.node import Node

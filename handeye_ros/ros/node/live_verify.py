@@ -11,7 +11,7 @@ from pathlib import Path
 
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Reject, TimedPose
-from handeye_ros.diagnosis.summaries import sample_summary
+from handeye_ros.diagnosis.review import sample_summary
 from handeye_ros.output import write_whole
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.ros.node.answer import Answer

@@ -7,7 +7,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from handeye_ros.diagnosis.summaries import sample_summary
+from handeye_ros.diagnosis.review import sample_summary
 from handeye_ros.errors import HandeyeError, InputError
 from handeye_ros.ros.executable import offer, UNSENDABLE
 from handeye_ros.ros.node import params

@@ -12,7 +12,7 @@ import threading
 
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Reject, Sample
-from handeye_ros.diagnosis.summaries import count_of, sample_summary
+from handeye_ros.diagnosis.review import count_of, sample_summary
 from handeye_ros.errors import FeatureError, HandeyeError, InputError
 from handeye_ros.ros.node.state import Attempt
 from handeye_ros.ros.node.streams import StopConsumer, Streams

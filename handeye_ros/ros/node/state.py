@@ -12,7 +12,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Calibration
-from handeye_ros.diagnosis.summaries import count_of
+from handeye_ros.diagnosis.review import count_of
 import numpy as np
 
 SAMPLES_FORMAT = 'handeye_ros/samples/1'

@@ -4,8 +4,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from handeye_ros import se3
-from handeye_ros.diagnosis.review import Agreement
-from handeye_ros.diagnosis.summaries import sample_summary
+from handeye_ros.diagnosis.review import Agreement, sample_summary
 from handeye_ros.guidance.advice import Advice
 from handeye_ros.output import folder_name
 from handeye_ros.ros.node.answer import Answer, Reviewer, stamps_of

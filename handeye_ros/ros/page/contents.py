@@ -8,8 +8,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature
-from handeye_ros.diagnosis.review import Review
-from handeye_ros.diagnosis.summaries import stop_snapshot
+from handeye_ros.diagnosis.review import Review, stop_snapshot
 from handeye_ros.errors import InputError
 from handeye_ros.frames import in_mount
 from handeye_ros.guidance.following import anchor_of

@@ -5,12 +5,12 @@ from collections.abc import Callable
 
 from cells import recorded
 from handeye_ros import pipeline
+from handeye_ros.checks.alternatives import range_sign_evidence, RangeSignEvidence
 from handeye_ros.checks.errors import RangeSignError
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Array, Feature, Reject, Sample
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.profiles.range_sign import range_sign_evidence, RangeSignEvidence
 import numpy as np
 from profiles import drawn, face, gap_up_to, roof, step_up_to
 import pytest
