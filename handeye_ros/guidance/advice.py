@@ -1,4 +1,4 @@
-"""What is known so far, what is missing, and what to do next: the whole of the guidance."""
+"""The uncertainty so far, what is missing, and the next pose: the whole of the guidance."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 ROUGHLY_KNOWN = 3e-3  # m: points mapped worse than this cannot be aimed at
-TOLD = 2  # of what is missing
+MOST_MISSING = 2  # sentences on what is missing
 GOOD_COUNT = 15  # samples, before which nothing but the wanted accuracy is enough
 LITTLE = 0.02  # of the mapped points' sigma: less is no reason for another sample
 # What helps where more samples do not, by the setting that limits.
@@ -59,7 +59,7 @@ class Proposal:
 @dataclass(frozen=True, eq=False)
 class Advice:
     """
-    What to tell whoever moves the robot.
+    Advice to whoever moves the robot.
 
     sentences: in the order of their weight; next: the pose that helps most, None before the
     sensor is roughly known; move: what to do instead then; sigmas: empty before there is an
@@ -104,14 +104,15 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
     limits = limits_of(mounted(samples, config)[0], config)
     sigmas = sigma_table(solution, known, config)
     if config.sampling.moving:
-        return _of_sweep(solution, sigmas, missing(solution, view, limits)[:TOLD], trouble, notes)
+        lacking = missing(solution, view, limits)[:MOST_MISSING]
+        return _of_sweep(solution, sigmas, lacking, trouble, notes)
     surely = view.shrunk(known.std(_stated(solution)))  # seen there, wherever the sensor is
     search = Search(solution, surely, limits, known, visited(samples, refused, config),
                     samples[-1].T_base_flange)
     proposal = propose(search, config) or propose(replace(  # where there is no room for a margin
         search, view=view, visited=visited(samples, refused, config, margin=(0.0, 0.0))), config)
     enough, why = judged(sigmas, proposal, largest_cause(solution, known), len(samples))
-    content = [why, *missing(solution, view, limits)[:TOLD * (not enough)]]
+    content = [why, *missing(solution, view, limits)[:MOST_MISSING * (not enough)]]
     if proposal and not enough:
         content.append(_directions(samples[-1].T_base_flange, proposal, config, noun(method)))
     if not proposal and not enough:

@@ -1,8 +1,8 @@
 """
 Poses that could come next, and how well mapped points would be known after each.
 
-A station that was taken is a prototype: the sensor is turned about the spot that it saw and
-shifted, so that the spot appears elsewhere in the field of view. Candidates are drawn at random,
+A station that was taken is a template: the sensor is turned about its anchor (views.anchor_of) and
+shifted, so that the anchor appears elsewhere in the field of view. Candidates are drawn at random,
 and then around the best of them.
 """
 from __future__ import annotations
@@ -14,32 +14,29 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import linearise, Problem
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.guidance.following import anchor_of, batch_of, following
 from handeye_ros.guidance.limits import Limits, twist_of, View
 from handeye_ros.guidance.rules import Visited
 from handeye_ros.guidance.score import Mapping, with_rows
+from handeye_ros.guidance.views import anchor_of, batch_of, predicted
 import numpy as np
 
-PROTOTYPES = 6
-DRAWN = 240  # for each prototype
-REFINED = 80  # in each round, around the best
-ROUNDS = 4
-LARGEST_TWIST = 1.6  # rad: about the viewing direction, from the prototype's
-LARGEST_SHIFT = 0.2  # of the spot across the laser line, in widths of the view
-SERVES = 0.5  # of what the best adds: of those that add as much, the smallest move is taken
-LEVER = 0.3  # m/rad: by so much a turn of a robot counts as a way
+TEMPLATES, DRAWN = 6, 240  # stations; candidates of each
+ROUNDS, REFINED = 4, 80  # of refinement; candidates of each, around the best
+LARGEST_TWIST = 1.6  # rad: about the viewing direction, from the template's
+LARGEST_SHIFT = 0.2  # of the anchor across the laser line, in widths of the view
+USEFUL = 0.5  # of the gain of the best: of those that gain as much, the nearest is taken
+LEVER = 0.3  # m/rad: a rotation counts as a distance of so much
 NEAR = np.array([0.15, 0.1, 0.1, 0.1, 0.1, 0.3])  # 1 sigma of the choices of a round
-CHOICES = 6  # twist, tilt (2), place (2), shift
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """
-    n poses (n, 4, 4) of what carries the sensor, and what each would give.
+    n poses (n, 4, 4) of the mount, and the uncertainty with a sample at each.
 
-    station: of the prototype; choices: (n, 6) what was drawn; places: (n, 2) where in the
-    sensor plane the spot is seen; variance: (n,) of mapped points with the station, were all that
-    is not noise known; problem: of these stations alone.
+    station: of the template; choices: (n, 6) twist, tilt (2), place (2) and shift as drawn;
+    places: (n, 2) of the anchor in the sensor plane; variance: (n,) of mapped points with the
+    sample, the nuisance parameters known; problem: of these stations alone.
     """
 
     station: int
@@ -63,7 +60,7 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What the candidates are drawn in, and judged by; last: T_base_flange of the last sample."""
+    """What candidates are drawn from and compared by; last: T_base_flange of the last sample."""
 
     solution: Solution
     view: View
@@ -75,40 +72,40 @@ class Search:
     def draw(self, rng: np.random.Generator) -> list[Candidates]:
         """Return candidates of some stations; none where none keeps the feature in view."""
         found = []
-        for station in prototypes(self.solution.problem):
+        for station in templates(self.solution.problem):
             drawn = self.judged(station, _drawn(DRAWN, self.limits, rng))
             found += [drawn] if len(drawn.poses) else []
         return found
 
-    def refined(self, found: list[Candidates], rng: np.random.Generator) -> Candidates:
-        """Return the candidates around one of those found (one at least): near, and good."""
-        best, start = self._near(found)
+    def refined(self, drawn: list[Candidates], rng: np.random.Generator) -> Candidates:
+        """Return candidates around a near and useful one of those drawn (at least one)."""
+        best, start = self._nearest_useful(drawn)
         for _ in range(ROUNDS):
-            choices = best.choices[start] + NEAR * rng.normal(size=(REFINED, CHOICES))
+            choices = best.choices[start] + NEAR * rng.normal(size=(REFINED, 6))
             choices[:, 3:] = np.clip(choices[:, 3:], -1.0, 1.0)
             more = self.judged(best.station, choices)
             if len(more.poses) and more.variance.min() < best.variance[start]:
                 best, start = more, more.best()
         return best if start == best.best() else best.only(start)
 
-    def _near(self, found: list[Candidates]) -> tuple[Candidates, int]:
-        """Return the one with the smallest move of those that serve nearly as well as the best."""
-        known = float(self.mapping.variance(self.solution.reported[:6, :6]))
-        gains = [known - part.variance for part in found]
-        least = SERVES * max(float(gain.max()) for gain in gains)
-        ways = [np.where(gain >= least, self._way(part.poses), np.inf)
-                for part, gain in zip(found, gains, strict=True)]
-        nearest = min(range(len(found)), key=lambda i: float(ways[i].min()))
-        return found[nearest], int(np.argmin(ways[nearest]))
+    def _nearest_useful(self, drawn: list[Candidates]) -> tuple[Candidates, int]:
+        """Return the candidate nearest to the last sample whose gain is USEFUL."""
+        variance = float(self.mapping.variance(self.solution.reported[:6, :6]))
+        gains = [variance - part.variance for part in drawn]
+        least = USEFUL * max(float(gain.max()) for gain in gains)
+        distances = [np.where(gain >= least, self._distance(part.poses), np.inf)
+                     for part, gain in zip(drawn, gains, strict=True)]
+        nearest = min(range(len(drawn)), key=lambda i: float(distances[i].min()))
+        return drawn[nearest], int(np.argmin(distances[nearest]))
 
-    def _way(self, poses: Array) -> Array:
-        """Return how far poses (n, 4, 4) are from the last sample (m), turns included."""
+    def _distance(self, poses: Array) -> Array:
+        """Return the distances (n,) of poses (n, 4, 4) from the last sample (m), with LEVER."""
         flange = poses if self.limits.in_hand else se3.inverse(poses)
         return np.asarray(np.linalg.norm(flange[:, :3, 3] - self.last[:3, 3], axis=1)
                           + LEVER * se3.angle(self.last[:3, :3].T @ flange[:, :3, :3]))
 
     def judged(self, station: int, choices: Array) -> Candidates:
-        """Return the candidates that choices (n, 6) give, those alone that are possible."""
+        """Return the possible candidates of choices (n, 6)."""
         problem, estimate = self.solution.problem, self.solution.estimate
         X = estimate.X
         T_sensor, places = self._sensors(problem.poses[station] @ X, anchor_of(problem, station),
@@ -117,8 +114,8 @@ class Search:
         flange = poses if self.limits.in_hand else se3.inverse(poses)
         kept = np.flatnonzero(self.limits.allow(poses, X) & self.visited.allow(flange))
         obs = problem.observations
-        prototype = replace(problem, observations=obs.select(obs.station == station))
-        batch, stations = following(batch_of(prototype, estimate, poses[kept], places[kept]),
+        template = replace(problem, observations=obs.select(obs.station == station))
+        batch, stations = predicted(batch_of(template, estimate, poses[kept], places[kept]),
                                     self.view.inner(), self.visited.careful)
         kept, good = kept[stations], batch.problem
         return Candidates(station, choices[kept], poses[kept], batch.anchors,
@@ -126,7 +123,7 @@ class Search:
                           good)
 
     def _sensors(self, T_sensor: Array, anchor: Array, choices: Array) -> tuple[Array, Array]:
-        """Return poses (n, 4, 4) of the sensor and where each sees its spot (n, 2)."""
+        """Return poses (n, 4, 4) of the sensor, and the anchor (n, 2) seen from each."""
         view, first = self.view.inner(), self.limits.first[:3, :3] @ self.solution.estimate.X[
             :3, :3]
         twist = twist_of(first, T_sensor[None, :3, :3])[0] + choices[:, 0]
@@ -134,17 +131,17 @@ class Search:
         R = first @ se3.exp_rotation(np.column_stack([zero, zero, twist])) @ se3.exp_rotation(
             np.column_stack([choices[:, 1:3], zero]))
         places = (view.low + view.high) / 2 + choices[:, 3:5] * view.size / 2
-        spot = T_sensor[:3, [0, 2]] @ anchor + T_sensor[:3, 3]
-        spot = spot + LARGEST_SHIFT * view.size[0] * choices[:, 5:] * T_sensor[:3, 1]
+        anchor = T_sensor[:3, [0, 2]] @ anchor + T_sensor[:3, 3]  # in what carries the target
+        anchor = anchor + LARGEST_SHIFT * view.size[0] * choices[:, 5:] * T_sensor[:3, 1]
         in_sensor = np.column_stack([places[:, 0], zero, places[:, 1]])
-        return se3.transform(R, spot - np.einsum('nij,nj->ni', R, in_sensor)), places
+        return se3.transform(R, anchor - np.einsum('nij,nj->ni', R, in_sensor)), places
 
     def _rows(self, batch: Problem) -> Array:
         """Return the whitened derivatives (n, c, u) by the unknowns."""
         if not len(batch.poses):
             return np.zeros((0, 1, len(batch.columns)))
         linear = linearise(batch, self.solution.estimate)
-        noise = replace(self.solution.noise, lumped=True)  # doubts: errors of each station here
+        noise = replace(self.solution.noise, lumped=True)  # blocks as errors of the station
         rows = whitening(linear, noise)(linear.jacobian[:, batch.columns])
         return rows.reshape(len(batch.poses), -1, rows.shape[1])
 
@@ -158,12 +155,12 @@ def _drawn(count: int, limits: Limits, rng: np.random.Generator) -> Array:
         tilt * np.sin(turn), rng.uniform(-1.0, 1.0, (count, 3))])
 
 
-def prototypes(problem: Problem) -> list[int]:
-    """Return some stations, of every combination of conditions at least one."""
+def templates(problem: Problem) -> list[int]:
+    """Return some stations, at least one of every combination of conditions."""
     obs = problem.observations
     stations = np.unique(obs.station)
     kinds = [tuple(obs.kind[obs.station == i]) for i in stations]
     groups = [stations[[k == kind for k in kinds]] for kind in dict.fromkeys(kinds)]
-    share = max(1, PROTOTYPES // len(groups))
+    share = max(1, TEMPLATES // len(groups))
     return [int(group[i]) for group in groups
             for i in np.unique(np.linspace(0, len(group) - 1, share).astype(int))]

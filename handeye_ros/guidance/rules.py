@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 ERROR = (5e-3, 0.053)  # m and rad (3 degrees) by which a stop may be off
 REFUSED = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gave no sample
 SMALLEST_CORNER = 0.6  # rad between two faces in a profile; the finder needs 0.26
-SMALLEST_COSINE = 0.5  # of the incidence on a face, where the prototype saw it so
-SHORTEST = 0.25  # of the length of a face that the prototype saw, beside the corner
+SMALLEST_COSINE = 0.5  # of the incidence on a face, where the template saw it so
+SHORTEST = 0.25  # of the length of a face that the template saw, beside the corner
 SMALLEST_FACE = 0.2  # of the view's width: how far a face goes on beside its edge, to be found
 
 
@@ -184,16 +184,16 @@ def _face(linear: Linear, rows: NDArray[np.bool_], count: int) -> tuple[Array, .
     return normal, mean(linear.problem.observations.points), mean(p), mean(linear.by_base), facing
 
 
-def meeting(found: Corners | None, prototype: Corners | None, strict: bool
+def meeting(found: Corners | None, template: Corners | None, strict: bool
             ) -> NDArray[np.bool_] | None:
     """
-    Return which corners look as that of the prototype does, steeply enough; None: no corner.
+    Return which corners look as that of the template does, steeply enough; None: no corner.
 
-    strict: none of the faces is seen at a flatter angle than usual, whatever the prototype saw.
+    strict: none of the faces is seen at a flatter angle than usual, whatever the template saw.
     """
-    if found is None or prototype is None:
+    if found is None or template is None:
         return None
-    sides = found.reach * np.sign(prototype.reach) > SHORTEST * np.abs(prototype.reach)
-    least = SMALLEST_COSINE if strict else np.minimum(SMALLEST_COSINE, abs(prototype.facing))
-    facing = found.facing * np.sign(prototype.facing) >= least
+    sides = found.reach * np.sign(template.reach) > SHORTEST * np.abs(template.reach)
+    least = SMALLEST_COSINE if strict else np.minimum(SMALLEST_COSINE, abs(template.facing))
+    facing = found.facing * np.sign(template.facing) >= least
     return np.asarray((sides & facing).all(axis=1) & (found.angle > SMALLEST_CORNER))

@@ -9,12 +9,12 @@ from handeye_ros.config import with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.advice import Advice, advise, judged, Proposal, ROUGHLY_KNOWN, Sigma
-from handeye_ros.guidance.candidates import prototypes, Search, SERVES
-from handeye_ros.guidance.following import anchor_of
+from handeye_ros.guidance.candidates import Search, templates, USEFUL
 from handeye_ros.guidance.limits import learn_view, limits_of, seen_points, twist_of
 from handeye_ros.guidance.moves import design, next_move
 from handeye_ros.guidance.rules import visited
 from handeye_ros.guidance.score import Cause, mapping, with_rows
+from handeye_ros.guidance.views import anchor_of
 from handeye_ros.simulate import SCENARIOS
 import numpy as np
 import pytest
@@ -79,7 +79,7 @@ def test_it_helps_more_than_most_others(made: tuple[Cell, Solution]) -> None:
     variances = np.concatenate([part.variance for part in drawn])
     best = found.refined(drawn, rng)
     now = found.mapping.variance(made[1].covariance[:6, :6])
-    assert now - best.variance.min() >= SERVES * (now - variances.min())
+    assert now - best.variance.min() >= USEFUL * (now - variances.min())
     assert (variances < now).all(), 'no sample makes anything less known'
     # it is sought around the nearest of those that add half as much as the best of them
     near, start = found._near(drawn)
@@ -267,7 +267,7 @@ def test_every_edge_has_a_prototype() -> None:
     found = cell('plate', 0)
     solution = solved(found.problem)
     obs = solution.problem.observations
-    kinds = {int(k) for i in prototypes(solution.problem) for k in obs.kind[obs.station == i]}
+    kinds = {int(k) for i in templates(solution.problem) for k in obs.kind[obs.station == i]}
     assert kinds == set(map(int, np.unique(obs.kind)))
 
 

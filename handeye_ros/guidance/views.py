@@ -1,8 +1,8 @@
 """
-What stations elsewhere would see: the points of one that was taken follow the target.
+Predicted views: what stations at other poses would see, from one that was taken, the template.
 
-They take least steps in the sensor's plane until the method's own conditions hold, so that no
-more needs to be known of a target than its method.
+The points of the template take least steps in the sensor's plane until the conditions of the
+method hold, so that nothing else of the target needs to be known.
 """
 from __future__ import annotations
 
@@ -16,22 +16,19 @@ from handeye_ros.guidance.limits import View
 import numpy as np
 from numpy.typing import NDArray
 
-STEPS = 4
-LARGEST_STEP = 0.05  # m
-ON_TARGET = 1e-4  # m: a point that is nearer follows the target
-BORDER = 1e-4  # m: by as much a point may be outside the view
+ON_TARGET = 1e-4  # m: largest residual of a point on the target
 SMALLEST_SHARE = 0.5  # of a feature's length that must stay in the view
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
     """
-    n stations that all see what a prototype saw, each elsewhere.
+    n stations that see the same parts of the target as a template, at other poses.
 
-    problem: c observations for each station; anchored: which of them stand for what is seen
-    (anchor_rows); groups: which are of one point, (points, r) of those with r; seen: (c,) the
-    prototype's derivatives of the conditions by the range; corner: where its two faces meet, None
-    of other targets; face: beside an edge that is all it shows, else None.
+    problem: c observations for each station; anchored: which of them define the anchor
+    (anchor_rows); groups: arrays (points, r) of the observations of one point, by their number r;
+    seen: (c,) the template's derivatives of the conditions by the range; corner: where its two
+    faces meet, None for other targets; face: beside the edge where it shows an edge alone.
     """
 
     problem: Problem
@@ -48,12 +45,12 @@ class Batch:
 
     @property
     def points(self) -> Array:
-        """Return the observed places (n, c, 2) in the sensor plane."""
+        """Return the observed points (n, c, 2) in the sensor plane."""
         return self.problem.observations.points.reshape(len(self), len(self.seen), 2)
 
     @property
     def anchors(self) -> Array:
-        """Return the places (n, 2) in the sensor plane that stand for what is seen."""
+        """Return the anchors (n, 2) in the sensor plane."""
         return np.asarray(self.points[:, self.anchored].mean(axis=1))
 
     def subset(self, stations: NDArray[np.intp]) -> Batch:
@@ -61,13 +58,13 @@ class Batch:
         return replace(self, problem=self.problem.subset(stations))
 
     def moved(self, points: Array) -> Batch:
-        """Return the batch with its points elsewhere, shape n, c, 2."""
+        """Return the batch with other points (n, c, 2)."""
         observations = replace(self.problem.observations, points=points.reshape(-1, 2))
         return replace(self, problem=replace(self.problem, observations=observations))
 
 
 def anchor_rows(problem: Problem, station: int) -> NDArray[np.intp]:
-    """Return the observations that stand for what a station saw: of edges, where there are any."""
+    """Return the observations of a station that define its anchor: those of edges, if any."""
     obs = problem.observations
     rows = np.flatnonzero(obs.station == station)
     at_edge = rows[np.isin(obs.kind[rows], rules.edge_kinds(problem.method))]
@@ -75,18 +72,18 @@ def anchor_rows(problem: Problem, station: int) -> NDArray[np.intp]:
 
 
 def anchor_of(problem: Problem, station: int) -> Array:
-    """Return the point (2,) of the sensor plane that stands for what a station saw."""
+    """Return the anchor (2,) of a station: the mean point of its edge, or of all it saw."""
     return np.asarray(problem.observations.points[anchor_rows(problem, station)].mean(axis=0))
 
 
-def batch_of(prototype: Problem, estimate: Estimate, poses: Array, places: Array) -> Batch:
+def batch_of(template: Problem, estimate: Estimate, poses: Array, places: Array) -> Batch:
     """
     Return a batch at poses (n, 4, 4), its points not yet on the target.
 
-    prototype: of one station; places: (n, 2) of the sensor plane, to which its anchor goes.
+    template: of one station; places: (n, 2) of the sensor plane, to which its anchor goes.
     """
-    obs, n, linear = prototype.observations, len(poses), linearise(prototype, estimate)
-    anchored = anchor_rows(prototype, int(obs.station[0]))
+    obs, n, linear = template.observations, len(poses), linearise(template, estimate)
+    anchored = anchor_rows(template, int(obs.station[0]))
     anchor = obs.points[anchored].mean(axis=0)
     _, which = np.unique(obs.points, axis=0, return_inverse=True)
     count = np.bincount(which.reshape(-1))
@@ -94,12 +91,12 @@ def batch_of(prototype: Problem, estimate: Estimate, poses: Array, places: Array
     groups = tuple(order[np.repeat(count, count) == r].reshape(-1, r) for r in np.unique(count))
     points = obs.points[None] + (places - anchor)[:, None]
     many = obs.repeated(n, points.reshape(-1, 2))
-    return Batch(replace(prototype, poses=poses, observations=many), estimate, anchored, groups,
+    return Batch(replace(template, poses=poses, observations=many), estimate, anchored, groups,
                  linear.by_point[:, 1], rules.corners(linear, len(obs)), rules.face_beside(linear))
 
 
-def following(batch: Batch, view: View, strict: bool = True) -> tuple[Batch, NDArray[np.intp]]:
-    """Return the stations that see the target as the prototype did, and which they are."""
+def predicted(batch: Batch, view: View, strict: bool = True) -> tuple[Batch, NDArray[np.intp]]:
+    """Return the stations that see the target as the template did, and their indices."""
     kept = np.arange(len(batch))
     if len(batch):
         batch, share = _fitted(_on_target(batch), view)
@@ -111,14 +108,14 @@ def following(batch: Batch, view: View, strict: bool = True) -> tuple[Batch, NDA
     linear = linearise(batch.problem, batch.estimate)
     by_point = linear.by_point.reshape(len(batch), -1, 2)
     near = np.abs(linear.residuals).reshape(len(batch), -1).max(axis=1) < ON_TARGET
-    inside = view.room(batch.points).min(axis=1) > -BORDER
+    inside = view.room(batch.points).min(axis=1) > -1e-4
     good = near & inside & _steep(batch, by_point)
     good &= _facing(batch, by_point) & _recognised(batch)
     good &= rules.crossing_steeply(linear, len(batch.seen))
-    found = rules.corners(linear, len(batch.seen))
-    meeting = rules.meeting(found, batch.corner, strict)
-    if found is not None and meeting is not None:
-        good &= meeting & (view.room(found.places) > 0)
+    corners = rules.corners(linear, len(batch.seen))
+    meeting = rules.meeting(corners, batch.corner, strict)
+    if corners is not None and meeting is not None:
+        good &= meeting & (view.room(corners.places) > 0)
     if batch.face and strict:
         room = batch.face.room(batch.problem.poses @ batch.estimate.X, batch.anchors, view)
         good &= room > rules.SMALLEST_FACE * view.size[0]
@@ -128,14 +125,14 @@ def following(batch: Batch, view: View, strict: bool = True) -> tuple[Batch, NDA
 
 def _on_target(batch: Batch) -> Batch:
     """Return the batch after least steps of its points towards the target."""
-    for _ in range(STEPS):
+    for _ in range(4):
         linear = linearise(batch.problem, batch.estimate)
         g, A = linear.residuals.reshape(len(batch), -1), linear.by_point
         A = A.reshape(len(batch), -1, 2)
         points = batch.points.copy()
         for rows in batch.groups:
             step = _least_step(A[:, rows], g[:, rows])
-            points[:, rows] -= np.clip(step, -LARGEST_STEP, LARGEST_STEP)[:, :, None]
+            points[:, rows] -= np.clip(step, -0.05, 0.05)[:, :, None]
         batch = batch.moved(points)
     return batch
 
@@ -179,7 +176,7 @@ def _steep(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
 
 
 def _facing(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
-    """Return which stations look at the target from the side that the prototype saw."""
+    """Return which stations look at the target from the side that the template saw."""
     good = np.ones(len(batch), dtype=bool)
     for rows in batch.groups:  # conditions of one point together, in whatever axes they are
         size = np.linalg.norm(batch.seen[rows], axis=1)
@@ -190,7 +187,7 @@ def _facing(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
 
 
 def _recognised(batch: Batch) -> NDArray[np.bool_]:
-    """Return which stations the method would take for what they are meant to be."""
+    """Return which stations the method would label as the template is labelled."""
     problem, estimate = batch.problem, batch.estimate
     p = problem.points_in_base(estimate.X)
     labelled = problem.method.geometry.relabel(problem.observations, p, estimate.target,
