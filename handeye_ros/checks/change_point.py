@@ -31,7 +31,7 @@ from handeye_ros.estimation.consensus import Consensus, fast_consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.noise import TURN_LENGTH, whitening
 from handeye_ros.estimation.outliers import chi2_isf
-from handeye_ros.estimation.posterior import evaluated, weighed_again
+from handeye_ros.estimation.posterior import evaluated, reestimated
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
@@ -96,7 +96,7 @@ def moved_slightly(agreed: Consensus) -> str:
         int(agreed.used[move.station]), len(agreed.whole.poses), move.sensor,
         mount_frame(config) if move.sensor else target_frame(config),
         float(np.linalg.norm(move.step[:3])), float(np.linalg.norm(move.step[3:])))
-    if move.evidence > DECISIVE and move.chance < HARDLY_EVER:
+    if move.evidence > DECISIVE and move.p_value < HARDLY_EVER:
         raise refusal
     return str(refusal)
 
@@ -109,7 +109,7 @@ class ChangePoint:
     station: the first one after it; sensor: whether the sensor moved, and not the target;
     step: (6,) translation and rotation in the mount or the base; evidence: twice the log of the
     Bayes factor against no move; smooth: 1 sigma of the robot's smooth error beside it (m);
-    chance: the share of random orders of the stations that show a move as clearly.
+    p_value: the share of random orders of the stations that show a move as clearly.
     """
 
     station: int
@@ -117,7 +117,7 @@ class ChangePoint:
     step: Array
     evidence: float
     smooth: float = 0.0
-    chance: float = 0.0
+    p_value: float = 0.0
 
     @property
     def where(self) -> tuple[bool, int]:
@@ -141,14 +141,14 @@ def change_point(solution: Solution) -> ChangePoint | None:
     steps = _Steps.of(reported, changes)
     if next(steps.peaks()).evidence < -VERY_STRONG:  # against a move
         return None
-    unmoved, tried = weighed_again(reported).deviance, set[tuple[bool, int]]()
+    unmoved, tried = reestimated(reported).deviance, set[tuple[bool, int]]()
     best = ChangePoint(0, False, np.zeros(6), -np.inf)
     while len(tried) < (MOST_TRIED if best.evidence > 0 else FIRST_TRIED):
         peaks = (peak for peak in steps.peaks() if peak.where not in tried)
         if not (one := next(peaks, None)):
             break
         tried.add(one.where)
-        moved = weighed_again(reported, _blocks(reported, one))
+        moved = reestimated(reported, _blocks(reported, one))
         evidence = unmoved - moved.deviance
         if evidence > best.evidence:
             step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
@@ -158,8 +158,8 @@ def change_point(solution: Solution) -> ChangePoint | None:
             steps = _Steps.of(evaluated(solution.problem, solution.estimate, moved.noise), changes)
     if best.evidence < STRONG or not best.clear:
         return None
-    best = replace(best, chance=steps.chance)
-    return best if best.chance < RARELY else None
+    best = replace(best, p_value=steps.p_value)
+    return best if best.p_value < RARELY else None
 
 
 def _blocks(solution: Solution, move: ChangePoint) -> tuple[ParameterBlock, ...]:
@@ -237,7 +237,7 @@ class _Steps:
             yield ChangePoint(int(self.changes[k]), kind == 0, steps[kind, k], float(gain))
 
     @property
-    def chance(self) -> float:
+    def p_value(self) -> float:
         """Return the share of random orders of the parts that show a move as clearly as time."""
         rng, every = np.random.default_rng(0), np.arange(len(self.own))
         random = [self.gains(rng.permutation(every))[0].max() for _ in range(ORDERS)]

@@ -115,8 +115,9 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
         return np.asarray((rows.white()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
 
     state = graduated(start, squares, lambda at, weights: reweighted(system, at, weights))
-    now = squares(state)
-    return _without_outliers(system, state, now <= GROSS * max(1.0, believed(now)), minimum)
+    current = squares(state)
+    good = current <= GROSS * max(1.0, believed(current))
+    return _without_outliers(system, state, good, minimum)
 
 
 def _whitened(system: System[S], state: S) -> tuple[Array, Array]:

@@ -5,10 +5,10 @@ With whitened residuals r + J xi + K n = e, parameters n and noise e of unit var
 squares of [J K; 0 I] give the best linear unbiased xi (Henderson 1975, Biometrics 31:423). The
 variances of the noise are estimated by restricted maximum likelihood in multiplicative fixed-point
 steps (Patterson and Thompson 1971, Biometrika 58:545), held to the configured ones by a weak
-prior; how large the parameters are, from prior and likelihood (see noise).
+prior; the scales of the parameters from prior and likelihood (see noise).
 
-The estimate and its reported covariance are made with different prior scales: a parameter that the
-data show nothing of should not move the answer, but it may well be there.
+The estimate and its reported covariance have different prior scales: an error without evidence in
+the data must not move the estimate, but it may exist.
 """
 from __future__ import annotations
 
@@ -43,55 +43,55 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) 
     """
     Return the solution near a start, prior scales and noise as large as the residuals show.
 
-    noise: to start from, None: as configured. Of very many stations some lead near it first.
+    noise: to start from, None: as configured. From very many stations, a part comes first.
     """
     noise, every = noise or Noise(lumped=False), len(problem.poses) // MANY
     state = State.of(problem, start)
     if every > 1:
         some = problem.subset(np.arange(0, len(problem.poses), every))
-        found, astray = _approached(_System.begun(State.of(some, start), noise))
-        if not astray:
-            state, noise = found.state, found.noise
+        system, diverged = _iterated(_System.of(State.of(some, start), noise))
+        if not diverged:
+            state, noise = system.state, system.noise
             if problem.pose_model is not None:
                 problem = problem.with_pose_values(state.problem.pose_values)
             state = replace(state, problem=problem)
-    system, astray = _approached(_System.begun(state, noise))
-    return system.solution() if astray else system.answer()
+    system, diverged = _iterated(_System.of(state, noise))
+    return system.solution() if diverged else system.answer()
 
 
-def _approached(system: _System) -> tuple[_System, bool]:
+def _iterated(system: _System) -> tuple[_System, bool]:
     """Return the system at its solution, and whether its steps diverged and it was left."""
     least, best, resting = np.inf, system, False
     for count in range(10):  # of linearising
         x, covariance = system.solved
         size = float(np.abs(x[:system.u] / np.sqrt(np.diag(covariance)[:system.u])).max())
-        astray = size > 4.0 * max(least, 1.0)
-        if astray and count > 1:  # before, a block may turn out so large that the step grows
+        diverged = size > 4.0 * max(least, 1.0)
+        if diverged and count > 1:  # before, a block may turn out so large that the step grows
             return best, True
-        best, least = best if astray else system, min(size, least)
-        state = system.moved(x)
+        best, least = best if diverged else system, min(size, least)
+        state = system.retracted(x)
         noise, before = system.with_noise(x, covariance), system.noise.factors
         change = np.abs(np.log(noise.factors / before)).max()
-        there, steady = system.at(state, noise), change < 0.1
-        system = there if resting and steady else there.sized(STEPS)[0]
-        resting = system is there
+        relinearised, steady = system.at(state, noise), change < 0.1
+        system = relinearised if resting and steady else relinearised.rescaled(STEPS)[0]
+        resting = system is relinearised
         if size < CONVERGED and steady:
             break
     return system, False
 
 
 def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
-    """Return the solution that an estimate is with blocks and noise of a given size."""
+    """Return the solution at an estimate, with blocks, noise and scales as given."""
     state = State.of(problem, estimate)
-    return _System.begun(state, replace(noise, lumped=False)).solution()
+    return _System.of(state, replace(noise, lumped=False)).solution()
 
 
-def weighed_again(solution: Solution, further: tuple[ParameterBlock, ...] = ()) -> Solution:
+def reestimated(solution: Solution, further: tuple[ParameterBlock, ...] = ()) -> Solution:
     """Return a solution with noise and scales estimated again at its estimate, and more blocks."""
-    system = _System.begun(State.of(solution.problem, solution.estimate), solution.noise)
-    system = system.weighed(system.noise, further)
+    system = _System.of(State.of(solution.problem, solution.estimate), solution.noise)
+    system = system.reweighted(system.noise, further)
     for _ in range(LAST_STEPS):
-        system = system.weighed(system.with_noise(*system.solved)).sized(STEPS)[0]
+        system = system.reweighted(system.with_noise(*system.solved)).rescaled(STEPS)[0]
     return system.solution()
 
 
@@ -117,14 +117,14 @@ class _System:
     blocks_at: Callable[[Linear], tuple[ParameterBlock, ...]]
 
     @classmethod
-    def begun(cls, state: State, noise: Noise) -> _System:
+    def of(cls, state: State, noise: Noise) -> _System:
         """Return the system at the first state."""
         linear = linearise(state.problem, state.estimate)
         blocks_at = prepared(linear)
-        return cls.weighing(state, linear, noise, blocks_at(linear), blocks_at)
+        return cls.built(state, linear, noise, blocks_at(linear), blocks_at)
 
     @classmethod
-    def weighing(cls, state: State, linear: Linear, noise: Noise,
+    def built(cls, state: State, linear: Linear, noise: Noise,
                  blocks: tuple[ParameterBlock, ...],
                  blocks_at: Callable[[Linear], tuple[ParameterBlock, ...]]) -> _System:
         """Return the system of what is linearised, whitened by a noise."""
@@ -144,11 +144,11 @@ class _System:
     def at(self, state: State, noise: Noise) -> _System:
         """Return the system at another state, its blocks prepared as here."""
         linear = linearise(state.problem, state.estimate)
-        return _System.weighing(state, linear, noise, self.blocks_at(linear), self.blocks_at)
+        return _System.built(state, linear, noise, self.blocks_at(linear), self.blocks_at)
 
-    def weighed(self, noise: Noise, further: tuple[ParameterBlock, ...] = ()) -> _System:
+    def reweighted(self, noise: Noise, further: tuple[ParameterBlock, ...] = ()) -> _System:
         """Return the system with another noise, and further blocks."""
-        return _System.weighing(self.state, self.linear, noise, (*further, *self.blocks),
+        return _System.built(self.state, self.linear, noise, (*further, *self.blocks),
                                 self.blocks_at)
 
     @property
@@ -179,22 +179,22 @@ class _System:
         """Return the unknowns and nuisance parameters (u + q,) and their covariance C, (5)."""
         return from_information(self.columns.gram, self.gradient, self.scales, len(self.group))
 
-    def sized(self, steps: int) -> tuple[_System, Scales | None]:
+    def rescaled(self, steps: int) -> tuple[_System, Scales | None]:
         """
-        Return the system with the prior scales that the data show, and these.
+        Return the system with the conservative prior scales that the data show, and the scales.
 
         A last step that changes next to nothing is not made; without blocks there are no scales.
         """
-        system, found = self, None
+        system, scales = self, None
         for _ in range(steps if self.blocks else 0):
-            before, found = system.variances, system.shown
-            if np.abs(np.log(found.conservative / before)).max() < CONVERGED:
+            before, scales = system.variances, system.estimated_scales
+            if np.abs(np.log(scales.conservative / before)).max() < CONVERGED:
                 break
-            system = system.with_sizes(found.conservative)
-        return system, found
+            system = system.with_variances(scales.conservative)
+        return system, scales
 
     @cached_property
-    def shown(self) -> Scales:
+    def estimated_scales(self) -> Scales:
         """Return the prior scales that the data show."""
         (x, covariance), u = self.solved, self.u
         largest = np.array([d.largest for d in self.blocks])
@@ -218,7 +218,7 @@ class _System:
             np.maximum(sums[:, 1], 0.0) + PRIOR_FREEDOM)
         return self.noise.with_factors(np.clip(after, 1e-4, 1e8))
 
-    def moved(self, x: Array) -> State:
+    def retracted(self, x: Array) -> State:
         """Return the state moved by a solution."""
         problem, values = self.problem, dict(self.state.values)
         estimate = problem.retracted(self.state.estimate, x[:self.u])
@@ -231,29 +231,29 @@ class _System:
                 values[block.name] = after
         return State(problem, estimate, values)
 
-    def with_sizes(self, variances: Array) -> _System:
-        """Return the system with other variances (d,) of the blocks."""
+    def with_variances(self, variances: Array) -> _System:
+        """Return the system with other variances (d,) of the blocks, over the configured ones."""
         named = {d.name: max(float(v), d.least)
                  for d, v in zip(self.blocks, variances, strict=True)}
         return replace(self, noise=replace(self.noise, scales=named))
 
     def answer(self) -> Solution:
-        """Return the solution, with what is stated of it."""
-        _, found = self.sized(LAST_STEPS)
-        likely, wide = (self, self) if found is None else (
-            self.with_sizes(found.map_scales), self.with_sizes(found.conservative))
+        """Return the solution at the MAP scales, with the one at the conservative scales."""
+        _, scales = self.rescaled(LAST_STEPS)
+        best, conservative = (self, self) if scales is None else (
+            self.with_variances(scales.map_scales), self.with_variances(scales.conservative))
         for _ in range(LAST_STEPS):
-            likely = likely.weighed(likely.with_noise(*likely.solved, MAP_FACTORS))
-        there = self.at(likely.moved(likely.solved[0]), likely.noise)
-        wide = there.weighed(wide.noise)
-        return replace(there.solution(), conservative=wide.solution())
+            best = best.reweighted(best.with_noise(*best.solved, MAP_FACTORS))
+        best = self.at(best.retracted(best.solved[0]), best.noise)
+        conservative = best.reweighted(conservative.noise)
+        return replace(best.solution(), conservative=conservative.solution())
 
     def solution(self) -> Solution:
-        """Return the solution that the estimate is, near enough to its minimum."""
+        """Return the solution one step further, near enough to the minimum."""
         (x, covariance), s = self.solved, self.scales
         columns = self.columns.scaled(s)
-        sized = tuple(replace(d, std=d.std * float(size))
-                      for d, size in zip(self.blocks, s[self.u:][self.first], strict=True))
+        blocks = tuple(replace(block, std=block.std * float(tau)) for block, tau
+                       in zip(self.blocks, s[self.u:][self.first], strict=True))
         estimate = self.problem.retracted(self.state.estimate, x[:self.u])
         return Solution(self.problem, estimate, self.noise, self.linear, self.r + columns.times(x),
-                        columns, covariance, x[self.u:], sized)
+                        columns, covariance, x[self.u:], blocks)
