@@ -85,10 +85,9 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
     """
     Return the advice after some samples, the first of them being what guidance.* counts from.
 
-    solution: from these samples (or those that agree), None before there is one; trouble: why
-    there is none, or why it was refused; seen: points (n, 2) of profiles, to learn the view
-    from; refused: poses of the flange (4, 4) at which stops gave no sample; notes: on the time
-    offset, during a sweep.
+    solution: of those that agree, None before there is one; trouble: why there is none, or why it
+    was refused; seen: points (n, 2) of profiles, to learn the view from; refused: poses of the
+    flange (4, 4) at which stops gave no sample; notes: on the time offset, during a sweep.
     """
     method = targets.method_for(config)
     if not samples:
@@ -103,8 +102,8 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
         return _unguided(move.text, move, trouble)
     limits = limits_of(mounted(samples, config)[0], config)
     sigmas = sigma_table(solution, known, config)
+    lacking = missing(solution, view, limits)[:MOST_MISSING]
     if config.sampling.moving:
-        lacking = missing(solution, view, limits)[:MOST_MISSING]
         return _of_sweep(solution, sigmas, lacking, trouble, notes)
     surely = view.shrunk(known.std(_stated(solution)))  # seen there, wherever the sensor is
     search = Search(solution, surely, limits, known, visited(samples, refused, config),
@@ -112,7 +111,7 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
     proposal = propose(search, config) or propose(replace(  # where there is no room for a margin
         search, view=view, visited=visited(samples, refused, config, margin=(0.0, 0.0))), config)
     enough, why = judged(sigmas, proposal, largest_cause(solution, known), len(samples))
-    content = [why, *missing(solution, view, limits)[:MOST_MISSING * (not enough)]]
+    content = [why, *lacking * (not enough)]
     if proposal and not enough:
         content.append(_directions(samples[-1].T_base_flange, proposal, config, noun(method)))
     if not proposal and not enough:

@@ -82,9 +82,9 @@ def test_it_helps_more_than_most_others(made: tuple[Cell, Solution]) -> None:
     assert now - best.variance.min() >= USEFUL * (now - variances.min())
     assert (variances < now).all(), 'no sample makes anything less known'
     # it is sought around the nearest of those that add half as much as the best of them
-    near, start = found._near(drawn)
+    near, start = found._nearest_useful(drawn)
     far = max(drawn, key=lambda part: now - part.variance.min())
-    assert found._way(near.poses)[start] < found._way(far.poses)[far.best()]
+    assert found._distance(near.poses)[start] < found._distance(far.poses)[far.best()]
 
 
 def test_what_a_sample_brings_is_what_the_solver_then_says(made: tuple[Cell, Solution]) -> None:
