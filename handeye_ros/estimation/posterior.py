@@ -125,8 +125,8 @@ class _System:
 
     @classmethod
     def built(cls, state: State, linear: Linear, noise: Noise,
-                 blocks: tuple[ParameterBlock, ...],
-                 blocks_at: Callable[[Linear], tuple[ParameterBlock, ...]]) -> _System:
+              blocks: tuple[ParameterBlock, ...],
+              blocks_at: Callable[[Linear], tuple[ParameterBlock, ...]]) -> _System:
         """Return the system of what is linearised, whitened by a noise."""
         problem, residuals = state.problem, linear.residuals
         white: Whitening = whitening(linear, noise)
@@ -149,7 +149,7 @@ class _System:
     def reweighted(self, noise: Noise, further: tuple[ParameterBlock, ...] = ()) -> _System:
         """Return the system with another noise, and further blocks."""
         return _System.built(self.state, self.linear, noise, (*further, *self.blocks),
-                                self.blocks_at)
+                             self.blocks_at)
 
     @property
     def problem(self) -> Problem:

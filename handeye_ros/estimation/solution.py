@@ -134,7 +134,6 @@ class Solution:
             first += block.count
         return std
 
-
     @property
     def redundancy(self) -> int:
         """

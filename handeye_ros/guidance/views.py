@@ -45,12 +45,12 @@ class Batch:
 
     @property
     def points(self) -> Array:
-        """Return the observed points (n, c, 2) in the sensor plane."""
+        """Return what was observed, (n, c, 2), in the sensor plane."""
         return self.problem.observations.points.reshape(len(self), len(self.seen), 2)
 
     @property
     def anchors(self) -> Array:
-        """Return the anchors (n, 2) in the sensor plane."""
+        """Return the anchor of each station, (n, 2), in the sensor plane."""
         return np.asarray(self.points[:, self.anchored].mean(axis=1))
 
     def subset(self, stations: NDArray[np.intp]) -> Batch:
