@@ -33,14 +33,14 @@ from handeye_ros.ros.bags.transforms import FlangeTracker
 from handeye_ros.ros.errors import MessageError, TopicsError
 from handeye_ros.ros.executable import exit_code, RCLError, ros
 from handeye_ros.ros.node.intake import TFMessage
+from handeye_ros.ros.node.publishers import cloud
 from handeye_ros.sampling.trajectory import track_of
-from handeye_ros.scanning.cloud_files import Points
 from handeye_ros.scanning.scan import Scanner, ScanOptions
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.utilities import remove_ros_args
-from sensor_msgs.msg import JointState, PointCloud2, PointField
+from sensor_msgs.msg import JointState, PointCloud2
 
 PERIOD = 0.05  # s between two clouds
 KEPT_POSES = 2000  # that profiles may still need: 20 s of 100 Hz
@@ -138,20 +138,7 @@ class ScanNode(Node):
             self.get_logger().warning(f'{lost} profiles without a pose before and after them were '
                                       'dropped so far', throttle_duration_sec=THROTTLE)
         if len(points):
-            self._points.publish(_cloud(points, self._scanner.frame, ready[-1].stamp))
-
-
-def _cloud(points: Points, frame: str, stamp: int) -> PointCloud2:
-    names = points.dtype.names or ()
-    cloud = PointCloud2(
-        height=1, width=len(points), is_bigendian=False, is_dense=True,
-        point_step=points.dtype.itemsize, row_step=points.nbytes,
-        fields=[PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
-                for k, name in enumerate(names)])
-    cloud.header.frame_id = frame
-    cloud.header.stamp.sec, cloud.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
-    cloud.data.frombytes(points.tobytes())
-    return cloud
+            self._points.publish(cloud(points, self._scanner.frame, ready[-1].stamp))
 
 
 def scan(path: Path, assignments: Sequence[str], options: ScanOptions) -> None:

@@ -2,5 +2,6 @@
 
 OFFERED = (
     'intake.STREAM', 'intake.TFMessage', 'intake.THROTTLE', 'live.LiveSession',
-    'publishers.LATCHED', 'publishers.transform_stamped', 'state.State', 'streams.Current',
+    'publishers.LATCHED', 'publishers.cloud', 'publishers.transform_stamped', 'state.State',
+    'streams.Current',
 )

@@ -6,6 +6,7 @@ publisher is created again, so that a late subscriber gets none; ~/status inform
 """
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 import json
 import threading
@@ -27,6 +28,7 @@ from handeye_ros.ros.node.state import GuidanceState, samples_message, State, st
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.sampling.stops import Outcome
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -185,10 +187,16 @@ def feature_cloud(sample: Sample, config: Config, frame_id: str) -> PointCloud2:
     points = [f.point[None] for f in sample.features if isinstance(f, EdgePoint)]
     points += [f.points for f in sample.features if isinstance(f, Arc)]
     xyz = in_sensor(np.concatenate([*points, ends(sample.features)]), config)
-    sec, nanosec = divmod(sample.stamp, 1_000_000_000)
+    named = xyz.astype('<f4', order='C').view([(name, '<f4') for name in 'xyz'])[:, 0]
+    return cloud(named, frame_id, sample.stamp)
+
+
+def cloud(points: NDArray[Any], frame_id: str, stamp: int) -> PointCloud2:
+    """Return a message of points (n,), an array with fields of type float32; stamp: ns."""
+    sec, nanosec = divmod(stamp, 1_000_000_000)
     return PointCloud2(
-        header=Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=frame_id),
-        height=1, width=len(xyz), point_step=12, row_step=12 * len(xyz), is_dense=True,
-        fields=[PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
-                for i, name in enumerate('xyz')],
-        data=xyz.astype('<f4').tobytes())
+        header=Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=frame_id), height=1,
+        width=len(points), point_step=points.itemsize, row_step=points.nbytes, is_dense=True,
+        fields=[PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
+                for k, name in enumerate(points.dtype.names or ())],
+        data=array('B', points.tobytes()))

@@ -16,6 +16,7 @@ from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.state import State
 from handeye_ros.ros.page.contents import contents, stop_profile
 from handeye_ros.ros.sessions.reading import sessions_in
+from handeye_ros.verification.routines import ROUTINES
 from rclpy.parameter import Parameter
 
 SERVICES = {'take': 'take_sample', 'undo': 'remove_last_sample', 'clear': 'clear_samples',
@@ -27,7 +28,6 @@ SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise
             'target.radius', 'target.size', 'guidance.accuracy', 'sampling.mode')
 VERIFY = ('verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
           'verify.tolerance')
-ROUTINES = ('line', 'plane', 'point', 'sphere', 'ball_bar', 'step', 'square', 'tooth')
 
 Act = Callable[[Mapping[str, Any]], tuple[bool, str]]
 Read = Callable[[Mapping[str, str]], Any]
