@@ -37,7 +37,7 @@ from handeye_ros.guidance import advice
 from handeye_ros.results.outcome import describe_calibration
 from handeye_ros.results.report.evidence import Evidence, judged
 from handeye_ros.sampling.edge_shapes import consistent_edges
-from handeye_ros.sampling.passes import problem_of
+from handeye_ros.sampling.passes import problem_of, single_samples
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.time_offset import synchronised
 from handeye_ros.threads import single_threaded
@@ -167,6 +167,7 @@ def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None,
     flange (4, 4) at which stops gave no sample.
     """
     solution, trouble = None, ''
+    samples = single_samples(samples)
     ordered, _ = consistent_edges(samples)
     if len(ordered) >= targets.method_for(config).minimum:
         try:

@@ -1,8 +1,8 @@
 """
 Samples of a robot that moves, each a single profile with the pose of its own time; their problem.
 
-A recording is cut into passes, two seconds of motion each. A pass is kept, numbered and left out
-as a stop is. The poses depend on the time offset, which is unknown.
+A recording is cut into passes, two seconds of motion each, or one rest. A pass is kept, numbered
+and left out as a stop is. The poses depend on the time offset, which is unknown.
 """
 from __future__ import annotations
 
@@ -39,7 +39,9 @@ class PassFinder(DwellFinder):
 
     def _continues(self, pose: TimedPose) -> bool:
         first, gap = self._run[0].stamp, self.sampling.max_pose_gap * NS
-        return pose.stamp - first <= PASS and pose.stamp - self._latest <= gap
+        if pose.stamp - first <= PASS and pose.stamp - self._latest <= gap:
+            return True
+        return super()._continues(pose)  # a robot at rest shows nothing new
 
 
 def finder_of(sampling: SamplingConfig) -> DwellFinder:

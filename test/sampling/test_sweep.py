@@ -9,6 +9,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.errors import HandeyeError
 from handeye_ros.results.truth_errors import errors_against
+from handeye_ros.sampling.passes import finder_of
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate
 from handeye_ros.simulate.scenario import Sweep
@@ -59,6 +60,18 @@ def test_no_pose_is_reported_outside_of_the_poses_or_in_a_gap() -> None:
     at = found.at(np.array([-0.1, 0.0, 3.9, 4.2, 4.6, 9.98, 10.1]) * NS)
     assert at.inside.tolist() == [False, True, True, False, True, True, False]
     assert np.isfinite(at.T_base_flange).all()
+
+
+def test_a_rest_during_a_sweep_is_one_pass() -> None:
+    times = np.arange(0.0, 4.0, 0.01)
+    rest = [replace(pose, stamp=pose.stamp + round(later * NS)) for later in np.arange(1, 9, 0.01)
+            for pose in poses(times[-1:])]
+    again = [replace(pose, stamp=pose.stamp + 13 * NS) for pose in poses(times)]
+    finder = finder_of(with_values(Config(), {'sampling.mode': 'moving'}, 'a test').sampling)
+    ended = [finder.add(pose) for pose in [*poses(times), *rest, *again]]
+    spans = [(dwell.start / NS, dwell.end / NS) for dwell in ended if dwell]
+    assert [end - start > 3.0 for start, end in spans].count(True) == 1
+    assert len(spans) == 4
 
 
 def sweep(target: str, offset: float, **more: object) -> Scenario:
@@ -121,9 +134,9 @@ def test_a_slow_sweep_is_advised_to_be_faster_once() -> None:
     made = simulate(scenario, np.random.default_rng(4))
     config = with_values(config_of(scenario), {'guidance.accuracy': 1e-6}, 'a test')
     session = pipeline.gather(made.profiles, made.poses, config)
-    advice = pipeline.advise(session.samples, config)
+    passes = [outcome.sample for outcome in session.outcomes if outcome.sample]  # as at the node
+    advice = pipeline.advise(passes, config)
     assert advice.next is None and advice.sigmas
-    print(advice.text)
     assert 'sweep faster once: the time offset is known to' in advice.text.lower()
     assert 'turn about the viewing direction' in advice.text.lower()
 
