@@ -1,8 +1,4 @@
-"""
-The values that pass between the stages; all frozen, none knows ROS.
-
-SI units throughout; stamps are integer nanoseconds; see docs/conventions.md.
-"""
+"""Frozen values that pass between the stages (docs/conventions.md): SI units, stamps in ns."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
@@ -14,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
+TIME_OFFSET, ROTATION_LAG = 'time_offset', 'rotation_lag'  # s; keys of what is estimated
 
 
 @dataclass(frozen=True, eq=False)

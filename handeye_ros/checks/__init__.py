@@ -17,5 +17,5 @@ OFFERED = (
     'errors.CountedWrongWayError', 'errors.LeftOutError', 'errors.OneAxisError',
     'errors.OneOrientationError', 'errors.TooUncertainError', 'shape.believable_shape',
     'shape.contradictions', 'shape.offset_notes', 'shape.reported_blocks',
-    'shape.require_one_scale', 'shape.ROTATION_LAG', 'shape.TIME_OFFSET', 'shape.time_offset_of',
+    'shape.require_one_scale', 'shape.time_offset_of',
 )

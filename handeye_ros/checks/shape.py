@@ -10,7 +10,7 @@ from handeye_ros.checks.alternatives import believable, evidence, RARE, VERY_STR
 from handeye_ros.checks.change_point import moved_slightly
 from handeye_ros.checks.errors import ScaleError
 from handeye_ros.config import Config
-from handeye_ros.data import Array, TimeOffset
+from handeye_ros.data import Array, ROTATION_LAG, TIME_OFFSET, TimeOffset
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.consensus import Consensus, consensus
@@ -24,7 +24,6 @@ import numpy as np
 CONTRADICTION, NOTED_CONTRADICTION = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
 LARGEST_CHANGE = 0.5  # of a stated measure, relative: more is another target
 SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # that is named; more is another unit
-TIME_OFFSET, ROTATION_LAG = 'time_offset', 'rotation_lag'  # blocks
 
 
 @dataclass(frozen=True)

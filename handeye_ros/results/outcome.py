@@ -7,15 +7,9 @@ from typing import Any
 
 from handeye_ros import __version__, se3
 from handeye_ros.checks.consistency import edge_notes
-from handeye_ros.checks.shape import (
-    contradictions,
-    offset_notes,
-    reported_blocks,
-    TIME_OFFSET,
-    time_offset_of,
-)
+from handeye_ros.checks.shape import contradictions, offset_notes, reported_blocks, time_offset_of
 from handeye_ros.config import Config, flatten
-from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport
+from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport, TIME_OFFSET
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate

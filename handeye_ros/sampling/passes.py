@@ -12,9 +12,17 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 from handeye_ros import targets
-from handeye_ros.checks.shape import ROTATION_LAG, TIME_OFFSET
 from handeye_ros.config import Config, SamplingConfig
-from handeye_ros.data import AnyProfile, Array, Feature, Profile, Sample, TimedPose
+from handeye_ros.data import (
+    AnyProfile,
+    Array,
+    Feature,
+    Profile,
+    ROTATION_LAG,
+    Sample,
+    TIME_OFFSET,
+    TimedPose,
+)
 from handeye_ros.errors import DataError, UnusableMessageError
 from handeye_ros.estimation.basis import process_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock

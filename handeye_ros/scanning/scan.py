@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from itertools import islice
 
 from handeye_ros import units
-from handeye_ros.checks.shape import ROTATION_LAG
 from handeye_ros.config import Config, NoiseConfig
-from handeye_ros.data import Array, Calibration, Profile
+from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
 from handeye_ros.frames import in_mount, target_frame, unit_vectors
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.scanning.cloud_files import Points

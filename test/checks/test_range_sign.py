@@ -2,15 +2,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from cells import recorded
 from handeye_ros import pipeline
 from handeye_ros.checks.alternatives import range_sign_evidence, RangeSignEvidence
 from handeye_ros.checks.errors import RangeSignError
-from handeye_ros.config import Config, flipped_range
+from handeye_ros.config import Config, flipped_range, with_values
 from handeye_ros.data import Array, Feature, Reject, Sample
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features
+from handeye_ros.simulate import SCENARIOS, settings, simulate
 import numpy as np
 from profiles import drawn, face, gap_up_to, roof, step_up_to
 import pytest
@@ -92,3 +94,12 @@ def test_the_foot_of_a_plate_is_not_taken_for_its_edge(seed: int) -> None:
     made = recorded('plate_on_table', seed, columns=640)
     with pytest.raises(RangeSignError, match='with profile.range_sign 1 the residual falls'):
         pipeline.calibrate(made.profiles, made.poses, flipped_range(made.config))
+
+
+@pytest.mark.parametrize('name, seed', [('plate', 0), ('plate_z_up', 1)])
+def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
+    scenario = replace(SCENARIOS[name], sensor=replace(SCENARIOS[name].sensor, rate=10.0))
+    made = simulate(scenario, np.random.default_rng(seed))
+    right = with_values(Config(), settings(scenario), 'the test')
+    with pytest.raises(RangeSignError, match=f'range_sign {right.profile.range_sign} '):
+        pipeline.calibrate(made.profiles, made.poses, flipped_range(right))

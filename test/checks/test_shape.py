@@ -6,7 +6,7 @@ from cells import cell
 from cells import solved as found
 from handeye_ros import config as configs
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.errors import LostEdgesError
+from handeye_ros.checks.errors import LostEdgesError, ScaleError
 from handeye_ros.checks.shape import scale_error
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
@@ -127,3 +127,20 @@ def test_lengths_of_the_robot_that_explain_the_residuals_are_measured(name: str)
     scale, std, _ = scale_error(found(replace(problem, poses=poses)))
     assert scale == pytest.approx(0.004, abs=2 * std)
     assert scale > 4 * std
+
+
+@pytest.mark.parametrize('target', ['plate', 'sphere', 'line', 'plane', 'wedge'])
+@pytest.mark.parametrize('scale', [0.98, 1.02])
+def test_lengths_that_differ_are_named(target: str, scale: float) -> None:
+    scenario = SCENARIOS[target]
+    samples, _ = simulate_samples(scenario, np.random.default_rng(3))
+    stretched = []
+    for sample in samples:
+        T = sample.T_base_flange.copy()
+        T[:3, 3] *= scale
+        stretched.append(replace(sample, T_base_flange=T))
+    config = configs.with_values(Config(), settings(scenario), 'the test')
+    with pytest.raises(ScaleError) as refusal:
+        pipeline.solve(stretched, (), config, 'laser')
+    named = float(str(refusal.value).split('differ by ')[1].split(' ')[0])
+    assert named == pytest.approx(2.0, abs=0.3)

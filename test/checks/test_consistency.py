@@ -11,6 +11,7 @@ from handeye_ros.checks.consistency import turning
 from handeye_ros.checks.errors import (
     OneAxisError,
     OneOrientationError,
+    SensorFrameError,
     TooFewSamplesError,
     TooUncertainError,
 )
@@ -191,3 +192,16 @@ def test_turns_are_measured_about_their_axes() -> None:
     turns, axes = turning(se3.transform(R, np.zeros((11, 3))))
     assert turns[0] == pytest.approx(angles.std(), rel=1e-6) and turns[1] < 1e-9
     assert abs(axes[0] @ axis) == pytest.approx(1)
+
+
+# -- the frame of the profiles
+
+
+@pytest.mark.parametrize(('frame', 'key'), [
+    ('flange', 'robot_effector_frame'), ('base', 'robot_base_frame')])
+def test_a_frame_of_the_robot_is_refused_by_its_key(frame: str, key: str) -> None:
+    made = cell('sphere')
+    with pytest.raises(SensorFrameError, match=f'"{frame}", and {key} is the same'):
+        pipeline.solve(made.samples, [], made.config, frame)
+    other = replace(made.config, **{key: 'tool0'})
+    assert pipeline.solve(made.samples, [], other, frame).child_frame == frame
