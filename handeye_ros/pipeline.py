@@ -32,7 +32,7 @@ from handeye_ros.estimation.consensus import Consensus, consensus, refine, SUBSE
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.frames import mounted
+from handeye_ros.frames import mount_frame, mounted
 from handeye_ros.guidance import advice
 from handeye_ros.results.outcome import describe_calibration
 from handeye_ros.results.report.evidence import Evidence, judged
@@ -191,7 +191,7 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     require_range_sign([*ordered, *rejects], config)
     require_samples(ordered, rejects, method)
     poses = mounted(ordered, config)
-    require_rotations(poses, config, method.measures.one_axis)
+    require_rotations(poses, mount_frame(config), method.measures.one_axis)
     problem = problem_of(ordered, config)
     rng = np.random.default_rng(SEED)
     agreed = believable_shape(problem, consensus(problem, rng, SUBSETS, start), rng)

@@ -33,7 +33,6 @@ from handeye_ros.errors import degrees
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Method
-from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, name_direction, other_axes
 from handeye_ros.se3 import worst_rotation, worst_translation
 import numpy as np
@@ -66,18 +65,17 @@ def require_own_frame(frame_id: str, config: Config) -> None:
             raise SensorFrameError(frame_id, key)
 
 
-def require_rotations(poses: Array, config: Config, lost: str) -> None:
+def require_rotations(poses: Array, frame: str, lost: str) -> None:
     """
     Refuse poses (n, 4, 4) that turn about no axis, or about only one.
 
-    lost: what turns about one axis leave open.
+    frame: that the poses turn, for the message; lost: what turns about one axis leave open.
     Raises OneOrientationError and OneAxisError.
     """
     turns, axes = turning(poses)
     if turns[0] < SMALLEST_TURN:
         raise OneOrientationError(float(turns[0]))
     if turns[1] < SMALLEST_TURN:
-        frame = mount_frame(config)
         raise OneAxisError(name_direction(axes[0], frame), float(turns[0]),
                            other_axes(axes[0], frame), lost)
 
@@ -168,7 +166,7 @@ class Misfit:
 
 def misfit_of(problem: Problem, agreed: Consensus) -> Misfit:
     """Return by how much the samples of a problem contradict what they agree on."""
-    return Misfit(residual_rms(agreed.solution), agreed.solution.expected_rms,
+    return Misfit(agreed.solution.residual_rms, agreed.solution.expected_rms,
                   len(agreed.dropped) / len(problem.poses), agreed.solution.variance_factor,
                   problem.config.limits)
 
@@ -193,11 +191,6 @@ def require_consistent(problem: Problem, agreed: Consensus) -> None:
         raise ContradictingStationsError(len(agreed.dropped), len(problem.poses))
     if misfit.wild:
         raise ScatterError(misfit.rms, misfit.expected, misfit.limits.scatter)
-
-
-def residual_rms(solution: Solution) -> float:
-    """Return the RMS of the plain residuals of a solution (m)."""
-    return float(np.sqrt((solution.linear.residuals ** 2).mean()))
 
 
 def require_edges(agreed: Consensus) -> None:

@@ -17,7 +17,7 @@ from handeye_ros.checks.alternatives import (
     of_problem,
     require_stated,
 )
-from handeye_ros.checks.consistency import misfit_of, MISFITTING, residual_rms
+from handeye_ros.checks.consistency import misfit_of, MISFITTING
 from handeye_ros.checks.errors import (
     CalibrationTypeError,
     ConventionError,
@@ -61,7 +61,7 @@ def _other_sign(flipped: Problem, before: float) -> Hypothesis:
     """Return the hypothesis that the range is counted the other way."""
     def refusal(fit: Fit) -> DataError:
         return RangeSignError(flipped.config.profile.range_sign, before,
-                              residual_rms(fit[0].solution))
+                              fit[0].solution.residual_rms)
     return Hypothesis(partial(of_problem, flipped), refusal)
 
 
@@ -72,7 +72,7 @@ def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], before:
     poses = se3.inverse(undo(se3.inverse(problem.poses))) if on_base else undo(problem.poses)
 
     def refusal(fit: Fit) -> DataError:
-        after, advice = residual_rms(fit[0].solution), CONVENTION_ERRORS[name].advice
+        after, advice = fit[0].solution.residual_rms, CONVENTION_ERRORS[name].advice
         if name == INVERSE:
             other = 'eye_in_hand' if on_base else 'eye_on_base'
             if _mounted_on_base(fit[0]) != on_base:

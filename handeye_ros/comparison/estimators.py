@@ -18,6 +18,7 @@ from handeye_ros.comparison.given import Known, Measurements, Stations
 from handeye_ros.data import Arc, Array, EdgePoint
 from handeye_ros.files import hand_eye_estimate
 from handeye_ros.files.outcome import require_trusted
+from handeye_ros.frames import mount_frame
 from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
 from handeye_ros.published.errors import SingularError
 from handeye_ros.targets import line, plate
@@ -125,7 +126,8 @@ def _wu(given: Measurements) -> Array:
 
 
 def _park(given: Measurements) -> Array:
-    require_rotations(given.data.T_fixed_mount, given.config, hand_eye_estimate.LOST)
+    require_rotations(given.data.T_fixed_mount, mount_frame(given.config),
+                      hand_eye_estimate.LOST)
     return hand_eye_estimate.closed_form(given.data.T_fixed_mount, given.data.T_camera_target)[0]
 
 

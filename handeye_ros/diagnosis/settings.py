@@ -26,7 +26,6 @@ from handeye_ros.checks.alternatives import (
     range_sign_evidence,
     require_stated,
 )
-from handeye_ros.checks.consistency import residual_rms
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Array, Profile, Reject, Sample
 from handeye_ros.errors import DataError, FeatureError, mm, NamedCauseError, UnusableMessageError
@@ -101,7 +100,7 @@ def _hypothesis(stops: Sequence[Stop], config: Config, values: dict[str, str]) -
     """Return the hypothesis that other values are meant."""
     def refusal(fit: Fit) -> DataError:
         return WrongSettingError(values, len(fit[0].used), len(stops),
-                                 residual_rms(fit[0].solution))
+                                 fit[0].solution.residual_rms)
     return Hypothesis(partial(_fit, stops, _changed(config, values)), refusal)
 
 

@@ -144,6 +144,11 @@ class Solution:
         return int(self.ranks[self.problem.distinct].sum()) - self.unknowns
 
     @property
+    def residual_rms(self) -> float:
+        """Return the RMS (m) of the residuals as they are, not whitened."""
+        return float(np.sqrt((self.linear.residuals ** 2).mean()))
+
+    @property
     def expected_rms(self) -> float:
         """Return the RMS (m) of residuals from configured noise and nuisance parameters."""
         total = sum(float(np.einsum('nii->', total_covariance(self.linear, at, Noise())))

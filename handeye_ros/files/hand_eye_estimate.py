@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros import se3
-from handeye_ros.checks.consistency import SMALLEST_TURN, turning
-from handeye_ros.checks.errors import OneAxisError, OneOrientationError
+from handeye_ros.checks.consistency import require_rotations
 from handeye_ros.data import Array
 from handeye_ros.estimation.outliers import adjust, Adjusted, first_variances, variance_components
 from handeye_ros.files.errors import DegenerateError
@@ -28,7 +27,6 @@ from handeye_ros.files.hand_eye_model import (
     system,
 )
 from handeye_ros.files.tables import Table
-from handeye_ros.frames import name_direction, other_axes
 from handeye_ros.published.errors import TooFewError
 import numpy as np
 from numpy.typing import NDArray
@@ -94,25 +92,16 @@ def solve(T_base_flange: Array, T_camera_target: Array, noise: PoseNoise | None 
     if len(T) < MINIMUM:
         raise TooFewError(NAME, MINIMUM, 'poses', len(T))
     frame = frame or ('base' if eye_on_base else 'flange')
-    _require_rotations(T, frame)
+    require_rotations(T, frame, LOST)
     start = _start(T, T_camera_target)
     fit, noise = _with_noise(T, T_camera_target, start, noise, eye_on_base)
     X, Z = fit.state
     L = factors(T, fit.state, noise, eye_on_base)[fit.used]
     rms = _rms(L, fit.residuals[fit.used])
     _require_agreement(len(T) - len(fit.used), len(T), rms)
-    _require_rotations(T[fit.used], frame)
+    require_rotations(T[fit.used], frame, LOST)
     return HandEyeResult(X, Z, fit.covariance[:6, :6], fit.used, noise, rms,
                          _rms(L, fit.left_out))
-
-
-def _require_rotations(poses: Array, frame: str) -> None:
-    turns, axes = turning(poses)
-    if turns[0] < SMALLEST_TURN:
-        raise OneOrientationError(float(turns[0]))
-    if turns[1] < SMALLEST_TURN:
-        raise OneAxisError(name_direction(axes[0], frame), float(turns[0]),
-                           other_axes(axes[0], frame), LOST)
 
 
 def _require_agreement(dropped: int, total: int, rms: tuple[float, float]) -> None:
