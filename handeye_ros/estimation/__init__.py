@@ -6,8 +6,8 @@ a target gives its conditions and blocks through `model`.
 """
 
 OFFERED = (
-    'basis.bent_surface', 'basis.pose_features', 'basis.process_in_time', 'basis.process_root',
-    'blocks.Blocks', 'blocks.ParameterBlock', 'consensus.Consensus', 'consensus.consensus',
+    'basis.bent_surface', 'basis.process_in_time', 'basis.process_root', 'blocks.Blocks',
+    'blocks.ParameterBlock', 'consensus.Consensus', 'consensus.consensus',
     'consensus.fast_consensus', 'consensus.refine', 'consensus.SUBSETS', 'linalg.covariance_of',
     'linalg.covering', 'linearise.Linear', 'linearise.linearise', 'linearise.Problem',
     'model.Conditions', 'model.Estimate', 'model.FeatureModel', 'model.Geometry', 'model.Measures',

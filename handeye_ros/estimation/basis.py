@@ -137,12 +137,13 @@ def kernel(a: Array, b: Array) -> Array:
     return np.asarray(1.0 / (1.0 + squared))
 
 
-def process_root(features: Array) -> Array:
+def process_root(poses: Array) -> Array:
     """
-    Return a square root (n, k) of the kernel at pose features (n, 6): k <= 24 basis functions.
+    Return a square root (n, k) of the kernel at poses (n, 4, 4): k <= 24 basis functions.
 
     Of many poses, 24 far apart span it (Nystroem).
     """
+    features = pose_features(poses)
     return _root(features, farthest_points(features, 24))
 
 

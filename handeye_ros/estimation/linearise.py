@@ -90,7 +90,7 @@ class Problem:
     @cached_property
     def smooth(self) -> Array:
         """Return basis functions (n, r) of the robot's smooth error at the poses."""
-        return process_root(pose_features(self.robot_poses))
+        return process_root(self.robot_poses)
 
     @cached_property
     def smooth_products(self) -> Array:

@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.basis import pose_features, process_root
+from handeye_ros.estimation.basis import process_root
 from handeye_ros.estimation.linalg import covariance_of
 from handeye_ros.estimation.noise import prior_scales, Scales
 from handeye_ros.estimation.outliers import leave_one_out, outliers
@@ -215,7 +215,7 @@ def stated_covariance(fit: Fit, chosen: State) -> tuple[Fit, Array]:
 
 def _with_smooth(fit: Fit) -> Fit:
     """Return a fit with what is left of the robot's error, as large as it may be."""
-    root = process_root(pose_features(fit.state.arm.forward(fit.data.q)))
+    root = process_root(fit.state.arm.forward(fit.data.q))
     state = replace(fit.state, smooth=np.zeros((root.shape[1], 3)))
     for _ in range(SMOOTH_ROUNDS):
         weights = Weights(fit.weights.noise, np.append(
