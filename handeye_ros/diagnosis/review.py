@@ -54,7 +54,7 @@ class Agreement:
 @dataclass(frozen=True, eq=False)
 class Review:
     """
-    What the samples say of each other.
+    The agreement of samples with their common fit.
 
     agreements: one for each sample, None for one that shows nothing of the fitted target;
     solution: the fit, however uncertain.
@@ -66,11 +66,11 @@ class Review:
 
 def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) -> Review:
     """
-    Return what samples say of each other; those not included are only compared with the fit.
+    Return how well samples agree; those not included are only compared with the fit of the others.
 
     Raises NoReviewError for too few, DataError where no fit can be started.
     """
-    # as in a solve: of the edges only what all samples believe in, none at the border of the view
+    # as in a solve: only edges that agree over all samples, none at the border of the view
     kept, _ = consistent_edges([s for s, use in zip(samples, included, strict=True) if use])
     by_stamp = {sample.stamp: sample for sample in kept}
     chosen = [i for i, use in enumerate(included) if use and samples[i].stamp in by_stamp]

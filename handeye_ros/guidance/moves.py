@@ -1,8 +1,8 @@
 """
 What the samples lack, and moves that a person does by the look of the laser.
 
-Before the sensor is roughly known, the first samples are those of a fixed design, told from the
-first pose in axes that can be seen: the laser line, the light plane, the viewing direction.
+Before the sensor is roughly known, the first samples are those of a fixed design, described from
+the first pose in axes that can be seen: the laser line, the light plane, the viewing direction.
 Searches by exchange, and for a sphere by small steps after it, found for each sort of target the
 moves that leave mapped points least uncertain once there are as many samples as an answer needs:
 with the noise of a common robot (0.05 mm, 0.02 degrees), over several sensors on the flange, with
@@ -151,7 +151,7 @@ def _shown(method: Method, place: Array, share: Array) -> str:
 
 
 def _beside(share: float) -> str:
-    """Tell how far from its middle a sphere is cut."""
+    """Return how far beside its middle a sphere is cut, in words."""
     if not share:
         return ''
     side = 'positive' if share > 0 else 'negative'

@@ -1,7 +1,7 @@
 """
-The rules by which a stop gives a sample, as they will hold at a proposed pose.
+The rules by which a stop gives a sample, applied to proposed poses.
 
-Each leaves a margin for who moves the robot: a stop that is off by ERROR gives a sample too.
+Each has a margin: a stop that is off by ERROR gives a sample too.
 """
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SMALLEST_FACE = 0.2  # of the view's width: how far a face goes on beside its ed
 
 @dataclass(frozen=True, eq=False)
 class Visited:
-    """Where samples were taken (n, 4, 4), and where stops gave none (k, 4, 4): flange in base."""
+    """Poses of the flange with a sample (n, 4, 4), and where stops gave none (k, 4, 4)."""
 
     taken: Array
     refused: Array
@@ -81,8 +81,8 @@ def crossing_steeply(linear: Linear, count: int) -> NDArray[np.bool_]:
     """
     Return at which of n stations the laser line crosses the edges steeply enough.
 
-    linear: of count conditions a station. All conditions of one edge point count together: each
-    of the distances from a line in space depends on the axes in which they are taken.
+    linear: with count conditions a station. All conditions of one edge point count together, as
+    single distances from a line in space depend on the axes across it.
     """
     problem = linear.problem
     _, point = np.unique(problem.observations.points, axis=0, return_inverse=True)
@@ -96,13 +96,13 @@ def crossing_steeply(linear: Linear, count: int) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class FaceBeside:
-    """The face beside an edge: normal (3,), and the direction (3,) into it, across the edge."""
+    """The face beside an edge: its normal (3,), and the direction (3,) across the edge into it."""
 
     normal: Array
     inward: Array
 
     def room(self, poses: Array, points: Array, view: View) -> Array:
-        """Return how far (n,) the face goes on in the view from edge points (n, 2), m."""
+        """Return the length (n,) of the face in the view from edge points (n, 2), m."""
         along = np.cross(self.normal, poses[:, :3, 1])
         along *= np.sign(along @ self.inward)[:, None]
         plane = np.einsum('nij,ni->nj', poses[:, :3, :3], along)[:, [0, 2]]
@@ -112,7 +112,7 @@ class FaceBeside:
 
 
 def face_beside(linear: Linear) -> FaceBeside | None:
-    """Return the face of a station that shows an edge alone; None where conditions hold it."""
+    """Return the face of a station that shows an edge alone; None if it has conditions itself."""
     problem, obs = linear.problem, linear.problem.observations
     if not isinstance(obs, EdgeObservations) or len(obs) != 2 or np.ptp(obs.points, axis=0).any():
         return None
@@ -128,10 +128,9 @@ class Corners:
     """
     Where two faces meet, in n profiles.
 
-    places: (n, 2) in the sensor plane; angle: (n,) between the faces there (rad); reach: (n, 2)
-    how far the middle of what is seen of each face is from it, in the direction in which the face
-    goes on (m): its sign says on which side of the edge; facing: (n, 2) cosine between each face's
-    normal and the viewing direction.
+    places: (n, 2) in the sensor plane; angle: (n,) between the faces in the profile (rad); reach:
+    (n, 2) signed distance of the middle of each visible face from the corner, across the edge
+    (m); facing: (n, 2) cosine between each face's normal and the viewing direction.
     """
 
     places: Array
@@ -141,7 +140,7 @@ class Corners:
 
 
 def corners(linear: Linear, count: int) -> Corners | None:
-    """Return where the two faces of a target without edges of its own meet; None without such."""
+    """Return where the two faces of a target without edges meet; None for other targets."""
     problem, obs = linear.problem, linear.problem.observations
     if problem.method.essential or len(problem.method.kinds) != 2:
         return None
@@ -156,9 +155,9 @@ def corners(linear: Linear, count: int) -> Corners | None:
     places = np.linalg.solve(A, height[..., None])[..., 0]
     at = replace(problem, observations=replace(
         obs, points=np.repeat(places, count, axis=0)))
-    here = at.points_in_base(linear.estimate.X).reshape(-1, count, 3)[:, 0]
+    corner = at.points_in_base(linear.estimate.X).reshape(-1, count, 3)[:, 0]
     edge = np.cross(first[3], second[3])
-    reach = [((middle - here) * np.cross(normal, edge)).sum(axis=1)
+    reach = [((middle - corner) * np.cross(normal, edge)).sum(axis=1)
              for _, _, middle, normal, _ in (first, second)]
     angle = np.where(singular, 0.0, np.arcsin(np.minimum(np.abs(sine), 1.0)))
     facing = np.stack([first[4], second[4]], axis=1)
@@ -167,9 +166,9 @@ def corners(linear: Linear, count: int) -> Corners | None:
 
 def _face(linear: Linear, rows: NDArray[np.bool_], count: int) -> tuple[Array, ...]:
     """
-    Return of each of n stations what it sees of a face, where rows (n, count) are of it.
+    Return the visible part of one face at n stations; rows (n, count): the conditions of it.
 
-    The normal (n, 2) and the middle (n, 2) in the sensor plane, middle and normal (n, 3) in base,
+    Its normal (n, 2) and middle (n, 2) in the sensor plane, middle and normal (n, 3) in the base,
     and the cosine (n,) between normal and viewing direction.
     """
     p = linear.problem.points_in_base(linear.estimate.X)
@@ -184,16 +183,16 @@ def _face(linear: Linear, rows: NDArray[np.bool_], count: int) -> tuple[Array, .
     return normal, mean(linear.problem.observations.points), mean(p), mean(linear.by_base), facing
 
 
-def meeting(found: Corners | None, template: Corners | None, strict: bool
+def meeting(corners: Corners | None, template: Corners | None, strict: bool
             ) -> NDArray[np.bool_] | None:
     """
-    Return which corners look as that of the template does, steeply enough; None: no corner.
+    Return which corners show both faces as that of the template does; None: no corner.
 
-    strict: none of the faces is seen at a flatter angle than usual, whatever the template saw.
+    strict: no face at a flatter angle than SMALLEST_COSINE, whatever the template saw.
     """
-    if found is None or template is None:
+    if corners is None or template is None:
         return None
-    sides = found.reach * np.sign(template.reach) > SHORTEST * np.abs(template.reach)
+    sides = corners.reach * np.sign(template.reach) > SHORTEST * np.abs(template.reach)
     least = SMALLEST_COSINE if strict else np.minimum(SMALLEST_COSINE, abs(template.facing))
-    facing = found.facing * np.sign(template.facing) >= least
-    return np.asarray((sides & facing).all(axis=1) & (found.angle > SMALLEST_CORNER))
+    facing = corners.facing * np.sign(template.facing) >= least
+    return np.asarray((sides & facing).all(axis=1) & (corners.angle > SMALLEST_CORNER))

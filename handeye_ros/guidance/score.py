@@ -29,7 +29,7 @@ CAUSES = (
     ('incidence', 'how far faces end before their edges', 'target.setback_std'),
     ('shape', 'the rounding of the edges', 'target.setback_std'),
 )
-SMALLEST = 0.5  # of the variance: a cause of less is not worth telling
+SMALLEST = 0.5  # of the variance: a smaller cause is not named
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class Mapping:
 
 
 def mapping(X: Array, view: View) -> Mapping:
-    """Return how X (4, 4) carries the field of view."""
+    """Return the points of the field of view as X (4, 4) maps them."""
     share = np.linspace(0.0, 1.0, STEPS)
     x, z = np.meshgrid(*(view.low + share[:, None] * view.size).T)
     lever = np.column_stack([x.ravel(), z.ravel()]) @ X[:3, [0, 2]].T
@@ -125,9 +125,10 @@ def with_sample(solution: Solution, known: Mapping, one: Problem) -> float:
     one: the problem of the sample alone. All nuisance parameters are shared with the others.
     """
     problem, noise = solution.problem, (solution.conservative or solution).noise
-    now, then = (float(known.variance(evaluated(p, solution.estimate, noise).covariance[:6, :6]))
-                 for p in (problem, _extended(problem, one)))
-    return known.std(solution.reported[:6, :6]) * math.sqrt(min(then / now, 1.0))
+    before, after = (
+        float(known.variance(evaluated(p, solution.estimate, noise).covariance[:6, :6]))
+        for p in (problem, _extended(problem, one)))
+    return known.std(solution.reported[:6, :6]) * math.sqrt(min(after / before, 1.0))
 
 
 def _extended(problem: Problem, one: Problem) -> Problem:
