@@ -6,6 +6,6 @@ Reviews samples while they are taken, and tests whether other settings explain t
 
 OFFERED = (
     'review.Agreement', 'review.count_of', 'review.FEWEST', 'review.flat_crossing',
-    'review.Review', 'review.review', 'review.sample_summary', 'review.stop_snapshot',
+    'review.review', 'review.Review', 'review.sample_summary', 'review.stop_snapshot',
     'review.stop_snapshots', 'settings.require_same_clock', 'settings.require_settings',
 )
