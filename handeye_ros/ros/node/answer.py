@@ -40,9 +40,9 @@ class Answer:
     """
     The last answer that was not refused, and the samples that it came from.
 
-    calibration: None before it, and after a refusal; withdrawn: why it is gone, empty where none
-    was given up; file: where it was saved, empty where it was not; asked: whether an answer was
-    ever asked for; on_change: called after each change.
+    calibration: None before it, and after a refusal; missing: why there is none; withdrawn: the
+    same where one was given up; file: where it was saved, empty where it was not; asked: whether
+    an answer was ever asked for; on_change: called after each change.
     """
 
     def __init__(self, samples: LiveSamples, runner: Runner, place: Place, progress: Progress
@@ -54,7 +54,7 @@ class Answer:
         self.asked = False
         self._due = False  # whether it has to be computed again
         self._solved: frozenset[int] = frozenset()  # stamps of its samples
-        self.withdrawn = self.file = ''
+        self.withdrawn = self.missing = self.file = ''
         self.on_change: Callable[[], None] = lambda: None
 
     def compute(self) -> tuple[Calibration, str]:
@@ -89,7 +89,7 @@ class Answer:
             if self._samples.cleared != cleared:
                 raise ClearedError
             self.calibration, self._solved = calibration, stamps
-            self.withdrawn = self.file = ''
+            self.withdrawn = self.missing = self.file = ''
         self.on_change()
         return calibration, calibration_summary(calibration)
 
@@ -134,7 +134,7 @@ class Answer:
         """Let there be no answer any more; why: the reason, for its state."""
         self.withdrawn = (f'{why}; the transform that was published before is not the answer'
                           if self.calibration or self.withdrawn else '')
-        self.calibration = None
+        self.calibration, self.missing = None, why
 
     def changes(self, stamps: frozenset[int]) -> str:
         """Return how samples with these stamps differ from those of the answer, if they do."""

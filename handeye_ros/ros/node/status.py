@@ -67,7 +67,8 @@ def _calibration(answer: Answer, stamps: frozenset[int]) -> CalibrationState:
     calibration = answer.calibration
     if calibration is None:
         return CalibrationState(WITHDRAWN if answer.withdrawn else NONE,
-                                answer.withdrawn or NO_ANSWER)
+                                answer.withdrawn or ': '.join(filter(None, [
+                                    NO_ANSWER, answer.missing])))
     changes, T = answer.changes(stamps), calibration.T_flange_sensor
     quality = calibration.quality
     return CalibrationState(

@@ -192,6 +192,14 @@ def test_another_setting_takes_no_sample_of_where_the_robot_stands() -> None:
     assert len(live.copied().outcomes) == count + 1
 
 
+def test_the_first_answer_that_is_refused_is_reported_with_the_reason() -> None:
+    live = fed(with_values(SPHERE.config, {'limits.rotation': 1e-6}, 'test'))
+    with pytest.raises(DataError) as error:
+        live.answer.compute()
+    state = state_of(live).calibration
+    assert state.state == 'none' and str(error.value) in state.text
+
+
 def test_cleared_and_refused_answers_are_withdrawn() -> None:
     live = fed()
     assert state_of(live).calibration.state == 'none'
