@@ -70,6 +70,12 @@ def tee(height: float, web: float = 8.0, toward: float = 45.0, **more) -> Joint:
                   (-web, 0, -web, height)), (0.0, 0.0), toward=toward, **more)
 
 
+def corner(angle: float, **more) -> Joint:
+    """Return two plates that meet at an angle, open upwards; the line is that of the root."""
+    u, h = FAR * np.sin(np.radians(angle / 2)), FAR * np.cos(np.radians(angle / 2))
+    return Joint(((-u, h, 0, 0), (0, 0, u, h)), (0.0, 0.0), **more)
+
+
 @dataclass(frozen=True, eq=False)
 class Scanned:
     """Points (n, 3) in the base (m); centre (m, 3) and normals (m, 3) of the true seam."""
@@ -149,6 +155,7 @@ JOINTS = {
     'lap 3': lap(3),
     'vee 6, root 2': vee(6, 2),
     'vee 8, root 1.5, 45 degrees': vee(8, 1.5, angle=45),
+    **{f'corner of {a} degrees': corner(a) for a in (90, 120, 135)},
     'tee 12': tee(12),
     'tee 12, lean 30': tee(12, lean=30),
     'tee 30, lean 45': tee(30, lean=45),

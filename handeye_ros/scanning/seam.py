@@ -120,7 +120,8 @@ def _smoothed(found: Edges, line: str) -> tuple[Array, Array, Array, Array, Arra
     normals = turning.position(np.clip(grid, found.at[0], found.at[-1]))
     raw = np.array([np.interp(found.at, grid, column) for column in root.T]).T
     away = np.linalg.norm(raw - found.root, axis=1)
-    std = np.column_stack([curves[line].std(grid), turning.std(grid)])
+    shared = found.resolution[list(curves).index(line)]
+    std = np.column_stack([np.hypot(curves[line].std(grid), shared), turning.std(grid)])
     return first, second, root, normals, np.interp(grid, found.at, away), std
 
 

@@ -34,6 +34,7 @@ MINOR = 0.15  # of the longest seam's length: what is shorter is no seam
 IN_LINE = 0.85  # cosine of what continues a seam behind an interruption
 HIGHEST_LAP = 8e-3  # m: a step that is higher is none of a lap
 NARROWEST = 4.0  # spacings of a gap
+TOUCHING = 6.0  # spacings between the edges of two sheets whose corner is seen
 OUTWARDS = 0.9  # cosine between the axis of a V and the normals of its plates
 KINDS = ('v', 'butt', 'lap', 'fillet', 'step')  # one of an earlier kind is taken before others
 
@@ -63,7 +64,7 @@ def course(rims: Rims, points: Array, spacing: float, widest: float, up: Array) 
     widest: largest distance between its edges (m); up: (3,) towards the tool. Raises
     NoSeamError, SeveralSeamsError, InterruptedSeamError, HiddenWallError.
     """
-    pairs = _pairs(rims, widest)
+    pairs = _pairs(rims, widest, spacing)
     by_kind: dict[str, list[NDArray[np.intp]]] = {kind: [] for kind in (*KINDS, 'none')}
     sides = np.sort(rims.label[pairs], axis=1)
     for two in np.unique(sides, axis=0):
@@ -96,7 +97,7 @@ def _whole(rims: Rims, parts: list[NDArray[np.intp]], spacing: float
     return [(length, pairs[rows]) for length, rows in _parts(rims, pairs, spacing)]
 
 
-def _pairs(rims: Rims, widest: float) -> NDArray[np.intp]:
+def _pairs(rims: Rims, widest: float, spacing: float) -> NDArray[np.intp]:
     """Return the pairs (k, 2) of rims that look at each other, the nearest of their sheets."""
     i, j = cKDTree(rims.points).query_pairs(widest, output_type='ndarray').T
     way = rims.points[j] - rims.points[i]
@@ -105,7 +106,9 @@ def _pairs(rims: Rims, widest: float) -> NDArray[np.intp]:
     ahead = (way * rims.outlook[i]).sum(axis=1) > least
     ahead &= -(way * rims.outlook[j]).sum(axis=1) > least
     alike = np.abs((rims.normals[i] * rims.normals[j]).sum(axis=1)) > PARALLEL
-    ahead &= alike == ((rims.outlook[i] * rims.outlook[j]).sum(axis=1) < OPPOSITE)
+    opposite = (rims.outlook[i] * rims.outlook[j]).sum(axis=1) < OPPOSITE
+    # sheets that touch may meet at an obtuse angle; across a V, a plate faces the other bevel
+    ahead &= (alike == opposite) | (~alike & (length < TOUCHING * spacing))
     i, j, length = i[ahead], j[ahead], length[ahead]
     # of each point the nearest on each other sheet
     nearest = []

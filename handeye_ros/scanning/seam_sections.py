@@ -1,40 +1,36 @@
 """
 The two edges of a seam, section by section across its rough course.
 
-On each side a parabola is laid through the section of the sheet; its end is where the sheet, seen
-with noise, most likely ends: for points spread evenly with density q up to an end e, each off by a
-Gaussian error of s, the likelihood is largest where sum h((e - b) / s) / s = q, h = phi / Phi.
-Its bias to first order in 1 / q (Cox and Snell 1968), (1/2) int h' phi dx / (int h phi dx)^2 / q
-= -0.365 / q, is taken off. The foot of a lap lies on the lower sheet under the rim, whether the
-wall hides it or not; the root of a fillet is where the sheets meet, that of a V midway between
-its lower edges.
+On each side a polynomial is laid through the section of the sheet, which ends where it most likely
+does (see sheet_ends). The foot of a lap lies on the lower sheet under the rim, whether the wall
+hides it or not; the root of a fillet is where the sheets meet, that of a V midway between its
+lower edges.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 from handeye_ros.data import Array
 from handeye_ros.scanning.curves import arc_length, averaged, Curve, spline
 from handeye_ros.scanning.errors import InterruptedSeamError, NoLineError
 from handeye_ros.scanning.seam_edges import Course
 from handeye_ros.scanning.seam_sheets import Rims, Sheets
+from handeye_ros.scanning.sheet_ends import column_resolution, end_of, sheet_through
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.spatial import cKDTree
-from scipy.special import log_ndtr
 
 WIDTH = 24.0  # spacings of sheet beside the seam that are looked at, at least
 NARROWEST = 6e-3  # m of the same
 MARGIN = 2.5  # spacings beside the seam where no end can lie
 BEYOND = 2e-3  # m before the rough edge where the sheet may end
-FEWEST = 12  # points of a side of a section
 TOLERANCE = 4.0  # sigmas of what lies on the sheet
 WIDEST_LINE = 12.0  # spacings across the rough course
 MISSING = 5e-3  # m of an edge that may be missing
 WINDOW = 5e-3  # m along the seam whose pairs tell the rough edges
 OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may go on
-SHORT = 0.365  # of 1 / q: what the likeliest end falls short by on average, of few points
 ROOT_GAP = 0.5  # spacings between the lower edges of a V on average: more is a root gap, else
 MET = 4.0  # spacings that they may be apart in a section, and meet
 
@@ -46,7 +42,8 @@ class Edges:
 
     at: (k,) lengths along the rough course; first, second, root: (k, 3); normals: (k, 2, 3) of
     the sheets there, out of the part; noise: 1 sigma about the sheets (m); ends: the lengths
-    where the seam begins and ends.
+    where the seam begins and ends. resolution: (4,) 1 sigma of first, second, root and centre
+    that all sections share (m).
     """
 
     at: Array
@@ -56,6 +53,7 @@ class Edges:
     normals: Array
     noise: float
     ends: tuple[float, float]
+    resolution: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +61,8 @@ class _Side:
     """
     A sheet in a section: its end (3,), its way out there (3,), its mean normal (3,).
 
-    noise: 1 sigma about it; span: how far it reaches along the seam (m).
+    noise: 1 sigma about it; span: how far it reaches along the seam; resolution: 1 sigma of the
+    end from the distance between columns that follow the seam (m).
     """
 
     end: Array
@@ -71,6 +70,7 @@ class _Side:
     normal: Array
     noise: float
     span: tuple[float, float]
+    resolution: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,11 +114,13 @@ def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Cours
               if min(np.ptp(a.span), np.ptp(b.span)) > 0.5 * step - spacing]
     gap = np.median([(a.end - b.end) @ (b.outwards - a.outwards)
                      / np.linalg.norm(b.outwards - a.outwards) for _, a, b in filled])
-    met = {'fillet': np.inf, 'v': MET * spacing * (gap < ROOT_GAP * spacing)}
-    rows = np.array([_joint(rough.kind, a, b, met.get(rough.kind, 0.0)) for _, a, b in filled])
+    meeting = {'fillet': np.inf, 'v': MET * spacing * (gap < ROOT_GAP * spacing)}
+    joint = partial(_joint, rough.kind, meeting.get(rough.kind, 0.0))
+    rows = np.array([joint(a, b) for _, a, b in filled])
     return Edges(np.array([t for t, _, _ in filled]), rows[:, 0], rows[:, 1], rows[:, 2],
                  rows[:, 3:], float(np.median([s.noise for _, *both in filled for s in both])),
-                 (t0 + max(a0.span[0], b0.span[0]), t1 + min(a1.span[1], b1.span[1])))
+                 (t0 + max(a0.span[0], b0.span[0]), t1 + min(a1.span[1], b1.span[1])),
+                 np.median([_shared(joint, a, b) for _, a, b in filled], axis=0))
 
 
 def _line(rims: Rims, rough: Course, spacing: float) -> _Line:
@@ -160,15 +162,16 @@ def _side(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, line: _Line,
     if np.isin(labels, rims.label[other]).any():  # one sheet on both sides
         apart = np.median((rims.points[own] - rims.points[other]) @ inwards)
         limit = min(0.5 * abs(float(apart)), BEYOND)
+    resolution = column_resolution(b, spacing, MARGIN)
     slab = (np.abs(along) <= step / 2) & (b <= width) & (b >= -limit)
     along, b, height = along[slab], b[slab], height[slab]
-    fitted = _sheet(b, height, MARGIN * spacing, degree)
+    fitted = sheet_through(b, height, MARGIN * spacing, degree)
     if fitted is None:
         return None
     sheet, noise = fitted
     on_sheet = np.abs(height - np.polyval(sheet, b)) < TOLERANCE * noise
     inner = on_sheet & (b > MARGIN * spacing)
-    end = -_end_of(-b[on_sheet], noise, inner.sum() / (b[inner].max() - MARGIN * spacing))
+    end = -end_of(-b[on_sheet], noise, inner.sum() / (b[inner].max() - MARGIN * spacing))
     if abs(end) > BEYOND:
         return None
     slope = np.polyval(np.polyder(sheet), end)
@@ -176,7 +179,7 @@ def _side(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, line: _Line,
     return _Side(start + end * inwards + np.polyval(sheet, end) * upright,
                  -(inwards + slope * upright) / np.hypot(1, slope),
                  (upright - mean * inwards) / np.hypot(1, mean), noise,
-                 (float(along[on_sheet].min()), float(along[on_sheet].max())))
+                 (float(along[on_sheet].min()), float(along[on_sheet].max())), resolution)
 
 
 def _axes(rims: Rims, own: NDArray[np.intp], other: NDArray[np.intp], way: Array
@@ -192,38 +195,7 @@ def _axes(rims: Rims, own: NDArray[np.intp], other: NDArray[np.intp], way: Array
     return inwards, upright if upright @ rims.normals[own].mean(axis=0) >= 0 else -upright
 
 
-def _sheet(b: Array, height: Array, margin: float, degree: int) -> tuple[Array, float] | None:
-    """Return the polynomial through the sheet at b > margin, and the scatter about it."""
-    kept: NDArray[np.bool_] = np.asarray(b > margin)
-    if kept.sum() < FEWEST or np.ptp(b[kept]) < margin:
-        return None
-    sheet, noise = np.zeros(3), np.inf
-    for cut in (np.inf, 3.0, 3.0):
-        apart = np.abs(height - np.polyval(sheet, b))
-        used = kept & (apart <= cut * noise)
-        if used.sum() < FEWEST:
-            return None
-        sheet = np.polyfit(b[used], height[used], degree)
-        noise = 1.4826 * float(np.median(np.abs(height[used] - np.polyval(sheet, b[used]))))
-        noise = max(noise, 1e-6)
-    return sheet, noise
-
-
-def _end_of(b: Array, noise: float, density: float) -> float:
-    """Return the likeliest end of points b (n,) spread evenly below it; see the module."""
-    def excess(end: float) -> float:
-        scaled = (end - b) / noise
-        ratio = np.exp(-0.5 * scaled ** 2 - log_ndtr(scaled)) / np.sqrt(2 * np.pi)
-        return float(ratio.sum() / noise - density)
-
-    last = float(b.max())
-    low, high = last - 5 * noise, last + 5 * noise + 10 / max(density, 1.0)
-    if excess(low) < 0 or excess(high) > 0:
-        return last
-    return float(brentq(excess, low, high, xtol=1e-8)) + SHORT / density
-
-
-def _joint(kind: str, a: _Side, b: _Side, meeting: float) -> Array:
+def _joint(kind: str, meeting: float, a: _Side, b: _Side) -> Array:
     """
     Return the two edges, the root and the two normals (5, 3) of a section.
 
@@ -241,6 +213,14 @@ def _joint(kind: str, a: _Side, b: _Side, meeting: float) -> Array:
         ways = np.column_stack([a.outwards, -b.outwards])
         root = a.end + a.outwards * np.linalg.lstsq(ways, b.end - a.end, rcond=None)[0][0]
     return np.array([first, second, root, a.normal, b.normal])
+
+
+def _shared(joint: Callable[[_Side, _Side], Array], a: _Side, b: _Side) -> Array:
+    """Return the resolution (4,) of first, second, root and centre of a section (m)."""
+    further = [replace(side, end=side.end + side.resolution * side.outwards) for side in (a, b)]
+    change = np.stack([joint(further[0], b), joint(a, further[1])]) - joint(a, b)
+    lines = np.concatenate([change[:, :3], change[:, :2].mean(axis=1, keepdims=True)], axis=1)
+    return np.asarray(np.sqrt((lines ** 2).sum(axis=(0, 2))))
 
 
 def _require_whole(whole: NDArray[np.bool_], places: list[list[float]], step: float) -> None:

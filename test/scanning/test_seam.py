@@ -94,7 +94,8 @@ def test_frames_where_the_line_is_uncertain_are_left_out():
     ('butt 3, backing 1', 'butt'), ('butt 3, backing 5', 'butt'),
     ('butt 3 on a table, seen all round', 'butt'), ('lap 5, lean -20', 'lap'),
     ('lap 5, lean 20', 'lap'), ('vee 6, root 2', 'v'), ('vee 8, root 1.5, 45 degrees', 'v'),
-    ('tee 12, lean 30', 'fillet'), ('lap 5, spatter', 'lap')])
+    ('tee 12, lean 30', 'fillet'), ('lap 5, spatter', 'lap'),
+    ('corner of 90 degrees', 'fillet'), ('corner of 135 degrees', 'fillet')])
 def test_joints_as_a_sensor_sees_them(name, kind):
     joint = replace(joints.JOINTS[name], length=40.0)
     truth = joints.scanned(joint, np.random.default_rng(1))
@@ -127,6 +128,21 @@ def test_single_profiles_of_a_face_seen_at_a_low_angle_are_no_sheets():
     sheets = sheets_of(points, cKDTree(points), spacing_of(points), np.array([0.0, 0.0, 1.0]))
     assert (sheets.label[len(plate):] >= 0).mean() < 0.1
     assert (sheets.label[:len(plate)] >= 0).all()
+
+
+def test_columns_at_the_same_places_in_all_profiles_limit_what_is_known_of_an_edge():
+    errors, stds = [], []
+    for width in (60.0, 60.6, 61.3, 62.0):
+        joint = replace(joints.JOINTS['butt 3, backing 5'], length=40.0, width=width)
+        truth = joints.scanned(joint, np.random.default_rng(0))
+        seam = find_seam(truth.points, line='first')
+        errors.append(np.median(off_line(truth, seam.first)) - 1.5e-3)
+        stds.append(np.median(seam.std[:, 0]))
+    assert np.sqrt(np.mean(np.square(errors))) < 2 * np.mean(stds)
+    assert 0.7 < np.mean(stds) / (62e-3 / 640 / np.sqrt(12)) < 1.5
+    flank = find_seam(joints.scanned(replace(joints.JOINTS['corner of 90 degrees'], length=40.0),
+                                     np.random.default_rng(0)).points)
+    assert np.median(flank.std[:, 0]) < 0.3 * np.mean(stds)  # a root needs no end of a sheet
 
 
 def test_a_displaced_profile_does_not_divide_a_sheet():
