@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 import sys
 
-from handeye_ros.ros.bags import simulated
+from handeye_ros.cli import simulated
 
 # bag: scenario, seed
 BAGS = {

@@ -55,7 +55,7 @@ def simulate(
         raise UnknownNameError('scenario', scenario, list(_scenarios()),
                                'handeye simulate --list')
 
-    from handeye_ros.ros.bags import simulated
+    from handeye_ros.cli import simulated
     with doing('simulating'):
         made = simulated.write(scenario, seed, directory, force)
     typer.echo(f'wrote {directory.absolute()}: {made}')

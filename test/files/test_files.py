@@ -9,6 +9,7 @@ from pathlib import Path
 from command import ROOT
 from file_scenes import given, Run, TABLES, target_of
 from handeye_ros import files, se3
+from handeye_ros.cli import simulated
 from handeye_ros.comparison.compare import compare_files
 from handeye_ros.comparison.estimators import ESTIMATORS
 from handeye_ros.config import Config, load, with_values
@@ -19,7 +20,7 @@ from handeye_ros.frames import sensor_axes
 from handeye_ros.results import calibration_file
 from handeye_ros.results.truth_errors import errors_against
 from handeye_ros.results.truth_file import true_transform
-from handeye_ros.ros.bags import bag, bag_write, simulated
+from handeye_ros.ros.bags import bag, bag_write
 from handeye_ros.simulate import FILE_SCENES, measured
 from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.targets import FROM_FILES, METHODS

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from command import ROOT
 from file_scenes import given, Run, TABLES, target_of
+from handeye_ros.cli import simulated
 from handeye_ros.config import Config, load, with_values
 from handeye_ros.errors import BadValueError, OnlyFromFilesError
 from handeye_ros.files import FILE_METHODS
-from handeye_ros.ros.bags import simulated
 from handeye_ros.simulate import measured
 from handeye_ros.targets import method_for
 import numpy as np
