@@ -1,14 +1,16 @@
-"""A recording that is read with a wrong setting names the setting and its right value."""
+"""Wrong settings and clocks that differ are named, with the right value."""
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+import re
 
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
-from handeye_ros.diagnosis.settings import require_settings, WrongSettingError
+from handeye_ros.diagnosis.settings import require_same_clock, require_settings, WrongSettingError
 from handeye_ros.errors import DataError
-from handeye_ros.simulate import FAULTS, settings, simulate, Simulated
+from handeye_ros.sampling.errors import ClocksDifferError
+from handeye_ros.simulate import FAULTS, SCENARIOS, settings, simulate, Simulated
 import numpy as np
 import pytest
 
@@ -52,3 +54,66 @@ def test_what_no_setting_mends_is_not_blamed_on_one() -> None:
 def test_right_settings_are_not_blamed(name: str) -> None:
     config = with_values(Config(), settings(FAULTS[name]), 'the test')
     require_settings(pipeline.gather(made(name).profiles, made(name).poses, config), config)
+
+
+NS = 1_000_000_000
+
+
+@lru_cache(maxsize=2)
+def recorded(target: str) -> tuple[Simulated, Config]:
+    scenario = replace(SCENARIOS[target], sensor=replace(SCENARIOS[target].sensor, rate=20.0))
+    return (simulate(scenario, np.random.default_rng(1)),
+            with_values(Config(), settings(scenario), 'the test'))
+
+
+def solved_late(target: str, late: float) -> object:
+    made, config = recorded(target)
+    profiles = [replace(p, stamp=p.stamp + round(late * NS)) for p in made.profiles]
+    return pipeline.calibrate(profiles, made.poses, config)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(('target', 'late'), [
+    ('plate', 0.7), ('plate', 2.2), ('plate', -1.8), ('sphere', 1.3), ('sphere', -0.8)])
+def test_clocks_apart_are_reported_and_mended(target: str, late: float) -> None:
+    with pytest.raises(ClocksDifferError, match='set time_offset to') as caught:
+        solved_late(target, late)
+    assert ('late' if late > 0 else 'early') in str(caught.value)
+    told = float(re.search('time_offset to ([-0-9.]+)', str(caught.value))[1])
+    assert told == pytest.approx(-late, abs=0.16)
+    assert solved_late(target, late + told)
+
+
+def test_the_offset_comes_on_top_of_the_one_that_is_set() -> None:
+    assert 'set time_offset to 0.7 (it is 2)' in str(ClocksDifferError(1.3, 2.0))
+
+
+def test_clocks_are_not_blamed_for_what_else_is_wrong() -> None:
+    made, config = recorded('plate')
+    wrong = [replace(p, quaternion=p.quaternion[[3, 0, 1, 2]]) for p in made.poses]
+    with pytest.raises(DataError, match='quaternions read as w x y z'):
+        pipeline.calibrate(made.profiles, wrong, config)
+    require_same_clock(pipeline.gather(made.profiles, made.poses, config), config)
+
+
+@pytest.mark.thorough
+def test_clocks_are_not_blamed_for_the_one_stop_of_a_poor_robot_that_ends_early() -> None:
+    scenario = replace(FAULTS['wedge, joints and links 1 mm'], stations=(100, 0))
+    made = simulate(scenario, np.random.default_rng(1))
+    config = with_values(Config(), settings(scenario), 'the test')
+    require_same_clock(pipeline.gather(made.profiles, made.poses, config), config)
+
+
+@pytest.mark.thorough
+def test_clocks_are_not_blamed_for_few_samples_of_which_two_are_wrong() -> None:
+    scenario = FAULTS['4 + 3, two bad']
+    made = simulate(scenario, np.random.default_rng(16))
+    config = with_values(Config(), settings(scenario), 'the test')
+    require_same_clock(pipeline.gather(made.profiles, made.poses, config), config)
+
+
+def test_a_stop_half_of_whose_arcs_moved_is_no_sample() -> None:
+    answer = solved_late('sphere', 0.3)
+    made, config = recorded('sphere')
+    good = pipeline.calibrate(made.profiles, made.poses, config)
+    assert answer.quality.residual_rms < 3 * good.quality.residual_rms

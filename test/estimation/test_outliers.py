@@ -1,10 +1,19 @@
-"""Variance components: each cause of noise is found, one that is absent is not."""
+"""Variance components: each cause of noise is identified; quantiles are those of scipy.stats."""
 from __future__ import annotations
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.outliers import first_variances, variance_components
+from handeye_ros.estimation.outliers import (
+    chi2_isf,
+    chi2_sf,
+    f_isf,
+    first_variances,
+    variance_components,
+)
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 import pytest
+from scipy import stats
 
 SCALES = (1e-3, 2e-3)  # 1 sigma of the two causes
 
@@ -57,3 +66,28 @@ def test_without_any_noise_they_stay_positive() -> None:
     first = first_variances(r, parts)
     found = variance_components(r, J, parts, first)
     assert (found > 0).all() and (found < 1e-20).all()
+
+
+PROBABILITIES = st.floats(1e-12, 1 - 1e-6)
+FREEDOM = st.integers(1, 2000)
+
+
+@given(PROBABILITIES, FREEDOM)
+def test_chi_squared(probability: float, freedom: int) -> None:
+    value = chi2_isf(probability, freedom)
+    assert value == pytest.approx(stats.chi2.isf(probability, freedom), rel=1e-9)
+    assert chi2_sf(value, freedom) == pytest.approx(
+        stats.chi2.sf(value, freedom), rel=1e-9)
+    assert chi2_isf(0.5, freedom) == pytest.approx(stats.chi2.median(freedom), rel=1e-9)
+
+
+@given(PROBABILITIES, FREEDOM, FREEDOM)
+def test_ratios_of_variances(probability: float, above: int, below: int) -> None:
+    value = f_isf(probability, above, below)
+    assert stats.f.sf(value, above, below) == pytest.approx(probability, rel=1e-6)
+
+
+def test_several_at_once_and_none_without_a_degree_of_freedom() -> None:
+    probabilities = chi2_sf(np.array([0.0, 1.0, 2.0, 2.0]), np.array([0, 0, 1, 3]))
+    assert np.isnan(probabilities).tolist() == [True, True, False, False]
+    np.testing.assert_allclose(probabilities[2:], stats.chi2.sf(2.0, [1, 3]))
