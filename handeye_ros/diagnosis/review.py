@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from handeye_ros import se3, targets
 from handeye_ros.config import Config
@@ -22,11 +22,14 @@ from handeye_ros.frames import in_mount, mounted
 from handeye_ros.results.outcome import left_out, Measured, measured_points
 from handeye_ros.results.report.evidence import StopSnapshot
 from handeye_ros.sampling.edge_shapes import consistent_edges
+from handeye_ros.sampling.passes import Pairing, single_samples
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome, Seen
+from handeye_ros.sampling.time_offset import synchronised
 import numpy as np
 
 FEWEST = 3  # samples that can be compared
+MOST_SINGLE = 120  # profiles of all passes that are compared
 TOO_FAR = 5e-3  # m from every edge of the target: it is another one, or the fit is still wrong
 
 
@@ -70,6 +73,8 @@ def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) 
 
     Raises NoReviewError for too few, DataError where no fit can be started.
     """
+    if any(sample.single for sample in samples):
+        return _of_passes(samples, included, config)
     # as in a solve: only edges that agree over all samples, none at the border of the view
     kept, _ = consistent_edges([s for s, use in zip(samples, included, strict=True) if use])
     by_stamp = {sample.stamp: sample for sample in kept}
@@ -91,6 +96,32 @@ def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) 
         if np.isfinite(rms[i]):
             found[i] = Agreement(float(rms[i]), float(predicted[k]), True)
     return Review(tuple(found), solution)
+
+
+def _of_passes(samples: Sequence[Sample], included: Sequence[bool], config: Config) -> Review:
+    """Return the review of passes, each from some profiles of its own at the time offset."""
+    each = max(sum(len(sample.single) for sample in samples) // MOST_SINGLE, 1)
+    fewer = [replace(sample, single=sample.single[::each]) for sample in samples]
+    number = np.repeat(np.arange(len(fewer)), [len(sample.single) or 1 for sample in fewer])
+    ones, use = single_samples(fewer), np.asarray(included, dtype=bool)[number]
+    moved = synchronised([one for one, used in zip(ones, use, strict=True) if used], config)
+    at = Pairing.of(ones).at(*moved.samples[0].offsets)
+    found = review([replace(one, T_base_flange=T) for one, T in zip(
+        ones, at.T_base_flange, strict=True)], list(use & at.inside), config)
+    of_each = [[one for one, own in zip(found.agreements, number == k, strict=True) if one and own]
+               for k in range(len(fewer))]
+    return Review(tuple(_together(ones) for ones in of_each), found.solution)
+
+
+def _together(ones: Sequence[Agreement]) -> Agreement | None:
+    """Return the agreement of a pass: that of its profiles that are used, where most are."""
+    if not ones:
+        return None
+    believed = [one for one in ones if one.used]
+    used = 2 * len(believed) >= len(ones)
+    rms = np.sqrt(np.mean([(one.residual ** 2, one.left_out ** 2)
+                           for one in (believed if used else ones)], axis=0))
+    return Agreement(float(rms[0]), float(rms[1]), used)
 
 
 def _residuals(samples: Sequence[Sample], solution: Solution, config: Config) -> Array:

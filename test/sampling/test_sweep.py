@@ -7,6 +7,7 @@ import math
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, TimedPose
+from handeye_ros.diagnosis.review import review
 from handeye_ros.errors import HandeyeError
 from handeye_ros.results.truth_errors import errors_against
 from handeye_ros.sampling.passes import finder_of
@@ -139,6 +140,18 @@ def test_a_slow_sweep_is_advised_to_be_faster_once() -> None:
     assert advice.next is None and advice.sigmas
     assert 'sweep faster once: the time offset is known to' in advice.text.lower()
     assert 'turn about the viewing direction' in advice.text.lower()
+
+
+def test_the_review_of_passes_knows_the_time_offset() -> None:
+    scenario = sweep('sphere', -0.035)
+    scenario = replace(scenario, sensor=replace(scenario.sensor, rate=10.0))
+    made = simulate(scenario, np.random.default_rng(4))
+    config = config_of(scenario)
+    session = pipeline.gather(made.profiles, made.poses, config)
+    passes = [outcome.sample for outcome in session.outcomes if outcome.sample]
+    found = review(passes, [k != 2 for k in range(len(passes))], config).agreements
+    assert [one is not None and one.used for one in found] == [k != 2 for k in range(len(passes))]
+    assert all(one.residual < 1e-4 for one in found if one)
 
 
 def test_a_sweep_of_one_orientation_is_refused_with_the_missing_motion() -> None:
