@@ -19,16 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-LARGEST_STD = 1e3  # stands for infinity (m or rad)
-FREE = 1e-13  # relative information, or variance, that is rounding: nothing is known of it
-NOTHING = 1e-280  # information, so small that its inverse is still a number
-DISTORTION_LENGTH = 0.01  # over which the error of a sensor's field is alike (m)
+LARGEST_STD = 1e3  # of a direction without information (m or rad)
+FREE = 1e-13  # relative information, or variance, that is rounding
+NOTHING = 1e-280  # smallest information: its inverse is still a number
+DISTORTION_LENGTH = 0.01  # m: correlation length of the sensor's distortion
 Rows = Sequence[NDArray[np.intp]]
 
 
 def covariance_of(J: Array) -> Array:
-    """Return that (u, u) of the unknowns of whitened J (m, u); what it leaves free is cut."""
-    few = len(J) < J.shape[1]  # then the free directions come with the whole basis only
+    """Return the covariance (u, u) of the unknowns of a whitened J (m, u), sigmas cut."""
+    few = len(J) < J.shape[1]  # only the full decomposition has the free directions then
     _, s, Vt = np.linalg.svd(J if few else np.linalg.qr(J, mode='r'))
     values = np.pad(s, (0, len(Vt) - len(s)))
     root = Vt / np.maximum(values, 1 / LARGEST_STD)[:, None]
@@ -36,7 +36,7 @@ def covariance_of(J: Array) -> Array:
 
 
 def inverse(information: Array) -> Array:
-    """Return the inverse of a symmetric positive matrix, directions not seen cut."""
+    """Return the inverse of a symmetric positive matrix, variances of free directions cut."""
     scale = 1 / np.sqrt(np.maximum(np.diag(information), NOTHING))
     return _inverse_of_scaled(information * scale * scale[:, None], scale)
 
@@ -77,7 +77,7 @@ def from_information(N: Array, b: Array, units: Array, known: int) -> tuple[Arra
 
 
 def covering(first: Array, second: Array) -> Array:
-    """Return the smallest covariance (k, k) that no one of two exceeds in any direction, (8)."""
+    """Return the smallest covariance (k, k) that neither of two exceeds in any direction, (8)."""
     std = np.sqrt(np.diag(first))
     values, vectors = np.linalg.eigh(first / np.outer(std, std))
     roots = np.sqrt(np.maximum(values, FREE))
@@ -92,10 +92,10 @@ class Stations:
     """
     The s stations with equally many observations, c.
 
-    rows: (s, c) of them; near: (s, c, c) how alike a smooth error of the sensor is at each two;
-    shared: (s, c, c) 1 where they share the error of one feature; components: (2, s, c, c) 1 where
-    both are of the first variance component, or both of the second; mixed: whether some are of
-    the second. alone: whether none shares its error.
+    rows: (s, c) of them; near: (s, c, c) correlation of the distortion at each two; shared:
+    (s, c, c) 1 where two share the error of one feature; components: (2, s, c, c) 1 where both
+    are of the first variance component, or both of the second; mixed: whether some are of the
+    second; alone: whether none shares its error.
     """
 
     rows: NDArray[np.intp]
@@ -129,7 +129,7 @@ def groups(block: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
 
 
 def stations_of(observations: Observations) -> tuple[Stations, ...]:
-    """Return the stations of observations, by how many each has."""
+    """Return the stations of observations, grouped by their number of observations."""
     return tuple(_with_rows(observations, rows) for rows in groups(observations.station))
 
 
@@ -171,37 +171,37 @@ class FactoredJacobian:
         return self.single + self.axes * int(self.basis.shape[1])
 
     def scaled(self, scales: Array) -> FactoredJacobian:
-        """Return it by unknowns in other units (p,), equal for all functions of a component."""
+        """Return it for unknowns in other units (p,), equal for all functions of a component."""
         each = np.append(scales[:self.single], scales[self.single::max(self.basis.shape[1], 1)])
         return replace(self, local=self.local * each)
 
     @cached_property
     def dense(self) -> Array:
-        """Return the derivatives (m, p) themselves."""
+        """Return the dense Jacobian (m, p)."""
         c, basis = self.single, self.basis[self.station]
         by_axes = (self.local[:, c:, None] * basis[:, None, :]).reshape(len(basis), -1)
         return np.concatenate([self.local[:, :c], by_axes], axis=1)
 
     def times(self, x: Array) -> Array:
-        """Return by how much the residuals (m,) change with the unknowns x (p,)."""
+        """Return the product (m,) of the Jacobian with x (p,)."""
         c = self.single
         at_station = self.basis @ x[c:].reshape(self.axes, self.basis.shape[1]).T
         return np.asarray(self.local[:, :c] @ x[:c]
                           + (self.local[:, c:] * at_station[self.station]).sum(axis=1))
 
     def change(self, x: Array, rows: NDArray[np.intp]) -> Array:
-        """Return by how much residuals (s, count) of s stations' rows change."""
+        """Return the product (s, count) with x (p,), of the rows of s stations."""
         c, (local, functions) = self.single, self.blocks(rows)
         by_axes = functions @ x[c:].reshape(self.axes, self.basis.shape[1]).T
         by_own = np.concatenate([np.broadcast_to(x[:c], (len(rows), c)), by_axes], axis=1)
         return np.asarray((local @ by_own[..., None])[..., 0])
 
     def gradient_of(self, r: Array, rows: Rows) -> Array:
-        """Return the gradient (p,) of half the squares of some rows of residuals r (m,)."""
+        """Return J'r (p,) of some rows, with residuals r (m,)."""
         return np.asarray(sum(self.gradients(r[some], some).sum(axis=0) for some in rows))
 
     def gradients(self, r: Array, rows: NDArray[np.intp]) -> Array:
-        """Return the gradient (s, p) of each of s stations, of residuals r (s, count)."""
+        """Return J'r (s, p) of each of s stations, with residuals r (s, count)."""
         c, (local, functions) = self.single, self.blocks(rows)
         by_station = (r[:, None] @ local)[:, 0]
         by_axes = by_station[:, c:, None] * functions[:, None]
@@ -209,11 +209,11 @@ class FactoredJacobian:
 
     @cached_property
     def gram(self) -> Array:
-        """Return the information (p, p) of the unknowns."""
+        """Return J'J (p, p)."""
         return self.gram_of(self.rows)
 
     def gram_of(self, rows: Rows) -> Array:
-        """Return the information (p, p) of the unknowns that is in some rows."""
+        """Return J'J (p, p) of some rows."""
         c, a, k = self.single, self.axes, self.basis.shape[1]
         N = np.zeros((self.count, self.count))
         for some in rows:
@@ -228,7 +228,7 @@ class FactoredJacobian:
         return N
 
     def of(self, stations: NDArray[np.intp]) -> Rows:
-        """Return the rows of some stations, by how many each has."""
+        """Return the rows of some stations, grouped by their number."""
         return [some[np.isin(self.station[some[:, 0]], stations)] for some in self.rows]
 
     def blocks(self, rows: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -236,7 +236,7 @@ class FactoredJacobian:
         return _of_rows(self.local, rows), self._at(self.basis, rows)
 
     def predicted_covariance(self, covariance: Array, rows: NDArray[np.intp]) -> Array:
-        """Return the covariance (s, count, count) of s stations' rows, from that of unknowns."""
+        """Return J C J' (s, count, count) of the rows of s stations, C (p, p) a covariance."""
         c, a, k = self.single, self.axes, self.basis.shape[1]
         (local, functions), n = self.blocks(rows), len(rows)
         one, by_axis = local[..., :c], local[..., c:]
@@ -250,11 +250,11 @@ class FactoredJacobian:
                           + by_axis @ of_axes @ np.swapaxes(by_axis, 1, 2))
 
     def _at(self, values: Array, rows: NDArray[np.intp]) -> Array:
-        """Return those of values (n, j) that are of the stations of rows (s, count)."""
+        """Return the values (s, j), of all (n, j), at the stations of rows (s, count)."""
         return values if len(rows) == len(values) else values[self.station[rows[:, 0]]]
 
 
 def products(functions: Array) -> Array:
-    """Return what each two of k basis functions (n, k) give multiplied, (n, k * k)."""
+    """Return the products (n, k * k) of each two of k basis functions (n, k)."""
     n, k = functions.shape
     return np.asarray((functions[:, :, None] * functions[:, None, :]).reshape(n, k * k))
