@@ -255,6 +255,6 @@ class FactoredJacobian:
 
 
 def products(functions: Array) -> Array:
-    """Return the products (n, k * k) of each two of k basis functions (n, k)."""
+    """Return each two of k basis functions (n, k) multiplied, (n, k * k)."""
     n, k = functions.shape
     return np.asarray((functions[:, :, None] * functions[:, None, :]).reshape(n, k * k))
