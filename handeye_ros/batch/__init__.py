@@ -5,7 +5,7 @@ Jobs, their results, one table and one report; a worker that ends loses one try 
 """
 
 OFFERED = (
-    'cells.cell_of', 'cells.cells_of', 'jobs.Job', 'jobs.LOCKS', 'jobs.Row', 'report.result_of',
+    'jobs.Job', 'jobs.LOCKS', 'jobs.Row', 'report.cell_of', 'report.cells_of', 'report.result_of',
     'report.worst_answers', 'report.write_report', 'run.client_of', 'run.rows_of',
     'run.write_rows', 'sources.jobs_of', 'sources.words_of',
 )

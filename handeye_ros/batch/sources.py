@@ -9,8 +9,7 @@ from pathlib import Path, PurePosixPath
 import shlex
 
 from handeye_ros.batch.errors import JobListError, NoJobsError
-from handeye_ros.batch.jobs import Job
-from handeye_ros.batch.remote import files_below, is_remote
+from handeye_ros.batch.jobs import files_below, is_remote, Job
 import yaml
 
 BAGS = ('.mcap', '.db3')

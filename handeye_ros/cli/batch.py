@@ -66,8 +66,7 @@ def _run_quietly(words: list[str]) -> int:
 
 def _reported(client: Any, rows: 'list[Row]', out: Path) -> None:
     """Write the page, with the trend of each cell and the reports of the worst calibrations."""
-    from handeye_ros.batch.cells import cell_of, cells_of
-    from handeye_ros.batch.report import worst_answers, write_report
+    from handeye_ros.batch.report import cell_of, cells_of, worst_answers, write_report
     cells = cells_of(rows)
     trends = client.map(cell_of, [*cells], [*cells.values()], out=out, pure=False)
     pages = client.map(_run_quietly, [

@@ -32,12 +32,12 @@ from handeye_ros.config.keys import (
     UNNAMED_FRAME,
 )
 from handeye_ros.config.parameter import Parameter
-from handeye_ros.config.plain_yaml import yaml_content
 from handeye_ros.config.values import (
     flipped_range,
     from_provenance,
     with_assignments,
     with_values,
+    yaml_content,
 )
 
 __all__ = [

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros.config.keys import Config
-from handeye_ros.config.plain_yaml import yaml_content
-from handeye_ros.config.values import with_values
+from handeye_ros.config.values import with_values, yaml_content
 from handeye_ros.errors import ConfigFileError, InputError
 import yaml
 

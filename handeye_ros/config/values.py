@@ -3,6 +3,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from itertools import accumulate
 import math
 import re
 from typing import Any
@@ -10,11 +11,11 @@ from typing import Any
 from handeye_ros.config.cell import ROBOT_CLASSES
 from handeye_ros.config.keys import Config, parameters, RECORD
 from handeye_ros.config.parameter import Parameter
-from handeye_ros.config.plain_yaml import yaml_content
 from handeye_ros.errors import BadValueError, InputError, UnknownKeyError
 import yaml
 
 LONGEST_TEXT = 1000  # characters of a record.*
+DEEPEST = 100  # nesting of brackets in a YAML file
 
 
 def with_values(config: Config, values: Mapping[str, Any], source: str) -> Config:
@@ -148,3 +149,17 @@ def _check_limits(parameter: Parameter, value: Any) -> None:
     if low is not None and high is not None and not low <= value <= high:
         raise BadValueError(parameter.key, value,
                             f'a number from {low:g} to {high:g} {parameter.unit}'.rstrip())
+
+
+def yaml_content(text: str) -> Any:
+    """Return what a YAML text holds, of plain values alone; raises yaml.YAMLError."""
+    # the parser takes seconds for what nobody writes, before it gives up
+    depths = accumulate(1 if c in '[{' else -1 for c in re.findall(r'[\[{}\]]', text))
+    if max(depths, default=0) > DEEPEST:
+        raise yaml.YAMLError('it is nested too deeply')
+    try:
+        return yaml.safe_load(text)
+    except ValueError as error:  # a date or a number that is none
+        raise yaml.YAMLError(str(error)) from error
+    except RecursionError as error:
+        raise yaml.YAMLError('it is nested too deeply') from error
