@@ -11,10 +11,10 @@ from handeye_ros.data import Calibration
 from handeye_ros.errors import UnknownNameError, UnwritableError
 from handeye_ros.output import write_whole
 from handeye_ros.results import calibration_file
-from handeye_ros.results.exports import easy_handeye2, plain, robots, ros
-from handeye_ros.results.exports.format import Format
+from handeye_ros.results.exports import easy_handeye2, robots, ros
+from handeye_ros.results.exports.format import as_json, Format, matrix
 
-OFFERED = ('REPORT', 'plain.matrix', 'ros')
+OFFERED = ('REPORT', 'format.matrix', 'ros')
 
 YAML = 'yaml'
 REPORT = 'report.html'
@@ -31,8 +31,8 @@ FORMATS = {
                     lambda _: 'static_transform.sh', ros.shell),
     'easy_handeye2': Format('the .calib file of easy_handeye2', easy_handeye2.file_name,
                             easy_handeye2.text),
-    'matrix': Format('the 4x4 matrix as text', lambda _: 'matrix.txt', plain.matrix),
-    'json': Format('JSON', lambda _: 'calibration.json', plain.as_json),
+    'matrix': Format('the 4x4 matrix as text', lambda _: 'matrix.txt', matrix),
+    'json': Format('JSON', lambda _: 'calibration.json', as_json),
     **robots.FORMATS,
 }
 

@@ -1,12 +1,18 @@
-"""What a format of a saved calibration is, and the words that all of them begin with."""
+"""
+What a format of a saved calibration is, and its preamble.
+
+For programs that know no ROS also a 4x4 matrix, and JSON.
+"""
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+import json
 import math
 
 from handeye_ros import __version__, se3
 from handeye_ros.data import Array, Calibration
+from handeye_ros.results.calibration_file import transform_values
 import numpy as np
 
 SI = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed axes x, '
@@ -67,3 +73,25 @@ def position(calibration: Calibration) -> Array:
 def quaternion(calibration: Calibration) -> Array:
     """Return the rotation (4,) of the sensor in its parent, x y z w."""
     return se3.quaternion(calibration.T_flange_sensor)
+
+
+def matrix(calibration: Calibration) -> str:
+    """Return T, row by row; numpy.loadtxt reads it."""
+    rows = [numbers(row) + '\n' for row in calibration.T_flange_sensor]
+    return commented(calibration) + '# The matrix T (4x4), row by row.\n' + ''.join(rows)
+
+
+def as_json(calibration: Calibration) -> str:
+    """Return the calibration as JSON; its "comment" says what a comment would."""
+    T = calibration.T_flange_sensor
+    values = {
+        'comment': preamble(calibration),
+        'name': calibration.name,
+        'parent_frame': calibration.parent_frame,
+        'child_frame': calibration.child_frame,
+        'transform': transform_values(T),
+        'rpy': se3.rpy(T).tolist(),
+        'matrix': T.tolist(),
+        'covariance': calibration.covariance.tolist(),
+    }
+    return json.dumps(values, indent=2) + '\n'

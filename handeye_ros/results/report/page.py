@@ -19,7 +19,7 @@ from handeye_ros.data import Calibration
 from handeye_ros.output import write_whole
 from handeye_ros.results import table
 from handeye_ros.results.exports import REPORT, ros
-from handeye_ros.results.exports.plain import matrix
+from handeye_ros.results.exports.format import matrix
 from handeye_ros.results.report import figures
 from handeye_ros.results.report.evidence import config_of, Evidence, StopSnapshot
 from handeye_ros.results.report.scene import in_sensor, legend, scene
