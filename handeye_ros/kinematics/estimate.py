@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 MINIMUM = 12  # configurations
 SMOOTH = 2e-4  # 1 sigma of what is left of the robot's error, each axis (m)
-ROUNDS, SETTLED = 6, 0.02  # of estimating sizes and noise; relative change that ends them
+ROUNDS, CONVERGED = 6, 0.02  # of estimating prior scales and noise; relative change that ends
 POOLED = 4.0  # degrees of freedom with which the noise of all axes counts for each
 LEAST_NOISE = 1e-6  # rounding of the values (m)
 SMOOTH_ROUNDS = 2  # of estimating its size and the noise beside it
@@ -80,17 +80,17 @@ class Fit:
 
     @property
     def stds(self) -> Array:
-        """Return their sigmas (q,) as weighed."""
+        """Return the prior sigmas, shape (q,), times the estimated scales."""
         return self.configured * np.sqrt(self.weights.variances[self.group])
 
     @property
     def values(self) -> Array:
-        """Return the unknowns (q,) with a prior themselves."""
+        """Return the values, shape (q,), of the unknowns with a prior."""
         return np.append(self.state.arm.values, self.state.smooth.ravel())
 
     @cached_property
     def covariance(self) -> Array:
-        """Return that (u, u) of all unknowns."""
+        """Return the covariance of all unknowns, (u, u)."""
         prior = np.zeros((len(self.stds), self.jacobian.shape[1]))
         prior[:, self.data.unknowns:] = np.diag(1 / self.stds)
         return covariance_of(np.vstack([self.jacobian[self.rows], prior]))
@@ -112,7 +112,7 @@ class Fit:
 
     @cached_property
     def shown(self) -> Scales:
-        """Return how large each kind shows itself."""
+        """Return the estimated prior scale of each kind."""
         q, s = self.data.unknowns, self.stds
         first = np.searchsorted(self.group, np.arange(len(self.kinds)))
         return prior_scales(self.covariance[q:, q:] / np.outer(s, s), self.values / s, first,
@@ -161,7 +161,7 @@ def adjusted(fit: Fit, stated: bool = False, rounds: int = ROUNDS) -> Fit:
         change = max(np.abs(np.log(weights.noise / fit.weights.noise)).max(),
                      np.abs(np.log(weights.variances / fit.weights.variances)).max(initial=0.0))
         fit = fitted(fit.data, fit.state, weights, fit.used, fit.root)
-        if change < SETTLED:
+        if change < CONVERGED:
             break
     return fit
 

@@ -20,13 +20,13 @@ from handeye_ros.kinematics.points import Points, State
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-SWEPT = 4000  # rotations that a start is looked for among
-APART = 0.2  # starts are turned by more than this against each other (rad)
-STARTS = 8  # that are refined
+SWEPT = 4000  # random rotations that are compared
+APART = 0.2  # least angle between two starts (rad)
+STARTS = 8  # how many are refined
 ROUGH = 1e-3  # residuals (m) of a start, whose robot is only inaccurate
 SEED = 0  # of the search: the same points give the same answer
 FEW = 2  # starts: a cause is seen by any of them
-BETTER = 0.2  # of the residual: what explains so much is the cause
+BETTER = 0.2  # a change that lowers the residual to less than this share is the cause
 OTHER_SIDE = {'eye_in_hand': 'eye_on_base', 'eye_on_base': 'eye_in_hand'}
 DEFAULT_CAUSE = ('check that the URDF is of this robot, the unit and the sign of each joint, '
                  'calibration_type, and that the target did not move')
@@ -72,8 +72,8 @@ def first_fit(data: Points, arm: Arm, most: int = STARTS) -> Fit:
     ends = [graduated(start, squares, refit)
             for start in starts(data, arm, most, np.random.default_rng(SEED))]
     state = min(ends, key=lambda end: float(np.median(squares(end))))
-    now = squares(state)
-    used = now <= 25.0 * max(float(np.median(now)), (LEAST_NOISE / ROUGH) ** 2)
+    final = squares(state)
+    used = final <= 25.0 * max(float(np.median(final)), (LEAST_NOISE / ROUGH) ** 2)
     if used.sum() < MINIMUM:
         raise TooFewConfigurationsError(int(used.sum()), MINIMUM)
     return adjusted(fitted(data, state, rough, used, nothing))
@@ -81,10 +81,10 @@ def first_fit(data: Points, arm: Arm, most: int = STARTS) -> Fit:
 
 def starts(data: Points, arm: Arm, most: int, rng: np.random.Generator) -> list[State]:
     """
-    Return so many estimates to start from, the best first, without any error of the arm.
+    Return up to `most` estimates to start from, the best first, without any error of the arm.
 
     For a given rotation of the sensor all else is linear, so the squared residual is a quadratic
-    function of the nine numbers of a rotation, which many are put into.
+    function of the nine numbers of a rotation. It is evaluated at many random rotations.
     """
     T, n, t = arm.forward(data.q), len(data), len(data.names)
     R, a = T[:, :3, :3], T[:, :3, 3]
@@ -153,7 +153,7 @@ def cause_of(chain: Chain, q: Array, on_flange: bool, refit: Callable[[Change], 
 
 
 def cause_of_points(data: Points, chain: Chain) -> str:
-    """Return the same of points that a sensor measured."""
+    """Return what makes joint values and measured points agree, empty where nothing does."""
     def refit(change: Change) -> float:
         changed = replace(data, q=data.q @ change.joints.T, points=data.points * change.unit,
                           on_flange=data.on_flange != change.other_side)

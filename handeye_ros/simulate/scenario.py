@@ -172,9 +172,9 @@ class Sweep:
     drift_time: float = 1.0
 
 
-# Fields whose differences say nothing of what is seen.
-UNTOLD = ('name', 'scene', 'sensor.rate', 'sensor.delay', 'sensor.thinning', 'robot.rate',
-          'robot.dwell', 'robot.move')
+# Fields that a description leaves out: they do not change what the sensor sees.
+NOT_DESCRIBED = ('name', 'scene', 'sensor.rate', 'sensor.delay', 'sensor.thinning',
+                 'robot.rate', 'robot.dwell', 'robot.move')
 
 
 def _short(number: re.Match[str]) -> str:
@@ -233,7 +233,7 @@ class Scenario:
         """Say what it shows, and what is other than in a plain recording of it."""
         plain = Scenario(target=type(self.target)())
         values = [f'{key} {value}' for key, value in _differences(self, plain, '')
-                  if key not in UNTOLD]
+                  if key not in NOT_DESCRIBED]
         return ', '.join([self.scene, *values])
 
     @property
