@@ -13,7 +13,8 @@ from handeye_ros import __version__, se3
 from handeye_ros.config import Config, flatten, yaml_content
 from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.frames import mount_frame, name_direction
-from handeye_ros.kinematics.chain import Chain, Joint, motion, REVOLUTE, UrdfError
+from handeye_ros.kinematics.chain import Chain, Joint, motion, REVOLUTE
+from handeye_ros.kinematics.errors import UrdfError
 from handeye_ros.kinematics.model import Arm, COUNTS, OFFSET, ON_DEMAND, Parameter, PRIORS
 from handeye_ros.kinematics.outcome import Outcome
 from handeye_ros.kinematics.points import Points

@@ -15,39 +15,14 @@ from xml.etree import ElementTree
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.errors import InputError, nearest
+from handeye_ros.errors import nearest
+from handeye_ros.kinematics.errors import JointNamesError, MissingPinocchioError, UrdfError
 import numpy as np
 
 REVOLUTE, PRISMATIC = 'revolute', 'prismatic'
 MOST_JOINTS = 8
 FLANGES = ('tool0', 'flange', 'tool', 'tcp')  # usual names of the last frame
 TYPES = ('revolute', 'continuous', 'prismatic', 'fixed')
-
-
-class UrdfError(InputError):
-    """A URDF, or kinematics.yaml, that cannot be read or does not describe a serial arm."""
-
-    def __init__(self, path: object, reason: str) -> None:
-        super().__init__(f'{path}: {reason}')
-
-
-class MissingPinocchioError(InputError):
-    """A URDF is to be read without pinocchio."""
-
-    def __init__(self) -> None:
-        super().__init__('reading a URDF needs pinocchio: install the package '
-                         'ros-jazzy-pinocchio, or handeye_ros[kinematics] with pip')
-
-
-class JointNamesError(InputError):
-    """Joint values and joints of the URDF that have different names."""
-
-    @classmethod
-    def missing(cls, source: object, joint: str, found: Sequence[str]) -> JointNamesError:
-        """Return the error for a joint of the robot without values."""
-        return cls(f'{source}: there are no values of the joint {joint}{nearest(joint, found)}; '
-                   f'the joints with values are {", ".join(found) or "none"}; name them as the '
-                   'URDF does')
 
 
 @dataclass(frozen=True, eq=False)

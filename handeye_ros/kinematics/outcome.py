@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-import math
 
 from handeye_ros.data import Array
-from handeye_ros.errors import DataError, mm
 from handeye_ros.kinematics.chain import Chain
+from handeye_ros.kinematics.errors import (
+    ContradictionError,
+    DegenerateConfigurationsError,
+    OtherRobotError,
+)
 from handeye_ros.kinematics.estimate import (
     adjusted,
     Fit,
@@ -30,7 +33,7 @@ from handeye_ros.kinematics.model import (
     POSITION,
 )
 from handeye_ros.kinematics.points import Points
-from handeye_ros.kinematics.starts import cause_of_points, ContradictionError, first_fit
+from handeye_ros.kinematics.starts import cause_of_points, first_fit
 from handeye_ros.threads import single_threaded
 import numpy as np
 from numpy.typing import NDArray
@@ -44,23 +47,6 @@ AGREEING = 0.5  # of the configurations at least, or joint values and points con
 HOPELESS = 20.0  # times the limit of a corrected arm: no arm is so inaccurate
 LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis of the robot of a URDF (rad, m)
 LARGEST_TURN, LARGEST_SHIFT = 0.02, 0.01  # 1 sigma of the sensor's place (rad, m)
-
-
-class OtherRobotError(DataError):
-    """An axis so far from where the URDF has it that the URDF is of another robot."""
-
-    def __init__(self, joint: str, kind: str, off: float) -> None:
-        size = mm(off) if kind == 'position' else f'{math.degrees(off):.2g} degrees'
-        super().__init__(f'the axis of {joint} would be {size} off the URDF, more than the error '
-                         'of any real arm: the URDF is of another robot, or of a variant of it')
-
-
-class DegenerateConfigurationsError(DataError):
-    """Configurations that leave the hand-eye transform open."""
-
-    def __init__(self, what: str) -> None:
-        super().__init__(f'these configurations do not determine {what}: move all joints, and '
-                         'bring the target to different points of the field of view')
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,9 +19,9 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.errors import DataError
 from handeye_ros.files.tables import ANGLE, LENGTH, Table
 from handeye_ros.kinematics.chain import Chain, PRISMATIC
+from handeye_ros.kinematics.errors import JointRangeError
 from handeye_ros.kinematics.model import Arm
 import numpy as np
 from numpy.typing import NDArray
@@ -29,17 +29,6 @@ from numpy.typing import NDArray
 BEYOND = {ANGLE: 0.35, LENGTH: 0.1}  # what limits may be passed by: they are often stated roughly
 STILL = {ANGLE: 0.02, LENGTH: 0.005}  # a joint that moves by less tells nothing of itself
 ALONE = 'target'  # the name of the point of a table without that column
-
-
-class JointRangeError(DataError):
-    """Joint values beyond what the joint can reach."""
-
-    def __init__(self, joint: str, value: float, lower: float, upper: float) -> None:
-        hint = ('; they seem to be degrees that are stated as radians'
-                if abs(value) > 2 * math.pi else '')
-        super().__init__(f'{joint} reaches {value:.4g}, and the URDF limits it to {lower:.4g} to '
-                         f'{upper:.4g} (radians or metres){hint}: check the unit of the joint '
-                         'values, or the limits in the URDF')
 
 
 @dataclass(frozen=True, eq=False)

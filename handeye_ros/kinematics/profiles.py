@@ -13,12 +13,12 @@ from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.consensus import consensus, SUBSETS
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
 from handeye_ros.frames import in_mount
+from handeye_ros.kinematics.errors import TargetsApartError
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.points import State
 import numpy as np
@@ -27,14 +27,6 @@ from numpy.typing import NDArray
 INACCURATE = 5e-4  # what the robot may err by before it is corrected (m)
 APART = 0.05  # m and rad; the sensor is not elsewhere by more, as several targets see it
 SEED = 0
-
-
-class TargetsApartError(DataError):
-    """Several targets that see the sensor at different places."""
-
-    def __init__(self, distance: float) -> None:
-        super().__init__(f'two recordings place the sensor {mm(distance)} apart: give only '
-                         'recordings of one sensor in one mount, on one robot')
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ import math
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.errors import DataError
 from handeye_ros.kinematics.chain import Chain, REVOLUTE
+from handeye_ros.kinematics.errors import NoPostureError
 from handeye_ros.kinematics.estimate import Fit
 from handeye_ros.kinematics.model import Arm, OFFSET, parameters
 import numpy as np
@@ -29,14 +29,6 @@ MARGIN = 0.05  # to the limits of the joints (rad or m)
 WIDE = math.pi  # limits that are not stated
 SECONDS = 5.0  # from one configuration to the next
 SEED = 0
-
-
-class NoPostureError(DataError):
-    """An arm that reaches what it has seen in one posture only."""
-
-    def __init__(self, flange: str) -> None:
-        super().__init__(f'no other posture within the joint limits brings {flange} to its former '
-                         'poses: move the target to another position, and record more there')
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,24 +8,22 @@ from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
 from handeye_ros.diagnosis.settings import require_same_clock
-from handeye_ros.errors import InputError
 from handeye_ros.estimation.linalg import covering
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.frames import in_mount
 from handeye_ros.kinematics.answer import Answer
 from handeye_ros.kinematics.chain import Chain
+from handeye_ros.kinematics.errors import (
+    ContradictionError,
+    NoJointValuesError,
+    TooFewConfigurationsError,
+)
 from handeye_ros.kinematics.estimate import fit_of, MINIMUM
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.outcome import AGREEING, Outcome, solve
 from handeye_ros.kinematics.points import judged_joints
 from handeye_ros.kinematics.profiles import misfit, profiles_of
-from handeye_ros.kinematics.starts import (
-    cause_of,
-    Change,
-    ContradictionError,
-    OTHER_SIDE,
-    TooFewConfigurationsError,
-)
+from handeye_ros.kinematics.starts import cause_of, Change, OTHER_SIDE
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.time_offset import synchronised
@@ -36,14 +34,6 @@ from scipy.interpolate import PchipInterpolator
 OTHER_FRAMES = 0.02  # m; poses further off are of other frames than the URDF's
 LONGEST_GAP = 1_000_000_000  # ns, between a sample and joint values
 EQUAL = 5e-5  # m; rounding of reported poses
-
-
-class NoJointValuesError(InputError):
-    """Samples at a time of which no joint values are known."""
-
-    def __init__(self, without: int, count: int) -> None:
-        super().__init__(f'{without} of {count} samples have no joint values of their time: joint '
-                         'values and profiles must be recorded together, with clocks that agree')
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,10 @@ import math
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.errors import DataError, mm
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.solver import graduated, reweighted, Rows, System
 from handeye_ros.kinematics.chain import Chain, REVOLUTE
+from handeye_ros.kinematics.errors import TooFewConfigurationsError
 from handeye_ros.kinematics.estimate import adjusted, Fit, fitted, LEAST_NOISE, MINIMUM, Weights
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.points import Points, State
@@ -28,26 +29,6 @@ SEED = 0  # of the search: the same points give the same answer
 FEW = 2  # starts: a cause is seen by any of them
 BETTER = 0.2  # a change that lowers the residual to less than this share is the cause
 OTHER_SIDE = {'eye_in_hand': 'eye_on_base', 'eye_on_base': 'eye_in_hand'}
-DEFAULT_CAUSE = ('check that the URDF is of this robot, the unit and the sign of each joint, '
-                 'calibration_type, and that the target did not move')
-
-
-class TooFewConfigurationsError(DataError):
-    """Fewer poses than the kinematics need."""
-
-    def __init__(self, usable: int, needed: int) -> None:
-        super().__init__(f'{usable} usable robot configurations; the kinematics need at least '
-                         f'{needed}, and 40 are a good number: record more, with all joints '
-                         'moving')
-
-
-class ContradictionError(DataError):
-    """Joint values, URDF and measured points that do not belong together."""
-
-    def __init__(self, residual: float, limit: float, cause: str = '') -> None:
-        super().__init__(f'joint values and measured points contradict each other by '
-                         f'{mm(residual)} RMS, beyond the {mm(limit)} of a robot that is only '
-                         f'inaccurate: {cause or DEFAULT_CAUSE}')
 
 
 def first_fit(data: Points, arm: Arm, most: int = STARTS) -> Fit:

@@ -11,10 +11,10 @@ from handeye_ros.data import Array, TimedPose
 from handeye_ros.diagnosis.settings import require_same_clock
 from handeye_ros.kinematics.answer import save
 from handeye_ros.kinematics.chain import chain_of, read_urdf
+from handeye_ros.kinematics.errors import ContradictionError, TooFewConfigurationsError
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.report import sentence
 from handeye_ros.kinematics.samples import configured, solve_sources, Source
-from handeye_ros.kinematics.starts import ContradictionError, TooFewConfigurationsError
 from handeye_ros.ros.bags.bag_write import joints_cdr
 from handeye_ros.ros.bags.poses import joints_and_pose
 from handeye_ros.ros.node.live import LiveSession
