@@ -65,7 +65,7 @@ def sensitivity(found: FixedFit) -> Sensitivity:
 def _axis(direction: Array) -> str:
     names = [name for size, name in zip(np.abs(direction), 'xyz', strict=True)
              if size > 0.5 * np.abs(direction).max()]
-    return ' and '.join(names)
+    return ' and '.join([', '.join(names[:-1]), names[-1]] if names[1:] else names)
 
 
 def decide(found: FixedFit, weakest: Sensitivity, quantities: Sequence[Quantity],

@@ -97,8 +97,8 @@ def sentences(best: Plan, others: Sequence[Plan]) -> Iterator[str]:
     expected, stops = best.expected, len(best.T_base_flange[0])
     parts = f' at each of {len(best.T_base_flange)} parts' if len(best.T_base_flange) > 1 else ''
     yield (f'with these {stops} stops{parts} an error of the calibration of '
-           f'{mm(expected.smallest_error)} at the points would show; least shows the '
-           f'{expected.weakest_direction}')
+           f'{mm(expected.smallest_error)} at the points would show; they are least '
+           f'sensitive to the {expected.weakest_direction}')
     for q in expected.quantities:
         if q.nominal is not None:
             yield f'{q.name}: U = {shown(q.expanded, q.unit)} (k = {K:g})'
