@@ -63,10 +63,9 @@ from handeye_ros.simulate import (
     sensor,
     settings,
     simulate_samples,
-    wedge,
 )
 from handeye_ros.simulate.scenario import PlateTarget, WedgeTarget
-from handeye_ros.simulate.scenes import SCENES
+from handeye_ros.simulate.scenes import facing, SCENES
 import numpy as np
 
 KNOWN_WELL = 1e-3  # m: 1 sigma of mapped points, from which on the last answer is the start
@@ -109,7 +108,7 @@ class World:
         if self.scenario.scene == 'sphere':
             return np.diag([1.0, -1.0, -1.0])
         if isinstance(self.scenario.target, WedgeTarget):
-            return wedge.facing(self.scenario.target)
+            return facing(self.scenario.target)
         return plate.edge_frames(self.scenario.target)['pq'[edge]][:3, :3] @ FACING
 
     def spot(self, edge: int) -> np.ndarray:
