@@ -16,10 +16,10 @@ from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.consensus import Consensus, consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.noise import whitening
-from handeye_ros.estimation.outliers import f_isf
 from handeye_ros.estimation.search import CONVINCING
 from handeye_ros.estimation.solution import Solution
 import numpy as np
+from scipy.special import fdtrc
 
 CONTRADICTION, NOTED_CONTRADICTION = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
 LARGEST_CHANGE = 0.5  # of a stated measure, relative: more is another target
@@ -161,7 +161,8 @@ def require_not_only_scale(solution: Solution) -> None:
     left = max(total - explained, 0.0)
     if explained < 0.5 * total or not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
         return
-    if explained > left * f_isf(RARE, 1, freedom) / freedom:
+    # the probability itself: scipy 1.11 inverts it wrongly where it is small
+    if left <= 0.0 or fdtrc(1, freedom, explained * freedom / left) < RARE:
         raise ScaleError(abs(scale), std * (left / max(solution.degrees_of_freedom, 1)) ** 0.5)
 
 

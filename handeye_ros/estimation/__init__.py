@@ -14,7 +14,7 @@ OFFERED = (
     'model.Method', 'model.Nuisances', 'model.Observations', 'model.PoseModel', 'model.UNUSED',
     'noise.Noise', 'noise.prior_scales', 'noise.Scales', 'noise.TURN_LENGTH', 'noise.Whitening',
     'noise.whitening', 'outliers.adjust', 'outliers.Adjusted', 'outliers.chi2_isf',
-    'outliers.chi2_sf', 'outliers.f_isf', 'outliers.FALSE_ALARM', 'outliers.first_variances',
+    'outliers.chi2_sf', 'outliers.FALSE_ALARM', 'outliers.first_variances',
     'outliers.leave_one_out', 'outliers.outliers', 'outliers.variance_components',
     'posterior.evaluated', 'posterior.reestimated', 'search.best_of', 'search.CONVINCING',
     'search.different', 'search.FEW_STATIONS', 'search.fit', 'search.relabelled',

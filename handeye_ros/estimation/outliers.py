@@ -9,8 +9,8 @@ Variance components by restricted maximum likelihood (Patterson and Thompson 197
 58:545), in multiplicative fixed-point steps. A weak prior keeps few residuals from proving a cause
 absent.
 
-Quantiles of chi-squared and F: scipy.stats has them too, but it takes longer to import than the
-rest of a command to start.
+Quantiles of chi-squared: scipy.stats has them too, but it takes longer to import than the rest of
+a command to start.
 """
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from handeye_ros.estimation.solver import (
 )
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtrc, chdtri, fdtri
+from scipy.special import chdtrc, chdtri
 
 S = TypeVar('S')
 
@@ -156,12 +156,6 @@ def chi2_isf(probability: ArrayLike, freedom: ArrayLike) -> Array:
 def chi2_sf(value: ArrayLike, freedom: ArrayLike) -> Array:
     """Return the probability of chi-squared above a value; nan without degrees of freedom."""
     return np.where(np.asarray(freedom) > 0, chdtrc(freedom, value), np.nan)
-
-
-def f_isf(probability: float, freedom: int, freedom_below: int) -> float:
-    """Return the value that F, a ratio of variances, exceeds with a probability."""
-    # P(F(a, b) > x) = P(F(b, a) < 1 / x), which keeps the digits of a small probability
-    return 1 / float(fdtri(freedom_below, freedom, probability))
 
 
 def variance_components(residuals: Array, jacobian: Array, parts: Array, start: Array) -> Array:

@@ -5,7 +5,6 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.outliers import (
     chi2_isf,
     chi2_sf,
-    f_isf,
     first_variances,
     variance_components,
 )
@@ -79,12 +78,6 @@ def test_chi_squared(probability: float, freedom: int) -> None:
     assert chi2_sf(value, freedom) == pytest.approx(
         stats.chi2.sf(value, freedom), rel=1e-9)
     assert chi2_isf(0.5, freedom) == pytest.approx(stats.chi2.median(freedom), rel=1e-9)
-
-
-@given(PROBABILITIES, FREEDOM, FREEDOM)
-def test_ratios_of_variances(probability: float, above: int, below: int) -> None:
-    value = f_isf(probability, above, below)
-    assert stats.f.sf(value, above, below) == pytest.approx(probability, rel=1e-6)
 
 
 def test_several_at_once_and_none_without_a_degree_of_freedom() -> None:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('aiohttp', reason='needs aiohttp')
 from handeye_ros.ros.errors import PageError  # noqa: E402, I100
 from handeye_ros.ros.page import server as servers  # noqa: E402
