@@ -9,7 +9,7 @@ OFFERED = (
     'basis.bent_surface', 'basis.process_in_time', 'basis.process_root', 'blocks.Blocks',
     'blocks.ParameterBlock', 'consensus.Consensus', 'consensus.consensus',
     'consensus.fast_consensus', 'consensus.refine', 'consensus.SUBSETS', 'linalg.covariance_of',
-    'linalg.covering', 'linearise.Linear', 'linearise.linearise', 'linearise.Problem',
+    'linearise.Linear', 'linearise.linearise', 'linearise.Problem',
     'model.Conditions', 'model.Estimate', 'model.FeatureModel', 'model.Geometry', 'model.Measures',
     'model.Method', 'model.Nuisances', 'model.Observations', 'model.PoseModel', 'model.UNUSED',
     'noise.Noise', 'noise.prior_scales', 'noise.Scales', 'noise.TURN_LENGTH', 'noise.Whitening',
@@ -18,7 +18,8 @@ OFFERED = (
     'outliers.leave_one_out', 'outliers.outliers', 'outliers.variance_components',
     'posterior.evaluated', 'posterior.reestimated', 'search.best_of', 'search.CONVINCING',
     'search.different', 'search.FEW_STATIONS', 'search.fit', 'search.relabelled',
-    'solution.predictions', 'solution.Solution', 'solver.as_they_are', 'solver.believed',
+    'solution.covering', 'solution.predictions', 'solution.Solution', 'solver.as_they_are',
+    'solver.believed',
     'solver.graduated', 'solver.least_squares', 'solver.reweighted', 'solver.Rows',
     'solver.System', 'solver.White',
 )

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.estimation.linalg import eigen
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
@@ -158,7 +159,7 @@ def process_in_time(times: Array) -> Array:
 def _root(features: Array, chosen: list[int]) -> Array:
     """Return the root (n, k) of the kernel at features (n, j), spanned by the chosen rows."""
     some = features[chosen]
-    values, vectors = np.linalg.eigh(kernel(some, some))
+    values, vectors = eigen(kernel(some, some))
     keep = values > 1e-6 * values[-1]
     return np.asarray(kernel(features, some) @ (vectors[:, keep] / np.sqrt(values[keep])))
 

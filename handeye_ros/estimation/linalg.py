@@ -17,7 +17,7 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.model import Observations
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
+from scipy.linalg import eigh, lapack
 
 LARGEST_STD = 1e3  # of a direction without information (m or rad)
 FREE = 1e-13  # relative information, or variance, that is rounding
@@ -50,7 +50,7 @@ def _inverse_of_scaled(scaled: Array, scale: Array) -> Array:
         full = lower + lower.T
         np.einsum('ii->i', full)[:] /= 2
     else:
-        values, vectors = np.linalg.eigh(scaled)
+        values, vectors = eigen(scaled)
         full = (vectors / np.maximum(values, FREE)) @ vectors.T
     full *= scale
     full *= scale[:, None]
@@ -76,15 +76,13 @@ def from_information(N: Array, b: Array, units: Array, known: int) -> tuple[Arra
     return covariance @ (-units * b), covariance
 
 
-def covering(first: Array, second: Array) -> Array:
-    """Return the smallest covariance (k, k) that neither of two exceeds in any direction, (8)."""
-    std = np.sqrt(np.diag(first))
-    values, vectors = np.linalg.eigh(first / np.outer(std, std))
-    roots = np.sqrt(np.maximum(values, FREE))
-    root, inverse = std[:, None] * vectors * roots, (vectors / roots).T / std
-    values, vectors = np.linalg.eigh(inverse @ second @ inverse.T)
-    along = root @ vectors
-    return np.asarray((along * np.maximum(values, 1.0)) @ along.T)
+def eigen(A: Array) -> tuple[Array, Array]:
+    """Return the eigenvalues (n,), ascending, and eigenvectors (n, n) of a symmetric matrix."""
+    try:
+        values, vectors = np.linalg.eigh(A)
+    except np.linalg.LinAlgError:  # divide and conquer (n > 25) with some kernels of OpenBLAS
+        values, vectors = eigh(A, driver='ev')
+    return values, vectors
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from functools import cached_property
 
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
-from handeye_ros.estimation.linalg import Stations
+from handeye_ros.estimation.linalg import eigen, Stations
 from handeye_ros.estimation.linearise import Linear
 import numpy as np
 from numpy.typing import NDArray
@@ -232,7 +232,7 @@ def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], size:
     ratios, along = np.empty(len(value)), np.empty(len(value))  # posterior over prior variance
     for start, count in zip(first.tolist(), counts.tolist(), strict=True):
         block = slice(start, start + count)
-        ratios[block], axes = np.linalg.eigh(covariance[block, block])
+        ratios[block], axes = eigen(covariance[block, block])
         along[block] = axes.T @ value[block]
     ratios = np.clip(ratios, 1e-12, 1 - 1e-9)
     present = np.repeat(size, counts)

@@ -7,7 +7,7 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import best_fit_motions, ParameterBlock, pose_corrections
-from handeye_ros.estimation.linalg import covering, FactoredJacobian, inverse
+from handeye_ros.estimation.linalg import FactoredJacobian, FREE, inverse
 from handeye_ros.estimation.linearise import Linear, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import (
@@ -237,3 +237,14 @@ def _step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
     columns, part = solution.columns, solution.columns.of(stations)
     left = solution.information - columns.gram_of(part)
     return inverse(left) @ columns.gradient_of(solution.white, part)
+
+
+def covering(first: Array, second: Array) -> Array:
+    """Return the smallest covariance (k, k) that neither of two exceeds in any direction, (8)."""
+    std = np.sqrt(np.diag(first))
+    values, vectors = np.linalg.eigh(first / np.outer(std, std))
+    roots = np.sqrt(np.maximum(values, FREE))
+    root, inverse = std[:, None] * vectors * roots, (vectors / roots).T / std
+    values, vectors = np.linalg.eigh(inverse @ second @ inverse.T)
+    along = root @ vectors
+    return np.asarray((along * np.maximum(values, 1.0)) @ along.T)

@@ -8,8 +8,8 @@ from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
 from handeye_ros.diagnosis.settings import require_same_clock
-from handeye_ros.estimation.linalg import covering
 from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.solution import covering
 from handeye_ros.frames import in_mount
 from handeye_ros.kinematics.answer import Answer
 from handeye_ros.kinematics.chain import Chain

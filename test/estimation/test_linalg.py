@@ -3,6 +3,7 @@ from __future__ import annotations
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.linalg import (
+    eigen,
     FactoredJacobian,
     from_information,
     groups,
@@ -80,3 +81,14 @@ def test_a_direction_that_no_condition_shows_is_reported_as_such() -> None:
     assert covariance[0, 0] > LARGEST_STD, 'the two cannot be told apart'
     assert covariance[2, 2] < 100
     assert abs(covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]) < 100
+
+
+def test_eigenvalues_where_divide_and_conquer_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(A: Array) -> None:
+        raise np.linalg.LinAlgError('Eigenvalues did not converge')
+
+    A = np.cov(np.random.default_rng(0).normal(size=(60, 30)).T)
+    values, vectors = eigen(A)
+    monkeypatch.setattr(np.linalg, 'eigh', fails)
+    np.testing.assert_allclose(eigen(A)[0], values, rtol=1e-9)
+    np.testing.assert_allclose((vectors * values) @ vectors.T, A, atol=1e-12)
