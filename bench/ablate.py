@@ -4,7 +4,7 @@ What each mechanism of the estimator is worth: it is switched off, one at a time
 
 usage: python bench/ablate.py [--seeds N] [--first S] [--sessions N] [--only TEXT] [--cells TEXT]
 
-A row per mechanism, over the same recordings: N of each cell of handeye_ros/simulate/faults.py,
+A row per mechanism, over the same recordings: N of each of FAULTS in simulate/scenarios.py,
 N of few samples, and some of each kind of bench/sessions.py.
   answered  of the cells with faults; TRE  mm, median and 90 %: error of mapped points
   NEES      mean squared error over the reported covariance: 6 when that is true

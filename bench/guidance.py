@@ -48,9 +48,9 @@ from handeye_ros.estimation.search import refined
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mounted
 from handeye_ros.guidance.advice import advise
-from handeye_ros.guidance.limits import extremes, learn_view, limits_of, View
 from handeye_ros.guidance.moves import Move
-from handeye_ros.guidance.score import mapping
+from handeye_ros.guidance.rules import limits_of
+from handeye_ros.guidance.score import extremes, learn_view, mapping, View
 from handeye_ros.results.truth_errors import mapped_point_error
 from handeye_ros.sampling import station_features
 from handeye_ros.sampling.edge_shapes import consistent_edges

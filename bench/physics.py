@@ -5,7 +5,7 @@ What the faults of real cells do to the answer: simulated profiles through the w
 usage: python bench/physics.py [--seeds N] [--first S] [--only TEXT] [--workers W] [--samples]
                                [--stations N ...]
 
-A row per cell of handeye_ros/simulate/faults.py; its name says all that is wrong with it, and
+A row per cell of FAULTS in simulate/scenarios.py; its name says all that is wrong with it, and
 the settings do not know of it. Over N recordings of each:
   answered  how many gave an answer; all the rest were refused, and the last column tells for
             what most often

@@ -10,10 +10,16 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, mounted, name_direction
 from handeye_ros.guidance.candidates import Search
-from handeye_ros.guidance.limits import learn_view, limits_of
 from handeye_ros.guidance.moves import missing, Move, next_move, noun
-from handeye_ros.guidance.rules import visited
-from handeye_ros.guidance.score import Cause, largest_cause, Mapping, mapping, with_sample
+from handeye_ros.guidance.rules import limits_of, visited
+from handeye_ros.guidance.score import (
+    Cause,
+    largest_cause,
+    learn_view,
+    Mapping,
+    mapping,
+    with_sample,
+)
 from handeye_ros.se3 import worst_rotation, worst_translation
 import numpy as np
 from scipy.spatial.transform import Rotation

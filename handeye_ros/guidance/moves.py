@@ -18,7 +18,8 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Method
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.guidance.limits import Limits, twist_of, View
+from handeye_ros.guidance.rules import Limits, twist_of
+from handeye_ros.guidance.score import View
 from handeye_ros.guidance.views import anchor_of
 import numpy as np
 

@@ -1,18 +1,19 @@
 """
-The rules by which a stop gives a sample, applied to proposed poses.
+Where proposed poses may be: the limits of guidance.*, and the rules by which stops give samples.
 
-Each has a margin: a stop that is off by ERROR gives a sample too.
+Each rule has a margin: a stop that is off by ERROR gives a sample too.
 """
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.linearise import Linear
 from handeye_ros.estimation.model import Method
-from handeye_ros.guidance.limits import View
+from handeye_ros.guidance.score import View
 from handeye_ros.targets.ends import EdgeObservations
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,53 @@ SMALLEST_CORNER = 0.6  # rad between two faces in a profile; the finder needs 0.
 SMALLEST_COSINE = 0.5  # of the incidence on a face, where the template saw it so
 SHORTEST = 0.25  # of the length of a face that the template saw, beside the corner
 SMALLEST_FACE = 0.2  # of the view's width: how far a face goes on beside its edge, to be found
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """
+    What guidance.* allows around the first sample.
+
+    first: (4, 4) pose of what carries the sensor in what carries the target; in_hand: whether
+    that is the flange in the base, and not the base in the flange. reach: metres; tilt (of the
+    viewing direction), turn (about it): radians.
+    """
+
+    first: Array
+    in_hand: bool
+    reach: float
+    tilt: float
+    turn: float
+
+    def allow(self, poses: Array, X: Array) -> NDArray[np.bool_]:
+        """Return which poses (n, 4, 4) like first are allowed to a sensor at X (4, 4)."""
+        T, first = (poses, self.first) if self.in_hand else (
+            se3.inverse(poses), se3.inverse(self.first))
+        away = np.linalg.norm(T[:, :3, 3] - first[:3, 3], axis=1)
+        first_sensor, sensors = self.first[:3, :3] @ X[:3, :3], poses[:, :3, :3] @ X[:3, :3]
+        tilted = np.arccos(np.clip(sensors[:, :, 2] @ first_sensor[:, 2], -1.0, 1.0))
+        twisted = np.abs(twist_of(first_sensor, sensors))
+        return np.asarray((away <= self.reach) & (tilted <= self.tilt) & (twisted <= self.turn))
+
+
+def twist_of(first: Array, R: Array) -> Array:
+    """
+    Return by how much (n,) rad sensors R (n, 3, 3) are turned about the viewing direction.
+
+    The rotation from the first (3, 3) is one about the viewing direction, then a tilt.
+    """
+    relative = first.T @ R
+    # of the quaternion only z and w, up to a factor
+    z = relative[:, 1, 0] - relative[:, 0, 1]
+    w = 1 + relative[:, 0, 0] + relative[:, 1, 1] + relative[:, 2, 2]
+    return np.asarray(2 * np.arctan2(z, w))
+
+
+def limits_of(first: Array, config: Config) -> Limits:
+    """Return the limits of a configuration around the first sample's pose (4, 4), mounted."""
+    keys = config.guidance
+    return Limits(first, config.calibration_type == 'eye_in_hand', keys.reach, keys.tilt,
+                  keys.turn)
 
 
 @dataclass(frozen=True, eq=False)

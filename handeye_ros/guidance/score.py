@@ -1,23 +1,27 @@
 """
-The uncertainty of mapped points: its size, its causes, and what further samples would change.
+The field of view as far as it was seen, and the uncertainty of points mapped from it.
+
+Its size, its causes, and what further samples would change.
 
 With the nuisance parameters n and unknowns u of the conservative posterior, the part of a block b
 in the covariance of u is C_ub C_bb^-1 C_bu: what would go if b were known.
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 import math
 
 from handeye_ros import se3
-from handeye_ros.data import Array
+from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Sample
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Observations
 from handeye_ros.estimation.posterior import evaluated
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.guidance.limits import View
 import numpy as np
 
+DIRECTIONS = 32  # of the tangents that bound the view
+ROOM = 0.88  # of the view that a feature is put into: the rest is for who moves the robot
 STEPS = 13  # points of the field of view along each side: fewer would be mostly its corners
 # Beginnings of the names of blocks: what they are, and the setting of their prior.
 CAUSES = (
@@ -30,6 +34,80 @@ CAUSES = (
     ('shape', 'the rounding of the edges', 'target.setback_std'),
 )
 SMALLEST = 0.5  # of the variance: a smaller cause is not named
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """
+    A convex part of the sensor plane: p with normals @ p <= offsets.
+
+    normals: (d, 2) unit vectors; offsets: (d,); low, high: (2,) corners of the box around it.
+    """
+
+    normals: Array
+    offsets: Array
+    low: Array
+    high: Array
+
+    @property
+    def size(self) -> Array:
+        """Return width and depth, (2,)."""
+        return np.asarray(self.high - self.low)
+
+    def shrunk(self, border: float) -> View:
+        """Return the view without a border of so much (m), nowhere less than half of it."""
+        border = min(border, float(self.size.min()) / 4)
+        return View(self.normals, self.offsets - border, self.low + border, self.high - border)
+
+    def inner(self) -> View:
+        """Return the view that leaves room for who moves the robot."""
+        middle = (self.low + self.high) / 2
+        offsets = self.normals @ middle + ROOM * (self.offsets - self.normals @ middle)
+        half = ROOM * self.size / 2
+        return View(self.normals, offsets, middle - half, middle + half)
+
+    def room(self, points: Array) -> Array:
+        """Return how far points (..., 2) are from the border, negative outside: (...)."""
+        return np.asarray((self.offsets - points @ self.normals.T).min(axis=-1))
+
+
+def seen_points(sample: Sample) -> Array:
+    """Return points (n, 2) that span the features of a sample."""
+    points: list[Array] = []
+    for f in sample.features:
+        if isinstance(f, FaceLine):
+            reach = 3 ** 0.5 * f.spread * f.direction  # half its length, were it sampled evenly
+            points += [f.centre - reach, f.centre + reach]
+        elif isinstance(f, EdgePoint):
+            points.append(f.point)
+        elif isinstance(f, Arc):
+            points += [*f.raw[[0, -1]], *f.points]
+    return np.array(points).reshape(-1, 2)
+
+
+def tangents() -> Array:
+    """Return the directions (d, 2) in which a view ends."""
+    turn = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
+    return np.column_stack([np.cos(turn), np.sin(turn)])
+
+
+def extremes(points: Array) -> Array:
+    """Return the few of points (n, 2), rows with NaN left out, that a view is learnt from."""
+    finite = points[np.isfinite(points).all(axis=1)]
+    return finite[np.unique((finite @ tangents().T).argmax(axis=0))] if len(finite) else finite
+
+
+def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
+    """
+    Return the view that holds the features of samples and points seen (n, 2) of profiles.
+
+    There must be one sample, or one point, at least.
+    """
+    found = [seen_points(sample) for sample in samples]
+    points = np.concatenate([*found, *([] if seen is None else [extremes(seen)])])
+    normals = tangents()
+    return View(normals, (points @ normals.T).max(axis=0), points.min(axis=0),
+                points.max(axis=0))
 
 
 @dataclass(frozen=True, eq=False)

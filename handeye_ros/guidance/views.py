@@ -12,7 +12,7 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import linearise, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.guidance import rules
-from handeye_ros.guidance.limits import View
+from handeye_ros.guidance.score import View
 import numpy as np
 from numpy.typing import NDArray
 

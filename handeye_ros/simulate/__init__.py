@@ -7,11 +7,10 @@ Simulated recordings with known truth, without ROS.
 """
 from handeye_ros.simulate.cell import Station, Truth
 from handeye_ros.simulate.conventions import settings
-from handeye_ros.simulate.faults import FAULTS
 from handeye_ros.simulate.measured import FILE_SCENES, Measured
 from handeye_ros.simulate.recording import simulate, simulate_samples, Simulated
 from handeye_ros.simulate.scenario import Scenario
-from handeye_ros.simulate.scenarios import SCENARIOS
+from handeye_ros.simulate.scenarios import FAULTS, SCENARIOS
 
 OFFERED = (
     'arm', 'gauges', 'measuring.MEASURING_CELL', 'measuring.MeasuringCell',

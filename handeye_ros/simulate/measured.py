@@ -13,10 +13,10 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, TimedPose
-from handeye_ros.simulate import motion
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.simulate.solids import Ball, Box, Solid
+from handeye_ros.simulate.stations import stamps
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -74,7 +74,7 @@ def simulate_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
 
 
 def _stamps(count: int) -> NDArray[np.int64]:
-    return motion.stamps(np.arange(count) / SENSOR.rate)
+    return stamps(np.arange(count) / SENSOR.rate)
 
 
 def _sensor_to_target(rng: np.random.Generator) -> Array:

@@ -13,14 +13,13 @@ from dataclasses import dataclass, replace
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.simulate import cell as cells
-from handeye_ros.simulate import motion
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.recording import simulate
 from handeye_ros.simulate.scenario import RobotModel, Scenario, SensorModel, SphereTarget
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.simulate.solids import Box, Convex, Solid
-from handeye_ros.simulate.stations import Stops
+from handeye_ros.simulate.stations import stamps, Stops
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -87,15 +86,15 @@ def scan_gauge(gauge: Gauge, T_flange_sensor: Array, T_base_gauge: Array, sensor
         T_gauge_sensor = se3.transform(np.repeat(R[None], len(times), axis=0), place)
         z, angle = sensors.render(sensor, gauge_solids(gauge), T_gauge_sensor)
         points = sensors.plane_points(sensor, sensors.measure(sensor, z, angle, rng))
-        stamps = motion.stamps(times + k * 100.0)
+        stamped = stamps(times + k * 100.0)
         T = T_base_gauge @ T_gauge_sensor @ se3.inverse(T_flange_sensor)
         error = cells.robot_error(robot, T[:1], rng)
         T = cells.perturbed(T, np.repeat(error, len(T), axis=0))
         T = cells.perturbed(T, rng.normal(size=(len(T), 6)) * robot.jitter)
         passes.append(Pass(
-            tuple(Profile(int(s), 'laser', p) for s, p in zip(stamps, points, strict=True)),
+            tuple(Profile(int(s), 'laser', p) for s, p in zip(stamped, points, strict=True)),
             tuple(TimedPose(int(s), t, q) for s, t, q in zip(
-                stamps, T[:, :3, 3], se3.quaternion(T), strict=True))))
+                stamped, T[:, :3, 3], se3.quaternion(T), strict=True))))
     return tuple(passes)
 
 
@@ -166,7 +165,7 @@ def _profiles(sensor: SensorModel, z: Array, angle: Array, begin: float,
     ranges = sensors.measure(sensor, np.repeat(z[None], len(times), axis=0),
                              np.repeat(angle[None], len(times), axis=0), rng)
     return [Profile(int(s), 'laser', p) for s, p in zip(
-        motion.stamps(begin + times), sensors.plane_points(sensor, ranges), strict=True)]
+        stamps(begin + times), sensors.plane_points(sensor, ranges), strict=True)]
 
 
 def _poses(robot: RobotModel, T: Array, begin: float, rng: np.random.Generator
@@ -175,4 +174,4 @@ def _poses(robot: RobotModel, T: Array, begin: float, rng: np.random.Generator
     jittered = cells.perturbed(np.repeat(T[None], len(times), axis=0),
                                rng.normal(size=(len(times), 6)) * robot.jitter)
     return [TimedPose(int(s), t, q) for s, t, q in zip(
-        motion.stamps(begin + times), jittered[:, :3, 3], se3.quaternion(jittered), strict=True)]
+        stamps(begin + times), jittered[:, :3, 3], se3.quaternion(jittered), strict=True)]

@@ -1,22 +1,30 @@
 """Profiles and poses of a whole recording; or its samples, made directly."""
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, Sample, TimedPose
-from handeye_ros.simulate import arm, motion
+from handeye_ros.simulate import arm
 from handeye_ros.simulate import cell as cells
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.cell import Truth
 from handeye_ros.simulate.conventions import CONVENTION_ERRORS, FRAMES, published
-from handeye_ros.simulate.scenario import Scenario
+from handeye_ros.simulate.scenario import Scenario, Sweep
 from handeye_ros.simulate.scenes import anywhere, SCENES
 from handeye_ros.simulate.solids import relief
-from handeye_ros.simulate.stations import Stops
+from handeye_ros.simulate.stations import between, stamps, Stops, Timeline
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
 
 CHILD_FRAME = 'laser'
+INSTANTS = 5  # of one exposure that are rendered
+
+Way = Callable[[Array], Array]
+"""The poses (n, 4, 4) of the sensor in the target at times (n,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +55,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulated:
     bent = sensors.draw_distortion(scenario.sensor, rng)
     if scenario.sweep:
         return _swept(scenario, cell, stops, bent, rng)
-    line = motion.Timeline(len(stops.labels), scenario.robot.dwell, scenario.robot.move)
+    line = Timeline(len(stops.labels), scenario.robot.dwell, scenario.robot.move)
     truth = cells.truth(scenario, cell, stops, line.spans(), bent)
     profiles = _profiles(scenario, cell, line, bent, rng)
     return Simulated(scenario, profiles, _poses(scenario, cell, line, rng), truth)
@@ -58,32 +66,102 @@ def _swept(scenario: Scenario, cell: cells.Cell, stops: Stops,
     """Return the recording of a robot that does not stop."""
     assert scenario.sweep is not None
     sensor, unstamped = scenario.sensor, np.zeros((len(stops.labels), 2), dtype=np.int64)
-    along = motion.way(scenario, stops.T_target_sensor)
-    times = np.arange(0.5 / sensor.rate, motion.sweep_duration(scenario), 1 / sensor.rate)
-    instants = motion.exposed(scenario, times)
+    along = _way(scenario, stops.T_target_sensor)
+    times = np.arange(0.5 / sensor.rate, _sweep_duration(scenario), 1 / sensor.rate)
+    instants = _exposed(scenario, times)
     z, angle = _cast(scenario, along(instants.ravel()), rng)
     z, angle = (values.reshape(*instants.shape, -1).mean(axis=1) for values in (z, angle))
     stamped = times + sensor.delay + rng.normal(size=len(times)) * scenario.sweep.stamp_jitter
     profiles = _measured(scenario, z, angle, np.maximum.accumulate(stamped), bent, rng)
-    poses = motion.swept_poses(scenario, cell, along, rng)
+    poses = _swept_poses(scenario, cell, along, rng)
     truth = cells.truth(scenario, cell, stops, unstamped, bent)
     return Simulated(scenario, profiles, poses, replace(truth, time_offset=-sensor.delay))
 
 
-def _poses(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
+def _way(scenario: Scenario, T_target_sensor: Array) -> Way:
+    """Return the way through sensor poses (k, 4, 4), a knot each; it rests where told."""
+    sweep = _sweep(scenario)
+    knots = np.arange(len(T_target_sensor)) * sweep.knot
+    position = CubicSpline(knots, T_target_sensor[:, :3, 3], bc_type='natural')
+    rotation = RotationSpline(knots, Rotation.from_matrix(T_target_sensor[:, :3, :3].copy()))
+
+    def poses(times: Array) -> Array:
+        at = np.clip(times, knots[0], knots[-1])
+        return se3.transform(rotation(at).as_matrix(), position(at))
+    return poses
+
+
+def _sweep_duration(scenario: Scenario) -> float:
+    """Return how long a sweep takes (s)."""
+    return (sum(scenario.stations) - 1) * _sweep(scenario).knot
+
+
+def _flange(cell: cells.Cell, T_target_sensor: Array, calibration_type: str) -> Array:
+    """Return the poses (n, 4, 4) of the flange at poses of the sensor in the target."""
+    T = cell.T_world_target @ T_target_sensor @ se3.inverse(cell.T_mount_sensor)
+    return se3.inverse(T) if calibration_type == 'eye_on_base' else T
+
+
+def _swept_poses(scenario: Scenario, cell: cells.Cell, along: Way, rng: np.random.Generator
+                 ) -> tuple[TimedPose, ...]:
+    """Return the poses that the robot streams on its way."""
+    robot, sweep = scenario.robot, _sweep(scenario)
+    times = np.arange(0.0, _sweep_duration(scenario), 1 / robot.rate)
+    times = times[~_missing(times, sweep)]
+    T, late = (_flange(cell, along(t), scenario.calibration_type)
+               for t in (times, times - sweep.rotation_lag))
+    T = se3.transform(late[:, :3, :3], T[:, :3, 3])
+    T = cells.perturbed(T, cells.robot_error(robot, T, rng) + _drift(times, sweep, rng))
+    stamped = np.maximum.accumulate(times + rng.normal(size=len(times)) * sweep.pose_jitter)
+    if cell.arm:
+        T = cells.perturbed(T, arm.reported_error(T, cell.arm))
+    step = sweep.resolution
+    place = np.round(T[:, :3, 3] / step) * step if step else T[:, :3, 3]
+    return tuple(TimedPose(int(s), t, q) for s, t, q in zip(
+        stamps(stamped), place, se3.quaternion(T), strict=True))
+
+
+def _missing(times: Array, sweep: Sweep) -> NDArray[np.bool_]:
+    """Return at which times (n,) no pose comes: in each of the gaps, evenly spread."""
+    begins = (np.arange(sweep.gaps) + 0.5) * (times[-1] / max(sweep.gaps, 1))
+    return np.asarray(((times >= begins[:, None]) & (times < begins[:, None] + sweep.gap)
+                       ).any(axis=0))
+
+
+def _drift(times: Array, sweep: Sweep, rng: np.random.Generator) -> Array:
+    """Return an error (n, 6) of the poses that varies smoothly over time."""
+    knots = np.arange(0.0, times[-1] + 2 * sweep.drift_time, sweep.drift_time)
+    values = rng.normal(size=(len(knots), 6)) * np.repeat(sweep.drift, 3) / np.sqrt(3)
+    return np.asarray(CubicSpline(knots, values)(times)) if any(sweep.drift) else np.zeros(
+        (len(times), 6))
+
+
+def _exposed(scenario: Scenario, times: Array) -> Array:
+    """Return the instants (n, k) that profiles of the times (n,) average over."""
+    exposure = _sweep(scenario).exposure
+    each = np.linspace(-0.5, 0.5, INSTANTS) * exposure if exposure else np.zeros(1)
+    return np.asarray(times[:, None] + each)
+
+
+def _sweep(scenario: Scenario) -> Sweep:
+    assert scenario.sweep is not None
+    return scenario.sweep
+
+
+def _poses(scenario: Scenario, cell: cells.Cell, line: Timeline,
            rng: np.random.Generator) -> tuple[TimedPose, ...]:
     robot = scenario.robot
     times = np.arange(0, line.duration, 1 / robot.rate)
-    T = motion.between(cell.T_base_flange_reported, *line.place(times))
+    T = between(cell.T_base_flange_reported, *line.place(times))
     T = cells.perturbed(T, rng.normal(size=(len(T), 6)) * robot.jitter)
     translation, quaternion = T[:, :3, 3], se3.quaternion(T)
     for name in scenario.convention_errors:
         translation, quaternion = CONVENTION_ERRORS[name](translation, quaternion)
     return tuple(TimedPose(int(stamp), t, q) for stamp, t, q in zip(
-        motion.stamps(times), translation, quaternion, strict=True))
+        stamps(times), translation, quaternion, strict=True))
 
 
-def _profiles(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
+def _profiles(scenario: Scenario, cell: cells.Cell, line: Timeline,
               bent: sensors.Distortion | None, rng: np.random.Generator
               ) -> tuple[Profile, ...]:
     sensor = scenario.sensor
@@ -100,18 +178,18 @@ def _measured(scenario: Scenario, z: Array, angle: Array, times: Array,
     sensor, frame = scenario.sensor, FRAMES[scenario.layout.frame]
     ranges = sensors.measure(sensor, z, angle, rng, bent)
     points = published(frame, sensors.plane_points(sensor, ranges, bent))
-    stamps, mark = motion.stamps(times), scenario.layout.no_return
+    mark = scenario.layout.no_return
     return tuple(Profile(int(stamp), CHILD_FRAME, _marked(p, mark), frame.axes)
-                 for stamp, p in zip(stamps, points, strict=True))
+                 for stamp, p in zip(stamps(times), points, strict=True))
 
 
-def _kept(scenario: Scenario, line: motion.Timeline, times: Array) -> Array:
+def _kept(scenario: Scenario, line: Timeline, times: Array) -> Array:
     """Return which profiles are recorded: while moving, only every nth."""
     _, share = line.place(times)
     return np.asarray((share == 0) | (np.arange(len(times)) % scenario.sensor.thinning == 0))
 
 
-def _exact(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
+def _exact(scenario: Scenario, cell: cells.Cell, line: Timeline,
            times: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """
     Return ranges and incidences (m, n) at the times; each stop is cast only once.
@@ -121,7 +199,7 @@ def _exact(scenario: Scenario, cell: cells.Cell, line: motion.Timeline,
     station, share = line.place(times)
     pose = np.stack([station, share], axis=1)
     different, which = np.unique(pose, axis=0, return_inverse=True)
-    T = motion.between(cell.T_base_flange, different[:, 0].astype(np.int64), different[:, 1])
+    T = between(cell.T_base_flange, different[:, 0].astype(np.int64), different[:, 1])
     z, angle = _cast(scenario, cell.T_target_sensor(T, scenario.calibration_type), rng)
     which = which.reshape(-1)  # numpy 2.0 alone returns it as a column
     return z[which], angle[which]

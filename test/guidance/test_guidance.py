@@ -10,10 +10,9 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.guidance.advice import Advice, advise, judged, Proposal, ROUGHLY_KNOWN, Sigma
 from handeye_ros.guidance.candidates import Search, templates, USEFUL
-from handeye_ros.guidance.limits import learn_view, limits_of, seen_points, twist_of
 from handeye_ros.guidance.moves import design, next_move
-from handeye_ros.guidance.rules import visited
-from handeye_ros.guidance.score import Cause, mapping, with_rows
+from handeye_ros.guidance.rules import limits_of, twist_of, visited
+from handeye_ros.guidance.score import Cause, learn_view, mapping, seen_points, with_rows
 from handeye_ros.guidance.views import anchor_of
 from handeye_ros.simulate import SCENARIOS
 import numpy as np

@@ -11,7 +11,7 @@ from handeye_ros.data import Array, EdgePoint, FaceLine, Sample
 from handeye_ros.profiles.edge_rounding import RADII
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.sampling.edge_shapes import common_shape, consistent_edges, with_common_shape
-from handeye_ros.simulate.faults import PLATE
+from handeye_ros.simulate.scenarios import BASELINE
 import numpy as np
 from profiles import COLUMNS, drawn, NOISE, PITCH, step_up_to, with_lost, X
 import pytest
@@ -161,7 +161,7 @@ WORST: list[tuple[str, dict[str, Any], float]] = [
 @pytest.mark.parametrize(('name', 'values', 'worst'), WORST, ids=[name for name, *_ in WORST])
 def test_simulated_ends_are_as_near_to_the_edge_as_they_say(
         name: str, values: dict[str, Any], worst: float) -> None:
-    scenario = replace(PLATE, target=replace(PLATE.target, **values))
+    scenario = replace(BASELINE, target=replace(BASELINE.target, **values))
     away, std = [], []
     for seed in range(2):
         made = recorded(scenario, seed, rate=6.0)

@@ -15,7 +15,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.diagnosis.review import count_of, FEWEST, flat_crossing, Review, review
 from handeye_ros.errors import DataError, HandeyeError, InputError
-from handeye_ros.guidance.limits import extremes
+from handeye_ros.guidance.score import extremes
 from handeye_ros.output import folder_name
 from handeye_ros.results import exports
 from handeye_ros.results.errors import NothingToSaveError

@@ -11,9 +11,9 @@ from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Featu
 from handeye_ros.diagnosis.review import Review, stop_snapshot
 from handeye_ros.errors import InputError
 from handeye_ros.frames import in_mount
-from handeye_ros.guidance.limits import extremes
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.rules import edge_kinds
+from handeye_ros.guidance.score import extremes
 from handeye_ros.guidance.views import anchor_of
 from handeye_ros.results import table
 from handeye_ros.results.target_shape import shape
