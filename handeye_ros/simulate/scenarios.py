@@ -184,7 +184,7 @@ def _sensors() -> Iterator[Scenario]:
     stated = {'noise.sensor': 20 * UM}.items()
     for base in BASELINES[:2]:
         yield _with_sensor(f'{base.scene}, frozen speckle 20 um', base, stated, noise=4 * UM,
-                      speckle=20 * UM)
+                           speckle=20 * UM)
     for base in BASELINES:
         yield _off_centre(f'{base.scene}, wide off-centre', base)
 
