@@ -208,5 +208,16 @@ def flipped(ordered: Sequence[Sample], problem: Problem) -> Problem | None:
     others, _ = consistent_edges([replace(s, features=s.flipped) for s in ordered if s.flipped])
     if len(others) < problem.method.minimum:
         return None
-    observations = problem.method.features.observe(others)
-    return Problem(problem.method, mounted(others, config), observations, config)
+    return _at_stops(others, config)
+
+
+def at_stops(samples: Sequence[Sample], config: Config) -> tuple[Sequence[Sample], Problem]:
+    """Return samples as solve takes them, and their problem with each pose by itself."""
+    ordered, _ = consistent_edges(sorted(samples, key=lambda sample: sample.stamp))
+    ordered = synchronised(ordered, config).samples
+    return ordered, _at_stops(ordered, config)
+
+
+def _at_stops(samples: Sequence[Sample], config: Config) -> Problem:
+    method = targets.method_for(config)
+    return Problem(method, mounted(samples, config), method.features.observe(samples), config)

@@ -52,7 +52,7 @@ def with_kinematics(assignments: list[str], file: Path | None) -> list[str]:
     """Return assignments with those that a kinematics.yaml stands for before them."""
     if file is None:
         return assignments
-    from handeye_ros.kinematics.answer import read_arm
+    from handeye_ros.kinematics.urdf import read_arm
     chain = read_arm(file).chain
     return [f'kinematics={file.absolute()}', f'robot_base_frame={chain.base}',
             f'robot_effector_frame={chain.flange}', *assignments]

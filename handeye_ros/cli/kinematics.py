@@ -18,7 +18,7 @@ import typer
 if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.kinematics.answer import Answer
-    from handeye_ros.kinematics.chain import Chain
+    from handeye_ros.kinematics.model import Chain
     from handeye_ros.kinematics.samples import Source
 
 TABLES = ('.csv', '.yaml', '.yml')
@@ -53,9 +53,8 @@ def kinematics(
     files = _for_each(sources, configs)
     settings = configuration(files[0], assignments)
     _require_kinds(parameters)
-    from handeye_ros.kinematics.chain import chain_of, read_urdf
-    text = read_urdf(urdf)
-    chain = chain_of(text, base, flange, urdf)
+    from handeye_ros.kinematics.urdf import read_chain
+    text, chain = read_chain(urdf, base, flange)
     found = (_solve_table(sources[0], urdf, chain, parameters, settings) if _table(sources) else
              _solve_profiles(zip(sources, files, strict=True), urdf, chain, parameters,
                              assignments))
@@ -82,12 +81,11 @@ def _for_each(sources: list[Path], configs: list[Path]) -> Sequence[Path | None]
 
 
 def _write(found: 'Answer', urdf: str, out: Path, settings: 'Config') -> None:
-    from handeye_ros.kinematics.answer import save
     from handeye_ros.kinematics.report import table, write_page
     for warning in found.warnings:
         warn(warning)
     show(table(found))
-    typer.echo(save(found, urdf, out, settings.save.formats))
+    typer.echo(found.save(urdf, out, settings.save.formats))
     write_page(found, out)
 
 
@@ -101,18 +99,11 @@ def _require_kinds(kinds: list[str]) -> None:
 
 def _solve_table(source: Path, urdf: Path, chain: 'Chain', more: list[str], settings: 'Config'
                  ) -> 'Answer':
-    from handeye_ros.kinematics.answer import Answer, calibration_of
-    from handeye_ros.kinematics.outcome import solve_points
-    from handeye_ros.kinematics.points import read_table
-    from handeye_ros.kinematics.samples import compared
+    from handeye_ros.kinematics.answer import solve_table
     from handeye_ros.results.calibration_file import input_values
-    data, odd = read_table(source, chain, settings.calibration_type == 'eye_in_hand')
     with doing('solving'):
-        outcome = solve_points(data, chain, more, settings.limits.residual)
-    calibration = calibration_of(outcome, data, settings)
-    odd_notes = (*odd, *([] if data.reported is None else [
-        compared(data.reported, chain.forward(data.q))]))
-    return Answer.of(outcome, calibration, [input_values(source), input_values(urdf)], odd_notes)
+        return solve_table(source, chain, more, settings,
+                           [input_values(source), input_values(urdf)])
 
 
 def _solve_profiles(paths: Iterable[tuple[Path, Path | None]], urdf: Path, chain: 'Chain',
@@ -141,11 +132,11 @@ def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[s
 
 def _proposed(found: 'Answer', count: int, out: Path) -> str:
     """Write the configurations that help most next; return what they promise."""
-    from handeye_ros.kinematics.programme import as_csv, as_trajectory, programme
+    from handeye_ros.kinematics.programme import programme
     from handeye_ros.output import write_whole
-    made, chain = programme(found.outcome.models[-1].fit, count), found.arm.chain
-    write_whole(out / 'programme.csv', as_csv(chain, made.q))
-    write_whole(out / 'programme.yaml', as_trajectory(chain, made.q))
+    made = programme(found.outcome.models[-1].fit, count)
+    write_whole(out / 'programme.csv', made.as_csv())
+    write_whole(out / 'programme.yaml', made.as_trajectory())
     now, then = (f'{error * 1e3:.3f} mm' for error in made.errors[[0, -1]])
     enough = f'{made.enough} are enough' if made.enough <= len(made.q) else 'propose more'
     return (f'wrote programme.csv and programme.yaml: {len(made.q)} configurations; with them '

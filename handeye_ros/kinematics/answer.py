@@ -1,33 +1,32 @@
-"""What is printed and written of a corrected arm: kinematics.yaml, corrected.urdf."""
+"""The corrected arm with its hand-eye transform: from a table of points, and as files."""
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, UTC
 import math
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 from handeye_ros import __version__, se3
-from handeye_ros.config import Config, flatten, yaml_content
+from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.frames import mount_frame, name_direction
-from handeye_ros.kinematics.chain import Chain, Joint, motion, REVOLUTE
-from handeye_ros.kinematics.errors import UrdfError
-from handeye_ros.kinematics.model import Arm, COUNTS, OFFSET, ON_DEMAND, Parameter, PRIORS
-from handeye_ros.kinematics.outcome import Outcome
-from handeye_ros.kinematics.points import Points
+from handeye_ros.kinematics.model import Arm, Chain, OFFSET, ON_DEMAND, REVOLUTE
+from handeye_ros.kinematics.outcome import Outcome, solve_points
+from handeye_ros.kinematics.points import Points, read_table
+from handeye_ros.kinematics.urdf import corrected_urdf, FORMAT, KINEMATICS_FILE
 from handeye_ros.output import write_whole
 from handeye_ros.results import exports
-from handeye_ros.results.calibration_file import transform_from, transform_values
+from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.se3 import worst_translation
 import numpy as np
 import yaml
 
-FORMAT = 'handeye_ros/kinematics/1'
-NAME, URDF = 'kinematics.yaml', 'corrected.urdf'
+NAME, URDF = KINEMATICS_FILE, 'corrected.urdf'
 UNKNOWN = 0.9  # of the prior sigma: the data say next to nothing
+OTHER_FRAMES = 0.02  # m; poses further off are of other frames than the URDF's
+EQUAL = 5e-5  # m; rounding of reported poses
 HEADER = """\
 # Errors of the joints and axes of an arm, found with the hand-eye transform in calibration.yaml.
 # offset is added to the joint's reading; direction (rad) and position (m) turn and shift its axis
@@ -56,8 +55,48 @@ class Answer:
         """Return the arm with its errors."""
         return self.outcome.arm
 
+    @property
+    def sentence(self) -> str:
+        """Return what is gained, and what is left."""
+        before, after = self.outcome.models[0], self.outcome.chosen
+        return (f'points that were left out: {before.left_out_rms * 1e3:.2f} mm RMS before, '
+                f'{after.left_out_rms * 1e3:.2f} mm after; what is left of the error of the '
+                f'robot: {self.outcome.smooth * 1e3:.2f} mm (RMS, each axis)')
 
-def calibration_of(outcome: Outcome, data: Points, config: Config) -> Calibration:
+    def save(self, urdf: str, folder: Path, formats: Sequence[str]) -> str:
+        """
+        Write calibration.yaml, kinematics.yaml and corrected.urdf; return what was written.
+
+        urdf: that of the robot as stated. The calibration names the kinematics that belong to it.
+        """
+        folder = folder.absolute()
+        provenance = self.calibration.provenance
+        read_with = {**provenance['config'], 'kinematics': str(folder / NAME)}
+        calibration = replace(self.calibration, provenance={**provenance, 'config': read_with})
+        saved = exports.save_all(calibration, folder, formats)
+        write_whole(folder / NAME, _text(self))
+        write_whole(folder / URDF, corrected_urdf(urdf, self.arm))
+        lost = [kind for kind in ON_DEMAND if kind in self.outcome.chosen.kinds]
+        without = f' (without {" and ".join(lost)}, which no URDF can hold)' if lost else ''
+        return f'{saved}, {NAME}, {URDF}{without}'
+
+
+def solve_table(path: Path, chain: Chain, more: Sequence[str], config: Config,
+                inputs: Sequence[dict[str, str]]) -> Answer:
+    """
+    Return the corrected arm from a table of joint values and points (points.read_table).
+
+    more: kinds of parameters beside the geometry; inputs: what the answer comes from. Raises
+    HandeyeError.
+    """
+    data, odd = read_table(path, chain, config.calibration_type == 'eye_in_hand')
+    outcome = solve_points(data, chain, more, config.limits.residual)
+    reported = () if data.reported is None else (
+        compared(data.reported, chain.forward(data.q)),)
+    return Answer.of(outcome, _calibration(outcome, data, config), inputs, (*odd, *reported))
+
+
+def _calibration(outcome: Outcome, data: Points, config: Config) -> Calibration:
     """Return the hand-eye transform found from points, as calibration.yaml tells it."""
     fit, chain = outcome.chosen.fit, outcome.arm.chain
     config = replace(config, robot_base_frame=chain.base, robot_effector_frame=chain.flange)
@@ -78,7 +117,7 @@ def calibration_of(outcome: Outcome, data: Points, config: Config) -> Calibratio
         samples, {'version': __version__, 'config': flatten(config)})
 
 
-def text(answer: Answer) -> str:
+def _text(answer: Answer) -> str:
     """Return what is in kinematics.yaml."""
     outcome, arm, calibration = answer.outcome, answer.arm, answer.calibration
     provenance = {'version': __version__,
@@ -117,80 +156,15 @@ def _joints(outcome: Outcome) -> list[dict[str, Any]]:
     return found
 
 
-def read_arm(path: Path) -> Arm:
-    """Return the arm of a kinematics.yaml, or of the folder that holds it; raises UrdfError."""
-    path = path / NAME if path.is_dir() else path
-    try:
-        content = yaml_content(path.read_text(encoding='utf-8'))
-        if content.get('format') != FORMAT:
-            raise UrdfError(path, f'its format is {content.get("format")!r}, expected {FORMAT}: '
-                            'it is written by "handeye kinematics"')
-        joints, own, values = [], [], []
-        for i, joint in enumerate(content['joints']):
-            joints.append(_joint(path, joint))
-            for kind in (kind for kind in COUNTS if kind in joint):
-                for which, value in enumerate(joint[kind]['value']):
-                    own.append(Parameter(i, kind, which, PRIORS[kind][0]))
-                    values.append(float(value))
-        chain = Chain(str(content['base']), str(content['flange']), tuple(joints),
-                      transform_from(path, 'end', content['end']))
-    except OSError as error:
-        raise UrdfError(path, f'cannot be read: {error.strerror}') from error
-    except (UnicodeDecodeError, yaml.YAMLError, AttributeError, KeyError, TypeError,
-            ValueError) as error:
-        raise UrdfError(path, f'is no kinematics.yaml: {error}') from error
-    return Arm(chain, tuple(own), np.array(values))
-
-
-def _joint(path: Path, values: Mapping[str, Any]) -> Joint:
-    numbers = (float(values[key]) for key in ('factor', 'shift', 'lower', 'upper'))
-    return Joint(str(values['name']), str(values['type']),
-                 transform_from(path, 'origin', values['origin']),
-                 np.array(values['axis'], dtype=float), str(values['follows']), *numbers)
-
-
-def corrected_urdf(urdf: str, arm: Arm) -> str:
-    """
-    Return a URDF with the same links and joints, the origins of the joints corrected.
-
-    P_j D_j Exp(a_j o_j) is a transform like P_j; what changes with the joints is left out.
-    """
-    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
-    root = ElementTree.fromstring(urdf, parser)
-    elements = {e.get('name'): e for e in root.findall('joint')}
-    for i, joint in enumerate(arm.chain.joints):
-        element = elements[joint.name]
-        origin = element.find('origin')
-        if origin is None:
-            origin = ElementTree.SubElement(element, 'origin')
-        xyz, rpy = (np.array([float(v) for v in origin.get(key, '0 0 0').split()])
-                    for key in ('xyz', 'rpy'))
-        stated = se3.transform(_from_rpy(rpy), xyz)
-        T = stated @ arm.displacements[i] @ motion(joint, arm.of(i, OFFSET))[0]
-        origin.set('xyz', ' '.join(f'{v:.12g}' for v in T[:3, 3]))
-        origin.set('rpy', ' '.join(f'{v:.12g}' for v in se3.rpy(T)))
-    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding='unicode') + '\n'
-
-
-def _from_rpy(rpy: Array) -> Array:
-    roll, pitch, yaw = (se3.exp_rotation(angle * axis)
-                        for angle, axis in zip(rpy, np.eye(3), strict=True))
-    return np.asarray(yaw @ pitch @ roll)
-
-
-def save(answer: Answer, urdf: str, folder: Path, formats: Sequence[str]) -> str:
-    """
-    Write calibration.yaml, kinematics.yaml and corrected.urdf; return what was written.
-
-    urdf: that of the robot as stated. The calibration names the kinematics that belong to it.
-    """
-    folder = folder.absolute()
-    provenance = answer.calibration.provenance
-    read_with = {**provenance['config'], 'kinematics': str(folder / NAME)}
-    calibration = replace(answer.calibration, provenance={**provenance, 'config': read_with})
-    saved = exports.save_all(calibration, folder, formats)
-    write_whole(folder / NAME, text(answer))
-    write_whole(folder / URDF, corrected_urdf(urdf, answer.arm))
-    lost = [kind for kind in ON_DEMAND if kind in answer.outcome.chosen.kinds]
-    without = f' (without {" and ".join(lost)}, which no URDF can hold)' if lost else ''
-    return f'{saved}, {NAME}, {URDF}{without}'
+def compared(reported: Array, nominal: Array) -> str:
+    """Return in words how reported poses (n, 4, 4) differ from those of the URDF."""
+    off = np.linalg.norm(reported[:, :3, 3] - nominal[:, :3, 3], axis=1)
+    turn = se3.angle(reported[:, :3, :3] @ np.swapaxes(nominal[:, :3, :3], 1, 2))
+    if off.max() > OTHER_FRAMES or turn.max() > OTHER_FRAMES:
+        return ('the reported poses are of other frames than base and flange of the URDF, and are '
+                'not compared; the joint values are used')
+    if off.max() < EQUAL:
+        return 'the controller and the URDF have the same kinematics'
+    return (f'the controller does not have the kinematics of the URDF: its poses differ by '
+            f'{np.sqrt((off ** 2).mean()) * 1e3:.2f} mm RMS, {off.max() * 1e3:.2f} mm at most; '
+            'the joint values are used')

@@ -1,10 +1,21 @@
-"""Why the robot's kinematics cannot be found: the URDF, the joints, the configurations."""
+"""Why the robot's kinematics cannot be found, and which usual mistake would explain it."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 import math
 
-from handeye_ros.errors import DataError, InputError, mm, nearest
+from handeye_ros.data import Array
+from handeye_ros.errors import DataError, InputError, mm
+from handeye_ros.kinematics.model import Chain, PRISMATIC, REVOLUTE
+import numpy as np
+
+# Per kind of joint, rad and m: what limits may be passed by, as they are often stated roughly, and
+# by how much a joint moves at least to say anything of itself
+BEYOND = {REVOLUTE: 0.35, PRISMATIC: 0.1}
+STILL = {REVOLUTE: 0.02, PRISMATIC: 0.005}
+BETTER = 0.2  # a change that lowers the residual to less than this share is the cause
+OTHER_SIDE = {'eye_in_hand': 'eye_on_base', 'eye_on_base': 'eye_in_hand'}
 
 
 class UrdfError(InputError):
@@ -20,17 +31,6 @@ class MissingPinocchioError(InputError):
     def __init__(self) -> None:
         super().__init__('reading a URDF needs pinocchio: install the package '
                          'ros-jazzy-pinocchio, or handeye_ros[kinematics] with pip')
-
-
-class JointNamesError(InputError):
-    """Joint values and joints of the URDF that have different names."""
-
-    @classmethod
-    def missing(cls, source: object, joint: str, found: Sequence[str]) -> JointNamesError:
-        """Return the error for a joint of the robot without values."""
-        return cls(f'{source}: there are no values of the joint {joint}{nearest(joint, found)}; '
-                   f'the joints with values are {", ".join(found) or "none"}; name them as the '
-                   'URDF does')
 
 
 class JointRangeError(DataError):
@@ -105,3 +105,86 @@ class DegenerateConfigurationsError(DataError):
     def __init__(self, what: str) -> None:
         super().__init__(f'these configurations do not determine {what}: move all joints, and '
                          'bring the target to different points of the field of view')
+
+
+def judged_joints(chain: Chain, given: Mapping[str, Array]) -> list[str]:
+    """
+    Return a sentence for each joint that tells nothing of itself.
+
+    Raises JointRangeError for one that goes where it cannot be.
+    """
+    odd = []
+    for joint in chain.joints:
+        value = joint.factor * given[joint.follows] + joint.shift
+        low, high = float(value.min()), float(value.max())
+        for end in (low, high):
+            if not joint.lower - BEYOND[joint.kind] <= end <= joint.upper + BEYOND[joint.kind]:
+                raise JointRangeError(joint.name, end, joint.lower, joint.upper)
+        if high - low < STILL[joint.kind]:
+            size = (f'{math.degrees(high - low):.2g} degrees' if joint.kind == REVOLUTE
+                    else f'{(high - low) * 1e3:.2g} mm')
+            odd.append(f'{joint.name} moves by {size} only: these configurations do not determine '
+                       'its error')
+    return odd
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """
+    What may be wrong, in words, and how it is put right.
+
+    joints: (n, n) what the joint values are multiplied by; other_side: of calibration_type; unit:
+    a factor on the points of the sensor.
+    """
+
+    words: str
+    joints: Array
+    other_side: bool = False
+    unit: float = 1.0
+
+
+def cause_of(chain: Chain, q: Array, on_flange: bool, refit: Callable[[Change], float]) -> str:
+    """
+    Return what makes joint values and measurements agree after all, empty where nothing does.
+
+    q: (n, joints); refit: gives the residual with a change.
+    """
+    as_stated, *changes = _changes(chain, on_flange, float(np.median(np.abs(q).max(axis=0))))
+    best, found = BETTER * refit(as_stated), ''
+    for change in changes:
+        try:
+            rms = refit(change)
+        except (DataError, np.linalg.LinAlgError):
+            continue
+        if rms < best:
+            best, found = rms, change.words
+    still = [joint.name for joint, moves in zip(chain.joints, np.ptp(q, axis=0) > 0, strict=True)
+             if not moves]
+    return found or (f'{still[0]} has the same value throughout: check where its values come from'
+                     if still else '')
+
+
+def _changes(chain: Chain, on_flange: bool, largest: float) -> Iterator[Change]:
+    """Yield what may be wrong; largest: the values of half of the joints. The first is none."""
+    same = np.eye(len(chain.joints))
+    turning = np.array([joint.kind == REVOLUTE for joint in chain.joints])
+    yield Change('', same)
+    for factor, words, possible in (
+            (math.radians(1), 'degrees that are stated as radians', largest > 2 * math.pi),
+            (math.degrees(1), 'radians that are stated as degrees', largest < math.radians(10))):
+        if possible:
+            yield Change(f'the joint values seem to be {words}', np.diag(
+                np.where(turning, factor, 1.0)))
+    for joint, one in zip(chain.joints, same, strict=True):
+        yield Change(f'{joint.name} seems to turn the other way than in the URDF',
+                     np.diag(1 - 2 * one))
+    if len(chain.joints) >= 3:
+        coupled = same.copy()
+        coupled[2, 1] = 1.0
+        yield Change(
+            f'{chain.joints[2].name} seems to be counted from the horizontal, as some controllers '
+            f'do: add {chain.joints[1].name} to it', coupled)
+    other = OTHER_SIDE['eye_in_hand' if on_flange else 'eye_on_base']
+    yield Change(f'set calibration_type to {other}', same, other_side=True)
+    for unit in (1e-3, 1e3):
+        yield Change('the unit of what the sensor measures seems to be wrong', same, unit=unit)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import Protocol
 
 from handeye_ros import se3
 from handeye_ros.data import Array
@@ -19,8 +19,6 @@ from handeye_ros.estimation.noise import prior_scales, Scales
 from handeye_ros.estimation.outliers import leave_one_out, outliers
 from handeye_ros.estimation.solver import least_squares, Rows, System
 from handeye_ros.kinematics.model import Arm
-from handeye_ros.kinematics.points import Points, State
-from handeye_ros.kinematics.profiles import Profiles
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,7 +31,43 @@ SMOOTH_ROUNDS = 2  # of estimating its size and the noise beside it
 LARGEST = 1e3  # variance of a kind over the configured one
 
 
-Data: TypeAlias = Points | Profiles
+@dataclass(frozen=True, eq=False)
+class State:
+    """
+    An estimate: the sensor in its mount X (4, 4), where the targets are, the arm.
+
+    targets: (t, 3) of points, the parameters of the target of profiles. smooth: (r, 3) what is
+    left of the robot's error, coefficients of smooth functions.
+    """
+
+    X: Array
+    targets: Array
+    arm: Arm
+    smooth: Array
+
+    def with_arm_moved(self, step: Array) -> State:
+        """Return the state with the arm and what is left of its error moved by a step."""
+        own, smooth = np.split(step, [len(self.arm.values)])
+        return replace(self, arm=replace(self.arm, values=self.arm.values + own),
+                       smooth=self.smooth + smooth.reshape(self.smooth.shape))
+
+
+class Data(Protocol):
+    """What was measured at n configurations: m residuals of an estimate with u unknowns."""
+
+    @property
+    def q(self) -> Array: ...
+    @property
+    def unknowns(self) -> int: ...
+    @property
+    def block(self) -> NDArray[np.intp]: ...
+    @property
+    def component(self) -> NDArray[np.intp]: ...
+    def __len__(self) -> int: ...
+    def again(self, rows: NDArray[np.intp], q: Array) -> Data: ...
+    def moved(self, state: State, step: Array) -> State: ...
+    def distances(self, state: State) -> Array: ...
+    def linearised(self, state: State, root: Array) -> tuple[Array, Array]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +108,10 @@ class Fit:
         return np.array(own + [len(kinds) - 1] * (3 * self.root.shape[1]), dtype=np.intp)
 
     @property
-    def configured(self) -> Array:
-        """Return the configured sigmas (q,) of the unknowns with a prior."""
-        return np.append(self.state.arm.stds, np.full(3 * self.root.shape[1], SMOOTH))
-
-    @property
     def stds(self) -> Array:
         """Return the prior sigmas, shape (q,), times the estimated scales."""
-        return self.configured * np.sqrt(self.weights.variances[self.group])
+        configured = np.append(self.state.arm.stds, np.full(3 * self.root.shape[1], SMOOTH))
+        return configured * np.sqrt(self.weights.variances[self.group])
 
     @property
     def values(self) -> Array:

@@ -1,5 +1,5 @@
 """
-An arm whose joints and axes are not quite as stated: forward kinematics, and its derivatives.
+A serial arm as stated, and with joints and axes that are not quite so: forward kinematics.
 
 T = prod_j P_j D_j Exp(a_j (q_j + o_j)) P_f (product of exponentials, each axis in the frame of the
 joint before): P_j the stated origin of joint j, D_j a small shift and turn across its axis a_j,
@@ -9,15 +9,16 @@ an eccentricity, and the sag under the weight of the tool.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.kinematics.chain import Chain, Joint, motion, REVOLUTE
+from handeye_ros.errors import InputError, nearest
 import numpy as np
 
+REVOLUTE, PRISMATIC = 'revolute', 'prismatic'
 OFFSET, DIRECTION, POSITION = 'offset', 'direction', 'position'
 GEAR, ECCENTRICITY, SAG = 'gear', 'eccentricity', 'sag'
 GEOMETRY = (OFFSET, DIRECTION, POSITION)
@@ -30,6 +31,88 @@ COUNTS = {OFFSET: 1, DIRECTION: 2, POSITION: 2, GEAR: 1, ECCENTRICITY: 2, SAG: 1
 SAGGING = (1, 2)  # joints 2 and 3: they carry the arm
 WAY = 15  # configurations on the way from one to another
 DOWN = np.array([0.0, 0.0, -1.0])  # in the base, which stands upright
+
+
+class JointNamesError(InputError):
+    """Joint values and joints of the URDF that have different names."""
+
+    @classmethod
+    def missing(cls, source: object, joint: str, found: Sequence[str]) -> JointNamesError:
+        """Return the error for a joint of the robot without values."""
+        return cls(f'{source}: there are no values of the joint {joint}{nearest(joint, found)}; '
+                   f'the joints with values are {", ".join(found) or "none"}; name them as the '
+                   'URDF does')
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """
+    A joint that moves.
+
+    origin: (4, 4) its frame in that of the joint before, at zero; axis: (3,) unit vector in its
+    frame. Its value is factor * that of the joint follows + shift; a joint that mimics none
+    follows itself. lower, upper: its limits (rad or m).
+    """
+
+    name: str
+    kind: str
+    origin: Array
+    axis: Array
+    follows: str
+    factor: float = 1.0
+    shift: float = 0.0
+    lower: float = -np.inf
+    upper: float = np.inf
+
+    @cached_property
+    def across(self) -> Array:
+        """Return two unit vectors (3, 2) across the axis: of z, they are x and y."""
+        helper = np.eye(3)[0 if abs(self.axis[0]) < 0.9 else 1]
+        first = helper - self.axis * (self.axis @ helper)
+        first /= np.linalg.norm(first)
+        return np.column_stack([first, np.cross(self.axis, first)])
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """The joints between two frames; end: (4, 4) the flange in the frame of the last joint."""
+
+    base: str
+    flange: str
+    joints: tuple[Joint, ...]
+    end: Array
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Return the names of the joints that values are needed of."""
+        return tuple(dict.fromkeys(joint.follows for joint in self.joints))
+
+    def values(self, given: Mapping[str, Array], source: object) -> Array:
+        """Return what all joints are at, (n, joints); raises JointNamesError."""
+        for name in self.measured:
+            if name not in given:
+                raise JointNamesError.missing(source, name, list(given))
+        return np.stack([j.factor * given[j.follows] + j.shift for j in self.joints], axis=-1)
+
+    def given(self, q: Array) -> dict[str, Array]:
+        """Return the values (n,) by the names of measured, of what all joints are at."""
+        return {j.follows: (value - j.shift) / j.factor
+                for j, value in zip(self.joints, q.T, strict=True)}
+
+    def forward(self, q: Array) -> Array:
+        """Return T_base_flange (n, 4, 4) of joint values (n, joints), without any error."""
+        T = np.tile(np.eye(4), (len(q), 1, 1))
+        for joint, value in zip(self.joints, q.T, strict=True):
+            T = T @ joint.origin @ motion(joint, value)
+        return T @ self.end
+
+
+def motion(joint: Joint, value: Array) -> Array:
+    """Return the transforms (n, 4, 4) of a joint by its values (n,)."""
+    along = value[:, None] * joint.axis
+    if joint.kind == PRISMATIC:
+        return se3.transform(np.broadcast_to(np.eye(3), (len(value), 3, 3)), along)
+    return se3.transform(se3.exp_rotation(along), np.zeros_like(along))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
-from handeye_ros.kinematics.chain import Chain
 from handeye_ros.kinematics.errors import (
     ContradictionError,
     DegenerateConfigurationsError,
@@ -25,6 +24,7 @@ from handeye_ros.kinematics.estimate import (
 )
 from handeye_ros.kinematics.model import (
     Arm,
+    Chain,
     DIRECTION,
     GEOMETRY,
     OFFSET,
@@ -32,8 +32,7 @@ from handeye_ros.kinematics.model import (
     parameters,
     POSITION,
 )
-from handeye_ros.kinematics.points import Points
-from handeye_ros.kinematics.starts import cause_of_points, first_fit
+from handeye_ros.kinematics.points import cause_of_points, first_fit, Points
 from handeye_ros.threads import single_threaded
 import numpy as np
 from numpy.typing import NDArray

@@ -2,54 +2,45 @@
 Points of fixed targets, as the sensor sees them from many robot configurations.
 
 r = T(q) X s - c for a sensor on the flange, and X s - T(q) c for one beside the robot, in the axes
-of the sensor: s is what is measured, c where the target is.
-
-They come from a CSV or YAML table, a row for each configuration. Columns named as the joints of
-the URDF with their unit (`joint_1 [degrees]`), `x [mm]`, `y [mm]`, `z [mm]` in the sensor frame;
-optional: `target` names the point where there are several, and `flange_x [mm]` ... `flange_qw` (or
-`flange_roll [deg]` ...) are the controller's own poses.
+of the sensor: s is what is measured, c where the target is. And the hand-eye transform from them
+with nothing given: where an estimate starts.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-import math
 from pathlib import Path
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.estimation.solver import graduated, reweighted, Rows, System
 from handeye_ros.files.tables import ANGLE, LENGTH, Table
-from handeye_ros.kinematics.chain import Chain, PRISMATIC
-from handeye_ros.kinematics.errors import JointRangeError
-from handeye_ros.kinematics.model import Arm
+from handeye_ros.kinematics.errors import (
+    cause_of,
+    Change,
+    judged_joints,
+    TooFewConfigurationsError,
+)
+from handeye_ros.kinematics.estimate import (
+    adjusted,
+    Fit,
+    fitted,
+    LEAST_NOISE,
+    MINIMUM,
+    State,
+    Weights,
+)
+from handeye_ros.kinematics.model import Arm, Chain, PRISMATIC
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-BEYOND = {ANGLE: 0.35, LENGTH: 0.1}  # what limits may be passed by: they are often stated roughly
-STILL = {ANGLE: 0.02, LENGTH: 0.005}  # a joint that moves by less tells nothing of itself
-ALONE = 'target'  # the name of the point of a table without that column
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """
-    An estimate: the sensor in its mount X (4, 4), where the targets are, the arm.
-
-    targets: (t, 3) of points, the parameters of the target of profiles. smooth: (r, 3) what is
-    left of the robot's error, coefficients of smooth functions.
-    """
-
-    X: Array
-    targets: Array
-    arm: Arm
-    smooth: Array
-
-    def with_arm_moved(self, step: Array) -> State:
-        """Return the state with the arm and what is left of its error moved by a step."""
-        own, smooth = np.split(step, [len(self.arm.values)])
-        return replace(self, arm=replace(self.arm, values=self.arm.values + own),
-                       smooth=self.smooth + smooth.reshape(self.smooth.shape))
+SWEPT = 4000  # random rotations that are compared
+APART = 0.2  # least angle between two starts (rad)
+STARTS = 8  # how many are refined
+ROUGH = 1e-3  # residuals (m) of a start, whose robot is only inaccurate
+SEED = 0  # of the search: the same points give the same answer
+FEW = 2  # starts: a cause is seen by any of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,8 +144,12 @@ class Points:
 
 def read_table(path: Path, chain: Chain, on_flange: bool) -> tuple[Points, tuple[str, ...]]:
     """
-    Return what a table holds, and a sentence for each thing that is odd.
+    Return what a table holds, CSV or YAML, and a sentence for each thing that is odd.
 
+    A row for each configuration. Columns: the joints of the URDF with their unit
+    (`joint_1 [degrees]`), `x [mm]`, `y [mm]`, `z [mm]` in the sensor frame; optional: `target`
+    names the point where there are several, and `flange_x [mm]` ... `flange_qw` (or
+    `flange_roll [deg]` ...) are the controller's own poses.
     Raises TableError, JointNamesError, JointRangeError.
     """
     table = Table(path)
@@ -163,7 +158,7 @@ def read_table(path: Path, chain: Chain, on_flange: bool) -> tuple[Points, tuple
              if table.has([name])}
     q = chain.values(given, path)
     points = table.values(['x', 'y', 'z'], LENGTH)
-    labels = table.text('target') if table.has(['target']) else [ALONE] * len(points)
+    labels = table.text('target') if table.has(['target']) else ['target'] * len(points)
     names = tuple(dict.fromkeys(labels))
     pose = [f'flange_{axis}' for axis in 'xyz']
     reported = table.poses('flange') if table.has(pose) else None
@@ -176,23 +171,76 @@ def read_table(path: Path, chain: Chain, on_flange: bool) -> tuple[Points, tuple
     return data, (*odd, *judged_joints(chain, given))
 
 
-def judged_joints(chain: Chain, given: Mapping[str, Array]) -> list[str]:
+def first_fit(data: Points, arm: Arm, most: int = STARTS) -> Fit:
     """
-    Return a sentence for each joint that tells nothing of itself.
+    Return the hand-eye transform alone, with the arm as it is, however far it is off.
 
-    Raises JointRangeError for one that goes where it cannot be.
+    most: starts that are refined. Raises TooFewConfigurationsError.
     """
-    odd = []
-    for joint in chain.joints:
-        kind = LENGTH if joint.kind == PRISMATIC else ANGLE
-        value = joint.factor * given[joint.follows] + joint.shift
-        low, high = float(value.min()), float(value.max())
-        for end in (low, high):
-            if not joint.lower - BEYOND[kind] <= end <= joint.upper + BEYOND[kind]:
-                raise JointRangeError(joint.name, end, joint.lower, joint.upper)
-        if high - low < STILL[kind]:
-            size = (f'{math.degrees(high - low):.2g} degrees' if kind == ANGLE
-                    else f'{(high - low) * 1e3:.2g} mm')
-            odd.append(f'{joint.name} moves by {size} only: these configurations do not determine '
-                       'its error')
-    return odd
+    if len(data) < MINIMUM:
+        raise TooFewConfigurationsError(len(data), MINIMUM)
+    rough, nothing = Weights(np.full(3, ROUGH), np.zeros(0)), np.zeros((len(data), 0))
+
+    def refit(state: State, weights: Array) -> State:
+        return reweighted(System(rows, data.moved, data.block), state, weights)
+
+    def rows(at: State) -> Rows:
+        r, J = data.linearised(at, nothing)
+        return Rows(r / ROUGH, lambda: J / ROUGH)
+
+    def squares(at: State) -> Array:
+        return np.asarray((rows(at).residuals.reshape(-1, 3) ** 2).mean(axis=1))
+    ends = [graduated(start, squares, refit)
+            for start in starts(data, arm, most, np.random.default_rng(SEED))]
+    state = min(ends, key=lambda end: float(np.median(squares(end))))
+    final = squares(state)
+    used = final <= 25.0 * max(float(np.median(final)), (LEAST_NOISE / ROUGH) ** 2)
+    if used.sum() < MINIMUM:
+        raise TooFewConfigurationsError(int(used.sum()), MINIMUM)
+    return adjusted(fitted(data, state, rough, used, nothing))
+
+
+def starts(data: Points, arm: Arm, most: int, rng: np.random.Generator) -> list[State]:
+    """
+    Return up to `most` estimates to start from, the best first, without any error of the arm.
+
+    For a given rotation of the sensor all else is linear, so the squared residual is a quadratic
+    function of the nine numbers of a rotation. It is evaluated at many random rotations.
+    """
+    T, n, t = arm.forward(data.q), len(data), len(data.names)
+    R, a = T[:, :3, :3], T[:, :3, 3]
+    unit = np.broadcast_to(np.eye(3), R.shape)
+    to_mount, to_target = (R, unit) if data.on_flange else (unit, R)
+    A = np.zeros((n, 3, 3 + 3 * t))
+    A[:, :, :3] = to_mount
+    for k in range(3):
+        A[np.arange(n), :, 3 + 3 * data.target + k] = -to_target[:, :, k]
+    b = a if data.on_flange else -a
+    M = np.einsum('nij,nk->nijk', to_mount, data.points).reshape(3 * n, 9)
+    both = np.column_stack([M, b.ravel()])
+    flat = A.reshape(3 * n, -1)
+    inverse = np.linalg.pinv(flat, rcond=1e-9)
+    left = both - flat @ (inverse @ both)
+    gram = left.T @ left
+    rotations = Rotation.random(SWEPT, random_state=rng).as_matrix()
+    v = np.column_stack([rotations.reshape(-1, 9), np.ones(SWEPT)])
+    cost = np.einsum('ki,ij,kj->k', v, gram, v)
+    found: list[State] = []
+    for i in np.argsort(cost, kind='stable'):
+        turned = rotations[i]
+        if all(se3.angle(turned @ s.X[:3, :3].T) > APART for s in found):
+            linear = -inverse @ (both @ v[i])
+            found.append(State(se3.transform(turned, linear[:3]), linear[3:].reshape(t, 3), arm,
+                               np.zeros((0, 3))))
+        if len(found) == most:
+            break
+    return found
+
+
+def cause_of_points(data: Points, chain: Chain) -> str:
+    """Return what makes joint values and measured points agree, empty where nothing does."""
+    def refit(change: Change) -> float:
+        changed = replace(data, q=data.q @ change.joints.T, points=data.points * change.unit,
+                          on_flange=data.on_flange != change.other_side)
+        return first_fit(changed, Arm(chain), FEW).noise_rms
+    return cause_of(chain, data.q, data.on_flange, refit)

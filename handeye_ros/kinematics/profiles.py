@@ -19,8 +19,8 @@ from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
 from handeye_ros.frames import in_mount
 from handeye_ros.kinematics.errors import TargetsApartError
+from handeye_ros.kinematics.estimate import State
 from handeye_ros.kinematics.model import Arm
-from handeye_ros.kinematics.points import State
 import numpy as np
 from numpy.typing import NDArray
 

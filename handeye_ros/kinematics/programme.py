@@ -13,10 +13,9 @@ import math
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.kinematics.chain import Chain, REVOLUTE
 from handeye_ros.kinematics.errors import NoPostureError
 from handeye_ros.kinematics.estimate import Fit
-from handeye_ros.kinematics.model import Arm, OFFSET, parameters
+from handeye_ros.kinematics.model import Arm, Chain, OFFSET, parameters, REVOLUTE
 import numpy as np
 from numpy.typing import NDArray
 import yaml
@@ -34,15 +33,34 @@ SEED = 0
 @dataclass(frozen=True, eq=False)
 class Programme:
     """
-    Configurations q (n, joints), the best first.
+    Configurations q (n, joints) of a chain, the best first.
 
     errors: (n + 1,) 1 sigma (m) of points predicted in other postures, after each of them, the
     first without any; enough: after how many they are known to the noise of the points.
     """
 
+    chain: Chain
     q: Array
     errors: Array
     enough: int
+
+    def as_csv(self) -> str:
+        """Return the configurations as a table, with the columns that the verb reads."""
+        units, factors = zip(*(('degrees', math.degrees(1)) if joint.kind == REVOLUTE else
+                               ('mm', 1e3) for joint in self.chain.joints), strict=True)
+        header = ','.join(f'{joint.name} [{unit}]' for joint, unit in zip(
+            self.chain.joints, units, strict=True))
+        rows = (','.join(f'{v:.4f}' for v in row) for row in self.q * factors)
+        return '\n'.join([header, *rows, ''])
+
+    def as_trajectory(self) -> str:
+        """Return the configurations as a trajectory_msgs/JointTrajectory in YAML."""
+        points = [{'positions': [round(float(v), 6) for v in row],
+                   'time_from_start': {'sec': int(SECONDS * k), 'nanosec': 0}}
+                  for k, row in enumerate(self.q, 1)]
+        return str(yaml.safe_dump(
+            {'joint_names': [joint.name for joint in self.chain.joints], 'points': points},
+            sort_keys=False, default_flow_style=None, width=100))
 
 
 def programme(fit: Fit, count: int) -> Programme:
@@ -67,7 +85,7 @@ def programme(fit: Fit, count: int) -> Programme:
             np.eye(len(A)) + A @ J[rows[best]].T, A)
         errors.append(_spread(J, covariance, fit, rows))
     known = np.append(np.array(errors) < fit.noise_rms, True)
-    return Programme(q[chosen], np.array(errors), int(np.argmax(known)))
+    return Programme(chain, q[chosen], np.array(errors), int(np.argmax(known)))
 
 
 def _spread(J: Array, covariance: Array, fit: Fit, rows: Sequence[NDArray[np.intp]]) -> float:
@@ -109,22 +127,3 @@ def postures(chain: Chain, q: Array, rng: np.random.Generator) -> tuple[NDArray[
 def _limits(chain: Chain) -> tuple[Array, Array]:
     lower, upper = np.array([(joint.lower, joint.upper) for joint in chain.joints]).T
     return np.maximum(lower + MARGIN, -WIDE), np.minimum(upper - MARGIN, WIDE)
-
-
-def as_csv(chain: Chain, q: Array) -> str:
-    """Return configurations as a table, with the columns that the verb reads."""
-    units = [('degrees', math.degrees(1)) if j.kind == REVOLUTE else ('mm', 1e3)
-             for j in chain.joints]
-    header = ','.join(f'{j.name} [{unit}]' for j, (unit, _) in zip(
-        chain.joints, units, strict=True))
-    factors = [factor for _, factor in units]
-    return '\n'.join([header, *(','.join(f'{v:.4f}' for v in row) for row in q * factors), ''])
-
-
-def as_trajectory(chain: Chain, q: Array) -> str:
-    """Return configurations as a trajectory_msgs/JointTrajectory in YAML."""
-    points = [{'positions': [round(float(v), 6) for v in row],
-               'time_from_start': {'sec': int(SECONDS * k), 'nanosec': 0}}
-              for k, row in enumerate(q, 1)]
-    return str(yaml.safe_dump({'joint_names': [j.name for j in chain.joints], 'points': points},
-                              sort_keys=False, default_flow_style=None, width=100))

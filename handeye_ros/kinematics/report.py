@@ -8,8 +8,7 @@ import math
 from pathlib import Path
 
 from handeye_ros.kinematics.answer import Answer, UNKNOWN
-from handeye_ros.kinematics.chain import REVOLUTE
-from handeye_ros.kinematics.model import DIRECTION, OFFSET, POSITION
+from handeye_ros.kinematics.model import DIRECTION, OFFSET, POSITION, REVOLUTE
 from handeye_ros.output import write_whole
 from handeye_ros.results.report.figures import style
 from jinja2 import Environment
@@ -47,7 +46,7 @@ def table(answer: Answer) -> RenderableType:
         for row in rows:
             shown[-1].add_row(*row)
     return Group(Text('Zero offset: add it to the reading of the joint.'), *shown,
-                 Text(sentence(answer)))
+                 Text(answer.sentence))
 
 
 def _joint_rows(answer: Answer) -> Iterator[tuple[str, ...]]:
@@ -56,7 +55,7 @@ def _joint_rows(answer: Answer) -> Iterator[tuple[str, ...]]:
         zero = (math.degrees(1), 4, 'deg') if joint.kind == REVOLUTE else (1e3, 3, 'mm')
         yield (joint.name, _cell(answer, i, OFFSET, *zero),
                _cell(answer, i, DIRECTION, math.degrees(1), 4, 'deg'),
-               _cell(answer, i, POSITION, 1e3, 3, 'mm'), ', '.join(unknown(answer, i)))
+               _cell(answer, i, POSITION, 1e3, 3, 'mm'), ', '.join(_unknown(answer, i)))
 
 
 def _model_rows(answer: Answer) -> Iterator[tuple[str, ...]]:
@@ -67,15 +66,7 @@ def _model_rows(answer: Answer) -> Iterator[tuple[str, ...]]:
             'the answer' if model is answer.outcome.chosen else '')
 
 
-def sentence(answer: Answer) -> str:
-    """Return what is gained, and what is left."""
-    before, after = answer.outcome.models[0], answer.outcome.chosen
-    return (f'points that were left out: {before.left_out_rms * 1e3:.2f} mm RMS before, '
-            f'{after.left_out_rms * 1e3:.2f} mm after; what is left of the error of the robot: '
-            f'{answer.outcome.smooth * 1e3:.2f} mm (RMS, each axis)')
-
-
-def unknown(answer: Answer, joint: int) -> Iterator[str]:
+def _unknown(answer: Answer, joint: int) -> Iterator[str]:
     """Yield the kinds of errors of a joint of which the data tell next to nothing."""
     found: dict[str, list[bool]] = {}
     for p, ratio in zip(answer.arm.parameters, answer.outcome.known, strict=True):
@@ -95,7 +86,7 @@ def _cell(answer: Answer, joint: int, kind: str, factor: float, digits: int, uni
 def write_page(answer: Answer, folder: Path) -> None:
     """Write the page with the error over the workspace; raises UnwritableError."""
     write_whole(folder / NAME, Environment(autoescape=True).from_string(PAGE).render(
-        title=f'Corrected arm: {answer.calibration.name}', sentence=sentence(answer),
+        title=f'Corrected arm: {answer.calibration.name}', sentence=answer.sentence,
         warnings=answer.warnings, picture=base64.b64encode(_picture(answer)).decode(),
         tables=[list(_joint_rows(answer)), list(_model_rows(answer))]))
 

@@ -1,39 +1,36 @@
 """The corrected arm from samples of profiles: its joint values, and the answer of the pipeline."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
-from handeye_ros import pipeline, se3, targets
+from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
 from handeye_ros.diagnosis.settings import require_same_clock
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.solution import covering
 from handeye_ros.frames import in_mount
-from handeye_ros.kinematics.answer import Answer
-from handeye_ros.kinematics.chain import Chain
+from handeye_ros.kinematics.answer import Answer, compared
 from handeye_ros.kinematics.errors import (
+    cause_of,
+    Change,
     ContradictionError,
+    judged_joints,
     NoJointValuesError,
+    OTHER_SIDE,
     TooFewConfigurationsError,
 )
 from handeye_ros.kinematics.estimate import fit_of, MINIMUM
-from handeye_ros.kinematics.model import Arm
+from handeye_ros.kinematics.model import Arm, Chain
 from handeye_ros.kinematics.outcome import AGREEING, Outcome, solve
-from handeye_ros.kinematics.points import judged_joints
 from handeye_ros.kinematics.profiles import misfit, profiles_of
-from handeye_ros.kinematics.starts import cause_of, Change, OTHER_SIDE
-from handeye_ros.sampling.edge_shapes import consistent_edges
-from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.time_offset import synchronised
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-OTHER_FRAMES = 0.02  # m; poses further off are of other frames than the URDF's
 LONGEST_GAP = 1_000_000_000  # ns, between a sample and joint values
-EQUAL = 5e-5  # m; rounding of reported poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +56,8 @@ class Source:
     Samples of one target, their poses those of the arm as stated, with joint values.
 
     joints: (n, joints) at stamps (n,); recording: what the samples come from, None for stops of a
-    session; session: all stops, to find out why they contradict each other; inputs, warnings: of
-    the reading.
+    session; require_same_clock: raises where the clocks are why they contradict each other;
+    inputs, warnings: of the reading.
     """
 
     samples: Sequence[Sample]
@@ -70,7 +67,7 @@ class Source:
     stamps: NDArray[np.int64]
     joints: Array
     recording: JointRecording | None = None
-    session: Session | None = None
+    require_same_clock: Callable[[], None] | None = None
     inputs: Sequence[dict[str, str]] = ()
     warnings: Sequence[str] = ()
 
@@ -105,7 +102,8 @@ def source_of(recording: JointRecording, chain: Chain, config: Config) -> Source
     odd = judged_joints(chain, chain.given(recording.joints))
     session = pipeline.gather(recording.profiles, recording.poses, config)
     source = Source(session.samples, session.rejects, session.frame_id, config, stamps,
-                    recording.joints, recording, session, recording.inputs)
+                    recording.joints, recording, partial(require_same_clock, session, config),
+                    recording.inputs)
     compared = _compared(recording, source, chain) if recording.reported else ''
     return replace(source, warnings=[*filter(None, (
         *recording.warnings, *session.warnings, *odd, compared))])
@@ -129,8 +127,8 @@ def solve_sources(sources: Sequence[Source], chain: Chain, more: Sequence[str],
         outcome = outcome_of(sources, chain, more)
     except (ContradictionError, TooFewConfigurationsError):
         for source in sources:
-            if source.session:
-                require_same_clock(source.session, source.config)
+            if source.require_same_clock:
+                source.require_same_clock()
         raise
     calibrations = [source.calibrated(outcome.arm) for source in sources]
     inputs = [*(values for source in sources for values in source.inputs), *inputs]
@@ -175,12 +173,9 @@ def outcome_of(sources: Sequence[Source], chain: Chain, more: Sequence[str]) -> 
 
 def _problem(source: Source, chain: Chain) -> tuple[Problem, Array]:
     """Return what a source shows, with the arm as stated, and the joint values (n, joints)."""
-    config, method = source.config, targets.method_for(source.config)
-    ordered, _ = consistent_edges(sorted(source.samples, key=lambda sample: sample.stamp))
-    ordered = synchronised(ordered, config).samples
+    ordered, problem = pipeline.at_stops(source.samples, source.config)
     q = source.joints_at(ordered)
-    return Problem(method, in_mount(chain.forward(q), config), method.features.observe(ordered),
-                   config), q
+    return replace(problem, poses=in_mount(chain.forward(q), source.config)), q
 
 
 def _changed(problem: Problem, T_base_flange: Array, change: Change) -> Problem:
@@ -211,17 +206,3 @@ def at_stamps(at: NDArray[np.int64], stamps: NDArray[np.int64], joints: Array) -
     times, first = np.unique(stamps - stamps[0], return_index=True)
     spline = PchipInterpolator(times * 1e-9, joints[first])
     return np.asarray(spline(np.clip(at - stamps[0], times[0], times[-1]) * 1e-9))
-
-
-def compared(reported: Array, nominal: Array) -> str:
-    """Return in words how reported poses (n, 4, 4) differ from those of the URDF."""
-    off = np.linalg.norm(reported[:, :3, 3] - nominal[:, :3, 3], axis=1)
-    turn = se3.angle(reported[:, :3, :3] @ np.swapaxes(nominal[:, :3, :3], 1, 2))
-    if off.max() > OTHER_FRAMES or turn.max() > OTHER_FRAMES:
-        return ('the reported poses are of other frames than base and flange of the URDF, and are '
-                'not compared; the joint values are used')
-    if off.max() < EQUAL:
-        return 'the controller and the URDF have the same kinematics'
-    return (f'the controller does not have the kinematics of the URDF: its poses differ by '
-            f'{np.sqrt((off ** 2).mean()) * 1e3:.2f} mm RMS, {off.max() * 1e3:.2f} mm at most; '
-            'the joint values are used')

@@ -16,9 +16,8 @@ import sys
 
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from handeye_ros.data import TimedPose
-from handeye_ros.kinematics.answer import read_arm
-from handeye_ros.kinematics.chain import chain_of, read_urdf
 from handeye_ros.kinematics.model import Arm
+from handeye_ros.kinematics.urdf import read_arm, read_chain
 from handeye_ros.ros.bags.poses import pose_from_joints
 from handeye_ros.ros.errors import MessageError, TopicsError
 from handeye_ros.ros.executable import exit_code, RCLError, ros, spin
@@ -75,7 +74,7 @@ def pose_stamped(pose: TimedPose) -> PoseStamped:
 def run(options: argparse.Namespace) -> None:
     """Publish until Ctrl-C; raises InputError."""
     arm = read_arm(options.kinematics) if options.kinematics else Arm(
-        chain_of(read_urdf(options.urdf), options.base, options.flange, options.urdf))
+        read_chain(options.urdf, options.base, options.flange)[1])
     with ros():
         try:
             node = CorrectedPose(arm, options)

@@ -12,11 +12,10 @@ from handeye_ros.estimation.linearise import Problem
 from handeye_ros.files.tables import Table
 from handeye_ros.frames import in_mount
 from handeye_ros.kinematics import profiles
-from handeye_ros.kinematics.answer import read_arm
-from handeye_ros.kinematics.chain import chain_of, read_urdf
+from handeye_ros.kinematics.estimate import State
 from handeye_ros.kinematics.model import Arm, GEOMETRY, parameters
-from handeye_ros.kinematics.points import State
 from handeye_ros.kinematics.samples import outcome_of, source_of
+from handeye_ros.kinematics.urdf import chain_of, read_arm, read_chain
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.ros.bags import bag
 from handeye_ros.simulate import arm as simulated_arm
@@ -62,7 +61,7 @@ def test_a_solve_with_the_corrected_arm_gives_the_same_transform(from_bag):
 @pytest.fixture(scope='module')
 def source():
     """Return the chain and the samples of the recording in bags/."""
-    chain = chain_of(read_urdf(ROOT / 'bags/arm/robot.urdf'))
+    chain = read_chain(ROOT / 'bags/arm/robot.urdf')[1]
     config = Config(target=TargetConfig(type='sphere'))
     recording = bag.read_with_joints(ROOT / 'bags/arm', config, chain, lambda share: None)
     return chain, source_of(recording, chain, config)

@@ -10,7 +10,7 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 
 from command import ROOT, running  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped  # noqa: E402
-from handeye_ros.kinematics.chain import chain_of  # noqa: E402
+from handeye_ros.kinematics.urdf import chain_of  # noqa: E402
 from handeye_ros.simulate import arm  # noqa: E402
 import numpy as np  # noqa: E402
 from ros_helpers import BEST_EFFORT, Client, run_module  # noqa: E402

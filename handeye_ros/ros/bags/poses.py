@@ -14,8 +14,7 @@ from typing import overload
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
-from handeye_ros.kinematics.errors import JointNamesError
-from handeye_ros.kinematics.model import Arm
+from handeye_ros.kinematics.model import Arm, JointNamesError
 from handeye_ros.ros.bags.contents import Block, JOINTS
 from handeye_ros.ros.bags.messages import (
     deserialised,

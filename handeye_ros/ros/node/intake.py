@@ -14,8 +14,8 @@ from geometry_msgs.msg import PoseStamped
 from handeye_ros.config import Config
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError, INSTALL_TF2
-from handeye_ros.kinematics.answer import read_arm
 from handeye_ros.kinematics.model import Arm
+from handeye_ros.kinematics.urdf import read_arm
 from handeye_ros.ros.bags.contents import CLOUD, JOINTS, POSE
 from handeye_ros.ros.bags.messages import pose_from_cdr
 from handeye_ros.ros.bags.poses import pose_from_joints

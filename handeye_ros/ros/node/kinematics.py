@@ -9,12 +9,10 @@ from threading import Lock
 from handeye_ros.config import Config
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.diagnosis.settings import require_same_clock
-from handeye_ros.kinematics.answer import save
-from handeye_ros.kinematics.chain import chain_of, read_urdf
 from handeye_ros.kinematics.errors import ContradictionError, TooFewConfigurationsError
 from handeye_ros.kinematics.model import Arm
-from handeye_ros.kinematics.report import sentence
 from handeye_ros.kinematics.samples import configured, solve_sources, Source
+from handeye_ros.kinematics.urdf import read_chain
 from handeye_ros.ros.bags.bag_write import joints_cdr
 from handeye_ros.ros.bags.poses import joints_and_pose
 from handeye_ros.ros.node.live import LiveSession
@@ -35,9 +33,9 @@ class LiveKinematics:
     def __init__(self, live: LiveSession, config: Config) -> None:
         """Read the URDF that robot_description names; raises InputError."""
         path = Path(config.robot_description)
-        self._live, self._urdf, self._lock = live, read_urdf(path), Lock()
-        self._arm = Arm(chain_of(self._urdf, config.robot_base_frame,
-                                 config.robot_effector_frame, path))
+        self._live, self._lock = live, Lock()
+        self._urdf, chain = read_chain(path, config.robot_base_frame, config.robot_effector_frame)
+        self._arm = Arm(chain)
         self._stamps, self._joints = array('q'), array('d')
         if live.samples.store.path:  # an earlier session is continued
             stamps, q = joints_of(Path(live.samples.store.path), config, self._arm.chain)
@@ -82,5 +80,5 @@ class LiveKinematics:
                 require_same_clock(session, source.config)
                 raise
         folder = live.place.folder(config) / FOLDER
-        sentences = (sentence(answer), save(answer, self._urdf, folder, config.save.formats))
+        sentences = (answer.sentence, answer.save(self._urdf, folder, config.save.formats))
         return '; '.join([*sentences, *answer.warnings])

@@ -1,108 +1,52 @@
 """
-A serial arm: its joints from the base to the flange, as a URDF states them.
+The files that describe an arm: its URDF, the URDF with its errors corrected, and kinematics.yaml.
 
 pinocchio reads the URDF; what is kept of it is plain, and needs pinocchio no more.
 """
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 import re
 from typing import Any
 from xml.etree import ElementTree
 
 from handeye_ros import se3
+from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
 from handeye_ros.errors import nearest
-from handeye_ros.kinematics.errors import JointNamesError, MissingPinocchioError, UrdfError
+from handeye_ros.kinematics.errors import MissingPinocchioError, UrdfError
+from handeye_ros.kinematics.model import (
+    Arm,
+    Chain,
+    COUNTS,
+    Joint,
+    motion,
+    OFFSET,
+    Parameter,
+    PRIORS,
+    PRISMATIC,
+    REVOLUTE,
+)
+from handeye_ros.results.calibration_file import transform_from
 import numpy as np
+import yaml
 
-REVOLUTE, PRISMATIC = 'revolute', 'prismatic'
+FORMAT = 'handeye_ros/kinematics/1'
+KINEMATICS_FILE = 'kinematics.yaml'
 MOST_JOINTS = 8
 FLANGES = ('tool0', 'flange', 'tool', 'tcp')  # usual names of the last frame
 TYPES = ('revolute', 'continuous', 'prismatic', 'fixed')
 
 
-@dataclass(frozen=True, eq=False)
-class Joint:
-    """
-    A joint that moves.
-
-    origin: (4, 4) its frame in that of the joint before, at zero; axis: (3,) unit vector in its
-    frame. Its value is factor * that of the joint follows + shift; a joint that mimics none
-    follows itself. lower, upper: its limits (rad or m).
-    """
-
-    name: str
-    kind: str
-    origin: Array
-    axis: Array
-    follows: str
-    factor: float = 1.0
-    shift: float = 0.0
-    lower: float = -np.inf
-    upper: float = np.inf
-
-    @cached_property
-    def across(self) -> Array:
-        """Return two unit vectors (3, 2) across the axis: of z, they are x and y."""
-        helper = np.eye(3)[0 if abs(self.axis[0]) < 0.9 else 1]
-        first = helper - self.axis * (self.axis @ helper)
-        first /= np.linalg.norm(first)
-        return np.column_stack([first, np.cross(self.axis, first)])
-
-
-@dataclass(frozen=True, eq=False)
-class Chain:
-    """The joints between two frames; end: (4, 4) the flange in the frame of the last joint."""
-
-    base: str
-    flange: str
-    joints: tuple[Joint, ...]
-    end: Array
-
-    @property
-    def measured(self) -> tuple[str, ...]:
-        """Return the names of the joints that values are needed of."""
-        return tuple(dict.fromkeys(joint.follows for joint in self.joints))
-
-    def values(self, given: Mapping[str, Array], source: object) -> Array:
-        """Return what all joints are at, (n, joints); raises JointNamesError."""
-        for name in self.measured:
-            if name not in given:
-                raise JointNamesError.missing(source, name, list(given))
-        return np.stack([j.factor * given[j.follows] + j.shift for j in self.joints], axis=-1)
-
-    def given(self, q: Array) -> dict[str, Array]:
-        """Return the values (n,) by the names of measured, of what all joints are at."""
-        return {j.follows: (value - j.shift) / j.factor
-                for j, value in zip(self.joints, q.T, strict=True)}
-
-    def forward(self, q: Array) -> Array:
-        """Return T_base_flange (n, 4, 4) of joint values (n, joints), without any error."""
-        T = np.tile(np.eye(4), (len(q), 1, 1))
-        for joint, value in zip(self.joints, q.T, strict=True):
-            T = T @ joint.origin @ motion(joint, value)
-        return T @ self.end
-
-
-def motion(joint: Joint, value: Array) -> Array:
-    """Return the transforms (n, 4, 4) of a joint by its values (n,)."""
-    along = value[:, None] * joint.axis
-    if joint.kind == PRISMATIC:
-        return se3.transform(np.broadcast_to(np.eye(3), (len(value), 3, 3)), along)
-    return se3.transform(se3.exp_rotation(along), np.zeros_like(along))
-
-
-def read_urdf(path: Path) -> str:
-    """Return the text of a URDF; raises UrdfError."""
+def read_chain(path: Path, base: str = '', flange: str = '') -> tuple[str, Chain]:
+    """Return the text of a URDF, and its chain; see chain_of."""
     try:
-        return path.read_text(encoding='utf-8')
+        text = path.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, 'strerror', None) or str(error)
         raise UrdfError(path, f'cannot be read: {reason}') from error
+    return text, chain_of(text, base, flange, path)
 
 
 def chain_of(text: str, base: str = '', flange: str = '', source: object = 'robot_description'
@@ -223,3 +167,64 @@ def _require_serial(joints: Sequence[Joint], source: object) -> None:
         raise UrdfError(source, f'{len(joints)} joints move between base and flange, but at most '
                         f'{MOST_JOINTS} can be identified: name a base nearer to the flange '
                         'with --base')
+
+
+def corrected_urdf(urdf: str, arm: Arm) -> str:
+    """
+    Return a URDF with the same links and joints, the origins of the joints corrected.
+
+    P_j D_j Exp(a_j o_j) is a transform like P_j; what changes with the joints is left out.
+    """
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    root = ElementTree.fromstring(urdf, parser)
+    elements = {e.get('name'): e for e in root.findall('joint')}
+    for i, joint in enumerate(arm.chain.joints):
+        element = elements[joint.name]
+        origin = element.find('origin')
+        if origin is None:
+            origin = ElementTree.SubElement(element, 'origin')
+        xyz, rpy = (np.array([float(v) for v in origin.get(key, '0 0 0').split()])
+                    for key in ('xyz', 'rpy'))
+        stated = se3.transform(_from_rpy(rpy), xyz)
+        T = stated @ arm.displacements[i] @ motion(joint, arm.of(i, OFFSET))[0]
+        origin.set('xyz', ' '.join(f'{v:.12g}' for v in T[:3, 3]))
+        origin.set('rpy', ' '.join(f'{v:.12g}' for v in se3.rpy(T)))
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding='unicode') + '\n'
+
+
+def _from_rpy(rpy: Array) -> Array:
+    roll, pitch, yaw = (se3.exp_rotation(angle * axis)
+                        for angle, axis in zip(rpy, np.eye(3), strict=True))
+    return np.asarray(yaw @ pitch @ roll)
+
+
+def read_arm(path: Path) -> Arm:
+    """Return the arm of a kinematics.yaml, or of the folder that holds it; raises UrdfError."""
+    path = path / KINEMATICS_FILE if path.is_dir() else path
+    try:
+        content = yaml_content(path.read_text(encoding='utf-8'))
+        if content.get('format') != FORMAT:
+            raise UrdfError(path, f'its format is {content.get("format")!r}, expected {FORMAT}: '
+                            'it is written by "handeye kinematics"')
+        joints, own, values = [], [], []
+        for i, joint in enumerate(content['joints']):
+            joints.append(_stored_joint(path, joint))
+            for kind in (kind for kind in COUNTS if kind in joint):
+                for which, value in enumerate(joint[kind]['value']):
+                    own.append(Parameter(i, kind, which, PRIORS[kind][0]))
+                    values.append(float(value))
+        chain = Chain(str(content['base']), str(content['flange']), tuple(joints),
+                      transform_from(path, 'end', content['end']))
+    except OSError as error:
+        raise UrdfError(path, f'cannot be read: {error.strerror}') from error
+    except (UnicodeDecodeError, yaml.YAMLError, AttributeError, KeyError, TypeError,
+            ValueError) as error:
+        raise UrdfError(path, f'is no kinematics.yaml: {error}') from error
+    return Arm(chain, tuple(own), np.array(values))
+
+
+def _stored_joint(path: Path, values: Mapping[str, Any]) -> Joint:
+    numbers = (float(values[key]) for key in ('factor', 'shift', 'lower', 'upper'))
+    return Joint(str(values['name']), str(values['type']),
+                 transform_from(path, 'origin', values['origin']),
+                 np.array(values['axis'], dtype=float), str(values['follows']), *numbers)
