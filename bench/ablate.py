@@ -67,7 +67,7 @@ MECHANISMS: dict[str, tuple[Switch, ...]] = {
     'MAP scales of their own': ((noise, 'MAP_PRIOR', noise.CONSERVATIVE_PRIOR),),
     'prior scales': ((posterior, 'STEPS', 0), (posterior, 'LAST_STEPS', 0)),
     'variance components': ((posterior._System, 'with_noise', lambda self, *args: self.noise),),
-    'starts from subsets': ((pipeline, 'SUBSETS', 0),),
+    'starts from subsets': ((consensus, 'SUBSETS', 0),),
     'graduated non-convexity': (
         (search, 'graduated', lambda start, squares, refit: refit(start, np.ones(
             len(squares(start))))),),

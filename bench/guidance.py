@@ -42,7 +42,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import EdgePoint, Feature, Profile, Sample
 from handeye_ros.diagnosis.review import flat_crossing
 from handeye_ros.errors import DataError, FeatureError
-from handeye_ros.estimation.consensus import consensus, refine, SUBSETS, without_outliers
+from handeye_ros.estimation.consensus import Consensus, without_outliers
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.search import refined
 from handeye_ros.estimation.solution import Solution
@@ -373,8 +373,8 @@ def solved(cell: World) -> Solution | None:
                       cell.config)
     try:
         agreed = (without_outliers(refined(problem, cell.last.estimate)) if cell.last else
-                  consensus(problem, np.random.default_rng(0), SUBSETS))
-        found = refine(agreed, method.minimum).solution
+                  Consensus.of(problem, np.random.default_rng(0), True))
+        found = agreed.refined().solution
     except (DataError, np.linalg.LinAlgError):
         return None
     std = mapping(found.estimate.X, cell.view).std(found.reported[:6, :6])

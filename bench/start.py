@@ -24,7 +24,7 @@ from handeye_ros import targets
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation.consensus import consensus, SUBSETS
+from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate, UNUSED
 from handeye_ros.estimation.noise import Noise
@@ -144,7 +144,7 @@ def trial(target: str, seed: int) -> tuple[float, float, str]:
     best = from_truth(problem, truth)
     start = time.process_time()
     try:
-        found = consensus(problem, np.random.default_rng(0), SUBSETS)
+        found = Consensus.of(problem, np.random.default_rng(0), True)
     except HandeyeError as error:
         return np.inf, time.process_time() - start, type(error).__name__
     seconds = time.process_time() - start

@@ -9,18 +9,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 from handeye_ros import targets
-from handeye_ros.checks.alternatives import require_range_sign
-from handeye_ros.checks.change_point import moved_slightly
-from handeye_ros.checks.consistency import (
-    require_certain,
-    require_consistent,
-    require_edges,
-    require_judged,
-    require_own_frame,
-    require_rotations,
-    require_samples,
-)
-from handeye_ros.checks.conventions import require_conventions
+from handeye_ros.checks.consistency import require_answer, require_own_frame, require_solvable
+from handeye_ros.checks.conventions import require_agreement
 from handeye_ros.checks.errors import CountedWrongWayError, LeftOutError, TooUncertainError
 from handeye_ros.checks.shape import believable_shape, offset_notes, require_one_scale
 from handeye_ros.config import Config, flipped_range
@@ -28,11 +18,11 @@ from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, Tim
 from handeye_ros.diagnosis.review import stop_snapshots
 from handeye_ros.diagnosis.settings import require_same_clock, require_settings
 from handeye_ros.errors import DataError, NamedCauseError
-from handeye_ros.estimation.consensus import Consensus, consensus, refine, SUBSETS
+from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.frames import mount_frame, mounted
+from handeye_ros.frames import mounted
 from handeye_ros.guidance import advice
 from handeye_ros.results.outcome import describe_calibration
 from handeye_ros.results.report.evidence import Evidence, judged
@@ -121,10 +111,7 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     moved = synchronised(ordered, config)
     ordered, rejects = moved.samples, [*rejects, *at_border, *moved.rejects]
     agreed, solution = estimate(ordered, rejects, config, moved.estimate)
-    require_judged(agreed)
-    warning = moved_slightly(agreed)  # before: what it finds makes an answer uncertain too
-    require_certain(agreed, config)
-    require_edges(agreed)
+    warning = require_answer(agreed, config)
     calibration = describe_calibration(ordered, rejects, agreed, solution, config, frame_id)
     if warning:
         calibration = with_warnings(calibration, [warning])
@@ -187,17 +174,12 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     start: from which alone to start, where it is known.
     Raises DataError when the samples cannot be solved or contradict each other.
     """
-    method = targets.method_for(config)
-    require_range_sign([*ordered, *rejects], config)
-    require_samples(ordered, rejects, method)
-    poses = mounted(ordered, config)
-    require_rotations(poses, mount_frame(config), method.measures.one_axis)
+    require_solvable(ordered, rejects, config, targets.method_for(config))
     problem = problem_of(ordered, config)
     rng = np.random.default_rng(SEED)
-    agreed = believable_shape(problem, consensus(problem, rng, SUBSETS, start), rng)
-    require_conventions(problem, agreed, flipped(ordered, problem))
-    require_consistent(problem, agreed)
-    agreed = refine(agreed, method.minimum)
+    agreed = believable_shape(problem, Consensus.of(problem, rng, True, start), rng)
+    require_agreement(problem, agreed, flipped(ordered, problem))
+    agreed = agreed.refined()
     require_one_scale(agreed)
     return agreed, agreed.solution
 

@@ -6,14 +6,11 @@ to do. Knows samples and estimates, and no file and no message.
 """
 
 OFFERED = (
-    'alternatives.believable', 'alternatives.Fit', 'alternatives.Hypothesis',
-    'alternatives.of_problem', 'alternatives.range_sign_evidence',
-    'alternatives.require_range_sign', 'alternatives.require_stated',
-    'change_point.moved_slightly', 'consistency.edge_notes', 'consistency.require_certain',
-    'consistency.require_consistent', 'consistency.require_edges', 'consistency.require_judged',
+    'alternatives.Fit', 'alternatives.Hypothesis', 'alternatives.range_sign_evidence',
+    'alternatives.require_stated', 'consistency.require_answer', 'consistency.require_certain',
     'consistency.require_own_frame', 'consistency.require_rotations',
-    'consistency.require_samples', 'conventions.require_conventions', 'errors.ConventionError',
+    'consistency.require_solvable', 'conventions.require_agreement', 'errors.ConventionError',
     'errors.CountedWrongWayError', 'errors.LeftOutError', 'errors.TooUncertainError',
-    'shape.believable_shape', 'shape.contradictions', 'shape.offset_notes',
-    'shape.reported_blocks', 'shape.require_one_scale', 'shape.time_offset_of',
+    'shape.believable_shape', 'shape.notes_of', 'shape.offset_notes', 'shape.reported_blocks',
+    'shape.require_one_scale', 'shape.time_offset_of',
 )

@@ -10,7 +10,7 @@ approximates it (Schwarz 1978, Ann. Statist. 6:461; Kass and Raftery 1995, J. Am
 90:773). With m conditions, u unknowns, f = m - u and the variance factor s, an explanation has the
 deviance, (13),
 
-    f (log v + s / v) + u log m + sum of the limits of what it leaves out,    v = max(s, SMALLEST)
+    f (log v + s / v) + u log m + sum of the limits of what it leaves out,    v = max(s, 0.01)
 
 A station that is left out costs the limit from which a station is an outlier, and so does an edge
 that a station shows and the explanation does not use.
@@ -24,19 +24,72 @@ from handeye_ros.checks.errors import CountedWrongWayError
 from handeye_ros.config import Config
 from handeye_ros.data import EdgePoint, Feature, Reject, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.consensus import Consensus, fast_consensus
+from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.outliers import chi2_isf, FALSE_ALARM
 from handeye_ros.estimation.search import CONVINCING
+from handeye_ros.estimation.solution import Solution
 import numpy as np
 
 RARE = 1e-5  # probability of naming a wrong cause
 # Twice the log of a Bayes factor: very strong by Kass and Raftery; odds of 1 to RARE.
 VERY_STRONG, DECISIVE = 10.0, -2 * float(np.log(RARE))
-SMALLEST = 1e-2  # of the variance factor, blocks lumped: simulated samples may have no error
 LARGEST_DROPPED_SHARE = 0.34  # of the stations, that an explanation may leave out: one third
 
-Fit = tuple[Consensus, ...]  # of all stations, or of the parts of a recording
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What an explanation leads to: the consensus of all stations, or of parts of a recording."""
+
+    parts: tuple[Consensus, ...]
+
+    @classmethod
+    def of(cls, problem: Problem) -> Fit | None:
+        """Return the fit of a problem, None where the first guesses lead to none."""
+        found = Consensus.of_first_guesses(problem)
+        return cls((found,)) if found else None
+
+    @property
+    def solution(self) -> Solution:
+        """Return the solution of the first part."""
+        return self.parts[0].solution
+
+    @property
+    def variance_factor(self) -> float:
+        """Return the squared whitened residual of all parts per degree of freedom."""
+        freedom = sum(part.solution.degrees_of_freedom for part in self.parts)
+        return sum(part.solution.squares for part in self.parts) / max(freedom, 1)
+
+    @property
+    def believable(self) -> bool:
+        """Return whether nearly all stations fit, about as well as the configured noise allows."""
+        return self.variance_factor < CONVINCING and all(
+            part.unused_share < LARGEST_DROPPED_SHARE and part.solution.degrees_of_freedom > 0
+            for part in self.parts)
+
+    @property
+    def deviance(self) -> float:
+        """Return -2 log of the marginal likelihood, (13); inf of no parts."""
+        if not self.parts:
+            return np.inf
+        n = sum(len(part.whole.poses) for part in self.parts)
+        f = max(sum(part.solution.degrees_of_freedom for part in self.parts), 1)
+        u = sum(part.solution.unknowns for part in self.parts)
+        m = max(sum(len(part.solution.white) for part in self.parts), 2)
+        v = max(self.variance_factor, 0.01)  # simulated samples may have no error
+        return f * (float(np.log(v)) + self.variance_factor / v) + u * float(np.log(m)) + sum(
+            _left_out(part, n) for part in self.parts)
+
+    def evidence_against(self, stated: Fit) -> float:
+        """Return twice the log of the Bayes factor for this fit against that as stated."""
+        return stated.deviance - self.deviance
+
+
+def _left_out(part: Consensus, stations: int) -> float:
+    """Return what the stations and edges cost that a part leaves out."""
+    rank = max(int(np.median(part.solution.ranks)), 1)
+    limit, of_edge = chi2_isf(FALSE_ALARM / stations, np.array([rank, 1])).tolist()
+    return float(limit * len(part.dropped) + of_edge * len(part.unused))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,50 +105,6 @@ class Hypothesis:
     refusal: Callable[[Fit], DataError]
 
 
-def of_problem(problem: Problem) -> Fit | None:
-    """Return the fit of a problem, None where the first starts lead to none."""
-    found = fast_consensus(problem)
-    return (found,) if found else None
-
-
-def deviance(fit: Fit) -> float:
-    """Return -2 log of the marginal likelihood of an explanation, (13); inf without a fit."""
-    if not fit:
-        return np.inf
-    n = sum(len(part.whole.poses) for part in fit)
-    f = max(sum(part.solution.degrees_of_freedom for part in fit), 1)
-    u = sum(part.solution.unknowns for part in fit)
-    m = max(sum(len(part.solution.white) for part in fit), 2)
-    v = max(variance_factor(fit), SMALLEST)
-    return f * (float(np.log(v)) + variance_factor(fit) / v) + u * float(np.log(m)) + sum(
-        _left_out(part, n) for part in fit)
-
-
-def variance_factor(fit: Fit) -> float:
-    """Return the squared whitened residual of all parts per degree of freedom."""
-    freedom = sum(part.solution.degrees_of_freedom for part in fit)
-    return sum(part.solution.squares for part in fit) / max(freedom, 1)
-
-
-def _left_out(part: Consensus, stations: int) -> float:
-    """Return what the stations and edges cost that a part leaves out."""
-    rank = max(int(np.median(part.solution.ranks)), 1)
-    limit, of_edge = chi2_isf(FALSE_ALARM / stations, np.array([rank, 1])).tolist()
-    return float(limit * len(part.dropped) + of_edge * len(part.unused))
-
-
-def believable(fit: Fit) -> bool:
-    """Return whether nearly all stations fit, about as well as the configured noise allows."""
-    return variance_factor(fit) < CONVINCING and all(
-        part.unused_share < LARGEST_DROPPED_SHARE and part.solution.degrees_of_freedom > 0
-        for part in fit)
-
-
-def evidence(other: Fit, stated: Fit) -> float:
-    """Return twice the log of the Bayes factor for another explanation against the stated."""
-    return deviance(stated) - deviance(other)
-
-
 def require_stated(stated: Fit, hypotheses: Iterable[Hypothesis], level: float = DECISIVE
                    ) -> None:
     """
@@ -103,10 +112,10 @@ def require_stated(stated: Fit, hypotheses: Iterable[Hypothesis], level: float =
 
     Raises the refusal of the hypothesis that explains them best.
     """
-    fits = [(one, fit) for one in hypotheses if (fit := one.refit()) and believable(fit)
-            and evidence(fit, stated) > level]
+    fits = [(one, fit) for one in hypotheses if (fit := one.refit()) and fit.believable
+            and fit.evidence_against(stated) > level]
     if fits:
-        best, fit = min(fits, key=lambda pair: deviance(pair[1]))
+        best, fit = min(fits, key=lambda pair: pair[1].deviance)
         raise best.refusal(fit)
 
 
@@ -118,8 +127,7 @@ def require_range_sign(stations: Sequence[Sample | Reject], config: Config) -> N
 
 
 EDGES = ('roof', 'step', 'shadow', 'gap')
-TURNED_EDGES = EDGES[:3]  # that depend on the sign of the range
-MOST_SHARE, LEAST_SHARE = 0.5, 0.8  # of stations with an edge: as set, the other way
+TURNED_EDGES = ('roof', 'step', 'shadow')  # that depend on the sign of the range
 
 
 @dataclass(frozen=True)
@@ -139,10 +147,10 @@ class RangeSignEvidence:
     @property
     def against(self) -> bool:
         """Return whether the stations contradict profile.range_sign (a sign test at 0.01)."""
-        if not self.total or self.as_set > MOST_SHARE * self.total:
+        if not self.total or self.as_set > 0.5 * self.total:
             return False
         only_as_set, only_flipped = self.as_set - self.both, self.flipped - self.both
-        return (self.flipped >= LEAST_SHARE * self.total
+        return (self.flipped >= 0.8 * self.total
                 and 2.0 ** -(only_flipped - 4 * only_as_set) < 0.01)
 
     def hint(self, config: Config) -> str:

@@ -27,7 +27,7 @@ from handeye_ros.checks.errors import MovedError, SmallMoveError
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import ParameterBlock
-from handeye_ros.estimation.consensus import Consensus, fast_consensus
+from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.noise import TURN_LENGTH, whitening
 from handeye_ros.estimation.outliers import chi2_isf
@@ -38,13 +38,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST_CHANGES = 40  # possible moments of a small move
-FEW = 4  # stations beyond the fewest of a target, from which a small move is looked for
 STEP = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 SIZES = (1.0, 0.25)  # factors on it, of equal prior probability
-FIRST_TRIED, MOST_TRIED = 3, 10  # moves with which noise and scales are estimated again
 STRONG = 5.0  # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
 LARGE = 3.0  # times the smooth error of the robot: less may be a part of it
-ORDERS = 200  # random orders of the stations
 RARELY, HARDLY_EVER = 0.1, 0.01  # share of them that show as much: to warn, to refuse
 
 
@@ -55,7 +52,7 @@ def require_unmoved(problem: Problem, agreed: Consensus) -> None:
         return
     stations = np.unique(np.linspace(fewest, n - fewest, 15).round().astype(int))
     level = DECISIVE + 2 * float(np.log(len(stations)))
-    require_stated((agreed,), [_parted(problem, k) for k in stations.tolist()], level)
+    require_stated(Fit((agreed,)), [_parted(problem, k) for k in stations.tolist()], level)
 
 
 def _parted(problem: Problem, k: int) -> Hypothesis:
@@ -63,14 +60,14 @@ def _parted(problem: Problem, k: int) -> Hypothesis:
     every = np.arange(len(problem.poses))
 
     def refit() -> Fit | None:
-        first = fast_consensus(problem.subset(every[:k]))
-        rest = fast_consensus(problem.subset(every[k:])) if first else None
-        return (first, rest) if first and rest else None
+        first = Consensus.of_first_guesses(problem.subset(every[:k]))
+        rest = Consensus.of_first_guesses(problem.subset(every[k:])) if first else None
+        return Fit((first, rest)) if first and rest else None
     return Hypothesis(refit, partial(_refusal, problem, k))
 
 
 def _refusal(problem: Problem, k: int, fit: Fit) -> DataError:
-    first, second = (part.solution for part in fit)
+    first, second = (part.solution for part in fit.parts)
     delta = se3.difference(second.estimate.X, first.estimate.X)
     covariance = sum(part.reported[:6, :6] * max(part.variance_factor, 1.0)
                      for part in (first, second))
@@ -136,14 +133,14 @@ def change_point(solution: Solution) -> ChangePoint | None:
     n, reported = len(solution.problem.poses), solution.conservative or solution
     few = 2 if solution.problem.pose_model is None else n // MOST_CHANGES  # of many a second
     changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
-    if n < solution.problem.method.minimum + FEW:
+    if n < solution.problem.method.minimum + 4:
         return None
     steps = _Steps.of(reported, changes)
     if next(steps.peaks()).evidence < -VERY_STRONG:  # against a move
         return None
     unmoved, tried = reestimated(reported).deviance, set[tuple[bool, int]]()
     best = ChangePoint(0, False, np.zeros(6), -np.inf)
-    while len(tried) < (MOST_TRIED if best.evidence > 0 else FIRST_TRIED):
+    while len(tried) < (10 if best.evidence > 0 else 3):
         peaks = (peak for peak in steps.peaks() if peak.where not in tried)
         if not (one := next(peaks, None)):
             break
@@ -240,5 +237,5 @@ class _Steps:
     def p_value(self) -> float:
         """Return the share of random orders of the parts that show a move as clearly as time."""
         rng, every = np.random.default_rng(0), np.arange(len(self.own))
-        random = [self.gains(rng.permutation(every))[0].max() for _ in range(ORDERS)]
+        random = [self.gains(rng.permutation(every))[0].max() for _ in range(200)]
         return float(np.mean(random >= self.gains(every)[0].max()))

@@ -1,8 +1,7 @@
 """
 Whether samples and poses suffice for an answer and agree with it, and what is said if not.
 
-Frames and rotations of a recording; redundancy and uncertainty of an answer; its residuals; the
-edges that it leaves unexplained.
+Frames and rotations of a recording; redundancy and uncertainty of an answer; its residuals.
 """
 from __future__ import annotations
 
@@ -10,30 +9,28 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from handeye_ros.checks.alternatives import LARGEST_DROPPED_SHARE
-from handeye_ros.checks.change_point import require_unmoved
+from handeye_ros.checks.alternatives import LARGEST_DROPPED_SHARE, require_range_sign
+from handeye_ros.checks.change_point import moved_slightly, require_unmoved
 from handeye_ros.checks.errors import (
     ContradictingStationsError,
     InconsistentError,
-    LostEdgesError,
     OneAxisError,
     OneOrientationError,
     ScatterError,
     SensorFrameError,
     TooFewConditionsError,
-    TooFewEdgesError,
     TooFewSamplesError,
     TooUncertainError,
     UnidentifiedOutlierError,
 )
-from handeye_ros.checks.shape import require_not_only_scale
+from handeye_ros.checks.shape import require_edges, require_not_only_scale
 from handeye_ros.config import Config, LimitsConfig
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import degrees
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Method
-from handeye_ros.frames import mount_frame, name_direction, other_axes
+from handeye_ros.frames import mount_frame, mounted, name_direction, other_axes
 from handeye_ros.se3 import worst_rotation, worst_translation
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -42,10 +39,34 @@ FEWEST_REDUNDANT = 3  # conditions that test an answer, and as many each dropped
 CONTAMINATED = 0.1  # largest probability that one of few samples is wrong
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 MISFITTING = 9.0  # variance factor (3 sigma), from which another cause than noise is looked for
-WILD, WILD_RATIO = 40.0, 4.0  # variance factor and RMS over the expected: no robot explains both
 
 
-def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], method: Method) -> None:
+def require_solvable(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
+                     method: Method) -> None:
+    """
+    Refuse samples that cannot carry an answer: range sign, number, rotations of the poses.
+
+    Raises CountedWrongWayError, TooFewSamplesError, OneOrientationError and OneAxisError.
+    """
+    require_range_sign([*samples, *rejects], config)
+    _require_samples(samples, rejects, method)
+    require_rotations(mounted(samples, config), mount_frame(config), method.measures.one_axis)
+
+
+def require_answer(agreed: Consensus, config: Config) -> str:
+    """
+    Refuse an answer that cannot be judged, is too uncertain or leaves out edges; return a warning.
+
+    Raises DataError; warning: that something moved a little, '' if not.
+    """
+    _require_judged(agreed)
+    warning = moved_slightly(agreed)  # before: what it finds makes an answer uncertain too
+    require_certain(agreed, config)
+    require_edges(agreed)
+    return warning
+
+
+def _require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], method: Method) -> None:
     """Raise TooFewSamplesError when there are fewer samples than the method needs."""
     if len(samples) < method.minimum:
         reasons = [reason for reason, _ in Counter(r.reason for r in rejects).most_common()]
@@ -113,7 +134,7 @@ def require_certain(agreed: Consensus, config: Config) -> None:
                                             missing_motion(poses, frame))
 
 
-def require_judged(agreed: Consensus) -> None:
+def _require_judged(agreed: Consensus) -> None:
     """
     Refuse an answer where too little is left to judge it by.
 
@@ -153,9 +174,9 @@ class Misfit:
 
     @property
     def wild(self) -> bool:
-        """Return whether the residuals are more than any noise."""
+        """Return whether the residuals are more than any noise, or than any robot explains."""
         return self.rms > self.limits.scatter * self.expected or (
-            self.variance_factor > WILD and self.rms > WILD_RATIO * self.expected)
+            self.variance_factor > 40.0 and self.rms > 4.0 * self.expected)
 
     @property
     def hopeless(self) -> bool:
@@ -191,43 +212,3 @@ def require_consistent(problem: Problem, agreed: Consensus) -> None:
         raise ContradictingStationsError(len(agreed.dropped), len(problem.poses))
     if misfit.wild:
         raise ScatterError(misfit.rms, misfit.expected, misfit.limits.scatter)
-
-
-def require_edges(agreed: Consensus) -> None:
-    """
-    Refuse an answer that leaves out most edges that the stations show.
-
-    Raises TooFewEdgesError or LostEdgesError.
-    """
-    method = agreed.whole.method
-    if not method.essential:
-        return
-    used = int(agreed.solution.problem.shows_essential.sum())
-    if used < method.minimum:
-        raise TooFewEdgesError(method.name, used, len(agreed.used), method.minimum)
-    shown = int(agreed.whole.shows_essential.sum())
-    if shown - used > LARGEST_DROPPED_SHARE * shown:
-        raise LostEdgesError(lost_edges(agreed))
-
-
-def edge_notes(agreed: Consensus) -> list[str]:
-    """Return which edges the answer does not use, and which no sample shows, in words."""
-    problem, lost = agreed.solution.problem, lost_edges(agreed)
-    used = {problem.method.kinds[k] for k in set(problem.observations.kind)}
-    edges = [{name.partition('_')[0] for name in names if name in problem.method.essential}
-             for names in (problem.method.essential, used)]
-    return [*([lost] if lost else []), *(
-        f'no sample shows edge {edge} of the target: cross it too, or set target.type to line if '
-        'the target has one edge only' for edge in sorted(edges[0] - edges[1]))]
-
-
-def lost_edges(agreed: Consensus) -> str:
-    """Return which edges the answer does not use, in words, '' where it uses all."""
-    if not len(agreed.unused):
-        return ''
-    shown = int(agreed.whole.subset(agreed.used).shows_essential.sum())
-    part, estimate = agreed.whole.subset(agreed.unused), agreed.solution.estimate
-    where = part.method.measures.elsewhere(part.observations, part.points_in_base(estimate.X),
-                                           estimate.target, part.config)
-    return (f'the edges of {len(agreed.unused)} of the {shown} samples that show one lie on none '
-            'of the target' + (f': {where}' if where else ''))

@@ -14,10 +14,9 @@ from handeye_ros import se3
 from handeye_ros.checks.alternatives import (
     Fit,
     Hypothesis,
-    of_problem,
     require_stated,
 )
-from handeye_ros.checks.consistency import misfit_of, MISFITTING
+from handeye_ros.checks.consistency import misfit_of, MISFITTING, require_consistent
 from handeye_ros.checks.errors import (
     CalibrationTypeError,
     ConventionError,
@@ -33,8 +32,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 SIGN_TRIED = 0.6  # variance factor, blocks lumped, from which the other range sign is tried
-SCATTERED = 0.6  # mean cosine to the best direction, below which orientations are scattered
 INVERSE = 'inverse poses'
+
+
+def require_agreement(problem: Problem, agreed: Consensus, flipped: Problem | None) -> None:
+    """Refuse an answer that samples or poses contradict, with the convention that explains it."""
+    require_conventions(problem, agreed, flipped)
+    require_consistent(problem, agreed)
 
 
 def require_conventions(problem: Problem, agreed: Consensus, flipped: Problem | None) -> None:
@@ -47,10 +51,10 @@ def require_conventions(problem: Problem, agreed: Consensus, flipped: Problem | 
     """
     misfit = misfit_of(problem, agreed)
     if flipped and (misfit.variance_factor > SIGN_TRIED or misfit.hopeless or agreed.unused_share):
-        require_stated((agreed,), [_other_sign(flipped, misfit.rms)])
+        require_stated(Fit((agreed,)), [_other_sign(flipped, misfit.rms)])
     if not misfit.hopeless and misfit.variance_factor < MISFITTING:
         return
-    require_stated((agreed,), [
+    require_stated(Fit((agreed,)), [
         _undone(problem, name, undo, misfit.rms) for name, change in CONVENTION_ERRORS.items()
         for undo in (change.undo, change.other) if undo])
     if misfit.hopeless and orientations_scatter(problem.poses):
@@ -61,8 +65,8 @@ def _other_sign(flipped: Problem, before: float) -> Hypothesis:
     """Return the hypothesis that the range is counted the other way."""
     def refusal(fit: Fit) -> DataError:
         return RangeSignError(flipped.config.profile.range_sign, before,
-                              fit[0].solution.residual_rms)
-    return Hypothesis(partial(of_problem, flipped), refusal)
+                              fit.solution.residual_rms)
+    return Hypothesis(partial(Fit.of, flipped), refusal)
 
 
 def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], before: float
@@ -72,14 +76,14 @@ def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], before:
     poses = se3.inverse(undo(se3.inverse(problem.poses))) if on_base else undo(problem.poses)
 
     def refusal(fit: Fit) -> DataError:
-        after, advice = fit[0].solution.residual_rms, CONVENTION_ERRORS[name].advice
+        after, advice = fit.solution.residual_rms, CONVENTION_ERRORS[name].advice
         if name == INVERSE:
             other = 'eye_in_hand' if on_base else 'eye_on_base'
-            if _mounted_on_base(fit[0]) != on_base:
+            if _mounted_on_base(fit.parts[0]) != on_base:
                 return CalibrationTypeError(other, before, after)
             advice += f'; or set calibration_type to {other}, if the sensor is mounted so'
         return ConventionError(name, before, after, advice)
-    return Hypothesis(partial(of_problem, replace(problem, poses=poses)), refusal)
+    return Hypothesis(partial(Fit.of, replace(problem, poses=poses)), refusal)
 
 
 def _mounted_on_base(agreed: Consensus) -> bool:
@@ -100,7 +104,8 @@ def orientations_scatter(poses: Array) -> bool:
 
     That of a sensor which sees its target does; wrapped angles are as good as random.
     """
-    return float(np.linalg.norm(poses[:, :3, :3].mean(axis=0), 2)) < SCATTERED
+    # the mean cosine between an axis and the direction that it keeps to best
+    return float(np.linalg.norm(poses[:, :3, :3].mean(axis=0), 2)) < 0.6
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,8 @@
-"""Nuisance parameters of one number against their priors: target, robot, sensor, clock."""
+"""
+Nuisance parameters of one number against their priors, and edges that no sample explains.
+
+Measures of the target, scales of robot and sensor, time offset; what is said of them.
+"""
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -6,14 +10,14 @@ from dataclasses import dataclass, replace
 import math
 from typing import Any
 
-from handeye_ros.checks.alternatives import believable, evidence, RARE, VERY_STRONG
+from handeye_ros.checks.alternatives import Fit, LARGEST_DROPPED_SHARE, RARE, VERY_STRONG
 from handeye_ros.checks.change_point import moved_slightly
-from handeye_ros.checks.errors import ScaleError
+from handeye_ros.checks.errors import LostEdgesError, ScaleError, TooFewEdgesError
 from handeye_ros.config import Config
 from handeye_ros.data import Array, ROTATION_LAG, TIME_OFFSET, TimeOffset
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import ParameterBlock
-from handeye_ros.estimation.consensus import Consensus, consensus
+from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.search import CONVINCING
@@ -22,7 +26,6 @@ import numpy as np
 from scipy.special import fdtrc
 
 CONTRADICTION, NOTED_CONTRADICTION = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
-LARGEST_CHANGE = 0.5  # of a stated measure, relative: more is another target
 SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # that is named; more is another unit
 
 
@@ -52,16 +55,16 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
     if config is None or not poor:
         return agreed
     try:
-        other = consensus(replace(problem, config=config), rng)
+        other = Consensus.of(replace(problem, config=config), rng)
     except DataError:
         return agreed
     stated = float(problem.method.measures.configured(problem.config)[-1])
-    if abs(other.solution.estimate.target[-1] - stated) > LARGEST_CHANGE * stated:
-        return agreed
+    if abs(other.solution.estimate.target[-1] - stated) > 0.5 * stated:
+        return agreed  # another target
     # stations left out as the target is not as stated may show its shape once all is refined
-    complete = believable((other,)) and (
-        other.explained - agreed.explained > 0.1 * len(problem.poses))
-    return other if complete or evidence((other,), (agreed,)) > VERY_STRONG else agreed
+    fit = Fit((other,))
+    complete = fit.believable and other.explained - agreed.explained > 0.1 * len(problem.poses)
+    return other if complete or fit.evidence_against(Fit((agreed,))) > VERY_STRONG else agreed
 
 
 def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
@@ -198,3 +201,50 @@ def _estimate_of(solution: Solution, name: str) -> TimeOffset | None:
         return None
     (value, _), (other, std) = best[name], wide[name]
     return TimeOffset(value, math.hypot(std, other - value))
+
+
+def require_edges(agreed: Consensus) -> None:
+    """
+    Refuse an answer that leaves out most edges that the stations show.
+
+    Raises TooFewEdgesError or LostEdgesError.
+    """
+    method = agreed.whole.method
+    if not method.essential:
+        return
+    used = int(agreed.solution.problem.shows_essential.sum())
+    if used < method.minimum:
+        raise TooFewEdgesError(method.name, used, len(agreed.used), method.minimum)
+    shown = int(agreed.whole.shows_essential.sum())
+    if shown - used > LARGEST_DROPPED_SHARE * shown:
+        raise LostEdgesError(_lost_edges(agreed))
+
+
+def _edge_notes(agreed: Consensus) -> list[str]:
+    """Return which edges the answer does not use, and which no sample shows, in words."""
+    problem, lost = agreed.solution.problem, _lost_edges(agreed)
+    used = {problem.method.kinds[k] for k in set(problem.observations.kind)}
+    edges = [{name.partition('_')[0] for name in names if name in problem.method.essential}
+             for names in (problem.method.essential, used)]
+    return [*([lost] if lost else []), *(
+        f'no sample shows edge {edge} of the target: cross it too, or set target.type to line if '
+        'the target has one edge only' for edge in sorted(edges[0] - edges[1]))]
+
+
+def _lost_edges(agreed: Consensus) -> str:
+    """Return which edges the answer does not use, in words, '' where it uses all."""
+    if not len(agreed.unused):
+        return ''
+    shown = int(agreed.whole.subset(agreed.used).shows_essential.sum())
+    part, estimate = agreed.whole.subset(agreed.unused), agreed.solution.estimate
+    where = part.method.measures.elsewhere(part.observations, part.points_in_base(estimate.X),
+                                           estimate.target, part.config)
+    return (f'the edges of {len(agreed.unused)} of the {shown} samples that show one lie on none '
+            'of the target' + (f': {where}' if where else ''))
+
+
+def notes_of(agreed: Consensus, config: Config) -> list[str]:
+    """Return what a person should know of an answer: time offset, target, edges; in words."""
+    shapes = contradictions(agreed.solution, config)
+    return [*offset_notes(agreed.solution), *(shape.note for shape in shapes),
+            *_edge_notes(agreed)]

@@ -14,7 +14,7 @@ from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, Reject, Sample
 from handeye_ros.errors import DataError, UnusableMessageError
-from handeye_ros.estimation.consensus import consensus
+from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import UNUSED
 from handeye_ros.estimation.solution import Solution
@@ -85,7 +85,7 @@ def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) 
     method = targets.method_for(config)
     fitted = [samples[i] for i in chosen]
     problem = Problem(method, mounted(fitted, config), method.features.observe(fitted), config)
-    agreed = consensus(problem, np.random.default_rng(0))
+    agreed = Consensus.of(problem, np.random.default_rng(0))
     solution = agreed.solution
     rms = _residuals(samples, solution, config)
     used = {chosen[place]: k for k, place in enumerate(agreed.used)}

@@ -19,10 +19,8 @@ from itertools import permutations
 
 from handeye_ros import se3, targets
 from handeye_ros.checks.alternatives import (
-    believable,
     Fit,
     Hypothesis,
-    of_problem,
     range_sign_evidence,
     require_stated,
 )
@@ -68,14 +66,14 @@ def require_settings(session: Session, config: Config) -> None:
     stops = [_thinned(outcome.stop, config) for outcome in session.outcomes
              if not outcome.refused][:MOST_STOPS]
     stated, least = _fit(stops, config), float(FEWEST_CONDITIONS)
-    if stated and believable(stated):
-        least = MORE * stated[0].solution.redundancy
+    if stated and stated.believable:
+        least = MORE * stated.solution.redundancy
     best: tuple[int, Hypothesis, Fit] | None = None
     for values in _changes(config):
         one = _hypothesis(stops, config, values)
         fit = one.refit()
-        count = fit[0].solution.redundancy if fit and believable(fit) else 0
-        if fit and count >= least and len(fit[0].used) >= LEAST_SHARE * len(stops):
+        count = fit.solution.redundancy if fit and fit.believable else 0
+        if fit and count >= least and len(fit.parts[0].used) >= LEAST_SHARE * len(stops):
             if best is None or count > best[0]:
                 best = count, one, fit
     if best:
@@ -99,8 +97,8 @@ def _changes(config: Config) -> Iterator[dict[str, str]]:
 def _hypothesis(stops: Sequence[Stop], config: Config, values: dict[str, str]) -> Hypothesis:
     """Return the hypothesis that other values are meant."""
     def refusal(fit: Fit) -> DataError:
-        return WrongSettingError(values, len(fit[0].used), len(stops),
-                                 fit[0].solution.residual_rms)
+        return WrongSettingError(values, len(fit.parts[0].used), len(stops),
+                                 fit.solution.residual_rms)
     return Hypothesis(partial(_fit, stops, _changed(config, values)), refusal)
 
 
@@ -126,7 +124,7 @@ def fit_of(samples: Sequence[Sample], config: Config) -> Fit | None:
     if len(ordered) < method.minimum:
         return None
     observations = method.features.observe(ordered)
-    return of_problem(Problem(method, mounted(ordered, config), observations, config))
+    return Fit.of(Problem(method, mounted(ordered, config), observations, config))
 
 
 def _thinned(stop: Stop, config: Config) -> Stop:
@@ -168,7 +166,7 @@ def require_same_clock(session: Session, config: Config) -> None:
     stated = fit_of(session.samples, config)
     hypotheses = [_late(stills, behind, config) for behind in (0, 1, -1)
                   if abs(_offset(stills, behind)) > SMALLEST]
-    require_stated(stated or (), hypotheses)
+    require_stated(stated or Fit(()), hypotheses)
 
 
 def _profiles(stop: Stop, config: Config
@@ -251,7 +249,7 @@ def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
     def refit() -> Fit | None:
         fit = fit_of([replace(still.sample, T_base_flange=stop.pose)
                       for still, stop in _pairs(stills, behind) if still.sample], config)
-        return fit if fit and fit[0].solution.redundancy >= FEWEST_CONDITIONS else None
+        return fit if fit and fit.solution.redundancy >= FEWEST_CONDITIONS else None
 
     def refusal(fit: Fit) -> DataError:
         return ClocksDifferError(_offset(stills, behind), config.time_offset)

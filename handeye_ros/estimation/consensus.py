@@ -75,39 +75,69 @@ class Consensus:
         """Return the share of stations that are not used, or not with all that they show."""
         return 1 - self.explained / len(self.whole.poses)
 
+    @classmethod
+    def of(cls, problem: Problem, rng: np.random.Generator, subsets: bool = False,
+           start: Estimate | None = None) -> Consensus:
+        """
+        Return the solution of the stations that agree.
 
-def consensus(problem: Problem, rng: np.random.Generator, subsets: int = 0,
-              start: Estimate | None = None) -> Consensus:
-    """
-    Return the solution of the stations that agree.
+        subsets: whether to start from random subsets of the stations, too, where all together do
+        not fit. start: from which alone to start.
+        Raises DataError when no estimate can be started at all.
+        """
+        if start is not None:
+            return without_outliers(refined(problem, start))
+        starts = chain(problem.guesses(rng), subset_starts(problem, SUBSETS * subsets, rng))
+        best = refined(problem, next(starts))
+        while not best.accepted and (other := next(starts, None)):
+            if not far(problem, other):
+                best = min(best, refined(problem, other), key=attrgetter('loss'))
+        return without_outliers(best)
 
-    subsets: how many random subsets of stations to start from when all together do not fit.
-    start: from which alone to start.
+    @classmethod
+    def of_first_guesses(cls, problem: Problem, seed: int = 0) -> Consensus | None:
+        """Return the consensus, None where the first two guesses lead to no fit."""
+        try:
+            for start in islice(problem.guesses(np.random.default_rng(seed)), 2):
+                if far(problem, start):
+                    continue
+                trial = refined(problem, start)
+                if trial.misfit < LARGEST_SQUARE:
+                    return without_outliers(trial)
+        except (HandeyeError, np.linalg.LinAlgError):
+            pass
+        return None
 
-    Raises DataError when no estimate can be started at all.
-    """
-    if start is not None:
-        return without_outliers(refined(problem, start))
-    starts = chain(problem.guesses(rng), subset_starts(problem, subsets, rng))
-    best = refined(problem, next(starts))
-    while not best.accepted and (other := next(starts, None)):
-        if not far(problem, other):
-            best = min(best, refined(problem, other), key=attrgetter('loss'))
-    return without_outliers(best)
+    def refined(self) -> Consensus:
+        """
+        Return the consensus with all nuisance blocks in its solution, outliers dropped.
 
-
-def fast_consensus(problem: Problem, seed: int = 0) -> Consensus | None:
-    """Return the consensus, None where the first two guesses lead to no fit."""
-    try:
-        for start in islice(problem.guesses(np.random.default_rng(seed)), 2):
-            if far(problem, start):
-                continue
-            trial = refined(problem, start)
-            if trial.misfit < LARGEST_SQUARE:
-                return without_outliers(trial)
-    except (HandeyeError, np.linalg.LinAlgError):
-        pass
-    return None
+        Of few stations each may be wrong without being seen to be: the reported covariance holds
+        that.
+        """
+        used, dropped, part = self.used, dict(self.dropped), self.solution.problem
+        total, estimate, noise = len(used) + len(dropped), self.solution.estimate, None
+        while True:
+            solution = map_solution(part, estimate, noise)
+            mean_square, freedom = _mean_squares(solution.conservative or solution)
+            spare = len(used) - self.whole.method.minimum
+            worst = outliers(mean_square, freedom, total, spare)
+            wrong = None if len(worst) else contamination(solution, len(dropped))
+            if wrong and spare > 0 and wrong.worst is not None:
+                worst = np.array([wrong.worst], dtype=np.intp)
+            if not len(worst):
+                if wrong:
+                    solution = replace(solution, contamination=wrong.covariance)
+                return replace(self, solution=solution, used=used, dropped=dropped,
+                               contaminated=wrong.of_any if wrong else 0.0)
+            dropped |= {int(used[k]): float(mean_square[k]) for k in worst}
+            used = np.delete(used, worst)
+            part = part.subset(np.delete(np.arange(len(part.poses)), worst))
+            if len(used) > MANY:  # a few of very many do not matter to where the solution lies
+                found = solution.conservative or solution
+                if part.pose_model:
+                    part = part.with_pose_values(found.problem.pose_values)
+                estimate, noise = found.estimate, found.noise
 
 
 def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Iterator[Estimate]:
@@ -137,36 +167,6 @@ def without_outliers(trial: Refined) -> Consensus:
             return Consensus(trial.whole, solution, used, dropped)
         dropped |= {int(used[k]): float(mean_square[k]) for k in worst}
         used = np.delete(used, worst)
-
-
-def refine(agreed: Consensus, minimum: int) -> Consensus:
-    """
-    Return the consensus with all nuisance blocks in its solution, outliers dropped.
-
-    Of few stations each may be wrong without being seen to be: the reported covariance holds that.
-    """
-    used, dropped, part = agreed.used, dict(agreed.dropped), agreed.solution.problem
-    total, estimate, noise = len(used) + len(dropped), agreed.solution.estimate, None
-    while True:
-        solution = map_solution(part, estimate, noise)
-        mean_square, freedom = _mean_squares(solution.conservative or solution)
-        spare = len(used) - minimum
-        worst = outliers(mean_square, freedom, total, spare)
-        wrong = None if len(worst) else contamination(solution, len(dropped))
-        if wrong and spare > 0 and wrong.worst is not None:
-            worst = np.array([wrong.worst], dtype=np.intp)
-        if not len(worst):
-            if wrong:
-                solution = replace(solution, contamination=wrong.covariance)
-            return replace(agreed, solution=solution, used=used, dropped=dropped,
-                           contaminated=wrong.of_any if wrong else 0.0)
-        dropped |= {int(used[k]): float(mean_square[k]) for k in worst}
-        used = np.delete(used, worst)
-        part = part.subset(np.delete(np.arange(len(part.poses)), worst))
-        if len(used) > MANY:  # a few of very many do not matter to where the solution lies
-            found = solution.conservative or solution
-            part = part.with_pose_values(found.problem.pose_values) if part.pose_model else part
-            estimate, noise = found.estimate, found.noise
 
 
 def _mean_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:

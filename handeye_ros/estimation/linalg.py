@@ -22,7 +22,6 @@ from scipy.linalg import eigh, lapack
 LARGEST_STD = 1e3  # of a direction without information (m or rad)
 FREE = 1e-13  # relative information, or variance, that is rounding
 NOTHING = 1e-280  # smallest information: its inverse is still a number
-DISTORTION_LENGTH = 0.01  # m: correlation length of the sensor's distortion
 Rows = Sequence[NDArray[np.intp]]
 
 
@@ -134,7 +133,8 @@ def stations_of(observations: Observations) -> tuple[Stations, ...]:
 def _with_rows(obs: Observations, rows: NDArray[np.intp]) -> Stations:
     points, source, second = obs.points[rows], obs.source[rows], obs.component[rows] > 0
     apart = points[:, :, None] - points[:, None, :]
-    near = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / DISTORTION_LENGTH ** 2)
+    # 0.01 m: correlation length of the sensor's distortion
+    near = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / 0.01 ** 2)
     shared = source[:, :, None] == source[:, None, :]
     pairs = np.array([of[:, :, None] & of[:, None, :] for of in (~second, second)], dtype=float)
     return Stations(rows, near, shared.astype(float), pairs, mixed=bool(second.any()),

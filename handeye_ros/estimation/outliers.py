@@ -36,7 +36,6 @@ S = TypeVar('S')
 
 GROSS = 64.0  # squared residual over that of the believed share (8 sigma): wrong at once
 FALSE_ALARM = 1e-3  # probability that good data lose one block
-PRIOR_FREEDOM = 0.5  # degrees of freedom of the prior of variance components, about their start
 
 
 def leave_one_out(white: Array, jacobian: Array, covariance: Array, block: NDArray[np.intp]
@@ -177,7 +176,8 @@ def variance_components(residuals: Array, jacobian: Array, parts: Array, start: 
         form = np.einsum('ni,cnij,nj->c', r, W, r, optimize=True)
         taken = np.einsum('nia,cnij,njb,ab->c', J, W, J, unknowns, optimize=True)
         expected = np.maximum(np.einsum('cnii->c', W) - taken, 0.0)
-        factors = (form + PRIOR_FREEDOM * start / variances) / (expected + PRIOR_FREEDOM)
+        # the prior counts for half a degree of freedom, about the start
+        factors = (form + 0.5 * start / variances) / (expected + 0.5)
         variances = variances * factors
         if np.abs(np.log(factors)).max() < 1e-2:
             break

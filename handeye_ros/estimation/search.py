@@ -30,12 +30,9 @@ from handeye_ros.estimation.solver import (
 )
 import numpy as np
 
-FAR = 5e-3  # m: a start from which most stations are farther is given up at once
 # Squared whitened residuals: of a good answer, with blocks lumped (4: 2 sigma); of a station that
 # is far from it, over that of the believed share (16: 4 sigma).
 CONVINCING, LARGEST_SQUARE = 4.0, 16.0
-LOST_SHARE = 0.1  # of the stations far from an estimate, beyond which another one is tried
-COMPETITION = ((2, 6), (3, 3), (10, 2))  # iterations, and how many starts go on after them
 FEW_STATIONS = 12  # up to so many there may be several answers: more starts go on
 
 
@@ -77,7 +74,7 @@ class Refined:
     @property
     def accepted(self) -> bool:
         """Return whether nearly all stations are explained, as far as a poor robot lets them."""
-        return self.misfit <= CONVINCING and self.far_share <= LOST_SHARE
+        return self.misfit <= CONVINCING and self.far_share <= 0.1
 
     @property
     def far_share(self) -> float:
@@ -137,7 +134,7 @@ def far(problem: Problem, estimate: Estimate) -> bool:
     count = np.bincount(station, minlength=n)
     squares = np.bincount(station, linearise(labelled, estimate).residuals ** 2, minlength=n)
     typical = np.quantile((squares / np.maximum(count, 1))[count > 0], BELIEVED_SHARE)
-    return bool(np.sqrt(typical) > max(FAR, 5 * problem.config.limits.residual))
+    return bool(np.sqrt(typical) > max(5e-3, 5 * problem.config.limits.residual))  # m
 
 
 def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:
@@ -157,7 +154,7 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
     few = len(problem.poses) <= FEW_STATIONS
     states: States = (np.array([start.X for start in starts]),
                       np.array([start.target for start in starts]))
-    for iterations, kept in COMPETITION:
+    for iterations, kept in ((2, 6), (3, 3), (10, 2)):  # and how many starts go on after them
         kept = max(more * kept, 6 if few else 0)
         states, cost = many_least_squares(linear, retract, states, iterations, 1e-6)
         order = np.argsort(cost, kind='stable')

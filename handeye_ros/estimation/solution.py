@@ -20,8 +20,6 @@ from handeye_ros.estimation.outliers import leave_own_out
 import numpy as np
 from numpy.typing import NDArray
 
-SAME = 1e-3  # relative singular value of what a station says twice, but for its noise
-
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -101,7 +99,8 @@ class Solution:
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         for at in self.problem.stations:
             s = np.linalg.svd(J[at.rows], compute_uv=False)
-            ranks[station[at.rows[:, 0]]] = (s > SAME * s[:, :1]).sum(axis=1)
+            # 1e-3: less is what a station says twice, but for its noise
+            ranks[station[at.rows[:, 0]]] = (s > 1e-3 * s[:, :1]).sum(axis=1)
         return ranks
 
     @property
@@ -180,6 +179,20 @@ class Solution:
                                   T[:, :3, 3] + errors[:, :3])
         return corrected if problem.in_hand else se3.inverse(corrected)
 
+    def predictions(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
+        """
+        Return the estimates from all stations but those of a fold, for each fold, to first order.
+
+        fold: (n,) from 0, that each station is of. And the poses (n, 4, 4) of the stations without
+        the smooth error of the robot that those of the other folds show.
+        """
+        folds = np.arange(fold.max() + 1)
+        steps = _steps_without_one(self)[np.argsort(fold)] if len(folds) == len(fold) else (
+            np.array([_step_without(self, np.flatnonzero(fold == k)) for k in folds]))
+        u = self.unknowns
+        return ([self.problem.retracted(self.estimate, step) for step in steps[:, :u]],
+                self.corrected_poses(self.nuisance + steps[fold, u:]))
+
 
 def columns_of(problem: Problem, own: Array, axes: int) -> FactoredJacobian:
     """Return derivatives, the last axes of own (m, c + axes) by the robot's smooth errors."""
@@ -204,21 +217,6 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
         left_out = leave_own_out(explained, r)
         statistic[station[rows[:, 0]]] = (r * left_out).sum(axis=1)
     return statistic, np.bincount(station, minlength=n)
-
-
-def predictions(solution: Solution, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
-    """
-    Return the estimates from all stations but those of a fold, for each fold, to first order.
-
-    fold: (n,) from 0, that each station is of. And the poses (n, 4, 4) of the stations without
-    the smooth error of the robot that those of the other folds show.
-    """
-    problem, estimate, u = solution.problem, solution.estimate, solution.unknowns
-    folds = np.arange(fold.max() + 1)
-    steps = _steps_without_one(solution)[np.argsort(fold)] if len(folds) == len(fold) else (
-        np.array([_step_without(solution, np.flatnonzero(fold == k)) for k in folds]))
-    return ([problem.retracted(estimate, step) for step in steps[:, :u]],
-            solution.corrected_poses(solution.nuisance + steps[fold, u:]))
 
 
 def _steps_without_one(solution: Solution) -> Array:

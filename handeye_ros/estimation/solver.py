@@ -20,9 +20,6 @@ MAX_ITERATIONS = 50
 ROUNDING = 1e-9  # of the sum of squares; residuals are differences of large numbers
 STANDSTILL = 1e-14  # of the same: what is left is the rounding of the derivatives; least damping
 BELIEVED_SHARE = 0.65  # of the blocks that a good answer must explain
-# The control mu of (11): its last value, as a squared whitened residual (3 sigma) and over that
-# of the believed share; its first, over the same.
-SMALLEST_CONTROL, LAST_CONTROL, FIRST_CONTROL = 9.0, 3.0, 100.0
 
 States: TypeAlias = tuple[NDArray[Any], ...]
 White: TypeAlias = Callable[[Array], Array]
@@ -202,10 +199,10 @@ def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array
     """
     state, current = start, squares(start)
     # where a start explains most blocks, the few others have little weight from the first step on
-    control, before = min(float(current.max()), FIRST_CONTROL * believed(current)), np.inf
+    control, before = min(float(current.max()), 100.0 * believed(current)), np.inf
     for _ in range(MAX_ITERATIONS):
         spread = believed(current)
-        last = max(SMALLEST_CONTROL, LAST_CONTROL * spread)
+        last = max(9.0, 3.0 * spread)  # of mu, a squared whitened residual: 3 sigma
         if control <= last and spread > 0.99 * before:
             break
         mu = max(control, last)

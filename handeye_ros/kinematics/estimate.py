@@ -15,7 +15,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import process_root
 from handeye_ros.estimation.linalg import covariance_of
-from handeye_ros.estimation.noise import prior_scales, Scales
+from handeye_ros.estimation.noise import prior_scales
 from handeye_ros.estimation.outliers import leave_one_out, outliers
 from handeye_ros.estimation.solver import least_squares, Rows, System
 from handeye_ros.kinematics.model import Arm
@@ -140,14 +140,6 @@ class Fit:
         """Return the RMS of what is left of the robot's error, each axis (m)."""
         return float(np.sqrt(((self.root @ self.state.smooth)[self.used] ** 2).mean()))
 
-    @cached_property
-    def shown(self) -> Scales:
-        """Return the estimated prior scale of each kind."""
-        q, s = self.data.unknowns, self.stds
-        first = np.searchsorted(self.group, np.arange(len(self.kinds)))
-        return prior_scales(self.covariance[q:, q:] / np.outer(s, s), self.values / s, first,
-                            self.weights.variances, np.full(len(first), LARGEST))
-
 
 def fitted(data: Data, state: State, weights: Weights, used: NDArray[np.bool_], root: Array,
            iterations: int = 20) -> Fit:
@@ -172,9 +164,13 @@ def fitted(data: Data, state: State, weights: Weights, used: NDArray[np.bool_], 
 
 def weighed(fit: Fit, stated: bool = False) -> Weights:
     """Return the weights that a fit shows, those of kinds for an estimate or as stated of it."""
-    shown = fit.shown if fit.kinds else None
-    variances = fit.weights.variances if shown is None else (
-        shown.conservative if stated else shown.map_scales)
+    variances = fit.weights.variances
+    if fit.kinds:
+        q, s = fit.data.unknowns, fit.stds
+        first = np.searchsorted(fit.group, np.arange(len(fit.kinds)))
+        scales = prior_scales(fit.covariance[q:, q:] / np.outer(s, s), fit.values / s, first,
+                              variances, np.full(len(first), LARGEST))
+        variances = scales.conservative if stated else scales.map_scales
     rows, component = fit.rows, fit.data.component
     J, own = fit.jacobian[rows], (fit.residuals * fit.weights.noise[component])[rows]
     free, squares = (np.bincount(component[rows], each, len(fit.weights.noise)) for each in (

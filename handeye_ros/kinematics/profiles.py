@@ -13,7 +13,7 @@ from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.consensus import consensus, SUBSETS
+from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
@@ -168,7 +168,7 @@ def _agreed(problem: Problem) -> tuple[Problem, Estimate, NDArray[np.intp]]:
     """Return the problem of the stations that agree, its estimate, and which they are."""
     noise = replace(problem.config.noise, robot_smooth=INACCURATE)
     rough = replace(problem, config=replace(problem.config, noise=noise))
-    agreed = consensus(rough, np.random.default_rng(SEED), SUBSETS)
+    agreed = Consensus.of(rough, np.random.default_rng(SEED), subsets=True)
     exact = replace(problem.config, noise=replace(noise, robot_smooth=0.0))
     solution = agreed.solution
     return replace(solution.problem, config=exact), solution.estimate, agreed.used
@@ -176,7 +176,7 @@ def _agreed(problem: Problem) -> tuple[Problem, Estimate, NDArray[np.intp]]:
 
 def misfit(problem: Problem) -> float:
     """Return by how much (m) half of the stations miss at least, as far as any estimate goes."""
-    found = consensus(problem, np.random.default_rng(SEED))
+    found = Consensus.of(problem, np.random.default_rng(SEED))
     g = linearise(found.whole, found.solution.estimate).residuals
     station = problem.observations.station
     squares = np.bincount(station, g ** 2) / np.maximum(np.bincount(station), 1)

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import __version__, se3
-from handeye_ros.checks.consistency import edge_notes
-from handeye_ros.checks.shape import contradictions, offset_notes, reported_blocks, time_offset_of
+from handeye_ros.checks.shape import notes_of, reported_blocks, time_offset_of
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport, TIME_OFFSET
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.solution import predictions, Solution
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, name_direction, sensor_axes
 import numpy as np
 from numpy.typing import NDArray
@@ -55,8 +54,7 @@ def describe_target(agreed: Consensus, config: Config) -> dict[str, Any]:
                                                           solution.target_std)
     described |= reported_blocks(solution) | {'joint': _joint(solution)}
     described = {key: value for key, value in described.items() if not key.startswith(TIME_OFFSET)}
-    notes = [*offset_notes(solution), *(shape.note for shape in contradictions(solution, config))]
-    notes += edge_notes(agreed)
+    notes = notes_of(agreed, config)
     notes += [beside] if (beside := other_surfaces(agreed)) else []
     return described | ({'note': '; '.join(notes)} if notes else {})
 
@@ -134,7 +132,7 @@ def left_out(solution: Solution, measured: Measured, most: int = MOST_FOLDS) -> 
     """
     problem, n = solution.problem, len(solution.problem.poses)
     fold = np.arange(n) % min(n, most)
-    estimates, poses = predictions(solution, fold)
+    estimates, poses = solution.predictions(fold)
     p = measured.mapped(poses @ np.array([estimate.X for estimate in estimates])[fold])
     order = np.argsort(fold[measured.station], kind='stable')
     by_fold, kind, found = p.T.take(order, axis=1).T, measured.kind[order], np.empty(len(p))

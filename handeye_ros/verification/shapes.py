@@ -8,7 +8,7 @@ from typing import NamedTuple
 from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array
 from handeye_ros.estimation.model import Observations
-from handeye_ros.estimation.solver import as_they_are, Rows, System, White
+from handeye_ros.estimation.solver import Rows, System, White
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,12 +78,12 @@ def by_point(shape: Shape, p: Array, kind: Kinds, q: Array) -> Array:
 
 
 def system_of(shape: Shape, p: Array, kind: Kinds,
-              white: Callable[[Array], White] = lambda q: as_they_are) -> System[Array]:
+              white: Callable[[Array], White] | None = None) -> System[Array]:
     """Return what the solver makes small: the distances of points p (m, 3) from a shape."""
     def rows(q: Array) -> Rows:
-        return Rows(shape.distance(p, kind, q),
-                    lambda: derivatives(lambda at: shape.distance(p, kind, at), q),
-                    lambda: white(q))
+        own = Rows(shape.distance(p, kind, q),
+                   lambda: derivatives(lambda at: shape.distance(p, kind, at), q))
+        return replace(own, white=lambda: white(q)) if white else own
 
     return System(rows, np.add, np.zeros(len(p), dtype=np.intp))
 

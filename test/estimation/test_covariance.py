@@ -19,7 +19,7 @@ from handeye_ros.config import with_values
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import covariances, Noise
 from handeye_ros.estimation.search import evaluate, fit
-from handeye_ros.estimation.solution import predictions, Solution, station_statistic
+from handeye_ros.estimation.solution import Solution, station_statistic
 from handeye_ros.results.outcome import measured_points
 import numpy as np
 import pytest
@@ -98,7 +98,7 @@ def test_residuals_without_a_station_are_those_of_a_real_refit(name: str) -> Non
     solution = solution_of(name)
     n = len(solution.problem.poses)
     std = np.sqrt(np.diag(solution.covariance)[:6])
-    estimates, _ = predictions(solution, np.arange(n))
+    estimates, _ = solution.predictions(np.arange(n))
     for station in range(0, n, 3):
         refit = refit_without(solution, station)
         effect = se3.difference(refit.X, solution.estimate.X) / std

@@ -8,7 +8,7 @@ from functools import lru_cache
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, Profile, Sample, TimedPose
-from handeye_ros.estimation.consensus import consensus
+from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Method
 from handeye_ros.estimation.solution import Solution
@@ -97,7 +97,7 @@ def scenario_of(method: Method) -> Scenario:
 
 def solved(problem: Problem, seed: int = 0) -> Solution:
     """Return the solution from nothing."""
-    return consensus(problem, np.random.default_rng(seed)).solution
+    return Consensus.of(problem, np.random.default_rng(seed)).solution
 
 
 def field_error(T: Array, truth: Truth, scenario: Scenario) -> float:
