@@ -12,7 +12,14 @@ from handeye_ros import targets
 from handeye_ros.checks.consistency import require_answer, require_own_frame, require_solvable
 from handeye_ros.checks.conventions import require_agreement
 from handeye_ros.checks.errors import CountedWrongWayError, LeftOutError, TooUncertainError
-from handeye_ros.checks.shape import believable_shape, offset_notes, require_one_scale
+from handeye_ros.checks.shape import (
+    believable_shape,
+    notes_of,
+    offset_notes,
+    reported_blocks,
+    require_one_scale,
+    time_offset_of,
+)
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
 from handeye_ros.diagnosis.review import stop_snapshots
@@ -24,7 +31,7 @@ from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mounted
 from handeye_ros.guidance import advice
-from handeye_ros.results.outcome import describe_calibration
+from handeye_ros.results.outcome import describe_calibration, NuisanceReport
 from handeye_ros.results.report.evidence import Evidence, judged
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.passes import problem_of, single_samples
@@ -110,9 +117,12 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     ordered, at_border = consistent_edges(sorted(samples, key=lambda sample: sample.stamp))
     moved = synchronised(ordered, config)
     ordered, rejects = moved.samples, [*rejects, *at_border, *moved.rejects]
-    agreed, solution = estimate(ordered, rejects, config, moved.estimate)
+    agreed = estimate(ordered, rejects, config, moved.estimate)
+    solution = agreed.solution
     warning = require_answer(agreed, config)
-    calibration = describe_calibration(ordered, rejects, agreed, solution, config, frame_id)
+    nuisances = NuisanceReport(reported_blocks(solution), notes_of(agreed, config),
+                               time_offset_of(solution))
+    calibration = describe_calibration(ordered, rejects, agreed, nuisances, config, frame_id)
     if warning:
         calibration = with_warnings(calibration, [warning])
     if not calibration.quality.holdout_rms <= config.limits.residual:
@@ -159,7 +169,7 @@ def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None,
     if len(ordered) >= targets.method_for(config).minimum:
         try:
             moved = synchronised(ordered, config)
-            solution = estimate(moved.samples, (), config, moved.estimate)[1]
+            solution = estimate(moved.samples, (), config, moved.estimate).solution
         except DataError as error:
             trouble = str(error)
     notes = offset_notes(solution) if solution else ()
@@ -167,9 +177,9 @@ def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None,
 
 
 def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Config,
-             start: Estimate | None = None) -> tuple[Consensus, Solution]:
+             start: Estimate | None = None) -> Consensus:
     """
-    Return which samples agree, and the solution from these, however uncertain.
+    Return which samples agree, with the solution from these, however uncertain.
 
     start: from which alone to start, where it is known.
     Raises DataError when the samples cannot be solved or contradict each other.
@@ -181,7 +191,7 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     require_agreement(problem, agreed, flipped(ordered, problem))
     agreed = agreed.refined()
     require_one_scale(agreed)
-    return agreed, agreed.solution
+    return agreed
 
 
 def flipped(ordered: Sequence[Sample], problem: Problem) -> Problem | None:

@@ -152,10 +152,11 @@ def _believed(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Conf
     """Return the stations that the target's own method believes, and why it has no answer."""
     try:
         moved = synchronised(ordered, config)
-        agreed, solution = pipeline.estimate(moved.samples, rejects, config, moved.estimate)
+        agreed = pipeline.estimate(moved.samples, rejects, config, moved.estimate)
     except DataError as error:
         return Stations(tuple(ordered), config), error
     ordered = [replace(sample, motion=None) for sample in moved.samples]  # the others know none
+    solution = agreed.solution
     known = Known(solution.problem, solution.estimate, solution.noise)
     stations = Stations(tuple(ordered[i] for i in agreed.used), config, known)
     try:

@@ -53,9 +53,9 @@ def _by_method(name: str) -> Callable[[Stations], Array]:
     """Return the fit of one of our methods, by its name."""
     def fit(stations: Stations) -> Array:
         config = replace(stations.config, method=name)
-        agreed, solution = pipeline.estimate(stations.samples, (), config)
+        agreed = pipeline.estimate(stations.samples, (), config)
         require_certain(agreed, config)
-        return solution.estimate.X
+        return agreed.solution.estimate.X
     return fit
 
 

@@ -6,9 +6,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import __version__, se3
-from handeye_ros.checks.shape import notes_of, reported_blocks, time_offset_of
 from handeye_ros.config import Config, flatten
-from handeye_ros.data import Array, Calibration, Quality, Reject, Sample, SampleReport, TIME_OFFSET
+from handeye_ros.data import (
+    Array,
+    Calibration,
+    Quality,
+    Reject,
+    Sample,
+    SampleReport,
+    TIME_OFFSET,
+    TimeOffset,
+)
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
@@ -23,10 +31,19 @@ ONLY_FACE = ('only its face was used: its edge point lies on no edge of the targ
              'crosses the edge at too small an angle')
 
 
+@dataclass(frozen=True)
+class NuisanceReport:
+    """What is reported of nuisance parameters by key, notes in words, and the time offset."""
+
+    values: dict[str, Any]
+    notes: Sequence[str]
+    time_offset: TimeOffset | None
+
+
 def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], agreed: Consensus,
-                         solution: Solution, config: Config, frame_id: str) -> Calibration:
-    """Return the calibration of a solution; samples in the order of the problem's stations."""
-    problem = solution.problem
+                         nuisances: NuisanceReport, config: Config, frame_id: str) -> Calibration:
+    """Return the calibration of a consensus; samples in the order of the problem's stations."""
+    solution, problem = agreed.solution, agreed.solution.problem
     parent = mount_frame(config)
     used = [samples[i] for i in agreed.used]
     measured = measured_points(used, problem)
@@ -42,20 +59,19 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
         config.name or config.target.type, problem.method.name, parent, frame_id or 'laser',
         solution.estimate.X @ se3.inverse(sensor_axes(config)),
         solution.reported[:6, :6],
-        describe_target(agreed, config), quality,
+        _described_target(agreed, nuisances), quality,
         tuple(sorted(reports, key=lambda report: report.stamp)),
-        {'version': __version__, 'config': flatten(config)}, time_offset_of(solution))
+        {'version': __version__, 'config': flatten(config)}, nuisances.time_offset)
 
 
-def describe_target(agreed: Consensus, config: Config) -> dict[str, Any]:
+def _described_target(agreed: Consensus, nuisances: NuisanceReport) -> dict[str, Any]:
     """Return what was estimated of the target, and of all else that was in doubt."""
     solution = agreed.solution
     described = solution.problem.method.measures.describe(solution.estimate.target,
                                                           solution.target_std)
-    described |= reported_blocks(solution) | {'joint': _joint(solution)}
+    described |= nuisances.values | {'joint': _joint(solution)}
     described = {key: value for key, value in described.items() if not key.startswith(TIME_OFFSET)}
-    notes = notes_of(agreed, config)
-    notes += [beside] if (beside := other_surfaces(agreed)) else []
+    notes = [*nuisances.notes, *filter(None, [other_surfaces(agreed)])]
     return described | ({'note': '; '.join(notes)} if notes else {})
 
 
