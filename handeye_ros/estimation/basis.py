@@ -11,7 +11,7 @@ differs from that of the mount by a linear function of the parameters.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from handeye_ros import se3
 from handeye_ros.data import Array
@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 
 # Distances at which the robot's errors have the correlation 0.5: m, rad, s.
 POSITION_LENGTH, ROTATION_LENGTH, TIME_LENGTH = 1.0, 1.4, 0.5
+Kernel = Callable[[Array], Array]
 FIELD = 1.25  # size of the field of view over that of the box of the points
 
 
@@ -132,20 +133,29 @@ def pose_features(poses: Array) -> Array:
     return np.concatenate([poses[:, :3, 3] / POSITION_LENGTH, vectors / ROTATION_LENGTH], axis=1)
 
 
-def kernel(a: Array, b: Array) -> Array:
-    """Return the rational quadratic correlations (n, k) at pose features (n, 6) and (k, 6)."""
-    squared = ((a[:, None] - b[None]) ** 2).sum(axis=2)
+def rational_quadratic(squared: Array) -> Array:
+    """Return correlations at squared distances: errors of all lengths, for the estimate."""
     return np.asarray(1.0 / (1.0 + squared))
 
 
-def process_root(poses: Array) -> Array:
+def gaussian(squared: Array) -> Array:
+    """
+    Return correlations at squared distances: errors without short waves, for the report.
+
+    Those of joints and links are such: with short ones believed to go with them, the missing of
+    short ones would prove the long ones small, which the samples show least.
+    """
+    return np.asarray(np.exp2(-squared))
+
+
+def process_root(poses: Array, kernel: Kernel = rational_quadratic) -> Array:
     """
     Return a square root (n, k) of the kernel at poses (n, 4, 4): k <= 24 basis functions.
 
     Of many poses, 24 far apart span it (Nystroem).
     """
     features = pose_features(poses)
-    return _root(features, farthest_points(features, 24))
+    return _root(features, farthest_points(features, 24), kernel)
 
 
 def process_in_time(times: Array) -> Array:
@@ -153,15 +163,21 @@ def process_in_time(times: Array) -> Array:
     count = min(48, len(times), 2 + int(np.ptp(times) / TIME_LENGTH))
     evenly = np.linspace(times.min(), times.max(), count)
     nearest = np.abs(times - evenly[:, None]).argmin(axis=1)
-    return _root(times[:, None] / TIME_LENGTH, np.unique(nearest).tolist())
+    return _root(times[:, None] / TIME_LENGTH, np.unique(nearest).tolist(), rational_quadratic)
 
 
-def _root(features: Array, chosen: list[int]) -> Array:
+def correlations(a: Array, b: Array, kernel: Kernel) -> Array:
+    """Return the correlations (n, k) at features (n, j) and (k, j)."""
+    return kernel(((a[:, None] - b[None]) ** 2).sum(axis=2))
+
+
+def _root(features: Array, chosen: list[int], kernel: Kernel) -> Array:
     """Return the root (n, k) of the kernel at features (n, j), spanned by the chosen rows."""
     some = features[chosen]
-    values, vectors = eigen(kernel(some, some))
+    values, vectors = eigen(correlations(some, some, kernel))
     keep = values > 1e-6 * values[-1]
-    return np.asarray(kernel(features, some) @ (vectors[:, keep] / np.sqrt(values[keep])))
+    root = vectors[:, keep] / np.sqrt(values[keep])
+    return np.asarray(correlations(features, some, kernel) @ root)
 
 
 def farthest_points(features: Array, most: int) -> list[int]:

@@ -13,7 +13,14 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.estimation.basis import farthest_points, pose_features, process_root
+from handeye_ros.estimation.basis import (
+    farthest_points,
+    gaussian,
+    Kernel,
+    pose_features,
+    process_root,
+    rational_quadratic,
+)
 from handeye_ros.estimation.linalg import products, Stations, stations_of
 from handeye_ros.estimation.model import Estimate, Method, Observations, PoseModel
 import numpy as np
@@ -28,7 +35,7 @@ class Problem:
     A calibration problem: poses (n, 4, 4) of the mount, their observations, and settings.
 
     pose_model: the parameters that the poses depend on, None if on none; pose_values: (k,) their
-    values.
+    values. kernel: of the robot's smooth error over the poses.
     """
 
     method: Method
@@ -37,6 +44,7 @@ class Problem:
     config: Config
     pose_model: PoseModel | None = None
     pose_values: Array = field(default_factory=lambda: np.zeros(0))
+    kernel: Kernel = rational_quadratic
 
     def __post_init__(self) -> None:
         """Set the values that the poses depend on to 0 where none are given."""
@@ -90,12 +98,19 @@ class Problem:
     @cached_property
     def smooth(self) -> Array:
         """Return basis functions (n, r) of the robot's smooth error at the poses."""
-        return process_root(self.robot_poses)
+        return process_root(self.robot_poses, self.kernel)
 
     @cached_property
     def smooth_products(self) -> Array:
         """Return the products (n, r * r) of each two columns of this root."""
         return products(self.smooth)
+
+    @cached_property
+    def of_long_errors(self) -> Problem:
+        """Return the problem of a robot whose smooth error has no short waves, for the report."""
+        other = replace(self, kernel=gaussian)
+        vars(other).update(stations=self.stations)
+        return other
 
     @property
     def tolerances(self) -> Array:

@@ -245,7 +245,8 @@ class _System:
         for _ in range(LAST_STEPS):
             best = best.reweighted(best.with_noise(*best.solved, MAP_FACTORS))
         best = self.at(best.retracted(best.solved[0]), best.noise)
-        conservative = best.reweighted(conservative.noise)
+        state = replace(best.state, problem=best.problem.of_long_errors)
+        conservative = best.at(state, conservative.noise).rescaled(LAST_STEPS)[0]
         return replace(best.solution(), conservative=conservative.solution())
 
     def solution(self) -> Solution:

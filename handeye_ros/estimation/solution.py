@@ -65,7 +65,7 @@ class Solution:
 
     def _best_fit(self, conservative: Solution, away: Array) -> Array:
         """Return the mean square (6, 6) of the best-fit transform about the estimate, (9)."""
-        moving = best_fit_motions(self.linear, conservative.blocks)
+        moving = best_fit_motions(conservative.linear, conservative.blocks)
         columns = np.hstack([np.eye(6, conservative.unknowns), moving])
         away = away + moving @ conservative.nuisance
         return np.asarray(columns @ conservative.covariance @ columns.T + np.outer(away, away))

@@ -202,7 +202,8 @@ def with_sample(solution: Solution, known: Mapping, one: Problem) -> float:
 
     one: the problem of the sample alone. All nuisance parameters are shared with the others.
     """
-    problem, noise = solution.problem, (solution.conservative or solution).noise
+    source = solution.conservative or solution
+    problem, noise = source.problem, source.noise
     before, after = (
         float(known.variance(evaluated(p, solution.estimate, noise).covariance[:6, :6]))
         for p in (problem, _extended(problem, one)))

@@ -9,7 +9,13 @@ from cells import config as settings_of
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Calibration, EdgePoint, FaceLine, Sample
-from handeye_ros.estimation.basis import bending, kernel, pose_features, process_root
+from handeye_ros.estimation.basis import (
+    bending,
+    correlations,
+    pose_features,
+    process_root,
+    rational_quadratic,
+)
 from handeye_ros.estimation.blocks import ParameterBlock, prepared
 from handeye_ros.estimation.linalg import inverse
 from handeye_ros.estimation.linearise import linearise
@@ -155,7 +161,8 @@ def test_a_programme_run_again_adds_nothing_to_the_robots_error() -> None:
     once, twice = process_root(poses), process_root(np.concatenate([poses, poses]))
     assert twice.shape == (2 * len(once), once.shape[1])
     assert np.allclose(twice[:len(once)], twice[len(once):])
-    assert np.allclose(once @ once.T, kernel(*[pose_features(poses)] * 2), atol=1e-4)
+    exact = correlations(*[pose_features(poses)] * 2, rational_quadratic)
+    assert np.allclose(once @ once.T, exact, atol=1e-4)
 
 
 def test_many_poses_are_spanned_by_some() -> None:
@@ -164,7 +171,7 @@ def test_many_poses_are_spanned_by_some() -> None:
         [rng.uniform(-0.2, 0.2, (400, 3)), np.ones(400)]))
     root = process_root(T)
     assert root.shape[1] <= 24
-    exact = kernel(pose_features(T), pose_features(T))
+    exact = correlations(pose_features(T), pose_features(T), rational_quadratic)
     assert np.diag(exact - root @ root.T).mean() < 0.25 < 0.5 < np.diag(root @ root.T).min()
 
 
