@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import permutations
+import math
 
 from handeye_ros import se3, targets
 from handeye_ros.checks.alternatives import (
@@ -41,7 +42,8 @@ import numpy as np
 MOST_STOPS, MOST_PROFILES = 40, 4  # that are read again, and of each stop
 LEAST_SHARE = 0.7  # of the stops fit, at least
 FEWEST_CONDITIONS = 6  # beyond the unknowns
-MORE = 1.5  # times the conditions of the setting as it is, where that fits too
+# Where the setting as it is fits too: times its conditions at least, its variance factor at most.
+MORE, WORSE = 1.5, 2.0
 LAG = NS // 20  # between two profiles that are compared
 STILL_SHARE = 0.1  # of the comparisons, at least, are of a robot that stands still
 MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # times the change at rest; m
@@ -65,17 +67,18 @@ def require_settings(session: Session, config: Config) -> None:
         return
     stops = [_thinned(outcome.stop, config) for outcome in session.outcomes
              if not outcome.refused][:MOST_STOPS]
-    stated, least = _fit(stops, config), float(FEWEST_CONDITIONS)
+    stated, least, most = _fit(stops, config), float(FEWEST_CONDITIONS), math.inf
     if stated and stated.believable:
         least = MORE * stated.solution.redundancy
+        most = WORSE * max(stated.variance_factor, 1.0)
     best: tuple[int, Hypothesis, Fit] | None = None
     for values in _changes(config):
         one = _hypothesis(stops, config, values)
         fit = one.refit()
         count = fit.solution.redundancy if fit and fit.believable else 0
-        if fit and count >= least and len(fit.parts[0].used) >= LEAST_SHARE * len(stops):
-            if best is None or count > best[0]:
-                best = count, one, fit
+        if fit and count >= least and len(fit.parts[0].used) >= LEAST_SHARE * len(stops) and (
+                fit.variance_factor < most and (best is None or count > best[0])):
+            best = count, one, fit
     if best:
         raise best[1].refusal(best[2])
 

@@ -56,6 +56,15 @@ def test_right_settings_are_not_blamed(name: str) -> None:
     require_settings(pipeline.gather(made(name).profiles, made(name).poses, config), config)
 
 
+def test_a_setting_that_fits_worse_is_not_proposed() -> None:
+    """Six poses of a poor robot fit as they are, but give few redundant equations."""
+    cell = FAULTS['6 poses x 4, joints 0.1 mm']
+    cell = replace(cell, robot=replace(cell.robot, geometry=5e-4))
+    config = with_values(Config(), settings(cell), 'the test')
+    recording = simulate(cell, np.random.default_rng(3))
+    require_settings(pipeline.gather(recording.profiles, recording.poses, config), config)
+
+
 NS = 1_000_000_000
 
 
