@@ -148,13 +148,14 @@ def gaussian(squared: Array) -> Array:
     return np.asarray(np.exp2(-squared))
 
 
-def process_root(poses: Array, kernel: Kernel = rational_quadratic) -> Array:
+def process_root(poses: Array, long_errors: bool = False) -> Array:
     """
     Return a square root (n, k) of the kernel at poses (n, 4, 4): k <= 24 basis functions.
 
     Of many poses, 24 far apart span it (Nystroem).
     """
     features = pose_features(poses)
+    kernel = gaussian if long_errors else rational_quadratic
     return _root(features, farthest_points(features, 24), kernel)
 
 
@@ -167,12 +168,12 @@ def process_in_time(times: Array) -> Array:
 
 
 def correlations(a: Array, b: Array, kernel: Kernel) -> Array:
-    """Return the correlations (n, k) at features (n, j) and (k, j)."""
+    """Return those (n, k) of errors at features (n, j) with errors at features (k, j)."""
     return kernel(((a[:, None] - b[None]) ** 2).sum(axis=2))
 
 
 def _root(features: Array, chosen: list[int], kernel: Kernel) -> Array:
-    """Return the root (n, k) of the kernel at features (n, j), spanned by the chosen rows."""
+    """Return the root (n, k) of a kernel at features (n, j), spanned by the chosen rows."""
     some = features[chosen]
     values, vectors = eigen(correlations(some, some, kernel))
     keep = values > 1e-6 * values[-1]

@@ -13,14 +13,7 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.estimation.basis import (
-    farthest_points,
-    gaussian,
-    Kernel,
-    pose_features,
-    process_root,
-    rational_quadratic,
-)
+from handeye_ros.estimation.basis import farthest_points, pose_features, process_root
 from handeye_ros.estimation.linalg import products, Stations, stations_of
 from handeye_ros.estimation.model import Estimate, Method, Observations, PoseModel
 import numpy as np
@@ -35,7 +28,7 @@ class Problem:
     A calibration problem: poses (n, 4, 4) of the mount, their observations, and settings.
 
     pose_model: the parameters that the poses depend on, None if on none; pose_values: (k,) their
-    values. kernel: of the robot's smooth error over the poses.
+    values. long_errors: whether the robot's smooth error has no short waves.
     """
 
     method: Method
@@ -44,7 +37,7 @@ class Problem:
     config: Config
     pose_model: PoseModel | None = None
     pose_values: Array = field(default_factory=lambda: np.zeros(0))
-    kernel: Kernel = rational_quadratic
+    long_errors: bool = False
 
     def __post_init__(self) -> None:
         """Set the values that the poses depend on to 0 where none are given."""
@@ -98,7 +91,7 @@ class Problem:
     @cached_property
     def smooth(self) -> Array:
         """Return basis functions (n, r) of the robot's smooth error at the poses."""
-        return process_root(self.robot_poses, self.kernel)
+        return process_root(self.robot_poses, self.long_errors)
 
     @cached_property
     def smooth_products(self) -> Array:
@@ -108,9 +101,7 @@ class Problem:
     @cached_property
     def of_long_errors(self) -> Problem:
         """Return the problem of a robot whose smooth error has no short waves, for the report."""
-        other = replace(self, kernel=gaussian)
-        vars(other).update(stations=self.stations)
-        return other
+        return replace(self, long_errors=True)
 
     @property
     def tolerances(self) -> Array:
