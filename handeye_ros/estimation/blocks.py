@@ -33,8 +33,6 @@ import numpy as np
 
 # RMS of the polynomials of each degree over noise.distortion.
 DISTORTION = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
-SENSOR_SCALE = 0.3  # prior sigma of the sensor's scale over that of the robot's
-LARGEST_SCALE = 400.0  # largest variance over the configured one: 20 times the sigma
 
 Retraction = Callable[[Problem, Estimate, Array], tuple[Problem, Estimate]]
 
@@ -64,7 +62,7 @@ class ParameterBlock:
     retract: Retraction | None = None
     parameter: int | None = None
     least: float = 0.0
-    largest: float = LARGEST_SCALE
+    largest: float = 400.0  # 20 times the sigma
     report: str = ''
     origin: float = 0.0
 
@@ -151,7 +149,7 @@ def robot_smooth(first: Linear) -> Blocks:
 
 def sensor_scale(first: Linear) -> Blocks:
     """Return the block of the sensor's lengths, which look much like the robot's."""
-    std = SENSOR_SCALE * first.problem.config.noise.robot_scale
+    std = 0.3 * first.problem.config.noise.robot_scale
 
     def at(linear: Linear) -> Iterator[ParameterBlock]:
         from_middle = linear.points_on_target - linear.points_on_target.mean(axis=0)

@@ -234,3 +234,8 @@ class Method:
     geometry: Geometry
     measures: Measures
     nuisances: Nuisances | None = None
+
+    @property
+    def essential_kinds(self) -> list[int]:
+        """Return the essential ones of the kinds, as observations have them."""
+        return [k for k, name in enumerate(self.kinds) if name in self.essential]

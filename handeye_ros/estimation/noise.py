@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 TURN_LENGTH = 0.3  # m: a joint's error that turns the flange by 1 rad shifts it by so much
-LOCAL = 0.6  # of the distortion: what differs from station to station, as speckle does
 PRIOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
 
 SCALES = np.geomspace(0.001, 1e4, 43)  # of blocks, that are summed over
@@ -146,7 +145,7 @@ def _feature(linear: Linear, at: Stations) -> Array:
 def _variances(noise: NoiseConfig) -> tuple[float, Array]:
     """Return those of the distortion that differs from station to station, and of a pose (6,)."""
     pose = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
-    return (LOCAL * noise.distortion) ** 2, pose
+    return (0.6 * noise.distortion) ** 2, pose  # the share that differs, as speckle does
 
 
 def _squared(factor: Array, variances: Array | float = 1.0) -> Array:

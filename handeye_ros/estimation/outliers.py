@@ -20,14 +20,7 @@ from typing import Generic, TypeVar
 from handeye_ros.data import Array
 from handeye_ros.estimation.linalg import covariance_of, groups
 from handeye_ros.estimation.noise import inverse_roots
-from handeye_ros.estimation.solver import (
-    believed,
-    graduated,
-    least_squares,
-    reweighted,
-    ROUNDING,
-    System,
-)
+from handeye_ros.estimation.solver import believed, graduated, ROUNDING, System
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc, chdtri
@@ -113,7 +106,7 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
         rows = system.rows(state)
         return np.asarray((rows.white()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
 
-    state = graduated(start, squares, lambda at, weights: reweighted(system, at, weights))
+    state = graduated(start, squares, system.reweighted)
     current = squares(state)
     good = current <= GROSS * max(1.0, believed(current))
     return _without_outliers(system, state, good, minimum)
@@ -130,7 +123,7 @@ def _without_outliers(system: System[S], state: S, good: NDArray[np.bool_], mini
                       ) -> Adjusted[S]:
     """Return the adjusted state after leaving out the blocks that do not fit."""
     while True:
-        state = least_squares(system, state, good.astype(float))
+        state = system.least_squares(state, good.astype(float))
         r, J = _whitened(system, state)
         used, rows = np.flatnonzero(good), good[system.block]
         k = len(r) // len(good)

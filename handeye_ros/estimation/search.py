@@ -21,9 +21,7 @@ from handeye_ros.estimation.solver import (
     believed,
     BELIEVED_SHARE,
     graduated,
-    least_squares,
     many_least_squares,
-    reweighted,
     Rows,
     States,
     System,
@@ -88,7 +86,7 @@ def refined(problem: Problem, estimate: Estimate) -> Refined:
     """Return the estimate that graduated non-convexity leads to from another one."""
     def refit(at: Weighed, weights: Array) -> Weighed:
         before = at.linear.problem
-        at = reweighted(system(before, at.noise), at, weights)
+        at = system(before, at.noise).reweighted(at, weights)
         labelled = relabelled(problem, at.linear.estimate, before)
         return at if labelled is before else weighed(labelled, at.linear.estimate, at.noise)
 
@@ -204,8 +202,8 @@ def system(problem: Problem, noise: Noise) -> System[Weighed]:
 
 def fit(problem: Problem, start: Estimate, noise: Noise) -> Estimate:
     """Return the estimate with the least squared whitened residuals."""
-    return least_squares(
-        system(problem, noise), weighed(problem, start, noise)).linear.estimate
+    start_at = weighed(problem, start, noise)
+    return system(problem, noise).least_squares(start_at).linear.estimate
 
 
 def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:

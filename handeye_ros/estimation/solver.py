@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 S = TypeVar('S')
 
-MAX_ITERATIONS = 50
 ROUNDING = 1e-9  # of the sum of squares; residuals are differences of large numbers
 STANDSTILL = 1e-14  # of the same: what is left is the rounding of the derivatives; least damping
 BELIEVED_SHARE = 0.65  # of the blocks that a good answer must explain
@@ -59,40 +58,39 @@ class System(Generic[S]):
     retract: Callable[[S, Array], S]
     block: NDArray[np.intp]
 
+    def least_squares(self, start: S, weights: Array | None = None, iterations: int = 50,
+                      converged: float = 1e-8) -> S:
+        """
+        Return the state with the least squared whitened residuals.
 
-def least_squares(system: System[S], start: S, weights: Array | None = None,
-                  iterations: int = MAX_ITERATIONS, converged: float = 1e-8) -> S:
-    """
-    Return the state with the least squared whitened residuals.
+        weights: (n,) of the blocks' squared residuals; converged: the iteration ends with a step
+        that changes the residuals (sigmas) by less.
+        """
+        root = np.ones(len(self.block)) if weights is None else np.sqrt(weights)[self.block]
+        white: White = as_they_are
 
-    weights: (n,) of the blocks' squared residuals; converged: the iteration ends with a step that
-    changes the residuals (sigmas) by less.
-    """
-    root = np.ones(len(system.block)) if weights is None else np.sqrt(weights)[system.block]
-    white: White = as_they_are
+        def linear(rows: Rows) -> tuple[Array, Array]:
+            nonlocal white
+            white = rows.white()
+            r, J = white(rows.residuals) * root, white(rows.jacobian()) * root[:, None]
+            return r[None], J[None]
 
-    def linear(rows: Rows) -> tuple[Array, Array]:
-        nonlocal white
-        white = rows.white()
-        return (white(rows.residuals) * root)[None], (white(rows.jacobian()) * root[:, None])[None]
+        def attempt(states: States, steps: Array) -> Attempt:
+            moved = np.empty(1, dtype=object)
+            moved[0] = self.retract(states[0][0], steps[0])
+            rows = self.rows(moved[0])
+            after = ((white(rows.residuals) * root) ** 2).sum()
+            return (moved,), np.array([after]), lambda: linear(rows)
 
-    def attempt(states: States, steps: Array) -> Attempt:
-        moved = np.empty(1, dtype=object)
-        moved[0] = system.retract(states[0][0], steps[0])
-        rows = system.rows(moved[0])
-        after = ((white(rows.residuals) * root) ** 2).sum()
-        return (moved,), np.array([after]), lambda: linear(rows)
+        first = np.empty(1, dtype=object)
+        first[0] = start
+        (ends,), _ = _descent((first,), linear(self.rows(start)), attempt, iterations, converged)
+        end: S = ends[0]
+        return end
 
-    first = np.empty(1, dtype=object)
-    first[0] = start
-    (ends,), _ = _descent((first,), linear(system.rows(start)), attempt, iterations, converged)
-    end: S = ends[0]
-    return end
-
-
-def reweighted(system: System[S], state: S, weights: Array) -> S:
-    """Return the state some steps nearer to the least squares with weights (n,) of the blocks."""
-    return least_squares(system, state, weights, iterations=4, converged=1e-3)
+    def reweighted(self, state: S, weights: Array) -> S:
+        """Return the state some steps nearer to the least squares with weights (n,) of blocks."""
+        return self.least_squares(state, weights, iterations=4, converged=1e-3)
 
 
 def many_least_squares(linear: Callable[[States], tuple[Array, Array]],
@@ -102,7 +100,7 @@ def many_least_squares(linear: Callable[[States], tuple[Array, Array]],
     Return the least-squares states of k starts, each by itself, and their sums of squares (k,).
 
     starts: arrays (k, ...); linear(states): residuals (k, m) and their derivatives (k, m, u);
-    retract(states, steps (k, u)): the moved states; converged: see least_squares.
+    retract(states, steps (k, u)): the moved states; converged: see System.
     """
     def attempt(states: States, steps: Array) -> Attempt:
         moved = retract(states, steps)
@@ -200,7 +198,7 @@ def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array
     state, current = start, squares(start)
     # where a start explains most blocks, the few others have little weight from the first step on
     control, before = min(float(current.max()), 100.0 * believed(current)), np.inf
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(50):
         spread = believed(current)
         last = max(9.0, 3.0 * spread)  # of mu, a squared whitened residual: 3 sigma
         if control <= last and spread > 0.99 * before:

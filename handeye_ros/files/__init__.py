@@ -12,8 +12,7 @@ from handeye_ros.files.tracker import TRACKER
 
 OFFERED = (
     'hand_eye_estimate', 'method.FileMethod', 'method.Input', 'outcome.calibrate',
-    'outcome.plane_axes', 'outcome.require_trusted', 'tables.ANGLE', 'tables.LENGTH',
-    'tables.Table',
+    'outcome.plane_axes', 'outcome.require_trusted',
 )
 
 FILE_METHODS: dict[str, FileMethod[Any]] = {m.name: m for m in (POINTS, HAND_EYE, TRACKER)}

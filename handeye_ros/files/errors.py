@@ -1,14 +1,7 @@
-"""Files of measured values that cannot be read or solved."""
+"""Files of measured values that cannot be solved."""
 from __future__ import annotations
 
-from handeye_ros.errors import DataError, InputError
-
-
-class TableError(InputError):
-    """A file of measured values that cannot be read."""
-
-    def __init__(self, path: object, reason: str) -> None:
-        super().__init__(f'{path}: {reason}')
+from handeye_ros.errors import DataError
 
 
 class DegenerateError(DataError):

@@ -26,8 +26,8 @@ from handeye_ros.files.hand_eye_model import (
     State,
     system,
 )
-from handeye_ros.files.tables import Table
 from handeye_ros.published.errors import TooFewError
+from handeye_ros.tables import Table
 import numpy as np
 from numpy.typing import NDArray
 

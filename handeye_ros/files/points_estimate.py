@@ -15,8 +15,8 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.outliers import adjust, Adjusted
 from handeye_ros.estimation.solver import Rows, System
 from handeye_ros.files.errors import DegenerateError
-from handeye_ros.files.tables import Table
 from handeye_ros.published.errors import TooFewError
+from handeye_ros.tables import Table
 import numpy as np
 from numpy.typing import NDArray
 

@@ -18,10 +18,10 @@ from pathlib import Path
 from handeye_ros.data import Array
 from handeye_ros.estimation.outliers import adjust, Adjusted
 from handeye_ros.files import tracker_model
-from handeye_ros.files.errors import DegenerateError, TableError
-from handeye_ros.files.tables import LENGTH, Table
+from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.tracker_model import Seen, State, Sweep
 from handeye_ros.published import jing2020
+from handeye_ros.tables import LENGTH, Table, TableError
 import numpy as np
 from numpy.typing import NDArray
 

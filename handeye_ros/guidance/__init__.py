@@ -5,6 +5,6 @@ What is determined so far, what is missing, and poses within the limits of the r
 """
 
 OFFERED = (
-    'advice', 'advice.Advice', 'moves.Move', 'rules.edge_kinds', 'score.extremes',
+    'advice', 'advice.Advice', 'moves.Move', 'score.extremes',
     'views.anchor_of',
 )

@@ -12,7 +12,6 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.linearise import Linear
-from handeye_ros.estimation.model import Method
 from handeye_ros.guidance.score import View
 from handeye_ros.targets.ends import EdgeObservations
 import numpy as np
@@ -120,11 +119,6 @@ def stricter(config: Config) -> Config:
         sampling, min_crossing_angle=sampling.min_crossing_angle + ERROR[1]))
 
 
-def edge_kinds(method: Method) -> list[int]:
-    """Return the kinds that name an edge."""
-    return [k for k, name in enumerate(method.kinds) if name in method.essential]
-
-
 def crossing_steeply(linear: Linear, count: int) -> NDArray[np.bool_]:
     """
     Return at which of n stations the laser line crosses the edges steeply enough.
@@ -138,7 +132,7 @@ def crossing_steeply(linear: Linear, count: int) -> NDArray[np.bool_]:
     squares = np.bincount(point.reshape(-1), (linear.by_point[:, 0] / size) ** 2)
     steepness = np.sqrt(squares)[point.reshape(-1)]
     least = np.sin(stricter(problem.config).sampling.min_crossing_angle)
-    of_edges = np.isin(problem.observations.kind, edge_kinds(problem.method))
+    of_edges = np.isin(problem.observations.kind, problem.method.essential_kinds)
     return np.asarray((~of_edges | (steepness > least)).reshape(-1, count).all(axis=1))
 
 

@@ -67,7 +67,7 @@ def anchor_rows(problem: Problem, station: int) -> NDArray[np.intp]:
     """Return the observations of a station that define its anchor: those of edges, if any."""
     obs = problem.observations
     rows = np.flatnonzero(obs.station == station)
-    at_edge = rows[np.isin(obs.kind[rows], rules.edge_kinds(problem.method))]
+    at_edge = rows[np.isin(obs.kind[rows], problem.method.essential_kinds)]
     return at_edge if len(at_edge) else rows
 
 

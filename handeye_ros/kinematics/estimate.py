@@ -17,7 +17,7 @@ from handeye_ros.estimation.basis import process_root
 from handeye_ros.estimation.linalg import covariance_of
 from handeye_ros.estimation.noise import prior_scales
 from handeye_ros.estimation.outliers import leave_one_out, outliers
-from handeye_ros.estimation.solver import least_squares, Rows, System
+from handeye_ros.estimation.solver import Rows, System
 from handeye_ros.kinematics.model import Arm
 import numpy as np
 from numpy.typing import NDArray
@@ -157,7 +157,7 @@ def fitted(data: Data, state: State, weights: Weights, used: NDArray[np.bool_], 
                     lambda: np.vstack([J * whiten[:, None], by_prior]))
     block = np.append(data.block, np.full(len(prior), n))
     system = System(rows, data.moved, block)
-    state = least_squares(system, state, np.append(used.astype(float), 1.0), iterations, 1e-4)
+    state = system.least_squares(state, np.append(used.astype(float), 1.0), iterations, 1e-4)
     r, J = data.linearised(state, root)
     return replace(frame, state=state, residuals=r * whiten, jacobian=J * whiten[:, None])
 

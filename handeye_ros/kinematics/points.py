@@ -13,8 +13,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.solver import graduated, reweighted, Rows, System
-from handeye_ros.files.tables import ANGLE, LENGTH, Table
+from handeye_ros.estimation.solver import graduated, Rows, System
 from handeye_ros.kinematics.errors import (
     cause_of,
     Change,
@@ -31,6 +30,7 @@ from handeye_ros.kinematics.estimate import (
     Weights,
 )
 from handeye_ros.kinematics.model import Arm, Chain, PRISMATIC
+from handeye_ros.tables import ANGLE, LENGTH, Table
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -182,7 +182,7 @@ def first_fit(data: Points, arm: Arm, most: int = STARTS) -> Fit:
     rough, nothing = Weights(np.full(3, ROUGH), np.zeros(0)), np.zeros((len(data), 0))
 
     def refit(state: State, weights: Array) -> State:
-        return reweighted(System(rows, data.moved, data.block), state, weights)
+        return System(rows, data.moved, data.block).reweighted(state, weights)
 
     def rows(at: State) -> Rows:
         r, J = data.linearised(at, nothing)

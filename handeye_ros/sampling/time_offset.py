@@ -17,15 +17,9 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.noise import Noise, Whitening, whitening
+from handeye_ros.estimation.noise import Noise, whitening
 from handeye_ros.estimation.search import relabelled
-from handeye_ros.estimation.solver import (
-    believed,
-    graduated,
-    reweighted,
-    Rows,
-    System,
-)
+from handeye_ros.estimation.solver import believed, graduated, Rows, System, White
 from handeye_ros.sampling.passes import Pairing, problem_of
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +88,7 @@ def _refined(problem: Problem, start: Estimate) -> _At:
     """Return where graduated non-convexity leads to from an estimate, the offset unknown too."""
     def refit(at: _At, weights: Array) -> _At:
         system = System(_At.rows, _At.moved, at.blocks)
-        at = reweighted(system, at, np.append(weights, 1.0))
+        at = system.reweighted(at, np.append(weights, 1.0))
         return labelled(at.problem, at.estimate)
 
     def labelled(now: Problem, estimate: Estimate) -> _At:
@@ -125,7 +119,7 @@ class _At:
         return linearise(self.problem, self.estimate)
 
     @cached_property
-    def white(self) -> Whitening:
+    def white(self) -> White:
         return whitening(self.linear, Noise())
 
     @cached_property

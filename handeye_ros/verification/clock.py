@@ -7,7 +7,7 @@ import math
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample, TimeOffset
-from handeye_ros.estimation.solver import least_squares, Rows, System
+from handeye_ros.estimation.solver import Rows, System
 from handeye_ros.frames import in_mount, mounted
 from handeye_ros.sampling.passes import Pairing, single_samples
 from handeye_ros.sampling.time_offset import evenly_chosen
@@ -65,9 +65,10 @@ def _fitted(routine: Routine, samples: Sequence[Sample], seen: Seen, X: Array, c
         return shape.distance(points, obs.kind, x[:-1])
 
     def fitted(x: Array, kept: NDArray[np.bool_]) -> Array:
-        return least_squares(System(lambda at: Rows(
-            distances(at)[kept], lambda: derivatives(distances, at)[kept]),
-            np.add, np.zeros(int(kept.sum()), dtype=np.intp)), x)
+        system: System[Array] = System(
+            lambda at: Rows(distances(at)[kept], lambda: derivatives(distances, at)[kept]),
+            np.add, np.zeros(int(kept.sum()), dtype=np.intp))
+        return system.least_squares(x)
 
     x, kept = np.append(shape.start, 0.0), np.ones(len(obs.station), dtype=bool)
     for _ in range(ROUNDS):

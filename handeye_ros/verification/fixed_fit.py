@@ -17,7 +17,7 @@ from handeye_ros import se3
 from handeye_ros.config import NoiseConfig, VerifyConfig
 from handeye_ros.data import Array
 from handeye_ros.estimation.outliers import chi2_sf
-from handeye_ros.estimation.solver import least_squares, White
+from handeye_ros.estimation.solver import White
 from handeye_ros.verification.errors import BadCovarianceError
 from handeye_ros.verification.shapes import (
     by_point,
@@ -105,7 +105,7 @@ def fit(seen: Seen, X: Array, C: Array, noise: NoiseConfig, shape: Shape,
         return partial(white, noise_factors(seen, X, by_p, noise, nominal.aim))
 
     system = system_of(shape, p, kind, whitener)
-    q = least_squares(system, shape.start)
+    q = system.least_squares(shape.start)
     by_p = by_point(shape, p, kind, q)
     blocks = noise_factors(seen, X, by_p, noise, nominal.aim)
     by_X = by_calibration(seen, X)

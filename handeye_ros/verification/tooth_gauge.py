@@ -13,7 +13,6 @@ from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig
 from handeye_ros.data import Array, Profile
 from handeye_ros.estimation.model import Observations
-from handeye_ros.estimation.solver import least_squares
 from handeye_ros.frames import in_mount
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.verification.errors import NoTeethError
@@ -76,7 +75,7 @@ def fitted(seen: Seen, p: Array, nominal: VerifyConfig) -> tuple[Seen, Shape]:
         if kept.mean() < LEAST_SHARE:
             break
         shape = _shape(frame, pitch, height, tooth[kept], q)
-        q = least_squares(system_of(shape, p[kept], kind[kept]), q, iterations=1)
+        q = system_of(shape, p[kept], kind[kept]).least_squares(q, iterations=1)
     top, valley, *flanks = np.bincount(kind[kept], minlength=4) / len(p)
     least = float(min(top + valley, sum(flanks)))
     if kept.mean() < LEAST_SHARE or least < LEAST_FACE:

@@ -12,7 +12,7 @@ from handeye_ros.estimation.outliers import (
     leave_one_out,
     outliers,
 )
-from handeye_ros.estimation.solver import least_squares, many_least_squares, Rows, System
+from handeye_ros.estimation.solver import many_least_squares, Rows, System
 from handeye_ros.files import FILE_METHODS
 from handeye_ros.ros.bags import bag
 from handeye_ros.simulate import FILE_SCENES
@@ -63,7 +63,7 @@ def test_a_linear_system_is_solved_as_by_its_normal_equations(seed: int) -> None
     weights = np.random.default_rng(seed).uniform(0.1, 2.0, 20)
     root = np.sqrt(weights)[block]
     expected = np.linalg.lstsq(A * root[:, None], b * root, rcond=None)[0]
-    assert np.abs(least_squares(system, np.zeros(4), weights) - expected).max() < 1e-9
+    assert np.abs(system.least_squares(np.zeros(4), weights) - expected).max() < 1e-9
 
 
 def test_an_unknown_that_nothing_depends_on_stays_where_it_is() -> None:

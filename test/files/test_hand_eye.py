@@ -7,9 +7,10 @@ from handeye_ros import se3
 from handeye_ros.checks.errors import OneAxisError, OneOrientationError
 from handeye_ros.data import Array
 from handeye_ros.files import hand_eye_estimate, hand_eye_model
-from handeye_ros.files.errors import DegenerateError, TableError
+from handeye_ros.files.errors import DegenerateError
 from handeye_ros.published import cn105021139a
 from handeye_ros.published.errors import TooFewError
+from handeye_ros.tables import TableError
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -8,11 +8,12 @@ from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
 from handeye_ros.files import tracker_estimate
-from handeye_ros.files.errors import DegenerateError, TableError
+from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.sweeps import sweep_from
 from handeye_ros.published import jing2020
 from handeye_ros.ros.bags import bag, bag_write
 from handeye_ros.simulate.measured import RADIUS, simulate_tracker, TrackerCell
+from handeye_ros.tables import TableError
 import numpy as np
 import pytest
 from tracker_session import session, T_flange_sensor

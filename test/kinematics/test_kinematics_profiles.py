@@ -9,7 +9,6 @@ from handeye_ros import se3
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.linearise import Problem
-from handeye_ros.files.tables import Table
 from handeye_ros.frames import in_mount
 from handeye_ros.kinematics import profiles
 from handeye_ros.kinematics.estimate import State
@@ -20,6 +19,7 @@ from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.ros.bags import bag
 from handeye_ros.simulate import arm as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
+from handeye_ros.tables import Table
 from handeye_ros.targets import method_for
 import numpy as np
 import pytest

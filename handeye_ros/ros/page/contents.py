@@ -12,7 +12,6 @@ from handeye_ros.diagnosis.review import Review, stop_snapshot
 from handeye_ros.errors import InputError
 from handeye_ros.frames import in_mount
 from handeye_ros.guidance.moves import Move
-from handeye_ros.guidance.rules import edge_kinds
 from handeye_ros.guidance.score import extremes
 from handeye_ros.guidance.views import anchor_of
 from handeye_ros.results import table
@@ -80,7 +79,7 @@ def _edges(live: LiveSession) -> dict[int, str]:
     if review is None:
         return {}
     problem, edges = review.solution.problem, {}
-    names, kinds = problem.method.kinds, edge_kinds(problem.method)
+    names, kinds = problem.method.kinds, problem.method.essential_kinds
     used = [outcome for outcome, agreement in zip(live.reviewer.reviewed, review.agreements,
                                                   strict=False) if agreement and agreement.used]
     for station, outcome in enumerate(used):

@@ -16,8 +16,7 @@ from typing import Any
 from handeye_ros import orientations, se3
 from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
-from handeye_ros.errors import nearest
-from handeye_ros.files.errors import TableError
+from handeye_ros.errors import InputError, nearest
 import numpy as np
 from scipy.spatial.transform import Rotation
 import yaml
@@ -32,6 +31,13 @@ QUATERNION, RPY = ('qx', 'qy', 'qz', 'qw'), ('roll', 'pitch', 'yaw')
 QUATERNION_TOLERANCE = 1e-3
 LARGEST = 1e6  # m or rad: more is a mistake
 _HEADER = re.compile(r'\s*([\w.:/-]+)\s*(?:\[\s*(\w+|°)\s*\])?\s*')
+
+
+class TableError(InputError):
+    """A file of measured values that cannot be read."""
+
+    def __init__(self, path: object, reason: str) -> None:
+        super().__init__(f'{path}: {reason}')
 
 
 class Table:

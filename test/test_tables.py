@@ -4,8 +4,7 @@ from __future__ import annotations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from handeye_ros.files.errors import TableError
-from handeye_ros.files.tables import LENGTH, Table
+from handeye_ros.tables import LENGTH, Table, TableError
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
