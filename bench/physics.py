@@ -46,7 +46,7 @@ from handeye_ros.simulate import (
     simulate_samples,
     Simulated,
 )
-from handeye_ros.simulate.conventions import FRAMES
+from handeye_ros.simulate.stations import FRAMES
 import numpy as np
 from scipy.stats import chi2
 import trials

@@ -48,8 +48,8 @@ class Observations:
                 and np.array_equal(self.station, other.station)
                 and np.array_equal(self.points, other.points))
 
-    def select(self, keep: NDArray[np.bool_]) -> Self:
-        """Return the observations where keep (m,) is true."""
+    def select(self, keep: NDArray[np.bool_ | np.intp]) -> Self:
+        """Return some observations, by a mask or by their numbers."""
         return type(self)(*(getattr(self, f.name)[keep] for f in fields(self)))
 
     def in_base(self, poses: Array, X: Array) -> Array:

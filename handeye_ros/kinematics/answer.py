@@ -131,7 +131,7 @@ def _text(answer: Answer) -> str:
             j.name: round(math.degrees(float(arm.of(i, OFFSET)[0])), 5)
             for i, j in enumerate(arm.chain.joints) if j.kind == REVOLUTE},
         'transform': transform_values(calibration.T_flange_sensor),
-        'models': [{'parameters': list(m.kinds), 'residual_rms': m.residual,
+        'models': [{'parameters': list(m.kinds), 'residual_rms': m.fit.noise_rms,
                     'left_out_rms': m.left_out_rms, 'left_out_median': m.left_out_median,
                     'chosen': m is outcome.chosen} for m in outcome.models],
         'robot_smooth_error': outcome.smooth,

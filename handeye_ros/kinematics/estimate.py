@@ -1,9 +1,9 @@
 """
 Hand-eye transform and joints from the same points: one least squares with stated priors.
 
-The estimate, and what is stated of it, are found as those of profiles are: the size of each kind
-of error is judged by the data (see estimation), with a small prior for the estimate and a wide
-one for its covariance.
+The estimate and its reported covariance are found as those of profiles are (see estimation): the
+data show the scale of each kind of error, with a small prior for the estimate and a wide one for
+the covariance.
 """
 from __future__ import annotations
 
@@ -162,15 +162,15 @@ def fitted(data: Data, state: State, weights: Weights, used: NDArray[np.bool_], 
     return replace(frame, state=state, residuals=r * whiten, jacobian=J * whiten[:, None])
 
 
-def weighed(fit: Fit, stated: bool = False) -> Weights:
-    """Return the weights that a fit shows, those of kinds for an estimate or as stated of it."""
+def estimated_weights(fit: Fit, conservative: bool = False) -> Weights:
+    """Return the weights that a fit shows; conservative: scales for the report (see noise)."""
     variances = fit.weights.variances
     if fit.kinds:
         q, s = fit.data.unknowns, fit.stds
         first = np.searchsorted(fit.group, np.arange(len(fit.kinds)))
         scales = prior_scales(fit.covariance[q:, q:] / np.outer(s, s), fit.values / s, first,
                               variances, np.full(len(first), LARGEST))
-        variances = scales.conservative if stated else scales.map_scales
+        variances = scales.conservative if conservative else scales.map_scales
     rows, component = fit.rows, fit.data.component
     J, own = fit.jacobian[rows], (fit.residuals * fit.weights.noise[component])[rows]
     free, squares = (np.bincount(component[rows], each, len(fit.weights.noise)) for each in (
@@ -180,10 +180,10 @@ def weighed(fit: Fit, stated: bool = False) -> Weights:
     return Weights(np.maximum(noise, LEAST_NOISE), variances)
 
 
-def adjusted(fit: Fit, stated: bool = False, rounds: int = ROUNDS) -> Fit:
-    """Return a fit with weights as the data show them; stated: see weighed."""
+def adjusted(fit: Fit, conservative: bool = False, rounds: int = ROUNDS) -> Fit:
+    """Return a fit with weights as the data show them; see estimated_weights."""
     for _ in range(rounds):
-        weights = weighed(fit, stated)
+        weights = estimated_weights(fit, conservative)
         change = max(np.abs(np.log(weights.noise / fit.weights.noise)).max(),
                      np.abs(np.log(weights.variances / fit.weights.variances)).max(initial=0.0))
         fit = fitted(fit.data, fit.state, weights, fit.used, fit.root)
@@ -210,7 +210,7 @@ def without_outliers(fit: Fit) -> Fit:
 
 
 def fit_of(data: Data, state: State) -> Fit:
-    """Return a state with the hand-eye transform alone free, weighed."""
+    """Return a fit of the hand-eye transform alone, near a state, with estimated weights."""
     noise = np.ones(int(data.component.max()) + 1)
     used, nothing = np.ones(len(data), dtype=bool), np.zeros((len(data), 0))
     return adjusted(fitted(data, state, Weights(noise, np.zeros(0)), used, nothing))
@@ -223,7 +223,7 @@ def with_arm(fit: Fit, arm: Arm) -> Fit:
     return fitted(fit.data, state, Weights(fit.weights.noise, variances), fit.used, fit.root)
 
 
-def stated_covariance(fit: Fit, chosen: State) -> tuple[Fit, Array]:
+def reported_covariance(fit: Fit, chosen: State) -> tuple[Fit, Array]:
     """
     Return a fit with the errors as large as they may be, and the covariance of a chosen estimate.
 
@@ -231,7 +231,7 @@ def stated_covariance(fit: Fit, chosen: State) -> tuple[Fit, Array]:
     holds by what the wider errors move X and the parameters, and that what is left of the robot's
     error is smooth, so that neighbours share it.
     """
-    wide = _with_smooth(adjusted(fit, stated=True))
+    wide = _with_smooth(adjusted(fit, conservative=True))
     own, u = len(chosen.arm.values), fit.data.unknowns
     away = np.zeros(u + own)
     away[:6] = se3.difference(wide.state.X, chosen.X)
@@ -247,7 +247,7 @@ def _with_smooth(fit: Fit) -> Fit:
         weights = Weights(fit.weights.noise, np.append(
             fit.weights.variances[:len(fit.kinds) - bool(fit.root.shape[1])], 1.0))
         fit = fitted(fit.data, state, weights, fit.used, root)
-        after = weighed(fit, stated=True)
+        after = estimated_weights(fit, conservative=True)
         fit = replace(fit, weights=Weights(after.noise, np.append(
             weights.variances[:-1], after.variances[-1])))
     return fit

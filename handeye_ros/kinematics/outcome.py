@@ -18,7 +18,7 @@ from handeye_ros.kinematics.errors import (
 from handeye_ros.kinematics.estimate import (
     adjusted,
     Fit,
-    stated_covariance,
+    reported_covariance,
     with_arm,
     without_outliers,
 )
@@ -60,11 +60,6 @@ class Model:
     def words(self) -> str:
         """Return the kinds in words."""
         return ', '.join(self.kinds) or 'URDF as it is'
-
-    @property
-    def residual(self) -> float:
-        """Return the RMS by which the used points are missed (m)."""
-        return self.fit.noise_rms
 
     @property
     def left_out_rms(self) -> float:
@@ -142,7 +137,7 @@ def solve(start: Fit, more: Sequence[str], limit: float, cause: Callable[[], str
     for model in models[1:]:
         chosen = model if _better(model, chosen) else chosen
     _require_same_robot(chosen.fit.state.arm)
-    wide, covariance = stated_covariance(richest, chosen.fit.state)
+    wide, covariance = reported_covariance(richest, chosen.fit.state)
     covariance = covariance * _misfit(models[-1])
     return Outcome(models, chosen, covariance, _known(chosen.fit), wide.smooth_rms,
                    tuple(_warnings(models, chosen)))

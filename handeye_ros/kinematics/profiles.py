@@ -8,7 +8,7 @@ Several targets, or one at several places, share the sensor and the arm.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from handeye_ros import se3
@@ -135,7 +135,7 @@ def _repeated(problem: Problem, rows: NDArray[np.intp]) -> Problem:
     picked = [np.flatnonzero(obs.station == row) for row in rows]
     index = np.concatenate([np.zeros(0, dtype=np.intp), *picked])
     station = np.repeat(np.arange(len(rows)), [len(part) for part in picked])
-    others = replace(obs, **{f.name: getattr(obs, f.name)[index] for f in fields(obs)})
+    others = obs.select(index)
     others = replace(others, station=station,
                      source=others.source + station * (obs.source.max(initial=0) + 1))
     return replace(problem, poses=problem.poses[rows], observations=others)

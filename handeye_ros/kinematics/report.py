@@ -62,7 +62,7 @@ def _model_rows(answer: Answer) -> Iterator[tuple[str, ...]]:
     yield MODEL_COLUMNS
     for model in answer.outcome.models:
         yield (model.words, *(f'{v * 1e3:.3f} mm' for v in (
-            model.residual, model.left_out_rms, model.left_out_median)),
+            model.fit.noise_rms, model.left_out_rms, model.left_out_median)),
             'the answer' if model is answer.outcome.chosen else '')
 
 

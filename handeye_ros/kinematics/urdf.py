@@ -30,6 +30,7 @@ from handeye_ros.kinematics.model import (
 )
 from handeye_ros.results.calibration_file import transform_from
 import numpy as np
+from scipy.spatial.transform import Rotation
 import yaml
 
 FORMAT = 'handeye_ros/kinematics/1'
@@ -185,17 +186,11 @@ def corrected_urdf(urdf: str, arm: Arm) -> str:
             origin = ElementTree.SubElement(element, 'origin')
         xyz, rpy = (np.array([float(v) for v in origin.get(key, '0 0 0').split()])
                     for key in ('xyz', 'rpy'))
-        stated = se3.transform(_from_rpy(rpy), xyz)
+        stated = se3.transform(Rotation.from_euler('xyz', rpy).as_matrix(), xyz)
         T = stated @ arm.displacements[i] @ motion(joint, arm.of(i, OFFSET))[0]
         origin.set('xyz', ' '.join(f'{v:.12g}' for v in T[:3, 3]))
         origin.set('rpy', ' '.join(f'{v:.12g}' for v in se3.rpy(T)))
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding='unicode') + '\n'
-
-
-def _from_rpy(rpy: Array) -> Array:
-    roll, pitch, yaw = (se3.exp_rotation(angle * axis)
-                        for angle, axis in zip(rpy, np.eye(3), strict=True))
-    return np.asarray(yaw @ pitch @ roll)
 
 
 def read_arm(path: Path) -> Arm:

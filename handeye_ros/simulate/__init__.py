@@ -6,11 +6,11 @@ Simulated recordings with known truth, without ROS.
 `FILE_SCENES` make files of measured values.
 """
 from handeye_ros.simulate.cell import Station, Truth
-from handeye_ros.simulate.conventions import settings
 from handeye_ros.simulate.measured import FILE_SCENES, Measured
 from handeye_ros.simulate.recording import simulate, simulate_samples, Simulated
 from handeye_ros.simulate.scenario import Scenario
 from handeye_ros.simulate.scenarios import FAULTS, SCENARIOS
+from handeye_ros.simulate.stations import settings
 
 OFFERED = (
     'arm', 'gauges', 'measuring.MEASURING_CELL', 'measuring.MeasuringCell',

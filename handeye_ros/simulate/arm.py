@@ -2,9 +2,11 @@
 A six-axis arm with a spherical wrist, whose joints and links are not what its controller thinks.
 
 T_base_flange = Rz(q1) Tz(D1) Ry(q2) Tz(A2) Ry(q3) Tz(D4) Rz(q4) Ry(q5) Rz(q6) Tz(D6).
+And the errors of convention with which poses of a robot are published.
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from handeye_ros import se3
@@ -99,3 +101,41 @@ def reported_error(T: Array, errors: ArmErrors) -> Array:
     nominal, real = forward(joints), forward(joints, errors)
     turn = se3.log_rotation(nominal[:, :3, :3] @ np.swapaxes(real[:, :3, :3], 1, 2))
     return np.hstack([nominal[:, :3, 3] - real[:, :3, 3], turn])
+
+
+PoseMap = Callable[[Array, Array], tuple[Array, Array]]
+
+
+def _inverted(translation: Array, quaternion: Array) -> tuple[Array, Array]:
+    T = se3.inverse(se3.from_quaternion(translation, quaternion))
+    return T[:, :3, 3], se3.quaternion(T)
+
+
+def _wxyz(translation: Array, quaternion: Array) -> tuple[Array, Array]:
+    return translation, np.roll(quaternion, 1, axis=1)
+
+
+def _millimetres(translation: Array, quaternion: Array) -> tuple[Array, Array]:
+    return translation * 1e3, quaternion
+
+
+def _euler(quaternion: Array, read_as: str, factor: float) -> Array:
+    angles = Rotation.from_quat(quaternion).as_euler('xyz') * factor
+    return np.asarray(Rotation.from_euler(read_as, angles).as_quat())
+
+
+def _degrees(translation: Array, quaternion: Array) -> tuple[Array, Array]:
+    return translation, _euler(quaternion, 'xyz', 180 / np.pi)
+
+
+def _intrinsic(translation: Array, quaternion: Array) -> tuple[Array, Array]:
+    return translation, _euler(quaternion, 'XYZ', 1.0)
+
+
+CONVENTION_ERRORS: dict[str, PoseMap] = {
+    'inverted': _inverted,  # base in flange for flange in base
+    'wxyz': _wxyz,  # quaternions sent as w x y z
+    'millimetres': _millimetres,  # positions in mm
+    'degrees': _degrees,  # roll, pitch, yaw in degrees taken for radians
+    'intrinsic': _intrinsic,  # fixed-axes roll, pitch, yaw taken for moving-axes angles
+}

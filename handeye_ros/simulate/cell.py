@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.simulate import arm
-from handeye_ros.simulate.conventions import FRAMES
 from handeye_ros.simulate.scenario import RobotModel, Scenario
 from handeye_ros.simulate.sensor import Distortion
-from handeye_ros.simulate.stations import Stops
+from handeye_ros.simulate.stations import FRAMES, Stops
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation

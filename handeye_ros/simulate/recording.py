@@ -9,12 +9,12 @@ from handeye_ros.data import Array, Profile, Sample, TimedPose
 from handeye_ros.simulate import arm
 from handeye_ros.simulate import cell as cells
 from handeye_ros.simulate import sensor as sensors
+from handeye_ros.simulate.arm import CONVENTION_ERRORS
 from handeye_ros.simulate.cell import Truth
-from handeye_ros.simulate.conventions import CONVENTION_ERRORS, FRAMES, published
 from handeye_ros.simulate.scenario import Scenario, Sweep
 from handeye_ros.simulate.scenes import anywhere, SCENES
 from handeye_ros.simulate.solids import relief
-from handeye_ros.simulate.stations import between, stamps, Stops, Timeline
+from handeye_ros.simulate.stations import between, FRAMES, published, stamps, Stops, Timeline
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline

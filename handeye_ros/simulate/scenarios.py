@@ -11,7 +11,7 @@ from dataclasses import replace
 import math
 from typing import Any
 
-from handeye_ros.simulate.conventions import CONVENTION_ERRORS
+from handeye_ros.simulate.arm import CONVENTION_ERRORS
 from handeye_ros.simulate.scenario import (
     Layout,
     PlateTarget,

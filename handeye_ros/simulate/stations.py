@@ -1,11 +1,16 @@
-"""Where and when the robot stops: poses of the sensor, stamps, and poses between the stops."""
+"""
+The sensor's frame as published, and where and when the robot stops.
+
+Poses of the sensor at the stops, stamps, and poses between the stops.
+"""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.simulate.scenario import Scenario
+from handeye_ros.simulate.scenario import Scenario, SphereTarget
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -126,3 +131,56 @@ def between(T: Array, station: NDArray[STAMP], share: Array) -> Array:
     turn = se3.log_rotation(np.swapaxes(R, 1, 2) @ there[:, :3, :3])
     t = here[:, :3, 3] + share[:, None] * (there[:, :3, 3] - here[:, :3, 3])
     return se3.transform(R @ se3.exp_rotation(share[:, None] * turn), t)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """
+    A published frame.
+
+    T_standard_sensor: (4, 4) pose of the published frame in the standard one (x along the laser
+    line, z the range, y = 0). axes: of the published frame, along the line and range.
+    range_sign: -1 where the published range falls with the distance.
+    """
+
+    T_standard_sensor: Array
+    axes: tuple[str, str] = ('x', 'z')
+    range_sign: int = 1
+
+
+def _rotation(*columns: tuple[float, float, float], x: float = 0.0, z: float = 0.0) -> Array:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.array(columns).T, [x, 0.0, z]
+    return T
+
+
+FRAMES = {
+    'standard': Frame(np.eye(4)),
+    'z_up': Frame(_rotation((1, 0, 0), (0, -1, 0), (0, 0, -1), z=0.2), range_sign=-1),
+    # zero in the middle of the range, which is counted upwards, and at the left of a wide field
+    'off_centre': Frame(_rotation((1, 0, 0), (0, -1, 0), (0, 0, -1), x=-0.07, z=0.275),
+                        range_sign=-1),
+    'x_reversed': Frame(_rotation((-1, 0, 0), (0, -1, 0), (0, 0, 1))),
+    'y_along_line': Frame(_rotation((0, -1, 0), (1, 0, 0), (0, 0, 1)), axes=('y', 'z')),
+}
+
+
+def published(frame: Frame, points: Array) -> Array:
+    """Return points (..., 2) of the standard sensor plane along the axes of the published one."""
+    R, t = frame.T_standard_sensor[:3, :3], frame.T_standard_sensor[:3, 3]
+    in_frame = (lift(points) - t) @ R
+    return np.asarray(in_frame[..., ['xyz'.index(axis) for axis in frame.axes]])
+
+
+def settings(scenario: Scenario) -> dict[str, Any]:
+    """Return the configuration, by dotted key, that reads the recordings of a scenario."""
+    frame, target = FRAMES[scenario.layout.frame], scenario.target
+    values: dict[str, Any] = {
+        'calibration_type': scenario.calibration_type, 'target.type': scenario.scene,
+        'profile.axes': list(frame.axes), 'profile.range_sign': frame.range_sign,
+        'noise.sensor': scenario.sensor.noise,
+        'noise.robot_translation': scenario.robot.repeatability[0],
+        'noise.robot_rotation': scenario.robot.repeatability[1]}
+    if isinstance(target, SphereTarget):
+        values['target.radius'] = target.radius
+    return values | dict(scenario.stated)

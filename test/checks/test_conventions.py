@@ -19,7 +19,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.errors import PositionUnitError
 from handeye_ros.simulate import SCENARIOS
-from handeye_ros.simulate.conventions import CONVENTION_ERRORS as SIMULATED
+from handeye_ros.simulate.arm import CONVENTION_ERRORS as SIMULATED
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

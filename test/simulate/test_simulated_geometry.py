@@ -7,10 +7,9 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.simulate import SCENARIOS, simulate, simulate_samples, Simulated, Station
 from handeye_ros.simulate import sensor as sensors
-from handeye_ros.simulate.conventions import FRAMES
 from handeye_ros.simulate.scenario import PlateTarget, SensorModel, SphereTarget
 from handeye_ros.simulate.solids import Ball, Box
-from handeye_ros.simulate.stations import lift, MOTIONS
+from handeye_ros.simulate.stations import FRAMES, lift, MOTIONS
 import numpy as np
 import pytest
 from scenes import CLEAN, DOWN, scenario, seen_at

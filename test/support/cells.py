@@ -15,7 +15,7 @@ from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mounted
 from handeye_ros.results.truth_errors import mapped_point_error
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
-from handeye_ros.simulate.conventions import FRAMES
+from handeye_ros.simulate.stations import FRAMES
 import numpy as np
 import pytest
 
