@@ -46,8 +46,8 @@ class Fit:
     @classmethod
     def of(cls, problem: Problem) -> Fit | None:
         """Return the fit of a problem, None where the first guesses lead to none."""
-        found = Consensus.of_first_guesses(problem)
-        return cls((found,)) if found else None
+        consensus = Consensus.of_first_guesses(problem)
+        return cls((consensus,)) if consensus else None
 
     @property
     def solution(self) -> Solution:

@@ -93,8 +93,8 @@ class TooUncertainError(NamedCauseError):
     @classmethod
     def rotation(cls, axis: str, std: float, limit: float, missing: str) -> TooUncertainError:
         """Return the error for a rotation, radians."""
-        known = f'is uncertain by {degrees(std)} (1 sigma; ' if std < 1 else 'is not determined ('
-        return cls(f'the rotation about {axis} {known}limits.rotation is {degrees(limit)}): '
+        words = f'is uncertain by {degrees(std)} (1 sigma; ' if std < 1 else 'is not determined ('
+        return cls(f'the rotation about {axis} {words}limits.rotation is {degrees(limit)}): '
                    f'{missing}')
 
 

@@ -24,7 +24,6 @@ from scipy.spatial.transform import Rotation
 # Distances at which the robot's errors have the correlation 0.5: m, rad, s.
 POSITION_LENGTH, ROTATION_LENGTH, TIME_LENGTH = 1.0, 1.4, 0.5
 Kernel = Callable[[Array], Array]
-FIELD = 1.25  # size of the field of view over that of the box of the points
 
 
 def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> list[Array]:
@@ -70,10 +69,10 @@ def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
     Return the rigid motion (3, k) of the plane that fits each field of bending best, for (9).
 
     Along x and z, and the turn about the origin: over the field of view, less the one that fits
-    the points (m, 2) best. The field of view is FIELD times the box of these points, which are
+    the points (m, 2) best. The field of view is 1.25 times the box of these points, which are
     means of many and lie inside it.
     """
-    across = np.linspace(-FIELD, FIELD, 11)
+    across = np.linspace(-1.25, 1.25, 11)
     u, v = (w.ravel() for w in np.meshgrid(across, across))
     terms = polynomials(points[:, 0], points[:, 1], degrees)
     fitted = [np.linalg.lstsq(_rigid(where), _each_way(some), rcond=None)[0]

@@ -56,16 +56,16 @@ def _inverse_of_scaled(scaled: Array, scale: Array) -> Array:
     return np.asarray(full)
 
 
-def from_information(N: Array, b: Array, units: Array, known: int) -> tuple[Array, Array]:
+def from_information(N: Array, b: Array, units: Array, priors: int) -> tuple[Array, Array]:
     """
     Return the solution -C b (p,) of normal equations, and its covariance C (p, p), as in (5).
 
     N (p, p), b (p,): information and gradient of whitened residuals; units: (p,) the units that
-    the solution is in, 1 for unknowns and tau for nuisance parameters; the last so many, known,
+    the solution is in, 1 for unknowns and tau for nuisance parameters; the last so many, priors,
     have a prior of unit variance in these.
     """
     diagonal = np.diag(N) * units ** 2
-    diagonal[len(b) - known:] += 1.0
+    diagonal[len(b) - priors:] += 1.0
     scale = 1 / np.sqrt(np.maximum(diagonal, NOTHING))
     both = units * scale
     scaled = N * both

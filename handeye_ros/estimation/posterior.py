@@ -35,7 +35,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 STEPS, LAST_STEPS = 2, 3  # of estimating scales in each round, and after the last
-CONVERGED = 0.03  # step in sigmas; relative change of a variance
 MAP_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
 
 
@@ -75,7 +74,7 @@ def _iterated(system: _System) -> tuple[_System, bool]:
         relinearised, steady = system.at(state, noise), change < 0.1
         system = relinearised if resting and steady else relinearised.rescaled(STEPS)[0]
         resting = system is relinearised
-        if size < CONVERGED and steady:
+        if size < 0.03 and steady:  # sigmas
             break
     return system, False
 
@@ -188,7 +187,7 @@ class _System:
         system, scales = self, None
         for _ in range(steps if self.blocks else 0):
             before, scales = system.variances, system.estimated_scales
-            if np.abs(np.log(scales.conservative / before)).max() < CONVERGED:
+            if np.abs(np.log(scales.conservative / before)).max() < 0.03:
                 break
             system = system.with_variances(scales.conservative)
         return system, scales

@@ -111,11 +111,11 @@ def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = No
     p = problem.points_in_base(estimate.X)
     labelled = problem.method.geometry.relabel(problem.observations, p, estimate.target,
                                                problem.config)
-    found = labelled.select(labelled.kind != UNUSED)
-    for known in (problem, before):
-        if known and found.same(known.observations):
-            return known
-    return replace(problem, observations=found)
+    used = labelled.select(labelled.kind != UNUSED)
+    for earlier in (problem, before):
+        if earlier and used.same(earlier.observations):
+            return earlier
+    return replace(problem, observations=used)
 
 
 def _mean_squares(at: Weighed) -> Array:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 S = TypeVar('S')
 
 ROUNDING = 1e-9  # of the sum of squares; residuals are differences of large numbers
-STANDSTILL = 1e-14  # of the same: what is left is the rounding of the derivatives; least damping
 BELIEVED_SHARE = 0.65  # of the blocks that a good answer must explain
 
 States: TypeAlias = tuple[NDArray[Any], ...]
@@ -128,7 +127,7 @@ def _descent(starts: States, first: tuple[Array, Array],
         length = np.linalg.norm((J @ step[..., None])[..., 0], axis=1)
         before = np.einsum('km,km->k', r, r)
         tried = _judged(before, after, length, converged)
-        damping = np.maximum(damping * tried.damping, STANDSTILL)
+        damping = np.maximum(damping * tried.damping, 1e-14)
         taken, refused = taken + tried.better, np.where(tried.better, 0, refused + 1)
         left = ~tried.done & (taken < iterations) & (refused < 8)
         if tried.better.any():
@@ -160,7 +159,8 @@ def _judged(before: Array, after: Array, length: Array, converged: float) -> _Ju
     """
     better = np.less_equal(after, np.multiply(before, 1 + ROUNDING))
     done = better & ((length < converged * (1 + np.sqrt(before)))
-                     | np.greater_equal(after, np.multiply(before, 1 - STANDSTILL)))
+                     # what is left is the rounding of the derivatives
+                     | np.greater_equal(after, np.multiply(before, 1 - 1e-14)))
     return _Judged(better, done, np.where(better, 30.0 ** -2, 30.0))
 
 

@@ -100,23 +100,23 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
         return _unguided(f'take the first sample: hold the sensor square to the target, with the '
                          f'{noun(method)} in the middle of the view', None, trouble)
     view = learn_view(samples, seen)
-    known = None if solution is None else mapping(solution.estimate.X, view)
-    if solution is None or known is None or known.std(_stated(solution)) > ROUGHLY_KNOWN:
+    mapped = None if solution is None else mapping(solution.estimate.X, view)
+    if solution is None or mapped is None or mapped.std(_stated(solution)) > ROUGHLY_KNOWN:
         if config.sampling.moving:
             return _unguided(SWEEP.format(noun(method)), None, trouble)
         move = next_move(len(samples), method, config, view)
         return _unguided(move.text, move, trouble)
     limits = limits_of(mounted(samples, config)[0], config)
-    sigmas = sigma_table(solution, known, config)
+    sigmas = sigma_table(solution, mapped, config)
     lacking = missing(solution, view, limits)[:MOST_MISSING]
     if config.sampling.moving:
         return _of_sweep(solution, sigmas, lacking, trouble, notes)
-    surely = view.shrunk(known.std(_stated(solution)))  # seen there, wherever the sensor is
-    search = Search(solution, surely, limits, known, visited(samples, refused, config),
+    surely = view.shrunk(mapped.std(_stated(solution)))  # seen there, wherever the sensor is
+    search = Search(solution, surely, limits, mapped, visited(samples, refused, config),
                     samples[-1].T_base_flange)
     proposal = propose(search, config) or propose(replace(  # where there is no room for a margin
         search, view=view, visited=visited(samples, refused, config, margin=(0.0, 0.0))), config)
-    enough, why = judged(sigmas, proposal, largest_cause(solution, known), len(samples))
+    enough, why = judged(sigmas, proposal, largest_cause(solution, mapped), len(samples))
     content = [why, *lacking * (not enough)]
     if proposal and not enough:
         content.append(_directions(samples[-1].T_base_flange, proposal, config, noun(method)))
@@ -144,38 +144,38 @@ def _stated(solution: Solution) -> Array:
     return solution.reported[:6, :6]
 
 
-def sigma_table(solution: Solution, known: Mapping, config: Config) -> tuple[Sigma, ...]:
+def sigma_table(solution: Solution, mapped: Mapping, config: Config) -> tuple[Sigma, ...]:
     """Return the uncertainty of each direction, of the worst ones, and of mapped points."""
     covariance, limits, frame = _stated(solution), config.limits, mount_frame(config)
     std = np.sqrt(np.diag(covariance))
-    found = [Sigma(f'position {axis}', float(s), limits.translation)
-             for axis, s in zip('xyz', std[:3], strict=True)]
-    found += [Sigma(f'rotation about {axis}', float(s), limits.rotation, 'rad')
-              for axis, s in zip('xyz', std[3:], strict=True)]
+    sigmas = [Sigma(f'position {axis}', float(s), limits.translation)
+              for axis, s in zip('xyz', std[:3], strict=True)]
+    sigmas += [Sigma(f'rotation about {axis}', float(s), limits.rotation, 'rad')
+               for axis, s in zip('xyz', std[3:], strict=True)]
     shift, along = worst_translation(covariance)
     turn, about = worst_rotation(covariance)
-    far, way = known.worst(covariance)
-    return (*found,
+    far, way = mapped.worst(covariance)
+    return (*sigmas,
             Sigma(f'position along {name_direction(along, frame)} (worst)', shift,
                   limits.translation),
             Sigma(f'rotation about {name_direction(about, frame)} (worst)', turn,
                   limits.rotation, 'rad'),
             Sigma(f'points in view, along {name_direction(way, frame)} (worst)', far,
                   config.guidance.accuracy),
-            Sigma('points in view', known.std(covariance), config.guidance.accuracy))
+            Sigma('points in view', mapped.std(covariance), config.guidance.accuracy))
 
 
 def propose(search: Search, config: Config) -> Proposal | None:
     """Return the pose that helps most, None where none keeps the feature in view."""
     rng = np.random.default_rng(SEED)
-    found = search.draw(rng)
-    if not found:
+    drawn = search.draw(rng)
+    if not drawn:
         return None
-    part = search.refined(found, rng)
+    part = search.refined(drawn, rng)
     best = part.best()
     T = part.poses[best]
     in_hand = config.calibration_type == 'eye_in_hand'
-    return Proposal(T if in_hand else se3.inverse(T), part.places[best],
+    return Proposal(T if in_hand else se3.inverse(T), part.anchors[best],
                     with_sample(search.solution, search.mapping,
                                 part.problem.subset(np.array([best]))))
 
@@ -187,18 +187,18 @@ def judged(sigmas: Sequence[Sigma], proposal: Proposal | None, cause: Cause | No
     over = [s for s in sigmas[:-2] if s.std > s.limit]
     if over:
         return False, f'{over[-1].name} is uncertain by {_figure(over[-1])}'
-    known = (f'points in view are known to {1e3 * std:.3f} mm (1 sigma, {1e3 * accuracy:.3f} '
-             'wanted)')
+    content = (f'points in view are known to {1e3 * std:.3f} mm (1 sigma, {1e3 * accuracy:.3f} '
+               'wanted)')
     if cause:
-        known += f', of which {1e3 * cause.std:.3f} mm is {cause.text} ({cause.key})'
+        content += f', of which {1e3 * cause.std:.3f} mm is {cause.text} ({cause.key})'
     after = f'one more sample would bring {1e3 * proposal.std:.3f} mm' if proposal else ''
     if std <= accuracy:
-        return True, '; '.join(filter(None, [f'enough: {known}', after]))
+        return True, '; '.join(filter(None, [f'enough: {content}', after]))
     if proposal and count >= GOOD_COUNT and proposal.std > (1 - LITTLE) * std:
         remedy = (f'a better {REMEDIES[cause.key]} would' if cause and cause.key in REMEDIES else
                   'noise dominates')
-        return True, f'enough: {known}; more samples bring little, {remedy}'
-    return False, '; '.join(filter(None, [known, after]))
+        return True, f'enough: {content}; more samples bring little, {remedy}'
+    return False, '; '.join(filter(None, [content, after]))
 
 
 def _figure(sigma: Sigma) -> str:

@@ -34,14 +34,14 @@ class Candidates:
     n poses (n, 4, 4) of the mount, and the uncertainty with a sample at each.
 
     station: of the template; choices: (n, 6) twist, tilt (2), place (2) and shift as drawn;
-    places: (n, 2) of the anchor in the sensor plane; variance: (n,) of mapped points with the
+    anchors: (n, 2) in the sensor plane; variance: (n,) of mapped points with the
     sample, the nuisance parameters known; problem: of these stations alone.
     """
 
     station: int
     choices: Array
     poses: Array
-    places: Array
+    anchors: Array
     variance: Array
     problem: Problem
 
@@ -53,7 +53,7 @@ class Candidates:
         """Return one of them."""
         rows = slice(i, i + 1)
         return replace(self, choices=self.choices[rows], poses=self.poses[rows],
-                       places=self.places[rows], variance=self.variance[rows],
+                       anchors=self.anchors[rows], variance=self.variance[rows],
                        problem=self.problem.subset(np.array([i])))
 
 
@@ -70,11 +70,11 @@ class Search:
 
     def draw(self, rng: np.random.Generator) -> list[Candidates]:
         """Return candidates of some stations; none where none keeps the feature in view."""
-        found = []
+        candidates = []
         for station in templates(self.solution.problem):
             drawn = self.judged(station, _drawn(DRAWN, self.limits, rng))
-            found += [drawn] if len(drawn.poses) else []
-        return found
+            candidates += [drawn] if len(drawn.poses) else []
+        return candidates
 
     def refined(self, drawn: list[Candidates], rng: np.random.Generator) -> Candidates:
         """Return candidates around a near and useful one of those drawn (at least one)."""
@@ -107,14 +107,14 @@ class Search:
         """Return the possible candidates of choices (n, 6)."""
         problem, estimate = self.solution.problem, self.solution.estimate
         X = estimate.X
-        T_sensor, places = self._sensors(problem.poses[station] @ X, anchor_of(problem, station),
-                                         choices)
+        T_sensor, anchors = self._sensors(problem.poses[station] @ X, anchor_of(problem, station),
+                                          choices)
         poses = T_sensor @ se3.inverse(X)
         flange = poses if self.limits.in_hand else se3.inverse(poses)
         kept = np.flatnonzero(self.limits.allow(poses, X) & self.visited.allow(flange))
         obs = problem.observations
         template = replace(problem, observations=obs.select(obs.station == station))
-        batch, stations = predicted(batch_of(template, estimate, poses[kept], places[kept]),
+        batch, stations = predicted(batch_of(template, estimate, poses[kept], anchors[kept]),
                                     self.view.inner(), self.visited.careful)
         kept, good = kept[stations], batch.problem
         return Candidates(station, choices[kept], poses[kept], batch.anchors,
@@ -129,11 +129,11 @@ class Search:
         zero = np.zeros(len(choices))
         R = first @ se3.exp_rotation(np.column_stack([zero, zero, twist])) @ se3.exp_rotation(
             np.column_stack([choices[:, 1:3], zero]))
-        places = (view.low + view.high) / 2 + choices[:, 3:5] * view.size / 2
+        anchors = (view.low + view.high) / 2 + choices[:, 3:5] * view.size / 2
         anchor = T_sensor[:3, [0, 2]] @ anchor + T_sensor[:3, 3]  # in what carries the target
         anchor = anchor + LARGEST_SHIFT * view.size[0] * choices[:, 5:] * T_sensor[:3, 1]
-        in_sensor = np.column_stack([places[:, 0], zero, places[:, 1]])
-        return se3.transform(R, anchor - np.einsum('nij,nj->ni', R, in_sensor)), places
+        in_sensor = np.column_stack([anchors[:, 0], zero, anchors[:, 1]])
+        return se3.transform(R, anchor - np.einsum('nij,nj->ni', R, in_sensor)), anchors
 
     def _rows(self, batch: Problem) -> Array:
         """Return the whitened derivatives (n, c, u) by the unknowns."""

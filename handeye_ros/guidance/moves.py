@@ -171,9 +171,9 @@ class Spread:
 def missing(solution: Solution, view: View, limits: Limits) -> list[str]:
     """Return what the samples of a solution lack, the worst first, each in words."""
     problem = solution.problem
-    found = [*_rotations(problem.poses, solution.estimate.X, limits), *_coverage(problem, view),
-             *_edges(problem)]
-    return [s.text for s in sorted(found, key=lambda s: s.share) if s.share < 1.0]
+    spreads = [*_rotations(problem.poses, solution.estimate.X, limits), *_coverage(problem, view),
+               *_edges(problem)]
+    return [s.text for s in sorted(spreads, key=lambda s: s.share) if s.share < 1.0]
 
 
 def _rotations(poses: Array, X: Array, limits: Limits) -> list[Spread]:
@@ -201,14 +201,14 @@ def _coverage(problem: Problem, view: View) -> list[Spread]:
     anchors = np.array([anchor_of(problem, i) for i in range(n)])
     lengths = [np.ptp(obs.points[obs.station == i], axis=0)[0] for i in range(n)]
     fills = np.median(lengths) > FILLING * view.size[0]
-    found = []
+    spreads = []
     for axis, what in ((0, 'along the laser line'), (1, 'in range')):
         so_far, wanted = np.ptp(anchors[:, axis]), WANTED_PLACES * view.size[axis]
         if wanted > 0 and not (axis == 0 and fills):
-            found.append(Spread(float(so_far / wanted), (
+            spreads.append(Spread(float(so_far / wanted), (
                 f'places of the {noun(problem.method)} {what}: over {so_far * 1e3:.0f} mm so '
                 f'far, {wanted * 1e3:.0f} mm wanted')))
-    return found
+    return spreads
 
 
 def _edges(problem: Problem) -> list[Spread]:

@@ -170,12 +170,12 @@ class Corners:
     """
     Where two faces meet, in n profiles.
 
-    places: (n, 2) in the sensor plane; angle: (n,) between the faces in the profile (rad); reach:
+    points: (n, 2) in the sensor plane; angle: (n,) between the faces in the profile (rad); reach:
     (n, 2) signed distance of the middle of each visible face from the corner, across the edge
     (m); facing: (n, 2) cosine between each face's normal and the viewing direction.
     """
 
-    places: Array
+    points: Array
     angle: Array
     reach: Array
     facing: Array
@@ -194,16 +194,16 @@ def corners(linear: Linear, count: int) -> Corners | None:
     sine = A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
     singular = np.abs(sine) < 1e-6
     A[singular] = np.eye(2)
-    places = np.linalg.solve(A, height[..., None])[..., 0]
+    points = np.linalg.solve(A, height[..., None])[..., 0]
     at = replace(problem, observations=replace(
-        obs, points=np.repeat(places, count, axis=0)))
+        obs, points=np.repeat(points, count, axis=0)))
     corner = at.points_in_base(linear.estimate.X).reshape(-1, count, 3)[:, 0]
     edge = np.cross(first[3], second[3])
     reach = [((middle - corner) * np.cross(normal, edge)).sum(axis=1)
              for _, _, middle, normal, _ in (first, second)]
     angle = np.where(singular, 0.0, np.arcsin(np.minimum(np.abs(sine), 1.0)))
     facing = np.stack([first[4], second[4]], axis=1)
-    return Corners(places, angle, np.stack(reach, axis=1), facing)
+    return Corners(points, angle, np.stack(reach, axis=1), facing)
 
 
 def _face(linear: Linear, rows: NDArray[np.bool_], count: int) -> tuple[Array, ...]:

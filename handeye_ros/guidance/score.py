@@ -172,7 +172,7 @@ class Cause:
     std: float
 
 
-def largest_cause(solution: Solution, known: Mapping) -> Cause | None:
+def largest_cause(solution: Solution, mapped: Mapping) -> Cause | None:
     """Return what most of the reported uncertainty of mapped points comes from, None if noise."""
     source = solution.conservative or solution
     C, first = source.covariance, source.unknowns
@@ -182,13 +182,13 @@ def largest_cause(solution: Solution, known: Mapping) -> Cause | None:
             if block.name.startswith(name):
                 rows.setdefault((text, key), []).extend(range(first, first + block.count))
         first += block.count
-    total = float(known.variance(C[:6, :6]))
-    parts = {cause: float(known.variance(_explained(C, np.array(at)))) / total
+    total = float(mapped.variance(C[:6, :6]))
+    parts = {cause: float(mapped.variance(_explained(C, np.array(at)))) / total
              for cause, at in rows.items()}
     if not parts or max(parts.values()) < SMALLEST:
         return None
     (text, key), share = max(parts.items(), key=lambda item: item[1])
-    return Cause(text, key, share ** 0.5 * known.std(solution.reported[:6, :6]))
+    return Cause(text, key, share ** 0.5 * mapped.std(solution.reported[:6, :6]))
 
 
 def _explained(C: Array, at: Array) -> Array:
@@ -196,7 +196,7 @@ def _explained(C: Array, at: Array) -> Array:
     return np.asarray(across @ np.linalg.pinv(C[np.ix_(at, at)], hermitian=True) @ across.T)
 
 
-def with_sample(solution: Solution, known: Mapping, one: Problem) -> float:
+def with_sample(solution: Solution, mapped: Mapping, one: Problem) -> float:
     """
     Return the reported 1 sigma of mapped points (m) that one more sample would lead to.
 
@@ -205,9 +205,9 @@ def with_sample(solution: Solution, known: Mapping, one: Problem) -> float:
     source = solution.conservative or solution
     problem, noise = source.problem, source.noise
     before, after = (
-        float(known.variance(evaluated(p, solution.estimate, noise).covariance[:6, :6]))
+        float(mapped.variance(evaluated(p, solution.estimate, noise).covariance[:6, :6]))
         for p in (problem, _extended(problem, one)))
-    return known.std(solution.reported[:6, :6]) * math.sqrt(min(after / before, 1.0))
+    return mapped.std(solution.reported[:6, :6]) * math.sqrt(min(after / before, 1.0))
 
 
 def _extended(problem: Problem, one: Problem) -> Problem:

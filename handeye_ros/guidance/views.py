@@ -76,11 +76,11 @@ def anchor_of(problem: Problem, station: int) -> Array:
     return np.asarray(problem.observations.points[anchor_rows(problem, station)].mean(axis=0))
 
 
-def batch_of(template: Problem, estimate: Estimate, poses: Array, places: Array) -> Batch:
+def batch_of(template: Problem, estimate: Estimate, poses: Array, anchors: Array) -> Batch:
     """
     Return a batch at poses (n, 4, 4), its points not yet on the target.
 
-    template: of one station; places: (n, 2) of the sensor plane, to which its anchor goes.
+    template: of one station; anchors: (n, 2) of the sensor plane, to which its anchor goes.
     """
     obs, n, linear = template.observations, len(poses), linearise(template, estimate)
     anchored = anchor_rows(template, int(obs.station[0]))
@@ -89,7 +89,7 @@ def batch_of(template: Problem, estimate: Estimate, poses: Array, places: Array)
     count = np.bincount(which.reshape(-1))
     order = np.argsort(which.reshape(-1), kind='stable')
     groups = tuple(order[np.repeat(count, count) == r].reshape(-1, r) for r in np.unique(count))
-    points = obs.points[None] + (places - anchor)[:, None]
+    points = obs.points[None] + (anchors - anchor)[:, None]
     many = obs.repeated(n, points.reshape(-1, 2))
     return Batch(replace(template, poses=poses, observations=many), estimate, anchored, groups,
                  linear.by_point[:, 1], rules.corners(linear, len(obs)), rules.face_beside(linear))
@@ -115,7 +115,7 @@ def predicted(batch: Batch, view: View, strict: bool = True) -> tuple[Batch, NDA
     corners = rules.corners(linear, len(batch.seen))
     meeting = rules.meeting(corners, batch.corner, strict)
     if corners is not None and meeting is not None:
-        good &= meeting & (view.room(corners.places) > 0)
+        good &= meeting & (view.room(corners.points) > 0)
     if batch.face and strict:
         room = batch.face.room(batch.problem.poses @ batch.estimate.X, batch.anchors, view)
         good &= room > rules.SMALLEST_FACE * view.size[0]

@@ -141,7 +141,7 @@ def _text(answer: Answer) -> str:
 
 
 def _joints(outcome: Outcome) -> list[dict[str, Any]]:
-    arm, found = outcome.arm, []
+    arm, entries = outcome.arm, []
     columns = {'value': arm.values, 'std': outcome.stds, 'known': outcome.known}
     for i, joint in enumerate(arm.chain.joints):
         values: dict[str, Any] = {
@@ -152,8 +152,8 @@ def _joints(outcome: Outcome) -> list[dict[str, Any]]:
             own = [k for k, p in enumerate(arm.parameters) if (p.joint, p.kind) == (i, kind)]
             if own:
                 values[kind] = {key: array[own].tolist() for key, array in columns.items()}
-        found.append(values)
-    return found
+        entries.append(values)
+    return entries
 
 
 def compared(reported: Array, nominal: Array) -> str:

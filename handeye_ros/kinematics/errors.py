@@ -150,17 +150,17 @@ def cause_of(chain: Chain, q: Array, on_flange: bool, refit: Callable[[Change], 
     q: (n, joints); refit: gives the residual with a change.
     """
     as_stated, *changes = _changes(chain, on_flange, float(np.median(np.abs(q).max(axis=0))))
-    best, found = BETTER * refit(as_stated), ''
+    best, words = BETTER * refit(as_stated), ''
     for change in changes:
         try:
             rms = refit(change)
         except (DataError, np.linalg.LinAlgError):
             continue
         if rms < best:
-            best, found = rms, change.words
+            best, words = rms, change.words
     still = [joint.name for joint, moves in zip(chain.joints, np.ptp(q, axis=0) > 0, strict=True)
              if not moves]
-    return found or (f'{still[0]} has the same value throughout: check where its values come from'
+    return words or (f'{still[0]} has the same value throughout: check where its values come from'
                      if still else '')
 
 

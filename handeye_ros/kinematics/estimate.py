@@ -97,8 +97,8 @@ class Fit:
     @property
     def kinds(self) -> tuple[str, ...]:
         """Return the kinds of unknowns with a prior, in their order."""
-        found = dict.fromkeys(p.kind for p in self.state.arm.parameters)
-        return (*found, 'smooth') if self.root.shape[1] else tuple(found)
+        kinds = dict.fromkeys(p.kind for p in self.state.arm.parameters)
+        return (*kinds, 'smooth') if self.root.shape[1] else tuple(kinds)
 
     @cached_property
     def group(self) -> NDArray[np.intp]:

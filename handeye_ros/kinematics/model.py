@@ -37,10 +37,10 @@ class JointNamesError(InputError):
     """Joint values and joints of the URDF that have different names."""
 
     @classmethod
-    def missing(cls, source: object, joint: str, found: Sequence[str]) -> JointNamesError:
+    def missing(cls, source: object, joint: str, given: Sequence[str]) -> JointNamesError:
         """Return the error for a joint of the robot without values."""
-        return cls(f'{source}: there are no values of the joint {joint}{nearest(joint, found)}; '
-                   f'the joints with values are {", ".join(found) or "none"}; name them as the '
+        return cls(f'{source}: there are no values of the joint {joint}{nearest(joint, given)}; '
+                   f'the joints with values are {", ".join(given) or "none"}; name them as the '
                    'URDF does')
 
 
@@ -149,11 +149,11 @@ class Arm:
 
     def of(self, joint: int, kind: str) -> Array:
         """Return the values (COUNTS,) of a kind of a joint, 0 where they are not estimated."""
-        found = np.zeros(COUNTS[kind])
+        values = np.zeros(COUNTS[kind])
         for parameter, value in zip(self.parameters, self.values, strict=True):
             if (parameter.joint, parameter.kind) == (joint, kind):
-                found[parameter.which] = value
-        return found
+                values[parameter.which] = value
+        return values
 
     @cached_property
     def displacements(self) -> list[Array]:

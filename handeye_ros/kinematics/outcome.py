@@ -169,9 +169,9 @@ def _left_out(fit: Fit, fold: NDArray[np.intp]) -> Array:
     """Return the errors (n,) of points, each against the answer without its region."""
     data, errors = fit.data, np.empty(len(fit.data))
     for number in range(int(fold.max()) + 1):
-        there = fold == number
-        others = adjusted(replace(fit, used=fit.used & ~there), rounds=FOLD_ROUNDS)
-        errors[there] = data.distances(others.state)[there]
+        inside = fold == number
+        others = adjusted(replace(fit, used=fit.used & ~inside), rounds=FOLD_ROUNDS)
+        errors[inside] = data.distances(others.state)[inside]
     return errors
 
 

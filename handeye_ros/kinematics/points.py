@@ -225,16 +225,16 @@ def starts(data: Points, arm: Arm, most: int, rng: np.random.Generator) -> list[
     rotations = Rotation.random(SWEPT, random_state=rng).as_matrix()
     v = np.column_stack([rotations.reshape(-1, 9), np.ones(SWEPT)])
     cost = np.einsum('ki,ij,kj->k', v, gram, v)
-    found: list[State] = []
+    chosen: list[State] = []
     for i in np.argsort(cost, kind='stable'):
         turned = rotations[i]
-        if all(se3.angle(turned @ s.X[:3, :3].T) > APART for s in found):
+        if all(se3.angle(turned @ s.X[:3, :3].T) > APART for s in chosen):
             linear = -inverse @ (both @ v[i])
-            found.append(State(se3.transform(turned, linear[:3]), linear[3:].reshape(t, 3), arm,
-                               np.zeros((0, 3))))
-        if len(found) == most:
+            chosen.append(State(se3.transform(turned, linear[:3]), linear[3:].reshape(t, 3), arm,
+                                np.zeros((0, 3))))
+        if len(chosen) == most:
             break
-    return found
+    return chosen
 
 
 def cause_of_points(data: Points, chain: Chain) -> str:

@@ -176,8 +176,8 @@ def _agreed(problem: Problem) -> tuple[Problem, Estimate, NDArray[np.intp]]:
 
 def misfit(problem: Problem) -> float:
     """Return by how much (m) half of the stations miss at least, as far as any estimate goes."""
-    found = Consensus.of(problem, np.random.default_rng(SEED))
-    g = linearise(found.whole, found.solution.estimate).residuals
+    agreed = Consensus.of(problem, np.random.default_rng(SEED))
+    g = linearise(agreed.whole, agreed.solution.estimate).residuals
     station = problem.observations.station
     squares = np.bincount(station, g ** 2) / np.maximum(np.bincount(station), 1)
     return float(np.sqrt(np.median(squares)))

@@ -84,8 +84,8 @@ def programme(fit: Fit, count: int) -> Programme:
         covariance = covariance - A.T @ np.linalg.solve(
             np.eye(len(A)) + A @ J[rows[best]].T, A)
         errors.append(_spread(J, covariance, fit, rows))
-    known = np.append(np.array(errors) < fit.noise_rms, True)
-    return Programme(chain, q[chosen], np.array(errors), int(np.argmax(known)))
+    certain = np.append(np.array(errors) < fit.noise_rms, True)
+    return Programme(chain, q[chosen], np.array(errors), int(np.argmax(certain)))
 
 
 def _spread(J: Array, covariance: Array, fit: Fit, rows: Sequence[NDArray[np.intp]]) -> float:
@@ -102,26 +102,26 @@ def postures(chain: Chain, q: Array, rng: np.random.Generator) -> tuple[NDArray[
     arm, views = Arm(chain, own, np.zeros(len(own))), np.repeat(np.arange(len(q)), TRIES)
     low, high = _limits(chain)
     wanted = chain.forward(q)[views]
-    found = rng.uniform(low, high, (len(views), len(low)))
+    solutions = rng.uniform(low, high, (len(views), len(low)))
     for _ in range(STEPS):
-        T, twists = arm.with_twists(found)
+        T, twists = arm.with_twists(solutions)
         off = np.concatenate([wanted[:, :3, 3] - T[:, :3, 3], se3.log_rotation(
             wanted[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))], axis=1)
         square = twists @ np.swapaxes(twists, 1, 2) + 1e-8 * np.eye(6)
         step = np.einsum('nij,ni->nj', twists, np.linalg.solve(square, off[..., None])[..., 0])
-        found = found + np.clip(step, -LARGEST_STEP, LARGEST_STEP)
+        solutions = solutions + np.clip(step, -LARGEST_STEP, LARGEST_STEP)
     turning = np.array([joint.kind == REVOLUTE for joint in chain.joints])
-    found = np.where(turning & ((found < low) | (found > high)),
-                     (found + np.pi) % (2 * np.pi) - np.pi, found)
+    solutions = np.where(turning & ((solutions < low) | (solutions > high)),
+                         (solutions + np.pi) % (2 * np.pi) - np.pi, solutions)
     free = all(joint.follows == joint.name for joint in chain.joints)
-    good = ((np.abs(off).max(axis=1) < REACHED) & (found > low).all(axis=1) & free
-            & (found < high).all(axis=1))
+    good = ((np.abs(off).max(axis=1) < REACHED) & (solutions > low).all(axis=1) & free
+            & (solutions < high).all(axis=1))
     kept: list[int] = []
     for k in np.flatnonzero(good):
-        others = [q[views[k]], *(found[i] for i in kept if views[i] == views[k])]
-        if all(np.abs(found[k] - other).max() > OTHER for other in others):
+        others = [q[views[k]], *(solutions[i] for i in kept if views[i] == views[k])]
+        if all(np.abs(solutions[k] - other).max() > OTHER for other in others):
             kept.append(int(k))
-    return views[kept], found[kept]
+    return views[kept], solutions[kept]
 
 
 def _limits(chain: Chain) -> tuple[Array, Array]:

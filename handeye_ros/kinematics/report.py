@@ -68,11 +68,11 @@ def _model_rows(answer: Answer) -> Iterator[tuple[str, ...]]:
 
 def _unknown(answer: Answer, joint: int) -> Iterator[str]:
     """Yield the kinds of errors of a joint of which the data tell next to nothing."""
-    found: dict[str, list[bool]] = {}
+    unknown_kinds: dict[str, list[bool]] = {}
     for p, ratio in zip(answer.arm.parameters, answer.outcome.known, strict=True):
         if p.joint == joint:
-            found.setdefault(p.kind, []).append(ratio > UNKNOWN)
-    yield from (kind for kind, each in found.items() if all(each))
+            unknown_kinds.setdefault(p.kind, []).append(ratio > UNKNOWN)
+    yield from (kind for kind, each in unknown_kinds.items() if all(each))
 
 
 def _cell(answer: Answer, joint: int, kind: str, factor: float, digits: int, unit: str) -> str:

@@ -129,8 +129,8 @@ def _ends(elements: Mapping[str, Any], links: Sequence[str], base: str, flange: 
 
 
 def _link(element: Any, end: str) -> str:
-    found = element.find(end)
-    return '' if found is None else str(found.get('link', ''))
+    named = element.find(end)
+    return '' if named is None else str(named.get('link', ''))
 
 
 def _path(model: Any, last: int, first: int, source: object, base: str, flange: str) -> list[int]:

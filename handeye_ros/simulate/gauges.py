@@ -93,15 +93,15 @@ def line(rng: np.random.Generator, count: int = 14, take: Take = stations,
     return measured([take(scenario, X, T, SCENES['line'].stops(scenario, rng), rng)], X)
 
 
-def planes(rng: np.random.Generator, places: Array, lengths: tuple[float, ...] = (),
+def planes(rng: np.random.Generator, poses: Array, lengths: tuple[float, ...] = (),
            count: int = 20, take: Take = stations, mounted: Mounted | None = None,
            **changes: Any) -> Measured:
-    """Return planes at places (k, 4, 4) in the artefact, each in a bag."""
+    """Return planes at poses (k, 4, 4) in the artefact, each in a bag."""
     face = PlateTarget((0.2, 0.15), table=None, clutter=None)
     scenario, X, T = cell_of('plane', rng, count, mounted, **{
         'target': face, 'tilt': TILT} | changes)
     return measured([take(scenario, X, T @ place, SCENES['plane'].stops(scenario, rng), rng)
-                     for place in places], X, lengths)
+                     for place in poses], X, lengths)
 
 
 def plane(rng: np.random.Generator, **values: Any) -> Measured:
@@ -112,31 +112,31 @@ def plane(rng: np.random.Generator, **values: Any) -> Measured:
 def step_block(rng: np.random.Generator, heights: tuple[float, ...] = (0.025, 0.05, 0.1),
                **values: Any) -> Measured:
     """Return parallel faces above each other, square to x, y or z of the base."""
-    places = np.repeat(np.eye(4)[None], 1 + len(heights), axis=0)
-    places[1:, 2, 3] = heights
+    poses = np.repeat(np.eye(4)[None], 1 + len(heights), axis=0)
+    poses[1:, 2, 3] = heights
     turn = np.eye(4)
     turn[:3, :3] = Rotation.from_euler('zyx', [[0, 0, 0], [0, np.pi / 2, 0], [0, 0, np.pi / 2]][
         int(rng.integers(3))]).as_matrix()
-    return planes(rng, turn @ places, heights, **values)
+    return planes(rng, turn @ poses, heights, **values)
 
 
 def step_directions(rng: np.random.Generator, heights: Sequence[float] = (0.025, 0.05, 0.1),
                     **values: Any) -> Measured:
     """Return a block laid along x, y and z of the base in turn: two faces each."""
-    places = np.repeat(np.eye(4)[None], 2 * len(heights), axis=0)
-    places[1::2, 2, 3] = heights
-    places[:, :3, :3] = Rotation.from_euler('zyx', np.repeat(
+    poses = np.repeat(np.eye(4)[None], 2 * len(heights), axis=0)
+    poses[1::2, 2, 3] = heights
+    poses[:, :3, :3] = Rotation.from_euler('zyx', np.repeat(
         [[0, 0, 0], [0, np.pi / 2, 0], [0, 0, np.pi / 2]], 2, axis=0)).as_matrix()
-    places[:, :3, 3] = np.einsum('kij,kj->ki', places[:, :3, :3], places[:, :3, 3])
-    return planes(rng, places, tuple(heights), **values)
+    poses[:, :3, 3] = np.einsum('kij,kj->ki', poses[:, :3, :3], poses[:, :3, 3])
+    return planes(rng, poses, tuple(heights), **values)
 
 
 def square(rng: np.random.Generator, **values: Any) -> Measured:
     """Return two faces at a right angle."""
-    places = np.repeat(np.eye(4)[None], 2, axis=0)
-    places[1, :3, :3] = Rotation.from_euler('x', np.pi / 2).as_matrix()
-    places[1, :3, 3] = [0, 0.15, 0]
-    return planes(rng, places, **values)
+    poses = np.repeat(np.eye(4)[None], 2, axis=0)
+    poses[1, :3, :3] = Rotation.from_euler('x', np.pi / 2).as_matrix()
+    poses[1, :3, 3] = [0, 0.15, 0]
+    return planes(rng, poses, **values)
 
 
 def ball_bar(rng: np.random.Generator, balls: int = 2, length: float = 0.2, radius: float = 0.02,

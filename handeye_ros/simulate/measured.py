@@ -65,9 +65,9 @@ def simulate_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
     q3 = np.linspace(-0.03, 0.11, 151)
     T = np.array([arm(SWEEP_ANGLE, q) for q in q3])
     profiles = _profiles(se3.inverse(T_base_target) @ T @ X, sensor, rng)
-    places = T[:, :3, 3] + reported * rng.normal(size=(len(T), 3))
+    positions = T[:, :3, 3] + reported * rng.normal(size=(len(T), 3))
     poses = tuple(TimedPose(int(stamp), t, q) for stamp, t, q in zip(
-        _stamps(len(T)), places, se3.quaternion(T), strict=True))
+        _stamps(len(T)), positions, se3.quaternion(T), strict=True))
     reflector = {kind: points + noise * rng.normal(size=points.shape)
                  for kind, points in _reflector(T_base_target, rng).items()}
     return TrackerCell(reflector, H0, H1, profiles, poses, float(q3[0]), 0.003, X)

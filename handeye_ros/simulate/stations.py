@@ -126,10 +126,10 @@ def stamps(times: Array) -> NDArray[STAMP]:
 
 def between(T: Array, station: NDArray[STAMP], share: Array) -> Array:
     """Return poses (k, 4, 4) at a share of the way from a station of T (n, 4, 4) to the next."""
-    here, there = T[station], T[np.minimum(station + 1, len(T) - 1)]
-    R = here[:, :3, :3]
-    turn = se3.log_rotation(np.swapaxes(R, 1, 2) @ there[:, :3, :3])
-    t = here[:, :3, 3] + share[:, None] * (there[:, :3, 3] - here[:, :3, 3])
+    start, end = T[station], T[np.minimum(station + 1, len(T) - 1)]
+    R = start[:, :3, :3]
+    turn = se3.log_rotation(np.swapaxes(R, 1, 2) @ end[:, :3, :3])
+    t = start[:, :3, 3] + share[:, None] * (end[:, :3, 3] - start[:, :3, 3])
     return se3.transform(R @ se3.exp_rotation(share[:, None] * turn), t)
 
 

@@ -284,7 +284,7 @@ def test_an_edge_is_where_it_is_said_and_so_much_of_its_face_is_seen_that_it_is_
     searched = search((found, solved(found.problem)))
     view, seen = searched.view.inner(), 0
     for part in searched.draw(np.random.default_rng(5)):
-        for pose, place in zip(part.poses, part.places, strict=True):
+        for pose, place in zip(part.poses, part.anchors, strict=True):
             T = sensor_poses(found, pose)
             edge = T[:3, [0, 2]] @ place + T[:3, 3]
             assert np.abs(edge[1:]).max() < 5e-3, 'the true edge is the x axis'
