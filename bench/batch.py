@@ -30,8 +30,7 @@ import time
 from typing import Any
 
 from handeye_ros.batch.jobs import Job, Row, run
-from handeye_ros.batch.run import client_of, rows_of
-from handeye_ros.batch.sources import jobs_of
+from handeye_ros.batch.run import client_of, jobs_of, rows_of
 from handeye_ros.cli.batch import run_verb
 from handeye_ros.ros.bags.bag_write import write
 from handeye_ros.simulate import SCENARIOS, simulate

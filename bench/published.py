@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.config import Config, with_values
-from handeye_ros.files import hand_eye_estimate, points_estimate, tracker_estimate
+from handeye_ros.files import hand_eye_estimate, points, tracker_estimate
 from handeye_ros.files.sweeps import sweep_from
 from handeye_ros.published import cn105021139a, jing2020, wu2017
 from handeye_ros.simulate.measured import RADIUS, SENSOR, simulate_tracker
@@ -59,7 +59,7 @@ def two_frames(rng: np.random.Generator) -> Trial:
     camera = exact + 3e-5 * rng.normal(size=(10, 3))
 
     def answers() -> Answers:
-        yield 'points', points_estimate.solve(camera, base).T_base_camera
+        yield 'points', points.solve(camera, base).T_base_camera
         yield 'Wu 2017, best of 210', wu2017.solve(camera, base).T_base_camera
     return Trial(T, exact, answers())
 

@@ -7,5 +7,5 @@ Jobs, their results, one table and one report; a worker that ends loses one try 
 OFFERED = (
     'jobs.Job', 'jobs.LOCKS', 'jobs.Row', 'report.cell_of', 'report.cells_of', 'report.result_of',
     'report.worst_answers', 'report.write_report', 'run.client_of', 'run.rows_of',
-    'run.write_rows', 'sources.jobs_of', 'sources.words_of',
+    'run.write_rows', 'run.jobs_of', 'run.words_of',
 )

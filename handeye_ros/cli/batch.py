@@ -7,8 +7,7 @@ from pathlib import Path
 import sys
 from typing import Annotated, Any, TYPE_CHECKING
 
-from handeye_ros.cli.app import app
-from handeye_ros.cli.common import Assignments, ConfigFile, configuration
+from handeye_ros.cli.common import app, Assignments, ConfigFile, configuration
 from handeye_ros.errors import UnwritableError
 import typer
 
@@ -114,8 +113,7 @@ def batch(
 ) -> None:
     """Take many recordings through one verb, in parallel; again: only what is new or changed."""
     from handeye_ros.batch.jobs import Job, LOCKS
-    from handeye_ros.batch.run import client_of
-    from handeye_ros.batch.sources import jobs_of, words_of
+    from handeye_ros.batch.run import client_of, jobs_of, words_of
     if verb not in VERBS:
         raise typer.BadParameter(f'{verb!r} is not one of {", ".join(VERBS)}', param_hint='--verb')
     jobs = jobs_of(sources, Job('', '', verb, words_of(args, Path()),

@@ -3,9 +3,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, TYPE_CHECKING
 
-from handeye_ros.cli.app import app
 from handeye_ros.cli.common import (
     Angles,
+    app,
     Assignments,
     ConfigFile,
     configuration,
@@ -53,8 +53,7 @@ def solve(
     folder = _target(out, settings)
 
     from handeye_ros.results import exports, table
-    from handeye_ros.results.truth_errors import errors_against
-    from handeye_ros.results.truth_file import true_transform
+    from handeye_ros.results.truth_file import errors_against, true_transform
     method, T_true = _file_method(path, settings), true_transform(path)
     calibration, field = (_solve_files(method, path, settings) if method else
                           (_solve_session(stored, settings) if stored else
@@ -122,7 +121,7 @@ def _solve_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
     """Return the calibration, and the points over which its errors are reported."""
     given = _read_files(method, path, settings)
     with doing('solving'):
-        from handeye_ros.files.outcome import calibrate
+        from handeye_ros.files.method import calibrate
         return calibrate(method, given, settings), method.field(given.data)
 
 

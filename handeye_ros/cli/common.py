@@ -11,7 +11,10 @@ from pathlib import Path
 import sys
 from typing import Annotated, Any, Optional, TYPE_CHECKING
 
+from handeye_ros import __version__
+from handeye_ros.errors import HandeyeError
 import typer
+from typer.core import TyperGroup
 
 if TYPE_CHECKING:
     from handeye_ros.config import Config
@@ -33,6 +36,7 @@ KinematicsFile = Annotated[NoPath, typer.Option(
 Angles = Annotated[str, typer.Option(
     metavar='NOTATION', help='How a table of poses writes orientations: kuka-abc, fanuc-wpr, '
     'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
+INTERRUPTED = 130
 
 
 def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None,
@@ -112,3 +116,34 @@ def show(renderable: Any) -> None:
     if not console.is_terminal:
         console = Console(width=160, color_system=None)  # a pipe has no width to wrap at
     console.print(renderable)
+
+
+class Verbs(TyperGroup):
+    """The one place where errors become a sentence and an exit code."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a verb."""
+        try:
+            return super().invoke(ctx)
+        except HandeyeError as error:
+            typer.echo(f'error: {" ".join(str(error).split())}', err=True)
+            raise typer.Exit(error.exit_code) from None
+        except KeyboardInterrupt:
+            raise typer.Exit(INTERRUPTED) from None
+
+
+app = typer.Typer(cls=Verbs, no_args_is_help=True, rich_markup_mode=None,
+                  pretty_exceptions_enable=False)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f'handeye_ros {__version__}')
+        raise typer.Exit
+
+
+@app.callback()
+def _options(version: Annotated[bool, typer.Option(
+        '--version', callback=_print_version, is_eager=True,
+        help='Print the version and exit.')] = False) -> None:
+    """Hand-eye calibration of laser line profilers."""

@@ -3,9 +3,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
-from handeye_ros.cli.app import app
 from handeye_ros.cli.common import (
     advancing,
+    app,
     Assignments,
     configuration,
     doing,

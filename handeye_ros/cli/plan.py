@@ -4,8 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from handeye_ros import units
-from handeye_ros.cli.app import app
-from handeye_ros.cli.common import Assignments, NoPath
+from handeye_ros.cli.common import app, Assignments, NoPath
 from handeye_ros.cli.scan import calibrated, CalibrationFile, MeasureConfig
 from handeye_ros.cli.verify import (
     Aim,

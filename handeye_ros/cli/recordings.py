@@ -2,8 +2,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from handeye_ros.cli.app import app
-from handeye_ros.cli.common import Bag, doing
+from handeye_ros.cli.common import app, Bag, doing
 from handeye_ros.errors import NoRosError, UnknownNameError
 import typer
 

@@ -2,8 +2,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from handeye_ros.cli.app import app
-from handeye_ros.cli.common import doing, NoPath
+from handeye_ros.cli.common import app, doing, NoPath
 from handeye_ros.config import SAVE_FORMATS
 import typer
 

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any, Optional, TYPE_CHECKING
 
 from handeye_ros import units
-from handeye_ros.cli.app import app
-from handeye_ros.cli.common import Assignments, doing, NoPath
+from handeye_ros.cli.common import app, Assignments, doing, NoPath
 from handeye_ros.cli.scan import calibrated, MeasureConfig
 import typer
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import sys
 from typing import Annotated, TYPE_CHECKING
 
-from handeye_ros.cli.app import app
 from handeye_ros.cli.common import (
+    app,
     Assignments,
     ConfigFile,
     configuration,

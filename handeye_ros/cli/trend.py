@@ -2,8 +2,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from handeye_ros.cli.app import app
-from handeye_ros.cli.common import NoPath, show, warn
+from handeye_ros.cli.common import app, NoPath, show, warn
 import typer
 
 Folder = Annotated[Path, typer.Argument(

@@ -17,7 +17,7 @@ from handeye_ros.cli import (
     trend,
     verify,
 )
-from handeye_ros.cli.app import app
+from handeye_ros.cli.common import app
 
 __all__ = ['app', 'batch', 'calibrate', 'check', 'kinematics', 'plan', 'recordings', 'results',
            'scan', 'seam', 'session', 'trend', 'verify']

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Annotated, Optional, TYPE_CHECKING
 
 from handeye_ros import units
-from handeye_ros.cli.app import app
 from handeye_ros.cli.common import (
+    app,
     Assignments,
     doing,
     KinematicsFile,

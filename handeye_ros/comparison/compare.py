@@ -13,9 +13,8 @@ from handeye_ros.comparison.given import Given, Known, Measurements, Stations
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError
-from handeye_ros.files.method import FileMethod, Input
-from handeye_ros.files.outcome import require_trusted
-from handeye_ros.results.truth_errors import Errors, errors_against, FIELD
+from handeye_ros.files.method import FileMethod, Input, require_trusted
+from handeye_ros.results.truth_file import Errors, errors_against, FIELD
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.time_offset import synchronised
 import numpy as np

@@ -17,7 +17,7 @@ from handeye_ros.checks.consistency import require_certain, require_rotations
 from handeye_ros.comparison.given import Known, Measurements, Stations
 from handeye_ros.data import Arc, Array, EdgePoint
 from handeye_ros.files import hand_eye_estimate
-from handeye_ros.files.outcome import require_trusted
+from handeye_ros.files.method import require_trusted
 from handeye_ros.frames import mount_frame
 from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
 from handeye_ros.published.errors import SingularError

@@ -10,11 +10,10 @@ from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.search import fit
-from handeye_ros.files.method import FileMethod
-from handeye_ros.files.outcome import plane_axes
+from handeye_ros.files.method import FileMethod, plane_axes
 from handeye_ros.frames import sensor_axes
 from handeye_ros.results.outcome import measured_points
-from handeye_ros.results.truth_errors import field_points
+from handeye_ros.results.truth_file import field_points
 import numpy as np
 from numpy.typing import NDArray
 

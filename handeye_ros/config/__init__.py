@@ -21,7 +21,6 @@ from handeye_ros.config.cell import (
     TargetConfig,
     TrackerConfig,
 )
-from handeye_ros.config.files import EVERY_NODES, load, NODE
 from handeye_ros.config.keys import (
     BASE_FRAME,
     Config,
@@ -33,8 +32,11 @@ from handeye_ros.config.keys import (
 )
 from handeye_ros.config.parameter import Parameter
 from handeye_ros.config.values import (
+    EVERY_NODES,
     flipped_range,
     from_provenance,
+    load,
+    NODE,
     with_assignments,
     with_values,
     yaml_content,

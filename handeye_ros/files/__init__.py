@@ -11,8 +11,8 @@ from handeye_ros.files.points import POINTS
 from handeye_ros.files.tracker import TRACKER
 
 OFFERED = (
-    'hand_eye_estimate', 'method.FileMethod', 'method.Input', 'outcome.calibrate',
-    'outcome.plane_axes', 'outcome.require_trusted',
+    'hand_eye_estimate', 'method.FileMethod', 'method.Input', 'method.calibrate',
+    'method.plane_axes', 'method.require_trusted',
 )
 
 FILE_METHODS: dict[str, FileMethod[Any]] = {m.name: m for m in (POINTS, HAND_EYE, TRACKER)}

@@ -16,7 +16,7 @@ from handeye_ros.files.tracker_model import Seen, State, Sweep, SWEPT
 from handeye_ros.frames import sensor_axes
 from handeye_ros.published import jing2020
 from handeye_ros.results.calibration_file import input_values
-from handeye_ros.results.truth_errors import FIELD, field_points
+from handeye_ros.results.truth_file import FIELD, field_points
 from handeye_ros.tables import Table, TableError
 import numpy as np
 from numpy.typing import NDArray

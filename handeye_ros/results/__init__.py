@@ -13,8 +13,8 @@ OFFERED = (
     'outcome.NuisanceReport', 'outcome.describe_calibration', 'outcome.left_out',
     'outcome.measured_points', 'protocol.html',
     'table', 'target_shape.enlargement', 'target_shape.half_axes', 'target_shape.rings',
-    'target_shape.shape', 'truth_errors.Errors', 'truth_errors.FIELD',
-    'truth_errors.errors_against', 'truth_errors.field_points', 'truth_file',
+    'target_shape.shape', 'truth_file.Errors', 'truth_file.FIELD',
+    'truth_file.errors_against', 'truth_file.field_points', 'truth_file',
     'truth_file.true_transform', 'verified.COLUMNS', 'verified.FORMAT', 'verified.Verified',
     'verified.read', 'verified.rows_of', 'verified.shown', 'verified.title_of', 'verified.written',
 )

@@ -1,16 +1,17 @@
-"""truth.yaml: what is true of a simulated recording, kept beside it."""
+"""truth.yaml: what is true of a simulated recording; errors of an answer against it."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from handeye_ros import __version__
+from handeye_ros import __version__, se3
 from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
 from handeye_ros.results.calibration_file import transform_from, transform_values
 from handeye_ros.results.errors import CalibrationFileError
+import numpy as np
 import yaml
 
 if TYPE_CHECKING:
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from handeye_ros.simulate.measuring import MeasuringCell
 
 NAME = 'truth.yaml'
+STEPS = 13  # points along each side of the field of view
+FIELD = 'x within +-20 mm, range 160-190 mm'
 
 
 def truth_values(simulated: Simulated, seed: int) -> dict[str, Any]:
@@ -80,3 +83,52 @@ def true_transform(bag: Path) -> Array | None:
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError) as error:
         raise CalibrationFileError(path, 'it holds no T_flange_sensor') from error
     return transform_from(path, 'T_flange_sensor', values)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """
+    The difference between two transforms.
+
+    translation: metres; rotation: radians; mapped_points: RMS over the field of view, metres.
+    """
+
+    translation: float
+    rotation: float
+    mapped_points: float
+
+
+def errors_against(T_est: Array, T_true: Array, field: Array | None = None) -> Errors:
+    """
+    Return the errors of T_flange_sensor (4, 4) against the true one.
+
+    field: points (k, 3) in the sensor frame that are mapped, field_points when not given.
+    """
+    delta = se3.difference(T_est, T_true)
+    return Errors(float(np.linalg.norm(delta[:3])), float(np.linalg.norm(delta[3:])),
+                  _mapped(T_est, T_true, field_points() if field is None else field))
+
+
+def mapped_point_error(T_est: Array, T_true: Array, x: tuple[float, float] = (-0.02, 0.02),
+                       z: tuple[float, float] = (0.16, 0.19)) -> float:
+    """
+    Return the RMS of |(T_est - T_true) p| over a field of view (metres).
+
+    T_est, T_true: (4, 4); p: a grid in the sensor plane, along the line within x and in range
+    within z. What a user of the transform meets; the translation alone is dominated by the
+    lever arm of the rotation.
+
+    """
+    return _mapped(T_est, T_true, field_points(x, z))
+
+
+def field_points(x: tuple[float, float] = (-0.02, 0.02), z: tuple[float, float] = (0.16, 0.19)
+                 ) -> Array:
+    """Return a grid (k, 3) in the sensor plane, see mapped_point_error."""
+    along, across = np.meshgrid(np.linspace(*x, STEPS), np.linspace(*z, STEPS))
+    return np.column_stack([along.ravel(), np.zeros(along.size), across.ravel()])
+
+
+def _mapped(T_est: Array, T_true: Array, points: Array) -> float:
+    difference = se3.apply(T_est, points) - se3.apply(T_true, points)
+    return float(np.sqrt((difference ** 2).sum(axis=1).mean()))

@@ -23,8 +23,7 @@ from handeye_ros.data import Calibration
 from handeye_ros.errors import InputError, UnwritableError
 from handeye_ros.results import calibration_file, exports, table
 from handeye_ros.results.report import page
-from handeye_ros.results.truth_errors import errors_against
-from handeye_ros.results.truth_file import true_transform
+from handeye_ros.results.truth_file import errors_against, true_transform
 from handeye_ros.ros.bags.bag import evidence
 from handeye_ros.ros.bags.storage import scan
 from handeye_ros.ros.errors import NodeError, RefusedError

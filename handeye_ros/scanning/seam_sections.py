@@ -2,7 +2,7 @@
 The two edges of a seam, section by section across its rough course.
 
 On each side a polynomial is laid through the section of the sheet, which ends where it most likely
-does (see sheet_ends). The foot of a lap lies on the lower sheet under the rim, whether the wall
+does (see seam_sheets). The foot of a lap lies on the lower sheet under the rim, whether the wall
 hides it or not; the root of a fillet is where the sheets meet, that of a V midway between its
 lower edges.
 """
@@ -16,8 +16,7 @@ from handeye_ros.data import Array
 from handeye_ros.scanning.curves import arc_length, averaged, Curve, spline
 from handeye_ros.scanning.errors import InterruptedSeamError, NoLineError
 from handeye_ros.scanning.seam_edges import Course
-from handeye_ros.scanning.seam_sheets import Rims, Sheets
-from handeye_ros.scanning.sheet_ends import column_resolution, end_of, sheet_through
+from handeye_ros.scanning.seam_sheets import column_resolution, end_of, Rims, sheet_through, Sheets
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree

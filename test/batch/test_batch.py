@@ -18,8 +18,7 @@ from command import assert_refused, handeye, PATIENCE, ROOT
 from handeye_ros.batch.errors import JobListError, NoJobsError, RemoteError
 from handeye_ros.batch.jobs import CRASHED, Job, run
 from handeye_ros.batch.report import cell_of, cells_of, write_report
-from handeye_ros.batch.run import client_of, rows_of, write_rows
-from handeye_ros.batch.sources import jobs_of
+from handeye_ros.batch.run import client_of, jobs_of, rows_of, write_rows
 from handeye_ros.cli.batch import run_verb
 import pytest
 

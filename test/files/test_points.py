@@ -5,7 +5,7 @@ from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.files import points_estimate
+from handeye_ros.files import points
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.published import wu2017
 from handeye_ros.published.errors import TooFewError
@@ -29,7 +29,7 @@ def cell(seed: int, noise: float = 0.0, count: int = 10, wrong: int = 0
 @pytest.mark.parametrize('count', [4, 10, 60])
 def test_the_truth_without_noise(count: int) -> None:
     T, camera, base = cell(count, count=count)
-    found = points_estimate.solve(camera, base)
+    found = points.solve(camera, base)
     assert np.abs(se3.difference(found.T_base_camera, T)).max() < 1e-9
     assert len(found.used) == count
 
@@ -38,7 +38,7 @@ def test_nearer_than_the_best_quadruple() -> None:
     ours, published = [], []
     for seed in range(50):
         T, camera, base = cell(seed, 3e-5)
-        ours.append(np.abs(se3.difference(points_estimate.solve(camera, base).T_base_camera, T)))
+        ours.append(np.abs(se3.difference(points.solve(camera, base).T_base_camera, T)))
         published.append(np.abs(se3.difference(wu2017.solve(camera, base).T_base_camera, T)))
     assert (np.median(ours, axis=0) < 0.9 * np.median(published, axis=0)).all()
 
@@ -47,7 +47,7 @@ def test_the_covariance_is_true_and_the_noise_found() -> None:
     squares, noise = [], []
     for seed in range(100):
         T, camera, base = cell(seed, 3e-5)
-        found = points_estimate.solve(camera, base)
+        found = points.solve(camera, base)
         delta = se3.difference(found.T_base_camera, T)
         squares.append(delta @ np.linalg.solve(found.covariance, delta) / 6)
         noise.append(found.noise)
@@ -57,7 +57,7 @@ def test_the_covariance_is_true_and_the_noise_found() -> None:
 
 def test_wrong_pairs_are_found_and_left_out() -> None:
     T, camera, base = cell(3, 3e-5, wrong=2)
-    found = points_estimate.solve(camera, base)
+    found = points.solve(camera, base)
     assert list(found.used) == list(range(2, 10))
     assert found.residuals[:2].min() > 1e-3 > 1e-4 > found.rms
     assert found.rms < found.holdout_rms < 3 * found.rms
@@ -67,14 +67,14 @@ def test_wrong_pairs_are_found_and_left_out() -> None:
 def test_what_cannot_carry_an_answer_is_refused() -> None:
     T, camera, base = cell(1)
     with pytest.raises(TooFewError, match='at least 4 points, got 3'):
-        points_estimate.solve(camera[:3], base[:3])
+        points.solve(camera[:3], base[:3])
     line = np.linspace(0.0, 1.0, 10)[:, None] * [0.1, 0.2, 0.3]
     with pytest.raises(DegenerateError, match='in one line, so a turn about it is free'):
-        points_estimate.solve(se3.apply(se3.inverse(T), line), line)
+        points.solve(se3.apply(se3.inverse(T), line), line)
     with pytest.raises(DegenerateError, match='same points in the same order'):
-        points_estimate.solve(camera, base[::-1])
+        points.solve(camera, base[::-1])
     with pytest.raises(DegenerateError, match='their units'):
-        points_estimate.solve(1e3 * camera, base)
+        points.solve(1e3 * camera, base)
 
 
 HEADER = 'camera_x [mm], camera_y [mm], camera_z [mm], base_x [m], base_y [m], base_z [m]'
@@ -88,7 +88,7 @@ def test_files_name_their_units(tmp_path: Path) -> None:
     names = ', '.join(f'"{name.strip()}"' for name in HEADER.split(','))
     as_yaml.write_text(f'columns: [{names}]\nrows: {rows.tolist()}\n')
     for path in (csv, as_yaml):
-        found = points_estimate.solve(*points_estimate.read(path))
+        found = points.solve(*points.read(path))
         assert np.abs(se3.difference(found.T_base_camera, T)).max() < 1e-9
 
 
@@ -105,7 +105,7 @@ def test_files_that_cannot_be_read(tmp_path: Path, text: str, message: str) -> N
     path = tmp_path / 'points.csv'
     path.write_text(text)
     with pytest.raises(TableError) as caught:
-        points_estimate.read(path)
+        points.read(path)
     assert message in str(caught.value)
 
 
@@ -114,6 +114,6 @@ def test_yaml_that_cannot_be_read(tmp_path: Path, text: str) -> None:
     path = tmp_path / 'points.yaml'
     path.write_text(text)
     with pytest.raises(TableError, match=r'points\.yaml: (cannot be read|expected "columns:")'):
-        points_estimate.read(path)
+        points.read(path)
     with pytest.raises(TableError, match='cannot be read'):
-        points_estimate.read(tmp_path / 'missing.csv')
+        points.read(tmp_path / 'missing.csv')

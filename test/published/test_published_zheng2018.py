@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.published import zheng2018, zheng2018_features, zheng2018_sensor
+from handeye_ros.published import zheng2018, zheng2018_features
 from handeye_ros.published.errors import TooFewError
 from hypothesis import given
 from hypothesis import strategies as st
@@ -84,7 +84,7 @@ def test_too_few_points_are_refused() -> None:
         zheng2018.solve(poses, points, np.eye(4))
 
 
-SENSOR = zheng2018_sensor.Sensor.from_tilt(np.deg2rad(25), 0.21, 0.016, (5e-6, 6e-6), (640, 500))
+SENSOR = zheng2018_features.Sensor.from_tilt(np.deg2rad(25), 0.21, 0.016, (5e-6, 6e-6), (640, 500))
 
 
 def test_sensor_projects_as_its_camera_does() -> None:
@@ -92,8 +92,8 @@ def test_sensor_projects_as_its_camera_does() -> None:
     in_camera = se3.apply(SENSOR.T_camera_sensor, np.insert(points, 0, 0.0, axis=1))
     image = -SENSOR.f * in_camera[:, :2] / in_camera[:, 2:]
     pixels = image / SENSOR.pitch + SENSOR.centre
-    np.testing.assert_allclose(zheng2018_sensor.to_pixels(points, SENSOR), pixels, rtol=1e-12)
-    np.testing.assert_allclose(zheng2018_sensor.to_plane(pixels, SENSOR), points, atol=1e-15)
+    np.testing.assert_allclose(zheng2018_features.to_pixels(points, SENSOR), pixels, rtol=1e-12)
+    np.testing.assert_allclose(zheng2018_features.to_plane(pixels, SENSOR), points, atol=1e-15)
     axis = np.array([[0.0, 0.0, np.hypot(SENSOR.L, SENSOR.H)]])
     np.testing.assert_allclose(se3.apply(SENSOR.T_camera_sensor, np.zeros((1, 3))), axis,
                                atol=1e-15)
@@ -102,16 +102,16 @@ def test_sensor_projects_as_its_camera_does() -> None:
 
 @given(st.floats(-0.05, 0.05), st.floats(-0.1, 0.1), st.floats(10, 80), st.floats(0.15, 0.5))
 def test_sensor_inverse(y: float, z: float, tilt: float, distance: float) -> None:
-    sensor = zheng2018_sensor.Sensor.from_tilt(np.deg2rad(tilt), distance, 0.012, (5e-6, 5e-6))
+    sensor = zheng2018_features.Sensor.from_tilt(np.deg2rad(tilt), distance, 0.012, (5e-6, 5e-6))
     point = np.array([[y, z]])
-    back = zheng2018_sensor.to_plane(zheng2018_sensor.to_pixels(point, sensor), sensor)
+    back = zheng2018_features.to_plane(zheng2018_features.to_pixels(point, sensor), sensor)
     np.testing.assert_allclose(back, point, atol=1e-12)
 
 
 def test_sensor_sees_nothing_beyond_the_horizon() -> None:
     horizon = SENSOR.f * SENSOR.L / SENSOR.H / SENSOR.pitch[0] + SENSOR.centre[0]
-    assert np.isnan(zheng2018_sensor.to_plane(np.array([[horizon + 1, 0.0]]), SENSOR)).all()
-    assert np.isnan(zheng2018_sensor.to_pixels(np.array([[0.0, 1.0]]), SENSOR)).all()
+    assert np.isnan(zheng2018_features.to_plane(np.array([[horizon + 1, 0.0]]), SENSOR)).all()
+    assert np.isnan(zheng2018_features.to_pixels(np.array([[0.0, 1.0]]), SENSOR)).all()
 
 
 def test_derivatives_of_a_line_and_a_parabola() -> None:

@@ -10,7 +10,7 @@ from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature
 from handeye_ros.errors import mm
 from handeye_ros.results.report.evidence import Evidence
-from handeye_ros.results.truth_errors import FIELD, field_points
+from handeye_ros.results.truth_file import FIELD, field_points
 import numpy as np
 
 MANY_REJECTED = 1 / 3  # of the stops
