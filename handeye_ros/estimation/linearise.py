@@ -69,14 +69,14 @@ class Problem:
         return stations_of(self.observations)
 
     @cached_property
-    def pose_features(self) -> Array:
-        """Return the features (n, 6) of the poses, see basis.pose_features."""
-        return pose_features(self.poses)
-
-    @cached_property
     def distinct(self) -> list[int]:
         """Return the stations of distinct poses, at most MANY."""
-        return farthest_points(self.pose_features, MANY)
+        return farthest_points(pose_features(self.poses), MANY)
+
+    @property
+    def few(self) -> bool:
+        """Return whether there may be several answers, so that more starts are needed."""
+        return len(self.poses) <= 12
 
     @property
     def in_hand(self) -> bool:
@@ -207,9 +207,7 @@ class Linear:
         model = self.problem.pose_model
         if model is None or model.white is None:
             return None
-        twists = model.at(self.problem.pose_values)[1] * model.white
-        station = self.problem.observations.station
-        return np.asarray((self.by_pose[:, None] @ twists[station])[:, 0])
+        return self.by_twists(model.at(self.problem.pose_values)[1] * model.white)
 
     @cached_property
     def by_point(self) -> Array:

@@ -31,7 +31,6 @@ import numpy as np
 # Squared whitened residuals: of a good answer, with blocks lumped (4: 2 sigma); of a station that
 # is far from it, over that of the believed share (16: 4 sigma).
 CONVINCING, LARGEST_SQUARE = 4.0, 16.0
-FEW_STATIONS = 12  # up to so many there may be several answers: more starts go on
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,15 +148,14 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
         moved = problem.retracted(Estimate(*states), steps)
         return moved.X, moved.target
 
-    few = len(problem.poses) <= FEW_STATIONS
     states: States = (np.array([start.X for start in starts]),
                       np.array([start.target for start in starts]))
     for iterations, kept in ((2, 6), (3, 3), (10, 2)):  # and how many starts go on after them
-        kept = max(more * kept, 6 if few else 0)
+        kept = max(more * kept, 6 if problem.few else 0)
         states, cost = many_least_squares(linear, retract, states, iterations, 1e-6)
         order = np.argsort(cost, kind='stable')
         # of few stations, many starts lead to the same estimate
-        best = (order[different(states[0][order])] if few else order)[:kept]
+        best = (order[different(states[0][order])] if problem.few else order)[:kept]
         states = tuple(values[best] for values in states)
     return [Estimate(X, target) for X, target in zip(*states, strict=True)][:20]
 

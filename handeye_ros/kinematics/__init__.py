@@ -8,6 +8,6 @@ OFFERED = (
     'answer.Answer', 'answer.solve_table', 'errors.ContradictionError',
     'errors.TooFewConfigurationsError', 'model.Arm', 'model.Chain', 'model.JointNamesError',
     'model.ON_DEMAND', 'programme.programme', 'report.table', 'report.write_page',
-    'samples.JointRecording', 'samples.Source', 'samples.configured', 'samples.solve_sources',
+    'samples.JointRecording', 'samples.Source', 'samples.solve_sources',
     'samples.source_of', 'urdf.read_arm', 'urdf.read_chain',
 )

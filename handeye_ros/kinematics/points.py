@@ -71,7 +71,7 @@ class Points:
         return replace(self, **own, reported=None if self.reported is None
                        else self.reported[rows])
 
-    def again(self, rows: NDArray[np.intp], q: Array) -> Points:
+    def with_postures(self, rows: NDArray[np.intp], q: Array) -> Points:
         """Return what rows (k,) would show with other postures q (k, joints) at these poses."""
         return replace(self.select(rows), q=q, reported=None)
 

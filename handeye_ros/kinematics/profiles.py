@@ -52,7 +52,7 @@ class Profiles:
         """Return the rows of q that belong to each target."""
         return _slices([len(problem.poses) for problem in self.problems])
 
-    def again(self, rows: NDArray[np.intp], q: Array) -> Profiles:
+    def with_postures(self, rows: NDArray[np.intp], q: Array) -> Profiles:
         """Return what stops (k,) ascending would show with other postures q (k, joints)."""
         own = [rows[(rows >= at.start) & (rows < at.stop)] - at.start for at in self.stops]
         problems = tuple(map(_repeated, self.problems, own))

@@ -69,7 +69,7 @@ def programme(fit: Fit, count: int) -> Programme:
     views, q = postures(chain, fit.data.q[fit.used], rng)
     if not len(q):
         raise NoPostureError(chain.flange)
-    seen = fit.data.again(np.flatnonzero(fit.used)[views], q)
+    seen = fit.data.with_postures(np.flatnonzero(fit.used)[views], q)
     _, J = seen.linearised(fit.state, np.zeros((len(q), fit.root.shape[1])))
     J = J / fit.weights.noise[seen.component][:, None]
     rows = [np.flatnonzero(seen.block == k) for k in range(len(q))]

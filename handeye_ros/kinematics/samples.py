@@ -4,6 +4,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
@@ -67,9 +68,16 @@ class Source:
     stamps: NDArray[np.int64]
     joints: Array
     recording: JointRecording | None = None
-    require_same_clock: Callable[[], None] | None = None
+    require_same_clock: Callable[[Config], None] | None = None
     inputs: Sequence[dict[str, str]] = ()
     warnings: Sequence[str] = ()
+
+    @classmethod
+    def of(cls, samples: Sequence[Sample], rejects: Sequence[Reject], frame_id: str,
+           config: Config, chain: Chain, stamps: NDArray[np.int64], joints: Array, **more: Any
+           ) -> Source:
+        """Return samples whose settings have the frames of a chain; more: the other fields."""
+        return cls(samples, rejects, frame_id, _configured(config, chain), stamps, joints, **more)
 
     def joints_at(self, samples: Sequence[Sample]) -> Array:
         """Return the joint values (k, joints) at samples; raises NoJointValuesError."""
@@ -97,19 +105,19 @@ class Source:
 
 def source_of(recording: JointRecording, chain: Chain, config: Config) -> Source:
     """Return the samples of a recording; raises DataError."""
-    config = configured(config, chain)
+    config = _configured(config, chain)
     stamps = np.array([pose.stamp for pose in recording.poses])
     odd = judged_joints(chain, chain.given(recording.joints))
     session = pipeline.gather(recording.profiles, recording.poses, config)
     source = Source(session.samples, session.rejects, session.frame_id, config, stamps,
-                    recording.joints, recording, partial(require_same_clock, session, config),
+                    recording.joints, recording, partial(require_same_clock, session),
                     recording.inputs)
     compared = _compared(recording, source, chain) if recording.reported else ''
     return replace(source, warnings=[*filter(None, (
         *recording.warnings, *session.warnings, *odd, compared))])
 
 
-def configured(config: Config, chain: Chain) -> Config:
+def _configured(config: Config, chain: Chain) -> Config:
     """Return settings with the frames of a chain, whose poses come from joint values."""
     return replace(config, kinematics='', pose_source='topic', robot_base_frame=chain.base,
                    robot_effector_frame=chain.flange)
@@ -128,7 +136,7 @@ def solve_sources(sources: Sequence[Source], chain: Chain, more: Sequence[str],
     except (ContradictionError, TooFewConfigurationsError):
         for source in sources:
             if source.require_same_clock:
-                source.require_same_clock()
+                source.require_same_clock(source.config)
         raise
     calibrations = [source.calibrated(outcome.arm) for source in sources]
     inputs = [*(values for source in sources for values in source.inputs), *inputs]

@@ -26,7 +26,7 @@ from handeye_ros.estimation.model import (
     Observations,
     UNUSED,
 )
-from handeye_ros.estimation.search import best_of, different, FEW_STATIONS
+from handeye_ros.estimation.search import best_of, different
 from handeye_ros.profiles.faces import plane_features
 from handeye_ros.targets.blocks import FACES_AND_EDGES
 from handeye_ros.targets.common import (
@@ -123,9 +123,9 @@ def one_surface(problem: Problem) -> list[Problem]:
 
 def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     """Yield estimates from nothing, best first; from a finer sweep when these do not do."""
-    problem, few = some_of(replace(whole, method=PLANE), rng), len(whole.poses) <= FEW_STATIONS
+    problem = some_of(replace(whole, method=PLANE), rng)
     found: list[Estimate] = []
-    for finer, more in ((1, CROWD), (1, NORMALS // CANDIDATES)) if few else SWEEPS:
+    for finer, more in ((1, CROWD), (1, NORMALS // CANDIDATES)) if whole.few else SWEEPS:
         known = len(found)
         for part in one_surface(problem):
             found += best_of(part, linear_candidates(part, finer, more), more)

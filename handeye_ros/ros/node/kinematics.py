@@ -11,7 +11,7 @@ from handeye_ros.data import Array, TimedPose
 from handeye_ros.diagnosis.settings import require_same_clock
 from handeye_ros.kinematics.errors import ContradictionError, TooFewConfigurationsError
 from handeye_ros.kinematics.model import Arm
-from handeye_ros.kinematics.samples import configured, solve_sources, Source
+from handeye_ros.kinematics.samples import solve_sources, Source
 from handeye_ros.kinematics.urdf import read_chain
 from handeye_ros.ros.bags.bag_write import joints_cdr
 from handeye_ros.ros.bags.poses import joints_and_pose
@@ -70,9 +70,9 @@ class LiveKinematics:
         """Estimate and write the corrected arm; return what to say. Raises HandeyeError."""
         live, chain = self._live, self._arm.chain
         session, config = live.samples.evaluated(live.samples.evaluate_rest)
-        source = Source(session.samples, session.rejects, session.frame_id,
-                        configured(config, chain), *self._received(),
-                        inputs=[{'topic': config.profile_topic}, {'topic': config.joint_topic}])
+        source = Source.of(session.samples, session.rejects, session.frame_id, config, chain,
+                           *self._received(), inputs=[{'topic': config.profile_topic},
+                                                      {'topic': config.joint_topic}])
         with live.progress.doing(COMPUTED):
             try:
                 answer = live.solver.run(solve_sources, [source], chain, (), urgent=True)

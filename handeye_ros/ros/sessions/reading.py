@@ -19,7 +19,7 @@ from handeye_ros.data import Array, Feature, Reject
 from handeye_ros.diagnosis.settings import require_same_clock
 from handeye_ros.errors import BagError
 from handeye_ros.kinematics.model import Arm, Chain
-from handeye_ros.kinematics.samples import configured, Source
+from handeye_ros.kinematics.samples import Source
 from handeye_ros.ros.bags.bag import read_poses
 from handeye_ros.ros.bags.contents import CLOUD, POSE, Raw, STRING
 from handeye_ros.ros.bags.messages import deserialised, pose_from_cdr
@@ -218,8 +218,8 @@ def joints_of(path: Path, config: Config, chain: Chain) -> tuple[NDArray[np.int6
 
 def source_of_session(stored: Stored, config: Config, chain: Chain) -> Source:
     """Return the samples of a session with their joint values; raises InputError."""
-    session, settings = stored.session(config), configured(config, chain)
-    return Source(session.samples, session.rejects, session.frame_id, settings,
-                  *joints_of(stored.path, config, chain),
-                  require_same_clock=partial(require_same_clock, session, settings),
-                  inputs=[{'path': str(stored.path)}], warnings=session.warnings)
+    session = stored.session(config)
+    return Source.of(session.samples, session.rejects, session.frame_id, config, chain,
+                     *joints_of(stored.path, config, chain),
+                     require_same_clock=partial(require_same_clock, session),
+                     inputs=[{'path': str(stored.path)}], warnings=session.warnings)
