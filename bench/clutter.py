@@ -20,8 +20,8 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Array, FaceLine
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.arcs import arc_features
-from handeye_ros.profiles.corners import corner_features
 from handeye_ros.profiles.faces import face_features
+from handeye_ros.profiles.lines import corner_features
 import numpy as np
 
 COLUMNS, WIDTH, DEPTH = 2000, 0.120, 0.050

@@ -13,7 +13,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.linearise import Linear
 from handeye_ros.guidance.score import View
-from handeye_ros.targets.ends import EdgeObservations
+from handeye_ros.targets.common import EdgeObservations
 import numpy as np
 from numpy.typing import NDArray
 

@@ -12,7 +12,7 @@ from handeye_ros.targets.wedge import WEDGE
 
 OFFERED = (
     'METHODS', 'common.ObservationRows', 'common.edge_noise',
-    'ends.EdgeObservations', 'ends.edges_of', 'line', 'plate',
+    'common.EdgeObservations', 'common.edges_of', 'line', 'plate',
 )
 
 METHODS: dict[str, Method] = {

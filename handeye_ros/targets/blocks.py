@@ -8,7 +8,7 @@ from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.linearise import Linear
 from handeye_ros.estimation.model import Nuisances
-from handeye_ros.targets.ends import edges_of, ENDS, ends_of, out_of_face
+from handeye_ros.targets.common import edges_of, ENDS, ends_of, out_of_face
 import numpy as np
 
 FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}  # share of the RMS of each degree: the first are the largest

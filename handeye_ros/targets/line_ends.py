@@ -10,8 +10,7 @@ from dataclasses import replace
 from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Observations
-from handeye_ros.targets.common import FACE
-from handeye_ros.targets.ends import edges_of, ENDS
+from handeye_ros.targets.common import edges_of, ENDS, FACE
 import numpy as np
 from numpy.typing import NDArray
 

@@ -27,7 +27,7 @@ from handeye_ros.estimation.model import (
     UNUSED,
 )
 from handeye_ros.estimation.search import best_of
-from handeye_ros.profiles.corners import corner_features
+from handeye_ros.profiles.lines import corner_features
 from handeye_ros.targets import line as edge_line
 from handeye_ros.targets import plane
 from handeye_ros.targets.blocks import FACES_AND_EDGES

@@ -22,7 +22,7 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.model import Method, UNUSED
 from handeye_ros.estimation.outliers import chi2_sf
 from handeye_ros.frames import in_mount
-from handeye_ros.targets.ends import edges_of
+from handeye_ros.targets.common import edges_of
 from handeye_ros.verification.fixed_fit import (
     by_calibration,
     noise_factors,

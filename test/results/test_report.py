@@ -13,8 +13,7 @@ from handeye_ros import config, se3
 from handeye_ros.data import Calibration
 from handeye_ros.results import calibration_file
 from handeye_ros.results.report import page as pages
-from handeye_ros.results.report.evidence import Evidence
-from handeye_ros.results.report.verdict import mapped_std, verdict
+from handeye_ros.results.report.evidence import Evidence, mapped_std, verdict
 from handeye_ros.ros.bags.bag import evidence
 import numpy as np
 import pytest

@@ -10,7 +10,7 @@ from handeye_ros.checks.errors import OneAxisError, OneOrientationError
 from handeye_ros.config import Config
 from handeye_ros.data import FaceLine, Sample
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.corners import corner_features
+from handeye_ros.profiles.lines import corner_features
 from handeye_ros.sampling.station_features import combine
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import wedge

@@ -3,5 +3,5 @@
 OFFERED = (
     'evidence.Evidence', 'evidence.StopSnapshot', 'evidence.config_of', 'evidence.judged',
     'evidence.recording_of', 'evidence.use_config', 'figures.style', 'page', 'page.templates',
-    'scene.in_sensor', 'verdict.stated_noise',
+    'scene.in_sensor', 'evidence.stated_noise',
 )

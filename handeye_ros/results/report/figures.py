@@ -9,8 +9,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature
-from handeye_ros.results.report.evidence import StopSnapshot
-from handeye_ros.results.report.verdict import in_plane
+from handeye_ros.results.report.evidence import in_plane, StopSnapshot
 from matplotlib import rc_context
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure

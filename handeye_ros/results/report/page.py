@@ -21,9 +21,15 @@ from handeye_ros.results import table
 from handeye_ros.results.exports import REPORT, ros
 from handeye_ros.results.exports.format import matrix
 from handeye_ros.results.report import figures
-from handeye_ros.results.report.evidence import config_of, Evidence, StopSnapshot
+from handeye_ros.results.report.evidence import (
+    config_of,
+    Evidence,
+    in_plane,
+    stated_noise,
+    StopSnapshot,
+    verdict,
+)
 from handeye_ros.results.report.scene import in_sensor, legend, scene
-from handeye_ros.results.report.verdict import in_plane, stated_noise, verdict
 from handeye_ros.results.verified import COLUMNS, Verified
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup

@@ -8,8 +8,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.frames import sensor_axes
-from handeye_ros.results.report.evidence import StopSnapshot
-from handeye_ros.results.report.verdict import in_plane
+from handeye_ros.results.report.evidence import in_plane, StopSnapshot
 from handeye_ros.results.target_shape import enlargement, half_axes, rings, shape
 import numpy as np
 

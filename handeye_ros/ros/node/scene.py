@@ -10,8 +10,8 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.frames import in_mount
+from handeye_ros.results.report.evidence import stated_noise
 from handeye_ros.results.report.scene import in_sensor
-from handeye_ros.results.report.verdict import stated_noise
 from handeye_ros.results.target_shape import enlargement, half_axes, shape
 from handeye_ros.ros.node.streams import Current
 import numpy as np
