@@ -146,7 +146,11 @@ class RangeSignEvidence:
 
     @property
     def against(self) -> bool:
-        """Return whether the stations contradict profile.range_sign (a sign test at 0.01)."""
+        """
+        Return whether the stations contradict profile.range_sign (a sign test at 0.01).
+
+        Not where half of them show an edge as set, or fewer than 0.8 with the other sign.
+        """
         if not self.total or self.as_set > 0.5 * self.total:
             return False
         only_as_set, only_flipped = self.as_set - self.both, self.flipped - self.both

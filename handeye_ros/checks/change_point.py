@@ -133,13 +133,14 @@ def change_point(solution: Solution) -> ChangePoint | None:
     n, reported = len(solution.problem.poses), solution.conservative or solution
     few = 2 if solution.problem.pose_model is None else n // MOST_CHANGES  # of many a second
     changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
-    if n < solution.problem.method.minimum + 4:
+    if n < solution.problem.method.minimum + 4:  # too few to tell a move from an outlier
         return None
     steps = _Steps.of(reported, changes)
     if next(steps.peaks()).evidence < -VERY_STRONG:  # against a move
         return None
     unmoved, tried = reestimated(reported).deviance, set[tuple[bool, int]]()
     best = ChangePoint(0, False, np.zeros(6), -np.inf)
+    # each try costs an estimate of noise and scales: more only where one shows something
     while len(tried) < (10 if best.evidence > 0 else 3):
         peaks = (peak for peak in steps.peaks() if peak.where not in tried)
         if not (one := next(peaks, None)):

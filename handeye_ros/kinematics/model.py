@@ -101,10 +101,15 @@ class Chain:
 
     def forward(self, q: Array) -> Array:
         """Return T_base_flange (n, 4, 4) of joint values (n, joints), without any error."""
-        T = np.tile(np.eye(4), (len(q), 1, 1))
+        return self.frames(q)[-1]
+
+    def frames(self, q: Array) -> list[Array]:
+        """Return T_base (n, 4, 4) of each joint before its own motion, then of the flange."""
+        T, frames = np.tile(np.eye(4), (len(q), 1, 1)), []
         for joint, value in zip(self.joints, q.T, strict=True):
-            T = T @ joint.origin @ motion(joint, value)
-        return T @ self.end
+            frames.append(T @ joint.origin)
+            T = frames[-1] @ motion(joint, value)
+        return [*frames, T @ self.end]
 
 
 def motion(joint: Joint, value: Array) -> Array:
@@ -216,14 +221,10 @@ def _share(parameter: Parameter, joint: Joint, q: Array, levers: dict[int, Array
 
 def _levers(chain: Chain, q: Array) -> dict[int, Array]:
     """Return the horizontal distances (n,) of the flange from the axes that sag, signed."""
-    T, frames = np.tile(np.eye(4), (len(q), 1, 1)), []
-    for joint, value in zip(chain.joints, q.T, strict=True):
-        T = T @ joint.origin
-        frames.append((T[:, :3, 3], T[:, :3, :3] @ joint.axis))
-        T = T @ motion(joint, value)
-    flange = (T @ chain.end)[:, :3, 3]
-    return {j: (se3.cross(flange - frames[j][0], DOWN) * frames[j][1]).sum(axis=1)
-            for j in SAGGING if j < len(frames)}
+    *frames, flange = chain.frames(q)
+    return {j: (se3.cross(flange[:, :3, 3] - frames[j][:, :3, 3], DOWN) * (
+        frames[j][:, :3, :3] @ chain.joints[j].axis)).sum(axis=1)
+        for j in SAGGING if j < len(frames)}
 
 
 def one_configuration(arm: Arm, q: Array) -> bool:

@@ -16,7 +16,7 @@ from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.simulate.solids import Ball, Box, Solid
-from handeye_ros.simulate.stations import stamps
+from handeye_ros.simulate.stations import stamped_poses, stamped_profiles, stamps
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -66,8 +66,7 @@ def simulate_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
     T = np.array([arm(SWEEP_ANGLE, q) for q in q3])
     profiles = _profiles(se3.inverse(T_base_target) @ T @ X, sensor, rng)
     positions = T[:, :3, 3] + reported * rng.normal(size=(len(T), 3))
-    poses = tuple(TimedPose(int(stamp), t, q) for stamp, t, q in zip(
-        _stamps(len(T)), positions, se3.quaternion(T), strict=True))
+    poses = stamped_poses(_stamps(len(T)), positions, se3.quaternion(T))
     reflector = {kind: points + noise * rng.normal(size=points.shape)
                  for kind, points in _reflector(T_base_target, rng).items()}
     return TrackerCell(reflector, H0, H1, profiles, poses, float(q3[0]), 0.003, X)
@@ -89,8 +88,7 @@ def _profiles(T_target_sensor: Array, sensor: SensorModel, rng: np.random.Genera
     solids: tuple[Solid, ...] = (Ball(RADIUS), BLOCK)
     ranges, angles = sensors.render(sensor, solids, T_target_sensor)
     points = sensors.plane_points(sensor, sensors.measure(sensor, ranges, angles, rng))
-    return tuple(Profile(int(stamp), 'laser', p)
-                 for stamp, p in zip(_stamps(len(points)), points, strict=True))
+    return stamped_profiles(_stamps(len(points)), points)
 
 
 def _reflector(T_base_target: Array, rng: np.random.Generator) -> dict[str, Array]:

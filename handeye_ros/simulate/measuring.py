@@ -19,7 +19,7 @@ from handeye_ros.simulate.scenario import RobotModel, Scenario, SensorModel, Sph
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.simulate.solids import Box, Convex, Solid
-from handeye_ros.simulate.stations import stamps, Stops
+from handeye_ros.simulate.stations import stamped_poses, stamped_profiles, stamps, Stops
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -91,10 +91,8 @@ def scan_gauge(gauge: Gauge, T_flange_sensor: Array, T_base_gauge: Array, sensor
         error = cells.robot_error(robot, T[:1], rng)
         T = cells.perturbed(T, np.repeat(error, len(T), axis=0))
         T = cells.perturbed(T, rng.normal(size=(len(T), 6)) * robot.jitter)
-        passes.append(Pass(
-            tuple(Profile(int(s), 'laser', p) for s, p in zip(stamped, points, strict=True)),
-            tuple(TimedPose(int(s), t, q) for s, t, q in zip(
-                stamped, T[:, :3, 3], se3.quaternion(T), strict=True))))
+        passes.append(Pass(stamped_profiles(stamped, points),
+                           stamped_poses(stamped, T[:, :3, 3], se3.quaternion(T))))
     return tuple(passes)
 
 
@@ -160,18 +158,16 @@ def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, s
 
 
 def _profiles(sensor: SensorModel, z: Array, angle: Array, begin: float,
-              rng: np.random.Generator) -> list[Profile]:
+              rng: np.random.Generator) -> tuple[Profile, ...]:
     times = np.arange(0.5 / sensor.rate, STOP, 1 / sensor.rate)
     ranges = sensors.measure(sensor, np.repeat(z[None], len(times), axis=0),
                              np.repeat(angle[None], len(times), axis=0), rng)
-    return [Profile(int(s), 'laser', p) for s, p in zip(
-        stamps(begin + times), sensors.plane_points(sensor, ranges), strict=True)]
+    return stamped_profiles(stamps(begin + times), sensors.plane_points(sensor, ranges))
 
 
 def _poses(robot: RobotModel, T: Array, begin: float, rng: np.random.Generator
-           ) -> list[TimedPose]:
+           ) -> tuple[TimedPose, ...]:
     times = np.arange(0.0, STOP, 1 / robot.rate)
     jittered = cells.perturbed(np.repeat(T[None], len(times), axis=0),
                                rng.normal(size=(len(times), 6)) * robot.jitter)
-    return [TimedPose(int(s), t, q) for s, t, q in zip(
-        stamps(begin + times), jittered[:, :3, 3], se3.quaternion(jittered), strict=True)]
+    return stamped_poses(stamps(begin + times), jittered[:, :3, 3], se3.quaternion(jittered))

@@ -14,7 +14,15 @@ from handeye_ros.simulate.cell import Truth
 from handeye_ros.simulate.scenario import Scenario, Sweep
 from handeye_ros.simulate.scenes import anywhere, SCENES
 from handeye_ros.simulate.solids import relief
-from handeye_ros.simulate.stations import between, FRAMES, published, stamps, Stops, Timeline
+from handeye_ros.simulate.stations import (
+    between,
+    FRAMES,
+    published,
+    stamped_poses,
+    stamps,
+    Stops,
+    Timeline,
+)
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
@@ -117,8 +125,7 @@ def _swept_poses(scenario: Scenario, cell: cells.Cell, along: Way, rng: np.rando
         T = cells.perturbed(T, arm.reported_error(T, cell.arm))
     step = sweep.resolution
     place = np.round(T[:, :3, 3] / step) * step if step else T[:, :3, 3]
-    return tuple(TimedPose(int(s), t, q) for s, t, q in zip(
-        stamps(stamped), place, se3.quaternion(T), strict=True))
+    return stamped_poses(stamps(stamped), place, se3.quaternion(T))
 
 
 def _missing(times: Array, sweep: Sweep) -> NDArray[np.bool_]:
@@ -157,8 +164,7 @@ def _poses(scenario: Scenario, cell: cells.Cell, line: Timeline,
     translation, quaternion = T[:, :3, 3], se3.quaternion(T)
     for name in scenario.convention_errors:
         translation, quaternion = CONVENTION_ERRORS[name](translation, quaternion)
-    return tuple(TimedPose(int(stamp), t, q) for stamp, t, q in zip(
-        stamps(times), translation, quaternion, strict=True))
+    return stamped_poses(stamps(times), translation, quaternion)
 
 
 def _profiles(scenario: Scenario, cell: cells.Cell, line: Timeline,

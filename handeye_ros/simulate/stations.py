@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import se3
-from handeye_ros.data import Array
+from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.simulate.scenario import Scenario, SphereTarget
 import numpy as np
 from numpy.typing import NDArray
@@ -122,6 +122,17 @@ class Timeline:
 def stamps(times: Array) -> NDArray[STAMP]:
     """Return integer nanoseconds of seconds since the start."""
     return START + np.round(times * 1e9).astype(np.int64)
+
+
+def stamped_poses(at: NDArray[STAMP], position: Array, quaternion: Array) -> tuple[TimedPose, ...]:
+    """Return poses as a robot streams them, of positions (n, 3) and quaternions (n, 4)."""
+    return tuple(TimedPose(int(stamp), t, q) for stamp, t, q in zip(
+        at, position, quaternion, strict=True))
+
+
+def stamped_profiles(at: NDArray[STAMP], points: Array) -> tuple[Profile, ...]:
+    """Return profiles of points (n, columns, 2) as a sensor streams them."""
+    return tuple(Profile(int(stamp), 'laser', p) for stamp, p in zip(at, points, strict=True))
 
 
 def between(T: Array, station: NDArray[STAMP], share: Array) -> Array:
