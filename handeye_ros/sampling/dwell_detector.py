@@ -31,9 +31,7 @@ from handeye_ros.sampling.profile_buffer import ProfileBuffer
 from handeye_ros.sampling.stops import beside, Stop, stop_of
 from handeye_ros.sampling.stream import LARGEST_STEP, Stream
 
-LARGEST_POSITION = 50.0  # of a flange in metres: more is another unit
 SILENCE = 0.25  # s without a pose, while profiles come, after which the robot may be anywhere
-MISSED_POSES = 5  # periods of the poses that they may be late
 
 
 class DwellDetector:
@@ -213,7 +211,7 @@ class DwellDetector:
             raise self._no_poses()
         if self.unasked:
             raise NotAskedError(self.unasked)
-        if self._largest_position > LARGEST_POSITION:
+        if self._largest_position > 50.0:  # m; no flange is there: it is another unit
             raise PositionUnitError(self._largest_position)
         if poses.period > sampling.max_pose_gap:
             raise SparsePosesError(poses.period, sampling.max_pose_gap)
@@ -240,7 +238,7 @@ class DwellDetector:
         if poses.late or poses.latest < 0:
             raise LatePosesError
         silence = (self._profile_stream.latest - poses.latest) / NS
-        if max(SILENCE, MISSED_POSES * poses.period) < silence < LARGEST_STEP / NS:
+        if max(SILENCE, 5 * poses.period) < silence < LARGEST_STEP / NS:
             raise SilentPosesError(silence)
 
     def _no_poses(self) -> NoPosesError:

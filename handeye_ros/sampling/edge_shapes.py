@@ -10,7 +10,6 @@ from handeye_ros.sampling.field_of_view import without_border_ends
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-FEWEST_EDGES = 3
 SHARPEST = 2.5e-5  # depth of ends that are as good as sharp (m)
 SURE = 8.0  # logarithm of odds: the most that one end says against a shape
 SHAPE_STD = 0.2  # 1 sigma of a radius or of the legs of a bevel, relative: it may be an ellipse
@@ -18,8 +17,6 @@ SLANT_STD = 0.1  # the same of the radius that a laser sees that crosses at a sl
 NOTHING = [np.zeros(len(RADII) + 1)]  # said of the shape
 OBLIQUE_STD = 0.03  # the same of the radius: a laser that crosses at a slant sees an ellipse
 DEPTH_STD = 1.5e-5  # 1 sigma of the depth of an end (m)
-FINER = 8  # steps from one radius that was tried to the next
-SHALLOWEST = 1e-6  # middle of an arc (m)
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     """Return the shape that the ends of faces have, of which the radius is alike at all."""
     ends = [f for s in samples for f in s.features
             if isinstance(f, EdgePoint) and f.kind != 'roof']
-    if len(ends) < FEWEST_EDGES or np.median([end.bevel for end in ends]) <= SHARPEST:
+    if len(ends) < 3 or np.median([end.bevel for end in ends]) <= SHARPEST:
         return EdgeShape()
     log_odds = np.sum([_blurred(end.shapes) for end in ends if len(end.shapes)] or NOTHING, axis=0)
     if np.logaddexp.reduce(log_odds[:-1]) - np.log(len(RADII)) > log_odds[-1]:
@@ -86,7 +83,7 @@ def _blurred(shapes: Array) -> Array:
 def _radius(log_odds: Array) -> tuple[float, float]:
     """Return a radius (m) and its relative 1 sigma, of logarithms (k,) of how likely each is."""
     tried = np.log(RADII[:, 0])
-    logs = np.linspace(tried[0], tried[-1], FINER * len(log_odds))
+    logs = np.linspace(tried[0], tried[-1], 8 * len(log_odds))
     likely = CubicSpline(tried, log_odds)(logs)
     weights = np.exp(likely - likely.max())
     mean = float(weights @ logs / weights.sum())
@@ -113,7 +110,7 @@ def _from_arc(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
     """
     radius, back = shape.size, float(edge.arc @ edge.direction)
     below = edge.arc - back * edge.direction
-    depth = min(max(float(np.hypot(*below)), SHALLOWEST), radius)
+    depth = min(max(float(np.hypot(*below)), 1e-6), radius)
     out = reach(radius, depth)
     std = np.sqrt(edge.std ** 2 + edge.arc_std ** 2 + (OBLIQUE_STD * radius) ** 2)
     return replace(edge, point=edge.point + (back + radius - out) * edge.direction, drop=below,

@@ -20,7 +20,6 @@ TOLERANCE = 2e-4
 FEWEST_ENDS = 5
 SHARE_OF_ENDS = 0.3
 SHARE_LEFT = 0.5  # of the samples with ends at a border keep an edge
-MOST_ENDS = 60  # that span the lines tried
 NEAREST = 1e-3  # m from the end of the view to an edge
 
 
@@ -101,7 +100,7 @@ def _seen(samples: Sequence[Sample]) -> Array:
 
 def border_lines(ends: Array, seen: Array) -> Array:
     """Return lines (k, 3), normal and offset, on which many of the ends (n, 2) lie."""
-    some = ends[np.linspace(0, len(ends) - 1, min(len(ends), MOST_ENDS)).astype(int)]
+    some = ends[np.linspace(0, len(ends) - 1, min(len(ends), 60)).astype(int)]
     i, j = np.triu_indices(len(some), 1)
     along = some[j] - some[i]
     length = np.linalg.norm(along, axis=1)

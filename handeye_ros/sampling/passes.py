@@ -39,7 +39,6 @@ from numpy.typing import NDArray
 
 PASS = 2 * NS  # of motion
 MOST_SINGLE = 32  # profiles of a pass that are looked at, twice as many where few show the target
-FLIPPED = 8  # of each so many samples it is told what they show with the range the other way
 
 
 class PassFinder(DwellFinder):
@@ -68,7 +67,7 @@ def pass_sample(poses: Sequence[TimedPose], messages: Sequence[AnyProfile], conf
     T = interpolate(poses, [profile.stamp for profile, _ in found])
     single = tuple(
         Sample(profile.stamp, pose, features,
-               flipped=() if k % FLIPPED else flipped_features(profile, config))
+               flipped=() if k % 8 else flipped_features(profile, config))  # some suffice
         for k, ((profile, features), pose) in enumerate(zip(found, T, strict=True)))
     return replace(single[len(single) // 2], profiles=len(single), single=single,
                    motion=trajectory_of(poses, config.sampling.max_pose_gap))

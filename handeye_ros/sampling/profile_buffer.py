@@ -10,16 +10,14 @@ from typing import Self
 from handeye_ros.data import AnyProfile, RawProfile
 import numpy as np
 
-MOST_BYTES = 256_000_000  # of messages: 8 s of 2000 profiles a second of 1280 points
 MOST_BACK = 0.2  # of the way forth: behind a step the columns may run back by less
-SLACK = 0.05  # of it that is made free at once
 
 
 class ProfileBuffer:
     """Profiles in the order of their stamps; the oldest are dropped first, and counted."""
 
-    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
-        """Start with none."""
+    def __init__(self, most_bytes: int = 256_000_000) -> None:
+        """Start with none; by default 8 s of 2000 profiles a second of 1280 points fit in."""
         self._most = most_bytes
         self.items: list[AnyProfile] = []
         self._bytes = 0
@@ -49,7 +47,7 @@ class ProfileBuffer:
             self._bytes += _held(profile)
         if self._bytes > self._most:
             # more than has to go: to shift what is left for every single one takes its time
-            excess, drop = self._bytes - self._most * (1 - SLACK), 0
+            excess, drop = self._bytes - 0.95 * self._most, 0
             while excess > 0 and drop < len(self.items) - 1:
                 excess -= _held(self.items[drop])
                 drop += 1

@@ -25,7 +25,6 @@ SMALLEST_DISAGREEMENT = 1e-4  # the same of arcs, beyond their scatter
 LEAST_AGREEING = 0.6  # of the profiles of a stop
 ALONG = 0.1  # of a distance along a surface, in one across it, that tells two surfaces apart
 MOST_TIMES = 4  # that profiles of one stop say more of an edge than a single one
-MOST_RAW = 50_000  # points of an arc that are held for its residuals: 0.8 MB of a sample
 
 
 class DisagreeingProfilesError(FeatureError):
@@ -233,7 +232,8 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
                                        float(np.linalg.norm(np.ptp(centres, axis=0))))
     used = [a.raw for a, believed in zip(arcs, good, strict=True) if believed]
     arc = normal_points(np.concatenate(used))
-    rows = np.linspace(0, len(arc.raw) - 1, min(len(arc.raw), MOST_RAW)).astype(int)
+    # for the residuals: 0.8 MB of a sample at most
+    rows = np.linspace(0, len(arc.raw) - 1, min(len(arc.raw), 50_000)).astype(int)
     return replace(arc, raw=arc.raw[rows])
 
 

@@ -25,9 +25,7 @@ import numpy as np
 # Of one stop, evenly spread. A robot that stands still sees the same speckle, and 32 profiles
 # bring the noise of single ones far below that of its poses: a sample is of no more. What is kept
 # leaves room for other settings, and for what is compared (in clocks.py, 50 ms apart) in 3.75 s.
-MOST_PROFILES, MOST_KEPT = 32, 150
-KEPT_AT_REST, KEPT_BESIDE = 64, 8  # at the least, of what may be used, and of when it may swing
-KEPT_APART = 1 / 40  # s, at the most
+MOST_PROFILES = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +79,8 @@ def stop_of(station: Dwell, profiles: Sequence[AnyProfile], config: Config) -> S
     inside = _inside(profiles, station)
     first, last = steady_span(station.start, station.end, config)
     begin, end = (bisect_left(inside, first, key=_stamp), bisect_right(inside, last, key=_stamp))
-    kept = (*_kept(inside[:begin], KEPT_BESIDE), *_kept(inside[begin:end], KEPT_AT_REST),
-            *_kept(inside[max(begin, end):], KEPT_BESIDE))
+    kept = (*_kept(inside[:begin], 8), *_kept(inside[begin:end], 64),
+            *_kept(inside[max(begin, end):], 8))  # few of when the robot may swing
     seen = Seen(station.poses, kept)
     return Stop(station.began, partial(_held, seen))
 
@@ -128,9 +126,9 @@ def steady_span(start: int, end: int, config: Config) -> tuple[int, int]:
 
 
 def _kept(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
-    """Return those of a part of a stop that are kept: no more are written, or waited for."""
+    """Return those of a part of a stop that are kept: 40 a second, 150 at most."""
     length = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
-    return evenly(profiles, min(MOST_KEPT, max(least, 1 + round(length / KEPT_APART))))
+    return evenly(profiles, min(150, max(least, 1 + round(40 * length))))
 
 
 def sample_of(stop: Stop, config: Config) -> Sample:

@@ -25,10 +25,6 @@ MOST_REASONS = 10  # that are distinguished: a damaged topic may give each messa
 OTHER_FRAME = 'some other frame'
 FEW = 3  # messages with wrong stamps that a recording may hold, and
 FEW_SHARE = 0.05  # this share of many; more, and it is no longer known which ones are right
-STRAYS_IN_A_ROW = 20  # messages of another frame that are no strays: 1 s at 20 Hz
-FRAME_KNOWN = 10  # messages of one frame that make the FEW before them strays
-STEP_TIME = 500_000_000  # ns of late messages, and
-STEP_MESSAGES = 5  # so many in a row, that show a clock that was set back
 
 Stamped = TypeVar('Stamped', bound=Profile | RawProfile | TimedPose)
 
@@ -71,7 +67,7 @@ class Stream(Generic[Stamped]):
         """Return the error of a topic with two frames; a few strays are dropped and counted."""
         strays = sum(self._strays.values())
         if self.frame is None or (strays <= max(FEW, FEW_SHARE * self.count)
-                                  and self._strays_in_a_row < STRAYS_IN_A_ROW):
+                                  and self._strays_in_a_row < 20):
             return None
         return TwoFramesError(self._kind, self.frame, self._strays.most_common(1)[0][0])
 
@@ -114,7 +110,7 @@ class Stream(Generic[Stamped]):
         known = len(self._strays) < MOST_REASONS or frame in self._strays
         self._strays[frame if known else OTHER_FRAME] += 1
         self._strays_in_a_row += 1
-        if self.count > FEW or self._strays[frame] < FRAME_KNOWN:
+        if self.count > FEW or self._strays[frame] < 10:
             return False
         self._strays = Counter({str(self.frame): self.count})
         self.frame = frame
@@ -128,8 +124,7 @@ class Stream(Generic[Stamped]):
             self._late_since, self._late_count = (stamp if far else -1), 0
         self._late_last = stamp
         self._late_count += 1
-        if (far and self._late_count >= STEP_MESSAGES
-                and stamp - self._late_since >= STEP_TIME):
+        if far and self._late_count >= 5 and stamp - self._late_since >= 500_000_000:  # ns
             self.set_back = self.latest - self._late_since
 
     def restart(self) -> None:

@@ -24,11 +24,6 @@ from handeye_ros.sampling.passes import Pairing, problem_of
 import numpy as np
 from numpy.typing import NDArray
 
-SEED = 0  # of the search: the same samples give the same answer
-REACH, STEP = 10, 2  # prior sigmas of the offset that are searched, and between two starts
-SOME = 60  # samples of the search
-STARTS = 3  # from each offset
-MOST = 400  # samples of a solve
 NO_POSES = 'there are no poses of that time'
 CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good start
 
@@ -54,10 +49,9 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
     """
     if not any(sample.motion for sample in samples):
         return Synchronised(list(samples), [])
-    samples = [samples[i] for i in evenly_chosen(len(samples), MOST)]
+    samples = [samples[i] for i in evenly_chosen(len(samples), 400)]
     problem = problem_of(samples, config)
-    found = _searched(problem.subset(evenly_chosen(len(samples), SOME)),
-                      np.random.default_rng(SEED))
+    found = _searched(problem.subset(evenly_chosen(len(samples), 60)), np.random.default_rng(0))
     found = _refined(problem.with_pose_values(found.values), found.estimate)
     there, paired, rejects = Pairing.of(samples).at(*found.values), [], []
     for sample, T, inside in zip(samples, there.T_base_flange, there.inside, strict=True):
@@ -71,11 +65,11 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
 def _searched(problem: Problem, rng: np.random.Generator) -> _At:
     """Return the best fit from several offsets, the most likely first, or one that convinces."""
     best: _At | None = None
-    for offset in sorted(np.arange(-REACH, REACH + 1, STEP), key=abs):
+    for offset in sorted(np.arange(-10, 11, 2), key=abs):  # prior sigmas
         values = np.zeros(len(problem.pose_values))
         values[0] = offset * problem.config.time_offset_std
         there = problem.with_pose_values(values)
-        for start in islice(there.guesses(rng), STARTS):
+        for start in islice(there.guesses(rng), 3):
             found = _refined(there, start)
             best = found if best is None or found.loss < best.loss else best
         if best and believed(best.squares) < CONVINCING:

@@ -26,14 +26,10 @@ from scipy.sparse.linalg import splu
 DEGREE = 3
 # of knots, that are tried (s)
 SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
-BETTER = 0.98  # factor of the cross-validated error that nearer knots must bring
 FEWEST = 8  # poses of a piece
 REACH = 10  # coefficients to either side that matter to the variance of the spline at a time
-GAP_PERIODS, SMALLEST_GAP = 4.0, 0.06  # periods of the poses, and time (s), across which none is
 AVERAGED = 0.004  # s, over which many poses are averaged
 GROSS = 8.0  # residual of a pose, in robust scatters, that is no pose of the robot
-SMALLEST_GROSS, SMALLEST_GROSS_TURN = 1e-3, 5e-3  # m and rad: less is not worth the risk
-MOST_GOOD = 0.95  # share of the poses: where fewer are good, the spline is wrong and not they
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +63,7 @@ class Trajectory:
     def gap(self) -> float:
         """Return the time (s) between two poses that is too long to interpolate."""
         period = float(np.median(np.diff(self.stamps))) * 1e-9 if len(self.stamps) > 1 else 0.0
-        return min(self.max_gap, max(GAP_PERIODS * period, SMALLEST_GAP))
+        return min(self.max_gap, max(4.0 * period, 0.06))
 
     @cached_property
     def pieces(self) -> tuple[_Piece, ...]:
@@ -214,11 +210,12 @@ def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
     values[1:, 3:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
     t, values = _averaged(t, values)
     spline, best, bands = _smoothed(t, values)
-    off = np.abs(values - spline(t)) / np.repeat([SMALLEST_GROSS, SMALLEST_GROSS_TURN / 2], [3, 4])
+    # in 1 mm and 5 mrad: a smaller error is no gross one
+    off = np.abs(values - spline(t)) / np.repeat([1e-3, 5e-3 / 2], [3, 4])
     usual = 1.4826 * np.median(off, axis=0)
     good = (off <= np.maximum(GROSS * usual, 1.0)).all(axis=1)
     good[[0, -1]] = True
-    if not good.all() and good.mean() > MOST_GOOD:
+    if not good.all() and good.mean() > 0.95:  # else the spline is wrong and not they
         spline, best, bands = _smoothed(t[good], values[good])
     return _Piece(int(stamps[0]), int(stamps[-1]), spline, best, bands)
 
@@ -237,7 +234,7 @@ def _smoothed(t: Array, values: Array) -> tuple[Any, Array, Array]:
         squares = (values - rows @ spline.c) ** 2
         sums = np.array([squares[:, :3].sum() / 3, squares[:, 3:].sum() * 4 / 3]) + 1e-30
         error = float(np.log(sums / max(free, 1) ** 2).sum())
-        if error < least + 2 * np.log(BETTER):
+        if error < least + 2 * np.log(0.98):  # nearer knots must be worth 2 %
             least, best = error, (spline, np.sqrt(sums / max(free, 1)), information)
     assert best is not None
     spline, std, information = best
