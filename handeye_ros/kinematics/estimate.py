@@ -141,8 +141,8 @@ class Fit:
         return float(np.sqrt(((self.root @ self.state.smooth)[self.used] ** 2).mean()))
 
 
-def fitted(data: Data, state: State, weights: Weights, used: NDArray[np.bool_], root: Array,
-           iterations: int = 20) -> Fit:
+def fitted(data: Data, state: State, weights: Weights, used: NDArray[np.bool_], root: Array
+           ) -> Fit:
     """Return the estimate with the least squares of residuals and priors near a state."""
     frame = Fit(data, state, weights, used, root, np.zeros(0), np.zeros((0, 0)))
     prior, n, u = 1 / frame.stds, len(data), data.unknowns
@@ -157,7 +157,7 @@ def fitted(data: Data, state: State, weights: Weights, used: NDArray[np.bool_], 
                     lambda: np.vstack([J * whiten[:, None], by_prior]))
     block = np.append(data.block, np.full(len(prior), n))
     system = System(rows, data.moved, block)
-    state = system.least_squares(state, np.append(used.astype(float), 1.0), iterations, 1e-4)
+    state = system.least_squares(state, np.append(used.astype(float), 1.0), 20, 1e-4)
     r, J = data.linearised(state, root)
     return replace(frame, state=state, residuals=r * whiten, jacobian=J * whiten[:, None])
 

@@ -68,14 +68,9 @@ def gauge_solids(gauge: Gauge) -> tuple[Solid, ...]:
 
 
 def scan_gauge(gauge: Gauge, T_flange_sensor: Array, T_base_gauge: Array, sensor: SensorModel,
-               robot: RobotModel, rng: np.random.Generator, speed: float = 0.01
-               ) -> tuple[Pass, ...]:
-    """
-    Return the passes of a scan; the robot's error stays the same through a pass.
-
-    speed: of the sensor along the teeth (m/s).
-    """
-    way = gauge.length - 0.02
+               robot: RobotModel, rng: np.random.Generator) -> tuple[Pass, ...]:
+    """Return the passes of a scan; the robot's error stays the same through a pass."""
+    way, speed = gauge.length - 0.02, 0.01  # m, m/s along the teeth
     times = np.arange(0.0, way / speed, 1 / sensor.rate)
     passes = []
     for k, turn in enumerate(PASSES):
