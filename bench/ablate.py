@@ -3,6 +3,7 @@
 What each mechanism of the estimator is worth: it is switched off, one at a time.
 
 usage: python bench/ablate.py [--seeds N] [--first S] [--sessions N] [--only TEXT] [--cells TEXT]
+                              [--stations N]
 
 A row per mechanism, over the same recordings: N of each of FAULTS in simulate/scenarios.py,
 N of few samples, and some of each kind of bench/sessions.py.
@@ -28,11 +29,12 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation import consensus, noise, posterior, search, solution
 from handeye_ros.estimation.consensus import Contamination
+from handeye_ros.estimation.linearise import Problem
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate
 from handeye_ros.simulate.recording import Simulated
 import numpy as np
-from physics import field, LIMIT
+from physics import field, LIMIT, with_stations
 from sessions import Kind, kinds, moved, outcome
 
 Switch = tuple[object, str, object]
@@ -64,6 +66,7 @@ MECHANISMS: dict[str, tuple[Switch, ...]] = {
     'all': (),
     'contamination': ((consensus, 'contamination', nobody),),
     'best-fit transform': ((solution, 'covering', lambda first, second: first),),
+    'long errors in the report': ((Problem, 'of_long_errors', property(lambda self: self)),),
     'MAP scales of their own': ((noise, 'MAP_PRIOR', noise.CONSERVATIVE_PRIOR),),
     'prior scales': ((posterior, 'STEPS', 0), (posterior, 'LAST_STEPS', 0)),
     'variance components': ((posterior._System, 'with_noise', lambda self, *args: self.noise),),
@@ -149,11 +152,13 @@ def main() -> None:
     parser.add_argument('--sessions', type=int, default=1, help='of each kind, 0: none')
     parser.add_argument('--only', default='', help='mechanisms, by parts of their names')
     parser.add_argument('--cells', default='', help='cells with this in their name')
+    parser.add_argument('--stations', type=int, default=0, help='of cells with faults')
     arguments = parser.parse_args()
+    faults = {name: with_stations(cell, arguments.stations) for name, cell in FAULTS.items()}
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     groups = [[found for name, scenario in cells.items() if arguments.cells in name
                for seed in seeds if (found := Recording.of(name, scenario, seed))]
-              for cells in (FAULTS, FEW)]
+              for cells in (faults, FEW)]
     every: list[np.ndarray] = []
     print(f'{"without":26} {"answered":>9} {"TRE, mm":>6} {"90 %":>6} {"NEES":>7} {"in 95":>5} '
           f'{"change":>5} | {"few: answered":>9} ...   wrong refused      s')

@@ -29,7 +29,7 @@ from handeye_ros.ros.bags.bag_write import cloud_cdr
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.sessions.bag_files import files_of
 from handeye_ros.ros.sessions.reading import read_session
-from handeye_ros.ros.sessions.store import Place, resumed
+from handeye_ros.ros.sessions.store import OutputFolders, resumed
 from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.stops import sample_of
 from mcap.reader import make_reader
@@ -77,8 +77,8 @@ def stop(start: int, place: float) -> Iterator[TimedPose | Profile]:
 
 def work(output_dir: Path, acknowledge: int) -> None:
     """Go on with the last session: take samples, and sometimes remove one, for ever."""
-    config, found = resumed(SETTINGS | {'output_dir': str(output_dir)}, Place())
-    live = LiveSession(config, Place(), SessionStore(Place().folder, found))
+    config, found = resumed(SETTINGS | {'output_dir': str(output_dir)}, OutputFolders())
+    live = LiveSession(config, OutputFolders(), SessionStore(OutputFolders().folder, found))
     if found:
         live.samples.restore(found.session(config), found.config)
     rng, start = random.Random(), time.time_ns()

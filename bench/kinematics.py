@@ -185,9 +185,9 @@ def judged(cell: Cell, case: Case, outcome: Outcome, held: Points) -> tuple[floa
                      for m in (outcome.models[0], outcome.chosen))
     away = se3.difference(outcome.chosen.fit.state.X, cell.X)
     nees = float(away @ np.linalg.solve(outcome.covariance[:6, :6], away)) / 6
-    true = {(p.joint, p.kind, p.which): v
+    true = {(p.joint, p.kind, p.index): v
             for p, v in zip(cell.arm.parameters, cell.arm.values, strict=True)}
-    off = [v - true[p.joint, p.kind, p.which]
+    off = [v - true[p.joint, p.kind, p.index]
            for p, v in zip(outcome.arm.parameters, outcome.arm.values, strict=True)]
     inside = np.abs(off) < 2 * np.maximum(outcome.stds, 1e-12)
     return before, after, nees, float(inside.mean()) if len(off) else 1.0

@@ -18,7 +18,7 @@ import time
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.scanning.seam import find_seam, tool_frames
-from handeye_ros.simulate.preform import Preform, preform_cloud, PreformCloud
+from handeye_ros.simulate.measuring import Preform, preform_cloud, PreformCloud
 from joints import JOINTS, Scanned, scanned
 import numpy as np
 from scipy.spatial import cKDTree

@@ -24,16 +24,16 @@ from itertools import product
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, NoiseConfig, VerifyConfig
 from handeye_ros.data import Array, Calibration, Quality, Sample
-from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.simulate import gauges
 from handeye_ros.simulate.measuring import Pass, rendered
 from handeye_ros.simulate.scenario import RobotModel, Scenario, SensorModel
 from handeye_ros.simulate.stations import Stops
+from handeye_ros.streams.trajectory import track_of
 from handeye_ros.verification.routines import Routine, ROUTINES, TEETH
-from handeye_ros.verification.shapes import Seen
-from handeye_ros.verification.tooth_gauge import seen_in_pass
+from handeye_ros.verification.shapes import StationSet
+from handeye_ros.verification.tooth_gauge import stations_of_pass
 from handeye_ros.verification.verification import Verification
-from handeye_ros.verification.verify import seen_in, settings_for, verify
+from handeye_ros.verification.verify import settings_for, stations_of, verify
 import numpy as np
 from scipy.stats import chi2
 
@@ -73,9 +73,10 @@ def covariance(rng: np.random.Generator) -> Array:
     return np.asarray(C * np.outer(size, size))
 
 
-def scanned(made: gauges.Measured, config: Config) -> list[Seen]:
+def scanned(made: gauges.Measured, config: Config) -> list[StationSet]:
     """Return what a scan in passes gives the routine of the gauge."""
-    return [seen_in_pass(part.profiles, track_of(part.poses, 0.5), config) for part in made.passes]
+    return [stations_of_pass(part.profiles, track_of(part.poses, 0.5), config)
+            for part in made.passes]
 
 
 def stops_of(routine: Routine, made: gauges.Measured, config: Config
@@ -97,7 +98,7 @@ def runs(routine: Routine, made: gauges.Measured, found: tuple[Calibration, ...]
         bags = scanned(made, config)
         return [verify(routine, bags, one, config) for one in found]
     bags = stops_of(routine, made, config)
-    return [verify(routine, [seen_in(routine, samples, one, config) for samples in bags], one,
+    return [verify(routine, [stations_of(routine, samples, one, config) for samples in bags], one,
                    config) for one in found]
 
 

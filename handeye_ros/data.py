@@ -97,9 +97,9 @@ class FaceLine:
     spread: standard deviation of its points along it; std: 1 sigma of its offset at
     the centre, which is also that of its offset's change over one spread: the offsets at
     centre +- spread * direction are uncorrelated, each with sqrt(2) * std.
-    points: (k, 2) normal points, the means of equal shares of its points, in their order, as
+    points: (k, 2) normal points, the means of equal bins of its points, in their order, as
     measured; points_std: (k,) 1 sigma of each across the line. blocks: (m, 2) the means of
-    finer shares, whose scatter tells these. All are empty where only the line is known.
+    finer bins, whose scatter tells these. All are empty where only the line is known.
     """
 
     centre: Array
@@ -151,7 +151,7 @@ class Arc:
     """
     The part of a profile on a sphere.
 
-    points: (k, 2) normal points, each the mean of its share of the arc; std: (k,) 1 sigma of
+    points: (k, 2) normal points, each the mean of its bin of the arc; std: (k,) 1 sigma of
     each along the circle's normal. centre (2,), radius: the circle fitted through all points.
     raw: (n, 2) the points of the arc that the normal points stand for, as measured.
     """

@@ -127,6 +127,20 @@ class UnwritableError(InputError):
         super().__init__(f'cannot write {path}: {reason}; choose another place')
 
 
+class TooFewError(DataError):
+    """A published algorithm was given less than it can work from."""
+
+    def __init__(self, method: str, minimum: int, what: str, count: int) -> None:
+        super().__init__(f'{method} needs at least {minimum} {what}, got {count}')
+
+
+class SingularError(DataError):
+    """A published algorithm divides by what the data make zero."""
+
+    def __init__(self, method: str, reason: str) -> None:
+        super().__init__(f'{method} cannot be solved: {reason}')
+
+
 class UnknownNameError(InputError):
     """
     A name that is not among the known ones.

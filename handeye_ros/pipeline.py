@@ -31,13 +31,13 @@ from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mounted
 from handeye_ros.guidance import advice
+from handeye_ros.least_squares.solver import single_threaded
+from handeye_ros.results.evidence import Evidence, evidence_of
 from handeye_ros.results.outcome import describe_calibration, NuisanceReport
-from handeye_ros.results.report.evidence import Evidence, judged
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.passes import problem_of, single_samples
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.time_offset import synchronised
-from handeye_ros.threads import single_threaded
 import numpy as np
 
 Solver = Callable[[Sequence[Sample], Sequence[Reject], Config, str], Calibration]
@@ -151,7 +151,7 @@ def evidence(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config:
                                        session.with_base(config), session.frame_id)
     except DataError as error:
         return Evidence(seen, refusal=str(error))
-    return judged(seen, used, solution, found)
+    return evidence_of(seen, used, solution, found)
 
 
 @single_threaded

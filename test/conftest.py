@@ -6,26 +6,12 @@ from collections.abc import Callable, Iterator
 import os
 from pathlib import Path
 import signal
-import socket
 import sys
 from typing import Any
 
+from handeye_ros.ros.domain import claimed_domain
 from hypothesis import settings
 import pytest
-
-
-def claimed_domain() -> tuple[int, socket.socket]:
-    """Return a ROS_DOMAIN_ID that no other run of these tests has, and what holds it."""
-    for domain in range(99, 0, -1):  # people take the low ones
-        claim = socket.socket(socket.AF_UNIX)
-        try:
-            claim.bind(f'\0handeye_ros tests in domain {domain}')  # given back with the process
-        except OSError:
-            claim.close()
-        else:
-            return domain, claim
-    raise RuntimeError('99 processes run these tests')
-
 
 NOT_RUN = pytest.StashKey[str]()
 

@@ -11,7 +11,7 @@ import sys
 
 import handeye_ros
 from handeye_ros import config as configs
-from handeye_ros.cli.verbs import app
+from handeye_ros.cli import command
 from handeye_ros.files import FILE_METHODS
 from handeye_ros.targets import METHODS
 import pytest
@@ -37,7 +37,7 @@ def names(text: str) -> list[str]:
 
 
 def test_the_verbs() -> None:
-    there = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    there = typer.main.get_command(command()).commands  # type: ignore[attr-defined]
     verbs = {name.removeprefix('handeye ') for name in names(section(
         'Verbs of the command line'))}
     assert verbs == set(there)

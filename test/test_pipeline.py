@@ -20,9 +20,10 @@ from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.diagnosis.settings import WrongSettingError
 from handeye_ros.errors import DataError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
-from handeye_ros.sampling.errors import NoPosesError, NoStationsError, TwoFramesError
+from handeye_ros.sampling.errors import NoPosesError, NoStationsError
 from handeye_ros.simulate import FAULTS, SCENARIOS, settings
 from handeye_ros.simulate.scenario import PlateTarget
+from handeye_ros.streams.errors import TwoFramesError
 import numpy as np
 import pytest
 
@@ -309,3 +310,13 @@ def test_points_in_no_order_are_sorted_along_the_line() -> None:
                       for profiles in (made.profiles, shuffled))
     assert found.quality.samples_used == ordered.quality.samples_used
     assert made.error(found.T_flange_sensor) < 1e-4
+
+
+def test_points_in_the_origin_are_columns_without_a_return() -> None:
+    made = recorded('plate', 0, columns=640)
+    origin = [replace(profile, points=np.where(np.isnan(profile.points).any(axis=1)[:, None],
+                                               0.0, profile.points)) for profile in made.profiles]
+    assert any((profile.points == 0).all(axis=1).any() for profile in origin)
+    expected, found = (pipeline.calibrate(profiles, made.poses, made.config)
+                       for profiles in (made.profiles, origin))
+    assert np.array_equal(found.T_flange_sensor, expected.T_flange_sensor)

@@ -34,7 +34,7 @@ def constants(path: Path) -> list[str]:
 def main() -> None:
     """Print the counts."""
     total = 0
-    for room in sys.argv[1:] or ('estimation', 'checks', 'sampling'):
+    for room in sys.argv[1:] or ('estimation', 'least_squares', 'streams', 'checks', 'sampling'):
         for path in sorted((PACKAGE / room).rglob('*.py')):
             names = constants(path)
             total += len(names)

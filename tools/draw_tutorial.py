@@ -16,8 +16,8 @@ import tempfile
 
 from handeye_ros import config as configs
 from handeye_ros import pipeline
-from handeye_ros.results.report import figures, page
-from handeye_ros.results.report.evidence import Evidence
+from handeye_ros.results import exports, figures, pages
+from handeye_ros.results.evidence import Evidence
 from handeye_ros.ros.bags.bag import read
 
 ROOT = Path(__file__).parents[1]
@@ -46,7 +46,7 @@ def screenshot(found: Evidence, path: Path) -> None:
     if not chromium:
         sys.exit('no chromium: the picture of the report stays as it was')
     with tempfile.TemporaryDirectory() as place:
-        file = page.write(found.calibration, found, Path(place) / page.NAME)
+        file = pages.write(found.calibration, found, Path(place) / exports.REPORT)
         text = file.read_text(encoding='utf-8')
         # the scene first, so that it is in sight
         file.write_text(text.replace('<style>', '<style>section{display:none}'

@@ -1,11 +1,11 @@
-"""What a batch refuses."""
+"""Refusals of a batch, and of the trend of its results."""
 from __future__ import annotations
 
 from handeye_ros.errors import DataError, InputError
 
 
 class NoDaskError(InputError):
-    """A batch without the libraries that distribute it."""
+    """A batch without the libraries of its extra."""
 
     def __init__(self, name: str) -> None:
         super().__init__(f'batch needs {name}, which is not installed: pip install '
@@ -13,7 +13,7 @@ class NoDaskError(InputError):
 
 
 class NoSchedulerError(InputError):
-    """A scheduler that does not answer."""
+    """A scheduler that does not respond."""
 
     def __init__(self, address: str) -> None:
         super().__init__(f'no Dask scheduler answers at {address}: start one with "dask '
@@ -21,7 +21,7 @@ class NoSchedulerError(InputError):
 
 
 class BadMemoryError(InputError):
-    """A limit of memory that is none."""
+    """An invalid memory limit."""
 
     def __init__(self, text: str) -> None:
         super().__init__(f'"{text}" is no size of memory: give one such as 2GB or 500MB, or auto')
@@ -49,3 +49,12 @@ class RemoteError(InputError):
     def __init__(self, url: str, reason: str) -> None:
         super().__init__(f'{url} cannot be read ({reason}): check the URL, its credentials, and '
                          'that the library of its file system (such as s3fs) is installed')
+
+
+class NoTrendError(DataError):
+    """A folder with too few calibrations to compare."""
+
+    def __init__(self, folder: object, count: int) -> None:
+        super().__init__(f'{folder} holds {count} readable calibration.yaml, and no two files of '
+                         'the same verification or check: a trend needs two of a kind (one '
+                         'calibration with --against)')

@@ -1,4 +1,4 @@
-"""One job of a batch, from its recording, here or at a URL, and its command to its row."""
+"""One job of a batch: from its recording, local or at a URL, to its row."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
@@ -24,7 +24,7 @@ import yaml
 Row: TypeAlias = dict[str, Any]
 Verb: TypeAlias = Callable[[list[str]], int]
 JOB = 'job.json'  # in the folder of a job: its key and its row
-LOCKS = '.locks'  # in the folder of all: a byte of it is locked for each job under way
+LOCKS = '.locks'  # in the folder of all: one locked byte for each running job
 OUTPUTS = {'solve': '', 'verify': 'verification.yaml', 'check': 'check.yaml',
            'compare': 'comparison.yaml'}  # below --out
 NOT_FIGURES = ('format', 'version', 'name', 'input', 'against', 'sentence', 'routine',
@@ -52,7 +52,7 @@ class Job:
         return [*words, '--out', str(folder / OUTPUTS[self.verb])]
 
     def key(self) -> str:
-        """Return a hash of all that the result depends on: files, command and version."""
+        """Return a hash of everything that determines the result: files, command and version."""
         total = hashlib.sha256(repr((__version__, replace(self, label=''))).encode())
         if is_remote(self.bag):
             total.update(fingerprint(self.bag).encode())
@@ -67,39 +67,39 @@ class Job:
 
 def run(job: Job, out: Path, verb: Verb) -> Row:
     """
-    Return the row of a job, from its folder below out where nothing changed since.
+    Return the row of a job, from its folder below out if it is unchanged.
 
-    verb: runs the words of a command in this process, and returns its exit code. What it writes
-    is there whole or not at all. A worker that a client which was killed left at this very job
-    is waited for.
+    verb: runs the words of a command in this process, and returns its exit code. The folder
+    appears complete or not at all. If another worker still runs this job, wait for it: its client
+    may have been killed.
     """
     folder = out / job.label
     out.mkdir(parents=True, exist_ok=True)
     with _locked(out / LOCKS, job.label):
         try:
             key = job.key()
-        except HandeyeError as error:  # a remote recording that is not there
+        except HandeyeError as error:  # a missing remote recording
             key = str(error)
         try:
             previous = json.loads((folder / JOB).read_text(encoding='utf-8'))
             lost = is_remote(job.bag) and previous['row']['exit_code'] == UNREADABLE
-            if previous['key'] == key and not lost:  # its connection may be there again
+            if previous['key'] == key and not lost:  # a lost connection may work again
                 return {**previous['row'], 'computed': False}
         except (OSError, ValueError, KeyError):
             pass
-        part = folder.with_name(f'.{folder.name}.part')
-        shutil.rmtree(part, ignore_errors=True)
-        part.mkdir(parents=True)
-        row = {**_answered(job, part, verb), 'worker': os.getpid()}
-        write_whole(part / JOB, json.dumps({'key': key, 'row': row}, indent=1))
+        unfinished = folder.with_name(f'.{folder.name}.part')
+        shutil.rmtree(unfinished, ignore_errors=True)
+        unfinished.mkdir(parents=True)
+        row = {**_answered(job, unfinished, verb), 'worker': os.getpid()}
+        write_whole(unfinished / JOB, json.dumps({'key': key, 'row': row}, indent=1))
         shutil.rmtree(folder, ignore_errors=True)
-        part.replace(folder)
+        unfinished.replace(folder)
         return {**row, 'computed': True}
 
 
 @contextmanager
 def _locked(file: Path, label: str) -> Iterator[None]:
-    """Keep other processes from a label; the system ends this when the process does."""
+    """Lock a label against other processes; the system releases it when the process ends."""
     with file.open('ab') as stream:
         byte = int.from_bytes(hashlib.sha256(label.encode()).digest()[:7], 'big')
         fcntl.lockf(stream, fcntl.LOCK_EX, 1, byte)
@@ -107,10 +107,10 @@ def _locked(file: Path, label: str) -> Iterator[None]:
 
 
 def _answered(job: Job, folder: Path, verb: Verb) -> Row:
-    """Return the row of a job that is computed now, and keep what it printed."""
-    start, said, errors = time.perf_counter(), io.StringIO(), io.StringIO()
+    """Return the row of a job after running it, and store its output."""
+    start, printed, errors = time.perf_counter(), io.StringIO(), io.StringIO()
     try:
-        with redirect_stdout(said), redirect_stderr(errors), local_copy(job.bag) as bag:
+        with redirect_stdout(printed), redirect_stderr(errors), local_copy(job.bag) as bag:
             code = verb(replace(job, bag=bag).command(folder))
     except HandeyeError as error:
         code = error.exit_code
@@ -118,7 +118,7 @@ def _answered(job: Job, folder: Path, verb: Verb) -> Row:
     except Exception as error:  # noqa: BLE001 - costs this job alone
         code = CRASHED
         errors.write(f'error: {type(error).__name__}: {error}')
-    write_whole(folder / 'output.txt', said.getvalue() + errors.getvalue())
+    write_whole(folder / 'output.txt', printed.getvalue() + errors.getvalue())
     lines = errors.getvalue().splitlines()
     cause = next((line for line in lines if line.startswith('error:')), '')
     return {'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': code,
@@ -177,14 +177,14 @@ def opened(url: str) -> Iterator[tuple[Any, str]]:
         raise NoDaskError('fsspec') from error
     try:
         system, path = url_to_fs(url)
-        system.invalidate_cache()  # a worker that lives long keeps what it listed before
+        system.invalidate_cache()  # a long-lived worker caches old listings
         yield system, path
     except Exception as error:  # each file system raises errors of its own
         raise RemoteError(url, f'{type(error).__name__}: {error}') from error
 
 
 def files_below(source: str) -> list[str] | None:
-    """Return the files below a folder, relative to it; None of what is no folder."""
+    """Return the files below a folder, relative to it; None for other paths."""
     if not is_remote(source):
         folder = Path(source)
         return [file.relative_to(folder).as_posix() for file in folder.rglob('*')
@@ -196,7 +196,7 @@ def files_below(source: str) -> list[str] | None:
 
 
 def fingerprint(url: str) -> str:
-    """Return what changes when a remote recording does, by its file system, without reading it."""
+    """Return a value that changes with a remote recording, without reading it."""
     with opened(url) as (system, path):
         state = system.info if 'http' in system.protocol else system.ukey  # ukey: of the URL alone
         return ' '.join(str(state(file)) for file in sorted(system.find(path)))
@@ -204,15 +204,15 @@ def fingerprint(url: str) -> str:
 
 @contextmanager
 def local_copy(source: str) -> Iterator[str]:
-    """Give the path of a recording, copied to a temporary folder where it is remote."""
+    """Give the path of a recording, copied to a temporary folder if it is remote."""
     if not is_remote(source):
         yield source
         return
     with tempfile.TemporaryDirectory(prefix='handeye_batch_') as folder:
         copy = Path(folder, PurePosixPath(source).name)
-        below = files_below(source)
+        files = files_below(source)
         with opened(source) as (system, path):
-            for file in [''] if below is None else below:
+            for file in [''] if files is None else files:
                 (copy / file).parent.mkdir(parents=True, exist_ok=True)
                 system.get_file(f'{path}/{file}'.rstrip('/'), str(copy / file))
         yield str(copy)

@@ -1,4 +1,4 @@
-"""One page for a batch: what became of the jobs, each cell through time, the worst to open."""
+"""One page for a batch: the results, each cell over time, and the worst results first."""
 from __future__ import annotations
 
 from collections import Counter, defaultdict
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 import re
 
+from handeye_ros.batch import trend
 from handeye_ros.batch.jobs import Row
 from handeye_ros.errors import HandeyeError
 from handeye_ros.output import figure, save, write_whole
-from handeye_ros.verification import trend
 from jinja2 import Environment
 import numpy as np
 
@@ -45,31 +45,31 @@ img{max-width:100%}</style>
 
 
 def result_of(row: Row) -> str:
-    """Return what became of a job, in a word."""
+    """Return the result of a job in one word."""
     if row['exit_code'] == 0:
         return 'warning' if row.get('warnings') else 'pass'
     return {1: 'failed or changed', 2: 'unreadable', 3: 'refused'}.get(row['exit_code'], 'crashed')
 
 
 def worst_first(rows: Sequence[Row]) -> list[Row]:
-    """Return rows without an answer, then those with one by their residuals."""
+    """Return rows without an answer, then the others by their residuals."""
     return sorted(rows, key=lambda row: (
         -row['exit_code'], -(row.get('residual_rms') or row.get('rms') or 0.0)))
 
 
 def worst_answers(rows: Sequence[Row]) -> list[Row]:
-    """Return the answers that a person should open first."""
+    """Return the answers that should be opened first."""
     return worst_first([row for row in rows if row['exit_code'] in (0, 1)])[:WORST]
 
 
 def write_report(rows: Sequence[Row], cells: Sequence[Cell], path: Path) -> None:
-    """Write the page; a calibration links to its own report.html where there is one."""
+    """Write the page, with links to the report.html of calibrations that have one."""
     causes: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
         if row.get('cause'):
             causes[re.sub(r'-?\d[\d.e+-]*', '#', row['cause'])[:200]].append(row)
-    own = {row['label'] for row in worst_answers(rows)
-           if (path.parent / row['label'] / 'report.html').exists()}
+    with_report = {row['label'] for row in worst_answers(rows)
+                   if (path.parent / row['label'] / 'report.html').exists()}
     environment = Environment(autoescape=True)
     write_whole(path, environment.from_string(PAGE).render(
         rows=worst_first(rows), answers=worst_answers(rows), cells=cells, figures=[
@@ -78,13 +78,13 @@ def write_report(rows: Sequence[Row], cells: Sequence[Cell], path: Path) -> None
         causes=sorted(causes.items(), key=lambda item: -len(item[1])),
         counts=Counter(map(result_of, rows)).most_common(),
         page=lambda row: f'{row["label"]}/' + (
-            'report.html' if row['label'] in own else 'output.txt'),
+            'report.html' if row['label'] in with_report else 'output.txt'),
         shown=lambda value: '' if value is None else f'{value:.3g}'))
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell: its recordings with an answer, what its trend says, and the picture's name."""
+    """A cell: its recordings with an answer, its trend, and the name of the picture."""
 
     name: str
     count: int
@@ -93,16 +93,16 @@ class Cell:
 
 
 def cells_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """Return the rows with figures of each cell, by time: what stands before the last slash."""
+    """Return the rows with values by cell and time; the cell is the label up to the last slash."""
     cells: dict[str, list[Row]] = defaultdict(list)
     for row in sorted(rows, key=lambda row: (row.get('stamp', 0), row['label'])):
         if row['exit_code'] in (0, 1):
             cells[row['label'].rpartition('/')[0]].append(row)
-    return {name: found for name, found in sorted(cells.items()) if len(found) > 1}
+    return {name: cell for name, cell in sorted(cells.items()) if len(cell) > 1}
 
 
 def cell_of(name: str, rows: Sequence[Row], out: Path) -> Cell:
-    """Return what the trend of a cell says, and draw it where matplotlib is."""
+    """Return the trend of a cell, drawn if matplotlib is installed."""
     picture, sentence = out / name / PICTURE, ''
     try:
         if rows[0]['verb'] == 'solve':
@@ -119,7 +119,7 @@ def cell_of(name: str, rows: Sequence[Row], out: Path) -> Cell:
 
 
 def _verdicts(rows: Sequence[Row]) -> str:
-    """Return since when the verdict is another than that of the first."""
+    """Return since when the verdict differs from the first one."""
     verdicts = [str(row.get('verdict', '')) for row in rows]
     changed = next((k for k, verdict in enumerate(verdicts) if verdict != verdicts[0]), None)
     return f'{verdicts[0]} in all' if changed is None else (

@@ -1,4 +1,4 @@
-"""Jobs on the workers of Dask: as many at once as there are, each row as it comes."""
+"""Runs jobs on Dask workers; rows are written as they arrive."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -26,24 +26,24 @@ import yaml
 BAGS = ('.mcap', '.db3')
 LISTS = ('.csv', '.yaml', '.yml')
 COLUMNS = {'bag', 'label', 'config', 'settings', 'args'}
-AHEAD = 1000  # jobs that are handed over before others are done; the scheduler holds them
+AHEAD = 1000  # unfinished jobs that the scheduler holds at most
 LOCAL = {  # settings of Dask on this machine
     # a job that has ended two workers is tried by itself
     'distributed.scheduler.allowed-failures': 1,
-    # its profiler keeps call stacks: half a megabyte for each job
+    # the profiler stores call stacks: half a megabyte for each job
     'distributed.worker.profile.enabled': False,
-    # Dask's 64 kB give arrays back and fetch them again: 11,000 page faults for each job, not 500
+    # with Dask's 64 kB memory is released and requested again: 11,000 page faults a job, not 500
     'distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_': 2**27,
-    # it looks 50 times a second whether its own event loops run: 3 % of two cores
+    # its default checks of the event loops, 50 a second, take 3 % of two cores
     'distributed.admin.tick.interval': '1s',
     'distributed.admin.system-monitor.interval': '5s',
-    # ctrl-C is the client's: it ends them
+    # the client handles ctrl-C and ends the workers
     'distributed.worker.preload': ['import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)']}
 
 
 def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
     """
-    Return the jobs of bags, folders of bags, and CSV or YAML lists; base: what they share.
+    Return the jobs of bags, folders of bags, and CSV or YAML lists; base: the common command.
 
     Raises JobListError, NoJobsError.
     """
@@ -56,24 +56,24 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
                      for bag, label in _bags_in(source, several=len(sources) > 1)]
     if not jobs:
         raise NoJobsError(' '.join(sources))
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     unique = []
     for job in jobs:
-        seen[job.label] = seen.get(job.label, 0) + 1
-        number = seen[job.label]
+        counts[job.label] = counts.get(job.label, 0) + 1
+        number = counts[job.label]
         unique.append(job if number == 1 else replace(job, label=f'{job.label}-{number}'))
     return unique
 
 
 def _bags_in(source: str, several: bool) -> Iterator[tuple[str, str]]:
-    """Yield the bags that a path or a URL is or holds, and their names; several: of folders."""
-    below = files_below(source)
-    if below is None and not is_remote(source) and not Path(source).exists():
+    """Yield the bags at a path or URL, and their names; several: with the folder's name."""
+    names = files_below(source)
+    if names is None and not is_remote(source) and not Path(source).exists():
         raise NoJobsError(source)
-    if below is None or 'metadata.yaml' in below:
+    if names is None or 'metadata.yaml' in names:
         yield _absolute(source), PurePosixPath(source).stem
         return
-    files = {PurePosixPath(file) for file in below}
+    files = {PurePosixPath(file) for file in names}
     folders = {file.parent for file in files if file.name == 'metadata.yaml'}
     single = {file for file in files if file.suffix in BAGS and file.parent not in folders}
     for bag in sorted(folders | single):
@@ -83,7 +83,7 @@ def _bags_in(source: str, several: bool) -> Iterator[tuple[str, str]]:
 
 
 def words_of(text: str, folder: Path) -> tuple[str, ...]:
-    """Return the words of a command; files in a folder by their absolute path, for workers."""
+    """Return the words of a command with absolute paths of its files, for workers."""
     return tuple(str((folder / word).absolute()) if (folder / word).is_file() else word
                  for word in shlex.split(text))
 
@@ -119,7 +119,7 @@ def _listed(path: Path, base: Job) -> Iterable[Job]:
 def client_of(scheduler: str, *, workers: int = 0, memory: str = 'auto', dashboard: bool = False
               ) -> Iterator[Any]:
     """
-    Give a client of Dask: of a cluster of this machine (`local`), or of one that is there.
+    Give a Dask client: of a cluster on this machine (`local`), or of an existing one.
 
     workers, memory: of this machine, 0: one for each core; the memory that each may use.
     Raises NoDaskError, NoSchedulerError, BadMemoryError.
@@ -150,7 +150,7 @@ def client_of(scheduler: str, *, workers: int = 0, memory: str = 'auto', dashboa
 
 
 def rows_of(client: Any, jobs: Sequence[Job], out: Path, verb: Verb) -> Iterator[Row]:
-    """Yield the row of each job as it is done; a worker that dies costs its job alone."""
+    """Yield the row of each job when it is done; a killed worker only costs its own job."""
     from distributed import as_completed
     waiting = iter(jobs)
     submit: Callable[..., list[Any]] = partial(client.map, run, out=out, verb=verb, pure=False)
@@ -159,7 +159,7 @@ def rows_of(client: Any, jobs: Sequence[Job], out: Path, verb: Verb) -> Iterator
 
     def fill() -> None:
         if len(running) <= AHEAD // 2 and (new := list(islice(waiting, AHEAD - len(running)))):
-            futures = submit(new)  # many at once cost the scheduler less
+            futures = submit(new)  # one call for many costs the scheduler less
             running.update(zip(futures, new, strict=True))
             done.update(futures)
 
@@ -172,13 +172,13 @@ def rows_of(client: Any, jobs: Sequence[Job], out: Path, verb: Verb) -> Iterator
             else:
                 yield _row(job, future, result)
         fill()
-    for job in lost:  # by itself: another job beside it may have ended the worker
+    for job in lost:  # alone: another job may have ended the worker
         future, = submit([job])
         yield _row(job, future, None if future.exception() else future.result())
 
 
 def _row(job: Job, future: Any, result: Any) -> Row:
-    """Return the row of a job that has ended."""
+    """Return the row of a finished job."""
     error = future.exception()
     return result if error is None else {
         'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': CRASHED,

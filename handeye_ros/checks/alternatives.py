@@ -1,5 +1,5 @@
 """
-The same samples under one changed assumption, and which of two explanations they favour.
+The same samples under one changed assumption, and the evidence for it.
 
 The sign of the range is tested without a solution, too. A face ends where the surface turns away
 from the sensor or drops. Read with the wrong sign, a corner that turns away stands in front of the
@@ -26,9 +26,9 @@ from handeye_ros.data import EdgePoint, Feature, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.outliers import chi2_isf, FALSE_ALARM
 from handeye_ros.estimation.search import CONVINCING
 from handeye_ros.estimation.solution import Solution
+from handeye_ros.least_squares.outliers import chi2_isf, FALSE_ALARM
 import numpy as np
 
 RARE = 1e-5  # probability of naming a wrong cause
@@ -39,14 +39,21 @@ LARGEST_DROPPED_SHARE = 0.34  # of the stations, that an explanation may leave o
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What an explanation leads to: the consensus of all stations, or of parts of a recording."""
+    """The consensus under an explanation: of all stations, or of parts of a recording."""
 
     parts: tuple[Consensus, ...]
 
     @classmethod
-    def of(cls, problem: Problem) -> Fit | None:
-        """Return the fit of a problem, None where the first guesses lead to none."""
-        consensus = Consensus.of_first_guesses(problem)
+    def of(cls, problem: Problem, all_starts: bool = False) -> Fit | None:
+        """Return the fit of a problem, None if the first starts, or all, lead to none."""
+        consensus: Consensus | None
+        if all_starts:
+            try:
+                consensus = Consensus.of(problem, np.random.default_rng(0), subsets=True)
+            except DataError:
+                consensus = None
+        else:
+            consensus = Consensus.of_first_guesses(problem)
         return cls((consensus,)) if consensus else None
 
     @property
@@ -62,14 +69,14 @@ class Fit:
 
     @property
     def believable(self) -> bool:
-        """Return whether nearly all stations fit, about as well as the configured noise allows."""
+        """Return whether nearly all stations fit, about as well as configured noise predicts."""
         return self.variance_factor < CONVINCING and all(
             part.unused_share < LARGEST_DROPPED_SHARE and part.solution.degrees_of_freedom > 0
             for part in self.parts)
 
     @property
     def deviance(self) -> float:
-        """Return -2 log of the marginal likelihood, (13); inf of no parts."""
+        """Return -2 log of the marginal likelihood, (13); inf without parts."""
         if not self.parts:
             return np.inf
         n = sum(len(part.whole.poses) for part in self.parts)
@@ -81,12 +88,12 @@ class Fit:
             _left_out(part, n) for part in self.parts)
 
     def evidence_against(self, stated: Fit) -> float:
-        """Return twice the log of the Bayes factor for this fit against that as stated."""
+        """Return twice the log Bayes factor for this fit against the stated one."""
         return stated.deviance - self.deviance
 
 
 def _left_out(part: Consensus, stations: int) -> float:
-    """Return what the stations and edges cost that a part leaves out."""
+    """Return the deviance of the stations and edges that a part does not use."""
     rank = max(int(np.median(part.solution.ranks)), 1)
     limit, of_edge = chi2_isf(FALSE_ALARM / stations, np.array([rank, 1])).tolist()
     return float(limit * len(part.dropped) + of_edge * len(part.unused))
@@ -108,7 +115,7 @@ class Hypothesis:
 def require_stated(stated: Fit, hypotheses: Iterable[Hypothesis], level: float = DECISIVE
                    ) -> None:
     """
-    Refuse the stated assumptions where one changed assumption explains the samples better.
+    Raise where one changed assumption explains the samples better than the stated ones.
 
     Raises the refusal of the hypothesis that explains them best.
     """
@@ -120,7 +127,7 @@ def require_stated(stated: Fit, hypotheses: Iterable[Hypothesis], level: float =
 
 
 def require_range_sign(stations: Sequence[Sample | Reject], config: Config) -> None:
-    """Raise CountedWrongWayError where the profiles alone show that the range is."""
+    """Raise CountedWrongWayError where the profiles alone contradict profile.range_sign."""
     hint = range_sign_evidence(stations).hint(config)
     if hint:
         raise CountedWrongWayError(hint)
@@ -158,7 +165,7 @@ class RangeSignEvidence:
                 and 2.0 ** -(only_flipped - 4 * only_as_set) < 0.01)
 
     def hint(self, config: Config) -> str:
-        """Return the sentence of a refusal, empty when the stations do not contradict it."""
+        """Return the sentence added to a refusal, empty without a contradiction."""
         if not self.against:
             return ''
         sign = config.profile.range_sign
@@ -170,7 +177,7 @@ class RangeSignEvidence:
 
 def range_sign_evidence(stations: Iterable[Sample | Reject]) -> RangeSignEvidence:
     """
-    Return the evidence of stations, with and without a sample, on profile.range_sign.
+    Return the evidence on profile.range_sign from all stations, also those without a sample.
 
     Ends of faces at the border of the field of view must be left out. For targets without edges
     the evidence is never against.

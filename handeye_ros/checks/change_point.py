@@ -30,10 +30,10 @@ from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.noise import TURN_LENGTH, whitening
-from handeye_ros.estimation.outliers import chi2_isf
 from handeye_ros.estimation.posterior import evaluated, reestimated
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, target_frame
+from handeye_ros.least_squares.outliers import chi2_isf
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,7 +46,7 @@ RARELY, HARDLY_EVER = 0.1, 0.01  # share of them that show as much: to warn, to 
 
 
 def require_unmoved(problem: Problem, agreed: Consensus) -> None:
-    """Raise MovedError where two parts of a recording fit, each by itself, but not together."""
+    """Raise MovedError where two parts of a recording fit separately but not together."""
     n, fewest = len(problem.poses), problem.method.minimum
     if n < 2 * fewest:
         return
@@ -81,7 +81,7 @@ def _refusal(problem: Problem, k: int, fit: Fit) -> DataError:
 
 def moved_slightly(agreed: Consensus) -> str:
     """
-    Return what may have moved a little, and when, as a warning; '' where nothing did.
+    Return a warning on a small move and its time, '' if there is none.
 
     Raises SmallMoveError where the evidence is decisive.
     """
@@ -101,7 +101,7 @@ def moved_slightly(agreed: Consensus) -> str:
 @dataclass(frozen=True, eq=False)
 class ChangePoint:
     """
-    A move between two stations.
+    A move of sensor or target between two stations.
 
     station: the first one after it; sensor: whether the sensor moved, and not the target;
     step: (6,) translation and rotation in the mount or the base; evidence: twice the log of the
@@ -118,18 +118,18 @@ class ChangePoint:
 
     @property
     def where(self) -> tuple[bool, int]:
-        """Return what moved, and before which station."""
+        """Return what moved, and before which station, in words."""
         return self.sensor, self.station
 
     @property
     def clear(self) -> bool:
-        """Return whether a smooth error of the robot can hardly be taken for it."""
+        """Return whether a smooth error of the robot is no likely explanation of the move."""
         size = np.hypot(np.linalg.norm(self.step[:3]), TURN_LENGTH * np.linalg.norm(self.step[3:]))
         return bool(self.evidence > DECISIVE or size > LARGE * self.smooth)
 
 
 def change_point(solution: Solution) -> ChangePoint | None:
-    """Return the likeliest move at a solution, None where nothing shows one."""
+    """Return the most likely move at a solution, None if nothing indicates one."""
     n, reported = len(solution.problem.poses), solution.conservative or solution
     few = 2 if solution.problem.pose_model is None else n // MOST_CHANGES  # of many a second
     changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
@@ -169,7 +169,7 @@ def _blocks(solution: Solution, move: ChangePoint) -> tuple[ParameterBlock, ...]
 
 
 def _by_steps(solution: Solution) -> Array:
-    """Return the derivatives (m, 12) by steps of sensor and target in prior sigmas."""
+    """Return the derivatives (m, 12) by moves of sensor and target, in prior sigmas."""
     linear = solution.linear
     p = solution.problem.points_in_base(linear.estimate.X)
     about = se3.cross(p - p.mean(axis=0), linear.by_base)
@@ -180,7 +180,7 @@ def _by_steps(solution: Solution) -> Array:
 @dataclass(frozen=True, eq=False)
 class _Steps:
     """
-    Sums over the parts of a recording between k possible moves, for (14), at a solution.
+    Sums over the parts of a recording between k possible moves, for (14).
 
     With the columns D of a move of sensor and target: own: (k + 1, 12, 12) D'D; cross:
     (k + 1, q, 12) C^(1/2) A'D; slope: (k + 1, 12) D'e.
@@ -206,7 +206,7 @@ class _Steps:
 
     def gains(self, order: NDArray[np.intp]) -> tuple[Array, Array]:
         """
-        Return 2 log of the Bayes factors (2, k) of steps, (14), and the steps (2, k, 6).
+        Return 2 log Bayes factors (2, k) of moves, (14), and the moves (2, k, 6).
 
         order: (k + 1,) of the parts. The first are of the sensor, the second of the target.
         """
@@ -226,7 +226,7 @@ class _Steps:
         return gains - 2 * np.log(len(SIZES)), steps
 
     def peaks(self) -> Iterator[ChangePoint]:
-        """Yield steps likelier than those just before and after, the likeliest first."""
+        """Yield moves that are local maxima of likelihood over time, the most likely first."""
         gains, steps = self.gains(np.arange(len(self.own)))
         around = np.pad(gains, ((0, 0), (1, 1)), constant_values=-np.inf)
         peak = (gains >= around[:, :-2]) & (gains >= around[:, 2:])
@@ -236,7 +236,7 @@ class _Steps:
 
     @property
     def p_value(self) -> float:
-        """Return the share of random orders of the parts that show a move as clearly as time."""
+        """Return the share of random orders of the parts with at least as clear a move."""
         rng, every = np.random.default_rng(0), np.arange(len(self.own))
         random = [self.gains(rng.permutation(every))[0].max() for _ in range(200)]
         return float(np.mean(random >= self.gains(every)[0].max()))

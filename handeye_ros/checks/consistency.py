@@ -1,5 +1,5 @@
 """
-Whether samples and poses suffice for an answer and agree with it, and what is said if not.
+Whether samples and poses determine an answer and agree with it.
 
 Frames and rotations of a recording; redundancy and uncertainty of an answer; its residuals.
 """
@@ -44,7 +44,7 @@ MISFITTING = 9.0  # variance factor (3 sigma), from which another cause than noi
 def require_solvable(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
                      method: Method) -> None:
     """
-    Refuse samples that cannot carry an answer: range sign, number, rotations of the poses.
+    Raise for samples without an answer: range sign, number of samples, rotations.
 
     Raises CountedWrongWayError, TooFewSamplesError, OneOrientationError and OneAxisError.
     """
@@ -55,7 +55,7 @@ def require_solvable(samples: Sequence[Sample], rejects: Sequence[Reject], confi
 
 def require_answer(agreed: Consensus, config: Config) -> str:
     """
-    Refuse an answer that cannot be judged, is too uncertain or leaves out edges; return a warning.
+    Raise for an answer that is untestable, too uncertain or ignores edges; return a warning.
 
     Raises DataError; warning: that something moved a little, '' if not.
     """
@@ -76,7 +76,7 @@ def _require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], metho
 
 def require_own_frame(frame_id: str, config: Config) -> None:
     """
-    Refuse profiles in a frame of the robot: the result would be a transform to itself.
+    Raise for profiles in a frame of the robot: sensor and robot frame would be one.
 
     frame_id: of the profiles. Raises SensorFrameError.
     """
@@ -88,7 +88,7 @@ def require_own_frame(frame_id: str, config: Config) -> None:
 
 def require_rotations(poses: Array, frame: str, lost: str) -> None:
     """
-    Refuse poses (n, 4, 4) that turn about no axis, or about only one.
+    Raise for poses (n, 4, 4) that rotate about no axis, or about only one.
 
     frame: that the poses turn, for the message; lost: what turns about one axis leave open.
     Raises OneOrientationError and OneAxisError.
@@ -103,7 +103,7 @@ def require_rotations(poses: Array, frame: str, lost: str) -> None:
 
 def turning(poses: Array) -> tuple[Array, Array]:
     """
-    Return how far poses (n, 4, 4) turn (3,), RMS in rad, and about which axes (3, 3).
+    Return the RMS rotations (3,) of poses (n, 4, 4) in rad, and their principal axes (3, 3).
 
     Largest first; the axes are the rows, in the frame that the sensor is fixed in.
     """
@@ -117,7 +117,7 @@ def turning(poses: Array) -> tuple[Array, Array]:
 
 def require_certain(agreed: Consensus, config: Config) -> None:
     """
-    Refuse an answer that is less certain than the limits.
+    Raise for an answer with larger uncertainty than the limits.
 
     Raises TooUncertainError, which names the direction and the motion that is missing.
     """
@@ -136,7 +136,7 @@ def require_certain(agreed: Consensus, config: Config) -> None:
 
 def _require_judged(agreed: Consensus) -> None:
     """
-    Refuse an answer where too little is left to judge it by.
+    Raise for an answer with too few redundant conditions to test it.
 
     Raises TooFewConditionsError, and UnidentifiedOutlierError where that would be so without the
     one sample that seems to be wrong.
@@ -152,7 +152,7 @@ def _require_judged(agreed: Consensus) -> None:
 
 
 def missing_motion(poses: Array, frame: str) -> str:
-    """Return what poses (n, 4, 4) should do that they do too little, in words."""
+    """Return in words the motion that poses (n, 4, 4) lack."""
     turns, axes = turning(poses)
     if turns[1] > 0.12:  # rad RMS: tilts by 12 degrees to both sides
         return ('take more samples with the target in all parts of the field of view (near, far, '
@@ -164,7 +164,7 @@ def missing_motion(poses: Array, frame: str) -> str:
 
 @dataclass(frozen=True)
 class Misfit:
-    """By how much samples contradict an answer: RMS and expected RMS (m), share dropped."""
+    """Residuals of samples against an answer: RMS and expected RMS (m), share dropped."""
 
     rms: float
     expected: float
@@ -174,19 +174,19 @@ class Misfit:
 
     @property
     def wild(self) -> bool:
-        """Return whether the residuals are more than any noise, or than any robot explains."""
+        """Return whether the residuals exceed any plausible noise or robot error."""
         return self.rms > self.limits.scatter * self.expected or (
             self.variance_factor > 40.0 and self.rms > 4.0 * self.expected)
 
     @property
     def hopeless(self) -> bool:
-        """Return whether there can be no answer."""
+        """Return whether no answer is possible."""
         return (self.share > LARGEST_DROPPED_SHARE or self.rms > self.limits.residual
                 or self.wild)
 
 
 def misfit_of(problem: Problem, agreed: Consensus) -> Misfit:
-    """Return by how much the samples of a problem contradict what they agree on."""
+    """Return the misfit of the samples of a problem."""
     return Misfit(agreed.solution.residual_rms, agreed.solution.expected_rms,
                   len(agreed.dropped) / len(problem.poses), agreed.solution.variance_factor,
                   problem.config.limits)
@@ -194,7 +194,7 @@ def misfit_of(problem: Problem, agreed: Consensus) -> Misfit:
 
 def require_consistent(problem: Problem, agreed: Consensus) -> None:
     """
-    Refuse an answer that samples or poses contradict.
+    Raise for an answer that samples or poses contradict.
 
     Where the poses turn too little, that is the reason given, not what follows from it.
 

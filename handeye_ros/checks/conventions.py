@@ -1,5 +1,5 @@
 """
-Common errors in conventions, tried where an answer does not fit.
+Tests common errors of conventions where an answer does not fit.
 
 Each is a map of poses (n, 4, 4) to what they would be without the error. The one that makes the
 samples agree names the mistake.
@@ -36,14 +36,14 @@ INVERSE = 'inverse poses'
 
 
 def require_agreement(problem: Problem, agreed: Consensus, flipped: Problem | None) -> None:
-    """Refuse an answer that samples or poses contradict, with the convention that explains it."""
+    """Raise for an answer that samples or poses contradict; name a convention that explains it."""
     require_conventions(problem, agreed, flipped)
     require_consistent(problem, agreed)
 
 
 def require_conventions(problem: Problem, agreed: Consensus, flipped: Problem | None) -> None:
     """
-    Refuse an answer that an error in the conventions explains better.
+    Raise where an error of conventions explains the samples better.
 
     flipped: the problem with the range counted the other way, if it can be posed.
 
@@ -62,7 +62,7 @@ def require_conventions(problem: Problem, agreed: Consensus, flipped: Problem | 
 
 
 def _other_sign(flipped: Problem, before: float) -> Hypothesis:
-    """Return the hypothesis that the range is counted the other way."""
+    """Return the hypothesis of the opposite range sign."""
     def refusal(fit: Fit) -> DataError:
         return RangeSignError(flipped.config.profile.range_sign, before,
                               fit.solution.residual_rms)
@@ -71,7 +71,7 @@ def _other_sign(flipped: Problem, before: float) -> Hypothesis:
 
 def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], before: float
             ) -> Hypothesis:
-    """Return the hypothesis that the poses have an error, which undo takes back."""
+    """Return the hypothesis that the poses contain an error; undo removes it."""
     on_base = problem.config.calibration_type == 'eye_on_base'
     poses = se3.inverse(undo(se3.inverse(problem.poses))) if on_base else undo(problem.poses)
 
@@ -88,7 +88,7 @@ def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], before:
 
 def _mounted_on_base(agreed: Consensus) -> bool:
     """
-    Return whether the sensor seems to be fixed to the base, and not to the flange.
+    Return whether the sensor appears to be fixed to the base instead of the flange.
 
     What it sees is nearer to the flange than to the base, whichever of them it is fixed to.
     """
@@ -100,7 +100,7 @@ def _mounted_on_base(agreed: Consensus) -> bool:
 
 def orientations_scatter(poses: Array) -> bool:
     """
-    Return whether no axis of the tool keeps to one half space, in poses (n, 4, 4).
+    Return whether no tool axis stays within one half space over poses (n, 4, 4).
 
     That of a sensor which sees its target does; wrapped angles are as good as random.
     """
@@ -111,7 +111,7 @@ def orientations_scatter(poses: Array) -> bool:
 @dataclass(frozen=True)
 class PoseMap:
     """
-    undo: maps poses (n, 4, 4) to those without the error; advice: what to do, in words.
+    undo: maps poses (n, 4, 4) to poses without the error; advice: what to do, in words.
 
     other: the same, where the error leaves two ways to read the poses.
     """
@@ -122,7 +122,7 @@ class PoseMap:
 
 
 def _wxyz(T: Array) -> Array:
-    """Undo x y z w having been filled in the order w x y z."""
+    """Undo quaternions x y z w read as w x y z."""
     w, x, y, z = np.moveaxis(Rotation.from_matrix(T[:, :3, :3]).as_quat(), -1, 0)
     return se3.from_quaternion(T[:, :3, 3], np.column_stack([x, y, z, w]))
 
@@ -132,13 +132,13 @@ def _scaled(T: Array, factor: float) -> Array:
 
 
 def _composed(T: Array, read_as: str, meant: str) -> Array:
-    """Undo angles about the axes of meant having been composed as read_as."""
+    """Undo angles about the axes `meant` that were composed as `read_as`."""
     angles = Rotation.from_matrix(T[:, :3, :3]).as_euler(read_as)
     return se3.transform(Rotation.from_euler(meant, angles).as_matrix(), T[:, :3, 3])
 
 
 def _radians_as_degrees(T: Array) -> Array:
-    """Undo roll, pitch, yaw in radians having been read as degrees."""
+    """Undo roll, pitch, yaw in radians read as degrees."""
     angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
     return se3.transform(Rotation.from_euler('xyz', np.degrees(angles)).as_matrix(), T[:, :3, 3])
 
@@ -148,20 +148,20 @@ def _rotation_inverted(T: Array) -> Array:
 
 
 def _in_order(T: Array, first: int, order: list[int]) -> Array:
-    """Undo roll, pitch, yaw having been taken in another order; order: where each went."""
+    """Undo roll, pitch, yaw in another order; order: the position of each."""
     angles = _both_rpy(T)[..., order]
     return se3.transform(_chained(_rotations('xyz', angles), first), T[:, :3, 3])
 
 
 def _rotation_vectors(T: Array, first: int) -> Array:
-    """Undo rotation vectors, of half a turn at most, having been read as roll, pitch, yaw."""
+    """Undo rotation vectors of at most half a turn read as roll, pitch, yaw."""
     both = _both_rpy(T)
     valid = np.linalg.norm(both, axis=2) <= np.pi
     return se3.transform(_chained(se3.exp_rotation(both), first, valid), T[:, :3, 3])
 
 
 def _rpy_as_vectors(T: Array, first: int) -> Array:
-    """Undo roll, pitch, yaw having been read as rotation vectors."""
+    """Undo roll, pitch, yaw read as rotation vectors."""
     short = se3.log_rotation(T[:, :3, :3])
     length = np.maximum(np.linalg.norm(short, axis=1, keepdims=True), 1e-9)
     both = np.stack([short, short * (1 - 2 * np.pi / length)])
@@ -170,7 +170,7 @@ def _rpy_as_vectors(T: Array, first: int) -> Array:
 
 
 def _two_ways(undo: Callable[..., Array], advice: str, **values: object) -> PoseMap:
-    """Return an error that has left two ways to read the first pose, and all others with it."""
+    """Return the map of an error that is ambiguous by two solutions for each pose."""
     one, other = (partial(undo, first=first, **values) for first in range(2))
     return PoseMap(one, advice, other)
 
@@ -181,7 +181,7 @@ def _rotations(axes: str, angles: Array) -> Array:
 
 
 def _both_rpy(T: Array) -> Array:
-    """Return the two triples (2, n, 3) of roll, pitch, yaw that make each rotation."""
+    """Return the two solutions (2, n, 3) of roll, pitch, yaw for each rotation."""
     one = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
     other = one * [1, -1, 1] + np.pi
     return np.stack([one, (other + np.pi) % (2 * np.pi) - np.pi])
@@ -189,7 +189,7 @@ def _both_rpy(T: Array) -> Array:
 
 def _chained(R: Array, first: int, valid: NDArray[np.bool_] | None = None) -> Array:
     """
-    Return one of c candidate rotations (c, n, 3, 3) for each of n poses, each near another one.
+    Return one of c candidates (c, n, 3, 3) for each pose, each near its neighbour.
 
     first: which candidate of the first pose is right; valid: (c, n) of the candidates, None: all.
     From the poses decided so far, the candidate nearest to one of them comes next.

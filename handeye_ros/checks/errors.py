@@ -1,4 +1,4 @@
-"""Why an answer is refused: motion, conventions, scale, scatter, moves."""
+"""Refusals of an answer: motion, conventions, scale, scatter, moves."""
 from __future__ import annotations
 
 from handeye_ros.errors import DataError, degrees, mm, NamedCauseError
@@ -14,7 +14,7 @@ class TooFewSamplesError(DataError):
 
 
 class TooFewConditionsError(DataError):
-    """Samples that fix an answer but cannot judge it."""
+    """Samples that determine an answer but leave nothing to test it."""
 
     def __init__(self, used: int, dropped: int, redundant: int, needed: int) -> None:
         lost = f' ({dropped} of them contradict the others)' if dropped else ''
@@ -24,7 +24,7 @@ class TooFewConditionsError(DataError):
 
 
 class UnidentifiedOutlierError(DataError):
-    """Samples too few to tell which of them is wrong, or whether the robot is inaccurate."""
+    """Too few samples to identify a wrong one, or to tell it from an inaccurate robot."""
 
     def __init__(self, used: int, more: int) -> None:
         super().__init__(f'these {used} samples contradict each other: either the robot is less '
@@ -45,7 +45,7 @@ class TooFewEdgesError(DataError):
 
 
 class LostEdgesError(DataError):
-    """Edges that are shown but are none of the target; lost: how many, and where."""
+    """Visible edges that do not belong to the target; lost: how many, and where."""
 
     def __init__(self, lost: str) -> None:
         super().__init__(f'{lost}; an answer that leaves out so many cannot be trusted: check '
@@ -54,7 +54,7 @@ class LostEdgesError(DataError):
 
 
 class SensorFrameError(DataError):
-    """The sensor's frame is called like one of the robot; key: the one that names it."""
+    """The sensor's frame has the name of a frame of the robot; key: which names that one."""
 
     def __init__(self, frame: str, key: str) -> None:
         super().__init__(f'the profiles have the frame_id "{frame}", and {key} is the same frame, '
@@ -81,7 +81,7 @@ class OneAxisError(NamedCauseError):
 
 
 class TooUncertainError(NamedCauseError):
-    """An answer that is less certain than the limits allow."""
+    """An answer with larger uncertainty than the limits."""
 
     @classmethod
     def translation(cls, direction: str, std: float, limit: float, missing: str
@@ -146,7 +146,7 @@ def _parted(station: int, total: int) -> str:
 
 
 class ScatteredOrientationsError(DataError):
-    """Orientations in all directions: no sensor that sees its target takes them."""
+    """Orientations in all directions, from which no sensor can see its target."""
 
     def __init__(self, residual: float) -> None:
         super().__init__(f'samples and poses contradict each other by {mm(residual)} RMS, and '
@@ -183,7 +183,7 @@ class CountedWrongWayError(NamedCauseError):
 
 
 class CalibrationTypeError(NamedCauseError):
-    """A sensor that is fixed elsewhere than configured."""
+    """A sensor mounted elsewhere than calibration_type states."""
 
     def __init__(self, other: str, before: float, after: float) -> None:
         where, on = ('beside the robot', 'flange') if other == 'eye_on_base' else (
@@ -205,7 +205,7 @@ class ScaleError(DataError):
 
 
 class LeftOutError(DataError):
-    """Stations that the others do not predict."""
+    """Large residuals of stations left out of the fit."""
 
     def __init__(self, left_out: float, residual: float, limit: float) -> None:
         noisy = residual > 0.5 * left_out  # else the fit follows single samples

@@ -1,5 +1,5 @@
 """
-Nuisance parameters of one number against their priors, and edges that no sample explains.
+Single nuisance parameters against their priors, and edges that no sample explains.
 
 Measures of the target, scales of robot and sensor, time offset; what is said of them.
 """
@@ -31,7 +31,7 @@ SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # that is named; more is
 
 @dataclass(frozen=True)
 class Shape:
-    """A measure of the target: stated and estimated, with 1 sigma."""
+    """A measure of the target: stated, estimated, and its 1 sigma."""
 
     label: str
     stated: float
@@ -40,7 +40,7 @@ class Shape:
 
     @property
     def note(self) -> str:
-        """Return what to tell a person of a target that is not as configured."""
+        """Return the note on a target that differs from the configuration."""
         unit, scale = ('degrees', math.degrees(1)) if 'angle' in self.label else ('mm', 1e3)
         return (f'the {self.label.replace("_", " ")} of the target is '
                 f'{self.estimated * scale:.3f} +- {self.std * scale:.3f} {unit}, not the '
@@ -48,7 +48,7 @@ class Shape:
 
 
 def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> Consensus:
-    """Return the consensus with the target's shape free if only that makes the stations agree."""
+    """Return the consensus, with free target measures if only these make the stations agree."""
     config = problem.method.measures.relax(problem.config)
     poor = (agreed.dropped or len(agreed.unused)
             or agreed.solution.variance_factor > CONVINCING)
@@ -68,7 +68,7 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
 
 
 def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
-    """Yield the measures of the target that are not as the configuration states them."""
+    """Yield the measures of the target that contradict the configuration."""
     stated = replace(solution.problem, config=config).tolerances
     method, target = solution.problem.method, solution.estimate.target
     labels = method.labels
@@ -87,7 +87,7 @@ def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
 
 def single_parameters(solution: Solution) -> Iterator[tuple[ParameterBlock, float, float, float]]:
     """
-    Yield each block of one parameter with its value, 1 sigma, and how it contradicts its prior.
+    Yield each block of one parameter: value, 1 sigma, and the contradiction of its prior.
 
     The last is the distance of what the data alone say from what was stated, in sigmas of both.
     """
@@ -105,7 +105,7 @@ def single_parameters(solution: Solution) -> Iterator[tuple[ParameterBlock, floa
 
 
 def reported_blocks(solution: Solution) -> dict[str, Any]:
-    """Return what is reported of nuisance parameters: values of single ones, scales of others."""
+    """Return the reported nuisance parameters: values of single ones, scales of others."""
     report: dict[str, Any] = {}
     for block, value, std, _ in single_parameters(solution):
         if block.report:
@@ -118,7 +118,7 @@ def reported_blocks(solution: Solution) -> dict[str, Any]:
 
 def scale_error(solution: Solution) -> tuple[float, float, float]:
     """
-    Return the scale of the robot's lengths over the sensor's, less 1, its 1 sigma, the squares.
+    Return the robot's scale relative to the sensor's, less 1, its 1 sigma, and the squares.
 
     To first order the step of one more unknown at the solution, and the sum of squares without
     it. The stated measures of the target are unknown too: a wrong one is no scale.
@@ -141,7 +141,7 @@ def scale_error(solution: Solution) -> tuple[float, float, float]:
 
 def require_one_scale(agreed: Consensus) -> None:
     """
-    Refuse a solution whose robot and sensor disagree too much about lengths.
+    Raise for a solution in which robot and sensor differ too much in scale.
 
     Raises ScaleError, or MovedError where that explains it better.
     """
@@ -154,7 +154,7 @@ def require_one_scale(agreed: Consensus) -> None:
 
 def require_not_only_scale(solution: Solution) -> None:
     """
-    Refuse a solution most of whose residuals one small scale error explains.
+    Raise for a solution in which a small scale error explains most of the residuals.
 
     By an F-test. Other nuisance parameters could explain much of the scale error, and the answer
     would be wrong by as much of the lever. Raises ScaleError.
@@ -170,7 +170,7 @@ def require_not_only_scale(solution: Solution) -> None:
 
 
 def time_offset_of(solution: Solution) -> TimeOffset | None:
-    """Return the time offset of the stamps as received, None where the robot only stood."""
+    """Return the time offset of the stamps as received, None for a robot that only stopped."""
     offset = _estimate_of(solution, TIME_OFFSET)
     return offset and TimeOffset(solution.problem.config.time_offset + offset.value, offset.std)
 
@@ -205,7 +205,7 @@ def _estimate_of(solution: Solution, name: str) -> TimeOffset | None:
 
 def require_edges(agreed: Consensus) -> None:
     """
-    Refuse an answer that leaves out most edges that the stations show.
+    Raise for an answer that does not use most of the visible edges.
 
     Raises TooFewEdgesError or LostEdgesError.
     """
@@ -221,7 +221,7 @@ def require_edges(agreed: Consensus) -> None:
 
 
 def _edge_notes(agreed: Consensus) -> list[str]:
-    """Return which edges the answer does not use, and which no sample shows, in words."""
+    """Return in words the edges that the answer does not use, and those never seen."""
     problem, lost = agreed.solution.problem, _lost_edges(agreed)
     used = {problem.method.kinds[k] for k in set(problem.observations.kind)}
     edges = [{name.partition('_')[0] for name in names if name in problem.method.essential}
@@ -232,7 +232,7 @@ def _edge_notes(agreed: Consensus) -> list[str]:
 
 
 def _lost_edges(agreed: Consensus) -> str:
-    """Return which edges the answer does not use, in words, '' where it uses all."""
+    """Return in words the edges that the answer does not use, '' if it uses all."""
     if not len(agreed.unused):
         return ''
     shown = int(agreed.whole.subset(agreed.used).shows_essential.sum())
@@ -244,7 +244,7 @@ def _lost_edges(agreed: Consensus) -> str:
 
 
 def notes_of(agreed: Consensus, config: Config) -> list[str]:
-    """Return what a person should know of an answer: time offset, target, edges; in words."""
+    """Return the notes on an answer in words: time offset, target, edges."""
     shapes = contradictions(agreed.solution, config)
     return [*offset_notes(agreed.solution), *(shape.note for shape in shapes),
             *_edge_notes(agreed)]

@@ -1,21 +1,40 @@
 """
-The command `handeye`: one module per verb.
+The command `handeye`: one module per group of verbs.
 
 A verb reads its arguments, calls one function of the library and prints what it returns.
 """
 import os
 import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from typer import Typer
 
 OFFERED = ('main',)
 
 
+def command() -> 'Typer':
+    """Return the command; importing a module adds its verbs."""
+    from handeye_ros.cli import (  # noqa: F401
+        batch,
+        check,
+        common,
+        kinematics,
+        recordings,
+        scan,
+        session,
+        solve,
+        verify,
+    )
+    return common.app
+
+
 def main() -> None:
     """Run the console script `handeye`; ends the process with its exit code."""
-    # matrices are small: more threads only wait for each other, which takes a busy machine's time
+    # small matrices: more threads only wait for each other and load the machine
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    from handeye_ros.cli.verbs import app
-    # an answer must not be lost to a terminal that lacks a letter of it
+    # a terminal without some character must not lose the answer
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, 'reconfigure'):
             stream.reconfigure(errors='replace')
-    app(prog_name='handeye')
+    command()(prog_name='handeye')

@@ -1,4 +1,4 @@
-"""The verb that takes many recordings through another verb."""
+"""The verb that runs another verb on many recordings."""
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -20,9 +20,9 @@ VERBS = ('solve', 'verify', 'check', 'compare')
 def run_verb(words: list[str]) -> int:
     """Run `handeye WORDS` in this process, and return its exit code."""
     from importlib import import_module
-    import_module('handeye_ros.cli.verbs')  # a worker has none yet
+    command = import_module('handeye_ros.cli').command()  # a worker has not imported the verbs
     try:
-        app(words, prog_name='handeye')
+        command(words, prog_name='handeye')
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else int(bool(end.code))
     return 0
@@ -30,7 +30,7 @@ def run_verb(words: list[str]) -> int:
 
 @contextmanager
 def _watched(total: int) -> Iterator[Callable[['Row'], None]]:
-    """Show on a terminal the results so far and the time left; what it yields takes each row."""
+    """Show on a terminal the results so far and the time left; yields a function of a row."""
     if not sys.stderr.isatty():
         yield lambda row: None
         return
@@ -45,17 +45,17 @@ def _watched(total: int) -> Iterator[Callable[['Row'], None]]:
     task, counts, latest = progress.add_task('jobs', total=total), Counter[str](), deque['Row'](
         maxlen=8)
     with Live(progress, console=Console(stderr=True), transient=True) as live:
-        def take(row: 'Row') -> None:
+        def add_row(row: 'Row') -> None:
             latest.append(row)
             counts[result_of(row)] += 1
             table = Table('recording', 'result', 's', 'cause')
-            for one in latest:
-                table.add_row(one['label'], result_of(one), str(one.get('seconds', '')),
-                              one.get('cause', '')[:80])
+            for recent in latest:
+                table.add_row(recent['label'], result_of(recent), str(recent.get('seconds', '')),
+                              recent.get('cause', '')[:80])
             progress.advance(task)
             live.update(Group(table, ', '.join(f'{n} {name}' for name, n in counts.items()),
                               progress))
-        yield take
+        yield add_row
 
 
 def _run_quietly(words: list[str]) -> int:
@@ -76,7 +76,7 @@ def _reported(client: Any, rows: 'list[Row]', out: Path) -> None:
 
 
 def _run_all(client: Any, jobs: 'list[Job]', out: Path) -> str:
-    """Run the jobs, write the table and the page, and return what became of them."""
+    """Run the jobs, write the table and the page; return a summary."""
     from handeye_ros.batch.report import result_of
     from handeye_ros.batch.run import rows_of, write_rows
     rows = []
@@ -111,7 +111,7 @@ def batch(
     dashboard: Annotated[bool, typer.Option(
         '--dashboard', help='Show the page of Dask at port 8787 (local).')] = False,
 ) -> None:
-    """Take many recordings through one verb, in parallel; again: only what is new or changed."""
+    """Run one verb on many recordings, in parallel; again: only on new or changed ones."""
     from handeye_ros.batch.jobs import Job, LOCKS
     from handeye_ros.batch.run import client_of, jobs_of, words_of
     if verb not in VERBS:
@@ -119,7 +119,7 @@ def batch(
     jobs = jobs_of(sources, Job('', '', verb, words_of(args, Path()),
                                 str(config.absolute()) if config else '', tuple(assignments)))
     if len({(job.config, job.settings) for job in jobs}) == 1:
-        configuration(config, assignments)  # a fault of it is one of all jobs
+        configuration(config, assignments)  # an error in it concerns all jobs
     out = out.absolute()
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The verb that tells whether a calibration still holds, and how several went through time."""
+"""The verbs that check a calibration, and show the trend of several."""
 from pathlib import Path
 from typing import Annotated, Optional, TYPE_CHECKING
 
@@ -9,6 +9,8 @@ from handeye_ros.cli.common import (
     KinematicsFile,
     NoPath,
     read_bag,
+    show,
+    warn,
     with_kinematics,
 )
 from handeye_ros.cli.scan import calibrated, MeasureConfig
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from handeye_ros.data import Calibration
     from handeye_ros.verification.check import Check
 
-CHANGED = 1  # exit code: a recording was checked, and something is not as it was
+CHANGED = 1  # exit code: a recording was checked, and something has changed
 SomeBags = Annotated[Optional[list[Path]], typer.Argument(  # noqa: UP045 - see common.py
     metavar='[BAG]...', help='Short recordings of the same target, the oldest first.')]
 Against = Annotated[NoPath, typer.Option(
@@ -44,7 +46,7 @@ def check(
     csv: Csv = None,
     out: Out = None,
 ) -> None:
-    """Check whether a calibration still holds: exit code 0 only where nothing changed, 1 if so."""
+    """Check whether a calibration still holds: exit code 0 only if nothing changed, else 1."""
     from handeye_ros.verification.errors import NothingToCheckError
     if not (bags and against or folder):
         raise NothingToCheckError
@@ -52,7 +54,6 @@ def check(
     changed = (_check_bags(bags, against, config, assignments, out) if bags and against
                else False)
     if folder:
-        from handeye_ros.cli.trend import trend
         trend(folder, against, picture, csv)
     if changed:
         raise typer.Exit(CHANGED)
@@ -67,11 +68,11 @@ def _check_bags(bags: list[Path], against: Path, config: Path | None, assignment
     calibration, settings = calibrated(against, config, assignments)
     checks: list[tuple[str, Check]] = []
     for bag in bags:
-        found = _checked(bag, calibration, settings)
-        checks.append((str(bag), found))
-        typer.echo(f'{bag} ({found.stations} stations): {found.verdict.upper()}: '
-                   f'{found.sentence}')
-    changed = [name for name, found in checks if found.verdict != 'unchanged']
+        result = _checked(bag, calibration, settings)
+        checks.append((str(bag), result))
+        typer.echo(f'{bag} ({result.stations} stations): {result.verdict.upper()}: '
+                   f'{result.sentence}')
+    changed = [name for name, result in checks if result.verdict != 'unchanged']
     if changed and len(checks) > 1:
         typer.echo(f'since {changed[0]}')
     if out:
@@ -80,7 +81,7 @@ def _check_bags(bags: list[Path], against: Path, config: Path | None, assignment
 
 
 def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Check':
-    """Return what a recording says: by its stops, or by a sweep where it has none."""
+    """Return the check by a recording: by its stops, or by a sweep without stops."""
     from dataclasses import replace
 
     from handeye_ros import pipeline
@@ -98,7 +99,57 @@ def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Chec
     reason = next((reject.reason for reject in session.rejects), '')
     if not settings.sampling.moving:
         return check.check(session.samples, calibration, settings, reason)
-    now, used, _ = pipeline.solved(session.samples, session.rejects, session.with_base(settings),
-                                   session.frame_id)
-    found = check.check(check.some_of_sweep(used), calibration, settings, reason)
-    return check.with_offset(found, now.time_offset, calibration) if now.time_offset else found
+    solution, used, _ = pipeline.solved(session.samples, session.rejects,
+                                        session.with_base(settings), session.frame_id)
+    result = check.check(check.some_of_sweep(used), calibration, settings, reason)
+    offset = solution.time_offset
+    return check.with_offset(result, offset, calibration) if offset else result
+
+
+TrendFolder = Annotated[Path, typer.Argument(
+    metavar='DIR', help='The folder below which all calibration.yaml, and the YAML files of '
+    'verify and check (--out), are taken.')]
+TrendAgainst = Annotated[NoPath, typer.Option(
+    metavar='FILE', help='The calibration that the others are compared with; default: the '
+    'oldest.')]
+TrendPicture = Annotated[NoPath, typer.Option(metavar='FILE', help='Draw it (needs matplotlib).')]
+TrendCsv = Annotated[NoPath, typer.Option(
+    metavar='FILE', help='Write the calibrations as CSV, and what was measured beside it '
+    '(FILE_measured).')]
+
+
+@app.command()
+def trend(folder: TrendFolder, against: TrendAgainst = None, picture: TrendPicture = None,
+          csv: TrendCsv = None) -> None:
+    """Show the trend of the calibrations, verifications and checks below a folder."""
+    from functools import partial
+
+    from handeye_ros.batch import charts
+    from handeye_ros.batch import trend as trends
+    from handeye_ros.batch.errors import NoTrendError
+    from handeye_ros.output import write_whole
+    from handeye_ros.results.calibration_file import read_calibration
+    measured, bad = charts.charts(folder)
+    try:
+        entries, warnings = trends.trend(folder, read_calibration(against) if against else None)
+    except NoTrendError:
+        if not measured:
+            raise
+        entries, warnings = [], []
+    for warning in (*warnings, *bad):
+        warn(warning)
+    if entries:
+        show(trends.table(entries))
+        typer.echo(trends.since_when(entries))
+    if measured:
+        show(charts.charts_table(measured))
+    files = {csv: trends.csv_text(entries) if entries else ''} if csv else {}
+    if csv and measured:
+        files[csv.with_stem(f'{csv.stem}_measured')] = charts.charts_csv(measured)
+    for file, text in files.items():
+        if text:
+            write_whole(file, text)
+            typer.echo(f'wrote {file.absolute()}')
+    if picture:
+        trends.draw(entries, picture, [partial(charts.draw_chart, one) for one in measured])
+        typer.echo(f'wrote {picture.absolute()}')

@@ -1,9 +1,9 @@
 """
-What the verbs share: their arguments, reading what they name, and telling what came of it.
+Common to the verbs: arguments, reading of their files, and output.
 
-The heavy imports are inside functions, here as in the verbs, so that help and wrong usage answer
-at once. No `from __future__ import annotations`, here as in the verbs: the typer of Jazzy (0.9)
-would not see what is annotated.
+The slow imports are inside functions, here and in the verbs, so that help and wrong usage respond
+at once. No `from __future__ import annotations`, here and in the verbs: the typer of Jazzy (0.9)
+does not evaluate such annotations.
 """
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -36,7 +36,10 @@ KinematicsFile = Annotated[NoPath, typer.Option(
 Angles = Annotated[str, typer.Option(
     metavar='NOTATION', help='How a table of poses writes orientations: kuka-abc, fanuc-wpr, '
     'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
+TABLES = ('.csv', '.yaml', '.yml')  # files of measured values
 INTERRUPTED = 130
+ORDER = ('batch', 'solve', 'compare', 'scan', 'check', 'kinematics', 'verify', 'plan', 'replay',
+         'simulate', 'export', 'report', 'seam', 'calibrate', 'samples', 'trend')  # as help lists
 
 
 def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None,
@@ -53,7 +56,7 @@ def configuration(file: Path | None, assignments: list[str], base: 'Config | Non
 
 
 def with_kinematics(assignments: list[str], file: Path | None) -> list[str]:
-    """Return assignments with those that a kinematics.yaml stands for before them."""
+    """Return assignments, preceded by those of a kinematics.yaml."""
     if file is None:
         return assignments
     from handeye_ros.kinematics.urdf import read_arm
@@ -63,7 +66,7 @@ def with_kinematics(assignments: list[str], file: Path | None) -> list[str]:
 
 
 def stored_session(path: Path) -> 'Stored | None':
-    """Return the session in a folder, None where it holds none."""
+    """Return the session in a folder, None if there is none."""
     if not path.is_dir():
         return None
     from handeye_ros.ros.sessions.reading import is_session, read_session
@@ -71,7 +74,7 @@ def stored_session(path: Path) -> 'Stored | None':
 
 
 def read_bag(bag: Path, settings: 'Config') -> 'Recording':
-    """Return what a bag holds, and tell what was lost of it."""
+    """Return the contents of a bag; print its warnings."""
     with advancing('reading the recording') as progress:
         from handeye_ros.ros.bags.bag import read
         recording = read(bag, settings, progress)
@@ -81,31 +84,31 @@ def read_bag(bag: Path, settings: 'Config') -> 'Recording':
 
 
 def warn(text: str) -> None:
-    """Tell what the answer is not spoilt by."""
+    """Print a warning."""
     typer.echo(f'warning: {text}', err=True)
 
 
 @contextmanager
-def doing(what: str) -> Iterator[Callable[[str], None]]:
-    """Show a task on a terminal, quiet in a pipe; yields what receives its name."""
+def doing(task: str) -> Iterator[Callable[[str], None]]:
+    """Show a task on a terminal, quiet in a pipe; yields a function that changes its name."""
     if not sys.stderr.isatty():
         yield lambda now: None
         return
     from rich.console import Console
-    with Console(stderr=True).status(what) as status:
+    with Console(stderr=True).status(task) as status:
         yield status.update
 
 
 @contextmanager
-def advancing(what: str) -> Iterator[Callable[[float], None]]:
-    """Show a bar on a terminal; yields what receives the share done."""
+def advancing(name: str) -> Iterator[Callable[[float], None]]:
+    """Show a bar on a terminal; yields a function of the completed fraction."""
     if not sys.stderr.isatty():
         yield lambda share: None
         return
     from rich.console import Console
     from rich.progress import Progress
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=1.0)
+        task = bar.add_task(name, total=1.0)
         yield lambda share: bar.update(task, completed=share)
 
 
@@ -119,7 +122,11 @@ def show(renderable: Any) -> None:
 
 
 class Verbs(TyperGroup):
-    """The one place where errors become a sentence and an exit code."""
+    """Turns errors into a sentence and an exit code; orders the verbs in the help."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the verbs."""
+        return sorted(super().list_commands(ctx), key=ORDER.index)
 
     def invoke(self, ctx: Any) -> Any:
         """Run a verb."""
@@ -136,8 +143,8 @@ app = typer.Typer(cls=Verbs, no_args_is_help=True, rich_markup_mode=None,
                   pretty_exceptions_enable=False)
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         typer.echo(f'handeye_ros {__version__}')
         raise typer.Exit
 

@@ -1,4 +1,4 @@
-"""The verb that finds the robot's own error."""
+"""The verb of kinematic calibration."""
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
@@ -11,6 +11,7 @@ from handeye_ros.cli.common import (
     doing,
     show,
     stored_session,
+    TABLES,
     warn,
 )
 import typer
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from handeye_ros.kinematics.answer import Answer
     from handeye_ros.kinematics.model import Chain
     from handeye_ros.kinematics.samples import Source
-
-TABLES = ('.csv', '.yaml', '.yml')
 
 
 @app.command()
@@ -55,16 +54,16 @@ def kinematics(
     _require_kinds(parameters)
     from handeye_ros.kinematics.urdf import read_chain
     text, chain = read_chain(urdf, base, flange)
-    found = (_solve_table(sources[0], urdf, chain, parameters, settings) if _table(sources) else
-             _solve_profiles(zip(sources, files, strict=True), urdf, chain, parameters,
-                             assignments))
-    _write(found, text, out, settings)
+    answer = (_solve_table(sources[0], urdf, chain, parameters, settings) if _table(sources) else
+              _solve_profiles(zip(sources, files, strict=True), urdf, chain, parameters,
+                              assignments))
+    _write(answer, text, out, settings)
     if propose:
-        typer.echo(_proposed(found, propose, out))
+        typer.echo(_proposed(answer, propose, out))
 
 
 def _table(sources: list[Path]) -> bool:
-    """Tell whether the source is a table, of which there is one at most."""
+    """Return whether the source is a table; there may be only one."""
     tables = [source for source in sources if source.suffix in TABLES and source.is_file()]
     if tables and len(sources) > 1:
         raise typer.BadParameter('give one table only: its column "target" names several '
@@ -80,13 +79,13 @@ def _for_each(sources: list[Path], configs: list[Path]) -> Sequence[Path | None]
     return configs if len(configs) == len(sources) else [*configs, None][:1] * len(sources)
 
 
-def _write(found: 'Answer', urdf: str, out: Path, settings: 'Config') -> None:
+def _write(answer: 'Answer', urdf: str, out: Path, settings: 'Config') -> None:
     from handeye_ros.kinematics.report import table, write_page
-    for warning in found.warnings:
+    for warning in answer.warnings:
         warn(warning)
-    show(table(found))
-    typer.echo(found.save(urdf, out, settings.save.formats))
-    write_page(found, out)
+    show(table(answer))
+    typer.echo(answer.save(urdf, out, settings.save.formats))
+    write_page(answer, out)
 
 
 def _require_kinds(kinds: list[str]) -> None:
@@ -97,26 +96,26 @@ def _require_kinds(kinds: list[str]) -> None:
             raise UnknownNameError('kind of parameter', kind, ON_DEMAND)
 
 
-def _solve_table(source: Path, urdf: Path, chain: 'Chain', more: list[str], settings: 'Config'
-                 ) -> 'Answer':
+def _solve_table(source: Path, urdf: Path, chain: 'Chain', extra_kinds: list[str],
+                 settings: 'Config') -> 'Answer':
     from handeye_ros.kinematics.answer import solve_table
     from handeye_ros.results.calibration_file import input_values
     with doing('solving'):
-        return solve_table(source, chain, more, settings,
+        return solve_table(source, chain, extra_kinds, settings,
                            [input_values(source), input_values(urdf)])
 
 
 def _solve_profiles(paths: Iterable[tuple[Path, Path | None]], urdf: Path, chain: 'Chain',
-                    more: list[str], assignments: list[str]) -> 'Answer':
+                    extra_kinds: list[str], assignments: list[str]) -> 'Answer':
     from handeye_ros.kinematics.samples import solve_sources
     from handeye_ros.results.calibration_file import input_values
     sources = [_source(path, chain, config, assignments) for path, config in paths]
     with doing('solving'):
-        return solve_sources(sources, chain, more, [input_values(urdf)])
+        return solve_sources(sources, chain, extra_kinds, [input_values(urdf)])
 
 
 def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[str]) -> 'Source':
-    """Return the samples of a bag, or of a session, whose settings hold where none are given."""
+    """Return the samples of a bag or a session; the settings of a session are the default."""
     from handeye_ros.kinematics.samples import source_of
     from handeye_ros.ros.bags.bag import read_with_joints
     from handeye_ros.ros.sessions.reading import source_of_session
@@ -130,15 +129,16 @@ def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[s
         return source_of(recording, chain, settings)
 
 
-def _proposed(found: 'Answer', count: int, out: Path) -> str:
-    """Write the configurations that help most next; return what they promise."""
+def _proposed(answer: 'Answer', count: int, out: Path) -> str:
+    """Write the most useful next configurations; return their predicted gain."""
     from handeye_ros.kinematics.programme import programme
     from handeye_ros.output import write_whole
-    made = programme(found.outcome.models[-1].fit, count)
-    write_whole(out / 'programme.csv', made.as_csv())
-    write_whole(out / 'programme.yaml', made.as_trajectory())
-    now, then = (f'{error * 1e3:.3f} mm' for error in made.errors[[0, -1]])
-    enough = f'{made.enough} are enough' if made.enough <= len(made.q) else 'propose more'
-    return (f'wrote programme.csv and programme.yaml: {len(made.q)} configurations; with them '
-            f'points in other postures are predicted to {then} (1 sigma), now {now}; {enough} to '
-            'get below the residual of the points')
+    proposal = programme(answer.outcome.models[-1].fit, count)
+    write_whole(out / 'programme.csv', proposal.as_csv())
+    write_whole(out / 'programme.yaml', proposal.as_trajectory())
+    before, after = (f'{error * 1e3:.3f} mm' for error in proposal.errors[[0, -1]])
+    count = len(proposal.q)
+    enough = f'{proposal.enough} are enough' if proposal.enough <= count else 'propose more'
+    return (f'wrote programme.csv and programme.yaml: {count} configurations; with them points in '
+            f'other postures are predicted to {after} (1 sigma), now {before}; {enough} to get '
+            'below the residual of the points')

@@ -21,7 +21,7 @@ def replay(
 
 
 def _scenarios() -> dict[str, str]:
-    """Return what each scenario shows, by name."""
+    """Return the descriptions of scenarios by name."""
     from handeye_ros.simulate import FAULTS, FILE_SCENES, SCENARIOS
     from handeye_ros.simulate.measuring import MEASURING_CELL
     return {**{name: scenario.description for name, scenario in SCENARIOS.items()},
@@ -30,8 +30,8 @@ def _scenarios() -> dict[str, str]:
             MEASURING_CELL: 'a calibration, and a recording for each routine of verify'}
 
 
-def _print_scenarios(wanted: bool) -> None:
-    if wanted:
+def _print_scenarios(requested: bool) -> None:
+    if requested:
         for name, description in _scenarios().items():
             typer.echo(f'{name:32} {description}')
         raise typer.Exit
@@ -56,5 +56,5 @@ def simulate(
 
     from handeye_ros.cli import simulated
     with doing('simulating'):
-        made = simulated.write(scenario, seed, directory, force)
-    typer.echo(f'wrote {directory.absolute()}: {made}')
+        content = simulated.write(scenario, seed, directory, force)
+    typer.echo(f'wrote {directory.absolute()}: {content}')

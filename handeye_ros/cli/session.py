@@ -1,4 +1,4 @@
-"""The verbs around a session at the cell: start the node, look at its samples."""
+"""The verbs around a session: start the node, show its samples, export and report its answer."""
 from importlib.util import find_spec
 import os
 from pathlib import Path
@@ -11,10 +11,12 @@ from handeye_ros.cli.common import (
     ConfigFile,
     configuration,
     doing,
+    NoPath,
     read_bag,
     show,
     stored_session,
 )
+from handeye_ros.config import SAVE_FORMATS
 from handeye_ros.errors import NoRosError
 import typer
 
@@ -22,6 +24,9 @@ if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.sampling.session import Session
     from rich.table import Table
+
+Saved = Annotated[Path, typer.Argument(
+    metavar='CALIBRATION', help='A calibration.yaml, or the folder that holds it.')]
 
 
 @app.command()
@@ -61,12 +66,12 @@ def samples(
     included = [not session.excludes(outcome) for outcome in outcomes]
     agreements: dict[int, tuple[float, float, bool]] = {}
     try:
-        found = review([o.sample for o in outcomes if o.sample], included, settings)
+        reviewed = review([o.sample for o in outcomes if o.sample], included, settings)
     except DataError as error:
         typer.echo(f'no residuals yet: {error}', err=True)
     else:
         agreements = {o.number: (a.residual, a.left_out, a.used) for o, a in
-                      zip(outcomes, found.agreements, strict=True) if a}
+                      zip(outcomes, reviewed.agreements, strict=True) if a}
     show(_table(session, agreements))
 
 
@@ -77,7 +82,7 @@ def _gathered(path: Path, settings: 'Config') -> 'Session':
 
 
 def _table(session: 'Session', agreements: dict[int, tuple[float, float, bool]]) -> 'Table':
-    """Return the samples with what is known of them, those that agree worst first."""
+    """Return the table of the samples, the largest left-out residuals first."""
     from handeye_ros.diagnosis.review import sample_summary
     from rich import box
     from rich.table import Table
@@ -95,3 +100,57 @@ def _table(session: 'Session', agreements: dict[int, tuple[float, float, bool]])
                                    for value in (residual, left_out)),
             'no sample' if outcome.sample is None else state, sample_summary(outcome.result))
     return columns
+
+
+@app.command()
+def export(
+    path: Saved,
+    name: Annotated[str, typer.Option(
+        '--format', autocompletion=lambda: list(SAVE_FORMATS),
+        help=f'One of {", ".join(SAVE_FORMATS)}.')],
+    out: Annotated[NoPath, typer.Option(metavar='FILE', help=(
+        'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
+) -> None:
+    """Write a saved calibration for other programs: URDF, launch file, shell line, ..."""
+    from handeye_ros.results import exports
+    from handeye_ros.results.calibration_file import file_of, read_calibration
+    form, file = exports.format_of(name), file_of(path)
+    calibration = read_calibration(file)
+    if str(out) == '-':
+        typer.echo(form.text(calibration), nl=False)
+        return
+    target = out or file.parent / form.file_name(calibration)
+    typer.echo(exports.export(calibration, name, target))
+
+
+@app.command()
+def report(
+    path: Saved,
+    bag: Annotated[NoPath, typer.Option(
+        metavar='BAG', help='The recording; if not given, the one the calibration names.')] = None,
+    out: Annotated[NoPath, typer.Option(
+        metavar='FILE', help='If not given, report.html beside the calibration.')] = None,
+    verification: Annotated[list[Path], typer.Option(
+        metavar='FILE', help='A result of "handeye verify --out" to show too; may be repeated.'
+    )] = [],  # noqa: B006 - never changed
+) -> None:
+    """Show a saved calibration or verification, and its evidence, in one HTML file."""
+    from handeye_ros.output import write_whole
+    from handeye_ros.results import exports, pages
+    from handeye_ros.results.calibration_file import file_of, read_calibration
+    from handeye_ros.results.verified import content_of as verification_in
+    from handeye_ros.results.verified import read
+    from handeye_ros.ros.bags.bag import evidence
+    if path.is_file() and (values := verification_in(path)):
+        html = (out or path.with_suffix('.html')).absolute()
+        write_whole(html, pages.protocol(values))
+        typer.echo(f'wrote {html}')
+        return
+    file, verified = file_of(path), [read(one) for one in verification]
+    calibration = read_calibration(file)
+    with doing('finding the stops'):
+        shown = evidence(calibration, bag)
+    with doing('writing the report'):
+        written = pages.write(
+            calibration, shown, out or file.parent / exports.REPORT, verified)
+    typer.echo(f'wrote {written}')

@@ -1,4 +1,4 @@
-"""The verb that lets a calibration prove itself on something known."""
+"""The verbs that verify a calibration on a known artefact, and plan a verification."""
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 import math
@@ -17,19 +17,19 @@ from handeye_ros.cli.common import (
     warn,
     with_kinematics,
 )
-from handeye_ros.cli.scan import calibrated, CalibrationFile, MeasureConfig
+from handeye_ros.cli.scan import calibrated, CalibrationFile, MeasureConfig, NOWHERE
 import typer
 
 if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.data import Calibration, Sample
     from handeye_ros.verification.routines import Routine
-    from handeye_ros.verification.shapes import Seen
+    from handeye_ros.verification.shapes import StationSet
     from handeye_ros.verification.verification import Verification
 
-NOT_PASSED = 1  # exit code: the measurement was made, and it is no pass
+COUNTS = (8, 14, 20, 30, 45)  # numbers of stops that are tried besides the requested one
+NOT_PASSED = 1  # exit code: the verification did not pass
 ANYWHERE = ('', '', '', '')
-NOWHERE = ('', '', '')  # the typer of Jazzy knows no tuple without a value
 Name = Annotated[str, typer.Argument(metavar='ROUTINE', help='See docs/measure.md.')]
 Bags = Annotated[list[Path], typer.Argument(
     metavar='BAG...', help='Recordings with stops, one of each face or ball, in their order.')]
@@ -53,28 +53,38 @@ Tolerance = Annotated[NoText, typer.Option(
 AngleTolerance = Annotated[NoFloat, typer.Option(
     min=1e-9, help='Largest error of an angle (degrees).')]
 USUAL = {'lengths': 2.0, 'radius': 0.5, 'reference': 10.0, 'aim': 0.01, 'flank': 0.1,
-         'certificate': 0.01, 'tolerance': 0.01, 'near': 10.0}  # m: a larger plain number meant mm
+         'certificate': 0.01, 'tolerance': 0.01, 'near': 10.0}  # m: larger plain numbers: refused
 Near = Annotated[tuple[str, str, str, str], typer.Option(
     metavar='X Y Z R', help='Use only what comes into this ball of the base.')]
 Out = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the result as YAML too.')]
-Stations = Annotated[NoPath, typer.Option(
+StationsFile = Annotated[NoPath, typer.Option(
     metavar='FILE', help='Write a table of the stops (CSV).')]
 
 Protocol = Annotated[NoPath, typer.Option(
     metavar='FILE', help='Write a protocol for the file of an inspector (HTML; print it to PDF).')]
 
+At = Annotated[tuple[str, str, str], typer.Option(
+    metavar='X Y Z', help='Where the artefact will stand in the base, its face upwards (with '
+    'eye_on_base: on the flange).')]
+Stops = Annotated[int, typer.Option(min=4, max=500, help='Stops at each part.')]
+Turns = Annotated[float, typer.Option(
+    min=1.0, max=80.0, help="Largest turn about each of the sensor's axes (degrees).")]
+Limits = Annotated[tuple[str, str], typer.Option(
+    '--range', metavar='NEAR FAR', help='Nearest and farthest distance from the sensor.')]
+StopsOut = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the stops (CSV).')]
 
-def keys(given: 'Mapping[str, str | Sequence[str] | None]', angle: float | None
+
+def keys(options: 'Mapping[str, str | Sequence[str] | None]', angle: float | None
          ) -> 'dict[str, object]':
-    """Return the keys of the configuration that were given, in metres and radians."""
-    found: dict[str, object] = {}
-    for name, text in given.items():
+    """Return keys of the configuration from options, in metres and radians."""
+    values: dict[str, object] = {}
+    for name, text in options.items():
         option = '--length' if name == 'lengths' else f'--{name}'
         if isinstance(text, str):
-            found[f'verify.{name}'] = units.length(text, option, USUAL[name])
+            values[f'verify.{name}'] = units.length(text, option, USUAL[name])
         elif text:
-            found[f'verify.{name}'] = [units.length(one, option, USUAL[name]) for one in text]
-    return found | ({'verify.angle_tolerance': math.radians(angle)} if angle else {})
+            values[f'verify.{name}'] = [units.length(item, option, USUAL[name]) for item in text]
+    return values | ({'verify.angle_tolerance': math.radians(angle)} if angle else {})
 
 
 @app.command()
@@ -95,7 +105,7 @@ def verify(
     tolerance: Tolerance = None,
     angle_tolerance: AngleTolerance = None,
     out: Out = None,
-    stations: Stations = None,
+    stations: StationsFile = None,
     protocol: Protocol = None,
 ) -> None:
     """Measure something known with a calibration: exit code 0 only for a pass, 1 otherwise."""
@@ -103,12 +113,12 @@ def verify(
     from handeye_ros.verification import verification
     from handeye_ros.verification.routines import routine_of
     routine = routine_of(name)
-    found, settings = calibrated(calibration, config, with_kinematics(assignments, kinematics))
-    given = {'lengths': length, 'radius': radius, 'reference': reference if reference[0] else (),
-             'aim': aim, 'flank': flank, 'certificate': certificate, 'tolerance': tolerance,
-             'near': near if near[0] else ()}
-    settings = with_values(settings, keys(given, angle_tolerance), 'the options')
-    result = _verified(routine, bags, found, settings)
+    answer, settings = calibrated(calibration, config, with_kinematics(assignments, kinematics))
+    options = {'lengths': length, 'radius': radius, 'reference': reference if reference[0] else (),
+               'aim': aim, 'flank': flank, 'certificate': certificate, 'tolerance': tolerance,
+               'near': near if near[0] else ()}
+    settings = with_values(settings, keys(options, angle_tolerance), 'the options')
+    result = _verified(routine, bags, answer, settings)
     show(verification.table(result))
     _write(result, out, stations, protocol)
     for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
@@ -126,44 +136,44 @@ def _write(result: 'Verification', out: Path | None, stations: Path | None,
     if stations:
         write_whole(stations, verification.stations_csv(result))
     if protocol:
-        from handeye_ros.results.protocol import html
-        write_whole(protocol, html(verification.values(result)))
+        from handeye_ros.results import pages
+        write_whole(protocol, pages.protocol(verification.values(result)))
 
 
 def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
               config: 'Config') -> 'Verification':
     from handeye_ros import pipeline
     from handeye_ros.verification.routines import TEETH
-    from handeye_ros.verification.verify import seen_in, settings_for, verify
+    from handeye_ros.verification.verify import settings_for, stations_of, verify
     settings = settings_for(routine, config, len(bags))
     scanned = routine.target == TEETH
-    seen, reason = [], ''
+    stations_of_bags, reason = [], ''
     for bag in bags:
         if scanned:
-            seen.append(_pass(bag, settings))
+            stations_of_bags.append(_pass(bag, settings))
             continue
         recording = read_bag(bag, settings)
         with doing('finding the stations'):
             session = pipeline.gather(recording.profiles, recording.poses, settings)
         _warn_of_used(bag, calibration, session.samples)
         reason = reason or next((reject.reason for reject in session.rejects), '')
-        seen.append(seen_in(routine, session.samples, calibration, settings))
-    result = verify(routine, seen, calibration, settings, reason)
+        stations_of_bags.append(stations_of(routine, session.samples, calibration, settings))
+    result = verify(routine, stations_of_bags, calibration, settings, reason)
     return replace(result, inputs=tuple(map(str, bags)))
 
 
-def _pass(bag: Path, config: 'Config') -> 'Seen':
-    """Return what was seen while the robot moved."""
+def _pass(bag: Path, config: 'Config') -> 'StationSet':
+    """Return the points of a scan in one pass."""
     from handeye_ros.ros.bags.bag import flow
-    from handeye_ros.sampling.trajectory import track_of
-    from handeye_ros.verification.tooth_gauge import seen_in_pass
+    from handeye_ros.streams.trajectory import track_of
+    from handeye_ros.verification.tooth_gauge import stations_of_pass
     with doing('reading the recording'):
         source = flow(bag, config)
         track = track_of(source.poses, config.sampling.max_pose_gap)
-        seen = seen_in_pass(list(source.profiles()), track, config)
+        stations = stations_of_pass(list(source.profiles()), track, config)
     for warning in source.warnings:
         warn(warning)
-    return seen
+    return stations
 
 
 def _warn_of_used(bag: Path, calibration: 'Calibration', samples: 'Sequence[Sample]') -> None:
@@ -171,3 +181,44 @@ def _warn_of_used(bag: Path, calibration: 'Calibration', samples: 'Sequence[Samp
     if any(sample.stamp in used for sample in samples):
         warn(f'{bag} holds stations that the calibration was made of: they agree with it too '
              'well; measure at others')
+
+
+@app.command()
+def plan(
+    name: Name,
+    calibration: CalibrationFile,
+    at: At,
+    stops: Stops = 20,
+    turns: Turns = 40.0,
+    limits: Limits = ('150mm', '200mm'),
+    config: MeasureConfig = None,
+    assignments: Assignments = [],  # noqa: B006 - never changed
+    length: Lengths = [],  # noqa: B006 - never changed
+    radius: Radius = None,
+    aim: Aim = None,
+    certificate: Certificate = None,
+    tolerance: Tolerance = None,
+    angle_tolerance: AngleTolerance = None,
+    out: StopsOut = None,
+) -> None:
+    """Predict what a verification will show before it is measured, and propose its stops."""
+    from functools import partial
+
+    from handeye_ros.config import with_values
+    from handeye_ros.output import write_whole
+    from handeye_ros.verification import plan as planning
+    from handeye_ros.verification.routines import routine_of
+    answer, settings = calibrated(calibration, config, assignments)
+    settings = with_values(settings, keys({
+        'lengths': length, 'radius': radius, 'aim': aim, 'certificate': certificate,
+        'tolerance': tolerance}, angle_tolerance), 'the options')
+    nearest, farthest = (units.length(text, '--range', USUAL['near']) for text in limits)
+    position = [units.length(text, '--at', USUAL['near']) for text in at]
+    planned = partial(planning.plan, routine_of(name), answer, settings, position,
+                      turns=math.radians(turns), limits=(nearest, farthest))
+    best = planned(stops=stops)
+    for sentence in planning.sentences(best, [planned(stops=n) for n in COUNTS if n != stops]):
+        typer.echo(sentence)
+    if out:
+        write_whole(out, planning.csv_text(best))
+        typer.echo(f'wrote {Path(out).absolute()}')

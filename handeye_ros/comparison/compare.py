@@ -1,4 +1,4 @@
-"""The same samples through every estimator that applies to the target, side by side."""
+"""Runs all estimators for a target on the same samples."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -8,13 +8,20 @@ from typing import Any
 
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.checks.consistency import require_certain
-from handeye_ros.comparison.estimators import Estimator, ESTIMATORS
-from handeye_ros.comparison.given import Given, Known, Measurements, Stations
+from handeye_ros.comparison.estimators import (
+    Estimator,
+    ESTIMATORS,
+    Given,
+    Known,
+    Measurements,
+    Stations,
+)
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError
-from handeye_ros.files.method import FileMethod, Input, require_trusted
-from handeye_ros.results.truth_file import Errors, errors_against, FIELD
+from handeye_ros.files.method import FileMethod, Input, plane_axes, require_trusted
+from handeye_ros.frames import sensor_axes
+from handeye_ros.results.truth_file import Errors, errors_against, FIELD, field_points
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.time_offset import synchronised
 import numpy as np
@@ -28,7 +35,7 @@ Progress = Callable[[str], None]
 @dataclass(frozen=True, eq=False)
 class Row:
     """
-    What became of one estimator.
+    Result of one estimator.
 
     T_flange_sensor: (4, 4), None when it failed, then failure is the reason. residual_rms: of
     the residuals of the target's own method with this transform, the target fitted to it;
@@ -103,13 +110,13 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     seconds = time.perf_counter() - start
     X = stations.known.estimate.X if stations.known and not refusal else None
     return _compared(stations, X, refusal, seconds, len(samples) + len(rejects),
-                     _Judge(T_true, folds, progress))
+                     _Judge(T_true, folds, progress, sensor_axes(config), field_points()))
 
 
 def compare_files(method: FileMethod[Any], given: Input[Any], config: Config,
                   T_true: Array | None = None, folds: int = FOLDS,
                   progress: Progress = lambda doing: None) -> Comparison:
-    """Return the rows of all estimators from what was read of files; see `compare`."""
+    """Return the rows of all estimators for values read from files; see `compare`."""
     progress(method.name)
     start = time.perf_counter()
     measured, X, refusal = Measurements(method, given.data, config), None, None
@@ -122,22 +129,31 @@ def compare_files(method: FileMethod[Any], given: Input[Any], config: Config,
     except DataError as error:
         refusal = error
     seconds = time.perf_counter() - start
-    found = _compared(measured, X, refusal, seconds, total, _Judge(T_true, folds, progress))
+    judge = _Judge(T_true, folds, progress, plane_axes(method, config),
+                   method.field(measured.data))
+    found = _compared(measured, X, refusal, seconds, total, judge)
     return replace(found, over=method.over)
 
 
 @dataclass(frozen=True, eq=False)
 class _Judge:
-    """What every row is held against: see `compare`."""
+    """
+    What all rows are compared with: see `compare`.
+
+    T_sensor_plane: (4, 4), the plane that the estimators' X are of; field: points (k, 3) in it
+    over which errors are reported.
+    """
 
     T_true: Array | None
     folds: int
     progress: Progress
+    T_sensor_plane: Array
+    field: Array
 
 
 def _compared(given: Given, X: Array | None, refusal: DataError | None, seconds: float,
               total: int, judge: _Judge) -> Comparison:
-    """Return the rows, the first that of the answer X of the target's own method, if any."""
+    """Return the rows; the first is the answer X of the target's own method, if any."""
     own, *others = ESTIMATORS[given.config.target.type]
     first = Row(own.name, seconds, failure=str(refusal or ''))
     if X is not None:
@@ -148,7 +164,7 @@ def _compared(given: Given, X: Array | None, refusal: DataError | None, seconds:
 
 def _believed(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Config
               ) -> tuple[Stations, DataError | None]:
-    """Return the stations that the target's own method believes, and why it has no answer."""
+    """Return the stations used by the target's own method, and why it has no answer."""
     try:
         moved = synchronised(ordered, config)
         agreed = pipeline.estimate(moved.samples, rejects, config, moved.estimate)
@@ -166,7 +182,7 @@ def _believed(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Conf
 
 
 def _row(estimator: Estimator, given: Given, judge: _Judge) -> Row:
-    """Return the row of an estimator, with its reason when it fails."""
+    """Return the row of an estimator, with the reason if it fails."""
     judge.progress(estimator.name)
     start = time.perf_counter()
     try:
@@ -178,11 +194,11 @@ def _row(estimator: Estimator, given: Given, judge: _Judge) -> Row:
 
 
 def _judged(row: Row, estimator: Estimator, given: Given, X: Array, judge: _Judge) -> Row:
-    """Return a row with the transform from the sensor plane X (4, 4) and all that tells of it."""
-    row = replace(row, T_flange_sensor=X @ se3.inverse(given.T_sensor_plane))
+    """Return a row with a transform X (4, 4) of the sensor plane, its errors and residuals."""
+    row = replace(row, T_flange_sensor=X @ se3.inverse(judge.T_sensor_plane))
     if judge.T_true is not None:
-        T_true = judge.T_true @ given.T_sensor_plane
-        row = replace(row, errors=errors_against(X, T_true, given.field))
+        T_true = judge.T_true @ judge.T_sensor_plane
+        row = replace(row, errors=errors_against(X, T_true, judge.field))
     every = np.arange(len(given))
     residuals = given.residuals(X, every, every)
     if residuals is None:
@@ -194,7 +210,7 @@ def _judged(row: Row, estimator: Estimator, given: Given, X: Array, judge: _Judg
 
 
 def _left_out(estimator: Estimator, given: Given, judge: _Judge) -> float | None:
-    """Return the RMS residual of each part of the samples, the rest having been fitted anew."""
+    """Return the cross-validated RMS residual over the parts of the samples."""
     residuals = []
     for part, (rest, left_out) in enumerate(_split(len(given), judge.folds)):
         judge.progress(f'{estimator.name}: left out, part {part + 1} of {judge.folds}')
@@ -207,7 +223,7 @@ def _left_out(estimator: Estimator, given: Given, judge: _Judge) -> float | None
 
 
 def _split(count: int, folds: int) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Yield the indices that remain and those left out, for each part that is not empty."""
+    """Yield the remaining and the left-out indices for each part that is not empty."""
     index = np.arange(count)
     for part in range(min(folds, count)):
         mine = index % folds == part

@@ -1,5 +1,5 @@
 """
-Everything that can be asked for the transform, by target: our methods and the published ones.
+Inputs of the estimators, and all estimators by target: own methods and published ones.
 
 The published algorithms start from more than a recording holds. What is missing they get from
 the answer of the target's own method: which edge a point is on (Chen 2023), on which side of
@@ -10,28 +10,114 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.consistency import require_certain, require_rotations
-from handeye_ros.comparison.given import Known, Measurements, Stations
-from handeye_ros.data import Arc, Array, EdgePoint
+from handeye_ros.config import Config
+from handeye_ros.data import Arc, Array, EdgePoint, Sample
+from handeye_ros.errors import SingularError
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.model import Estimate
+from handeye_ros.estimation.noise import Noise
+from handeye_ros.estimation.search import fit as fit_target
 from handeye_ros.files import hand_eye_estimate
-from handeye_ros.files.method import require_trusted
+from handeye_ros.files.method import FileMethod, require_trusted
 from handeye_ros.frames import mount_frame
 from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
-from handeye_ros.published.errors import SingularError
+from handeye_ros.results.outcome import measured_points
 from handeye_ros.targets import line, plate
 import numpy as np
+from numpy.typing import NDArray
 
 ZHENG_START_OFF = np.repeat([0.01, math.radians(5)], 3) / 3 ** 0.5
 """From our answer to where Zheng 2018 starts: 10 mm and 5 degrees."""
 
 
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Solution of the target's own method: labelled stations, estimate and noise."""
+
+    problem: Problem
+    estimate: Estimate
+    noise: Noise
+
+
+@dataclass(frozen=True, eq=False)
+class Stations:
+    """
+    The stations for all estimators.
+
+    samples: in the order of their stamps; known: of the same stations, in the same order, None
+    where the target's own method has no answer.
+    """
+
+    samples: tuple[Sample, ...]
+    config: Config
+    known: Known | None = None
+
+    def __len__(self) -> int:
+        """Return the number of stations."""
+        return len(self.samples)
+
+    def subset(self, samples: NDArray[np.intp]) -> Stations:
+        """Return some of the stations (ascending indices)."""
+        known = self.known and replace(self.known, problem=self.known.problem.subset(samples))
+        return replace(self, samples=tuple(self.samples[i] for i in samples), known=known)
+
+    def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]
+                  ) -> Array | None:
+        """
+        Return the distances (m) of some stations from the target, fitted to others with X.
+
+        None where the target's own method has no answer.
+        """
+        if (known := self.known) is None:
+            return None
+        part = known.problem.subset(fitted)
+        given = _GivenTransform(part.method, part.poses, part.observations, part.config)
+        estimate = fit_target(given, Estimate(X, known.estimate.target), known.noise)
+        points = measured_points(self.samples, known.problem)
+        return points.select(np.isin(points.station, measured)).residuals(known.problem, estimate)
+
+
+class _GivenTransform(Problem):
+    """A problem with only the target unknown."""
+
+    @property
+    def columns(self) -> NDArray[np.intp]:
+        return super().columns[6:]
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Values read from files, without those that the target's own method drops."""
+
+    method: FileMethod[Any]
+    data: Any
+    config: Config
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.method.samples(self.data))
+
+    def subset(self, samples: NDArray[np.intp]) -> Measurements:
+        """Return some of the samples (ascending indices)."""
+        return replace(self, data=self.method.subset(self.data, samples))
+
+    def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]
+                  ) -> Array | None:
+        """Return the residuals of some samples with X, the target fitted to others."""
+        return self.method.residuals(self.data, X, fitted, measured, self.config)
+
+
+Given: TypeAlias = Stations | Measurements
+
+
 @dataclass(frozen=True)
 class Estimator:
     """
-    One way to the transform.
+    One estimator of the transform.
 
     fit: returns X (4, 4), from the mount to the sensor plane; raises DataError. refit: whether
     it is quick enough to be done again for every part that is left out.
@@ -50,7 +136,7 @@ def _known(stations: Stations, name: str) -> Known:
 
 
 def _by_method(name: str) -> Callable[[Stations], Array]:
-    """Return the fit of one of our methods, by its name."""
+    """Return the fit by one of the own methods."""
     def fit(stations: Stations) -> Array:
         config = replace(stations.config, method=name)
         agreed = pipeline.estimate(stations.samples, (), config)
@@ -60,7 +146,7 @@ def _by_method(name: str) -> Callable[[Stations], Array]:
 
 
 def _line_on_one_edge(stations: Stations) -> Array:
-    """Return the fit of the line to the edge of a plate that has more points."""
+    """Return the fit of the line to the plate's edge with more points."""
     known = _known(stations, 'the line on one edge')
     kind = known.problem.observations.kind
     edge = max((plate.P, plate.Q), key=lambda k: int((kind == k).sum()))
@@ -121,10 +207,6 @@ def _from_files(given: Measurements) -> Array:
     return answer.X
 
 
-def _wu(given: Measurements) -> Array:
-    return wu2017.solve(given.data.in_camera, given.data.in_base).T_base_camera
-
-
 def _park(given: Measurements) -> Array:
     require_rotations(given.data.T_fixed_mount, mount_frame(given.config),
                       hand_eye_estimate.LOST)
@@ -132,12 +214,8 @@ def _park(given: Measurements) -> Array:
 
 
 def _cn105021139a(given: Measurements) -> Array:
-    motions = cn105021139a.motions(given.data.T_fixed_mount, given.data.T_camera_target)
-    return np.asarray(cn105021139a.solve_motions(*motions))
-
-
-def _jing(given: Measurements) -> Array:
-    return np.asarray(given.data.chain(given.config).T_flange_sensor)
+    return np.asarray(cn105021139a.solve_motions(*cn105021139a.motions(
+        given.data.T_fixed_mount, given.data.T_camera_target)))
 
 
 ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
@@ -157,15 +235,12 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
         Estimator('line', _by_method('line')),
         Estimator('Zheng 2018', _zheng, refit=False),
     ),
-    'plane': (
-        Estimator('plane', _by_method('plane')),
-    ),
-    'wedge': (
-        Estimator('wedge', _by_method('wedge')),
-    ),
+    'plane': (Estimator('plane', _by_method('plane')),),
+    'wedge': (Estimator('wedge', _by_method('wedge')),),
     'points': (
         Estimator('points', _from_files),
-        Estimator('Wu 2017, best of all quadruples', _wu),
+        Estimator('Wu 2017, best of all quadruples', lambda given: wu2017.solve(
+            given.data.in_camera, given.data.in_base).T_base_camera),
     ),
     'hand_eye': (
         Estimator('hand_eye', _from_files),
@@ -174,7 +249,7 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
     ),
     'tracker': (
         Estimator('tracker', _from_files),
-        Estimator('Jing 2020', _jing),
+        Estimator('Jing 2020', lambda given: given.data.chain(given.config).T_flange_sensor),
     ),
 }
 """By target, its own method first."""

@@ -1,4 +1,4 @@
-"""The comparison of estimators: for a person in millimetres and degrees, and as plain values."""
+"""The comparison of estimators: a table in millimetres and degrees, and plain values."""
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -24,13 +24,13 @@ FORMAT = 'handeye_ros/comparison/1'
 
 @dataclass(frozen=True)
 class ComparisonTable:
-    """A renderable of all rows; where there is not the room for one table it is two."""
+    """A renderable of all rows, split in two tables on narrow terminals."""
 
     comparison: Comparison
 
     def __rich_console__(self, console: Console, options: ConsoleOptions
                          ) -> Iterator[RenderableType]:
-        """Yield what is to be printed."""
+        """Yield the renderables."""
         with_errors = any(row.errors for row in self.comparison.rows)
         yield Text(title(self.comparison))
         whole = _table(self.comparison, True, True)
@@ -45,7 +45,7 @@ class ComparisonTable:
 
 
 def title(comparison: Comparison) -> str:
-    """Return what all estimators were given."""
+    """Return the title: the samples of all estimators."""
     lost = f', {comparison.rejected} rejected' if comparison.rejected else ''
     return (f'{comparison.used} samples{lost}. The published estimators are given what '
             f'{comparison.rows[0].name} finds: which samples agree, and the labels, sides or '
@@ -53,7 +53,7 @@ def title(comparison: Comparison) -> str:
 
 
 def _table(comparison: Comparison, transforms: bool, figures: bool) -> Table:
-    """Return the rows with the columns that are wanted."""
+    """Return the rows with the given columns."""
     whole = transforms and figures
     with_errors = any(row.errors for row in comparison.rows)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
@@ -71,7 +71,7 @@ def _table(comparison: Comparison, transforms: bool, figures: bool) -> Table:
 
 
 def _transform(row: Row, one_line: bool) -> Text:
-    """Return the transform in one line or two, or the reason why there is none."""
+    """Return the transform in one or two lines, or the reason why it is missing."""
     if row.T_flange_sensor is None:
         return Text(f'failed: {row.failure}')
     return Text(transform_text(row.T_flange_sensor, ' ' if one_line else '\n'))

@@ -1,17 +1,9 @@
 """
 The configuration: every default, its range and its description, in one place.
 
-A dotted key (`noise.sensor`) is a ROS parameter of the node, a key of the YAML files in
-config/ and a `--set` key of the command line alike. Metres, radians and seconds throughout.
+A dotted key (`noise.sensor`) is a ROS parameter of the node, a key of the YAML files in config/
+and a `--set` key of the command line. Metres, radians and seconds throughout.
 """
-from handeye_ros.config.answer import (
-    GuidanceConfig,
-    LimitsConfig,
-    PageConfig,
-    SAVE_FORMATS,
-    SaveConfig,
-    VerifyConfig,
-)
 from handeye_ros.config.cell import (
     NoiseConfig,
     ProfileConfig,
@@ -25,10 +17,16 @@ from handeye_ros.config.keys import (
     BASE_FRAME,
     Config,
     flatten,
+    GuidanceConfig,
+    LimitsConfig,
+    PageConfig,
     parameters,
     RECORD,
     RECORD_NAMES,
+    SAVE_FORMATS,
+    SaveConfig,
     UNNAMED_FRAME,
+    VerifyConfig,
 )
 from handeye_ros.config.parameter import Parameter
 from handeye_ros.config.values import (

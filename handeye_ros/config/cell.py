@@ -5,15 +5,15 @@ from dataclasses import dataclass
 
 from handeye_ros.config.parameter import key
 
-# Accuracy classes of robots: 1 sigma of the smooth error of each axis (m), half of what data
-# sheets state as the largest.
+# Accuracy classes of robots: 1 sigma of the smooth error of each axis (m), half of the largest
+# error in data sheets.
 ROBOT_CLASSES = {'calibrated': 5e-5, 'standard': 1.5e-4, 'unknown': 3e-4}
 SIGNED_AXES = ('x', 'y', 'z', '-x', '-y', '-z')
 
 
 @dataclass(frozen=True)
 class ProfileConfig:
-    """How the driver's messages are to be read."""
+    """How to read the messages of the profiler's driver."""
 
     unit: str = key('m', 'Unit of the coordinates in the profile messages.', choices=('m', 'mm'))
     axes: tuple[str, ...] = key(
@@ -40,7 +40,7 @@ class ProfileConfig:
 
 @dataclass(frozen=True)
 class TargetConfig:
-    """What the laser is pointed at."""
+    """The target that the laser line crosses."""
 
     type: str = key(  # noqa: A003
         'plate', 'The target: plate, line, plane, sphere or wedge; from files: points, hand_eye '
@@ -69,7 +69,7 @@ class TargetConfig:
 
 @dataclass(frozen=True)
 class SamplingConfig:
-    """When the robot stands still, and what of a station is used."""
+    """When the robot counts as standing still, and which part of a stop is used."""
 
     mode: str = key('still', 'When a sample is taken: automatically at every stop of the robot '
                     '(still), when asked by ~/take_sample or ~/take (manual), or of single '
@@ -100,7 +100,7 @@ class SamplingConfig:
 
     @property
     def by_itself(self) -> bool:
-        """Return whether samples are taken without being asked for."""
+        """Return whether samples are taken automatically."""
         return self.mode != 'manual'
 
     @property
@@ -111,7 +111,7 @@ class SamplingConfig:
 
 @dataclass(frozen=True)
 class SamplesConfig:
-    """Which samples the answer comes from."""
+    """The samples used for the answer."""
 
     exclude: tuple[int, ...] = key(
         (), 'Numbers of the samples that are left out; taking a number away brings it back.',
@@ -120,7 +120,7 @@ class SamplesConfig:
 
 @dataclass(frozen=True)
 class TrackerConfig:
-    """What is known of the laser tracker and of the arm that it follows (target.type tracker)."""
+    """Properties of the laser tracker and of the arm that it measures (target.type tracker)."""
 
     file: str = key('tracker.csv', 'Name of the file of reflector points beside the bag.')
     noise: float = key(2e-5, 'Noise of a reflector centre, each axis (m).',
@@ -138,7 +138,7 @@ class TrackerConfig:
 
 @dataclass(frozen=True)
 class NoiseConfig:
-    """What is known of the noise, 1 sigma; the data corrects it."""
+    """Prior noise, 1 sigma; the data correct it."""
 
     sensor: float = key(3e-5, 'Range noise of one profile point (m).',
                         minimum=1e-9, maximum=0.01)

@@ -1,4 +1,4 @@
-"""A key of the configuration: how it is declared, and what it is once it is listed."""
+"""Declaration of a key of the configuration, and its listed form."""
 from __future__ import annotations
 
 from collections.abc import Iterable
@@ -14,7 +14,7 @@ def key(default: Any, description: str, **limits: Any) -> Any:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A dotted key with its default and what may be put there."""
+    """A dotted key with its default and its range."""
 
     key: str
     default: Any
@@ -28,14 +28,14 @@ class Parameter:
     @property
     def unit(self) -> str:
         """Return the unit that the description names, empty if none."""
-        found = re.search(r'\((m|rad|s)\)|\bin (m|s)\b', self.description)
-        return '' if found is None else found[1] or found[2]
+        match = re.search(r'\((m|rad|s)\)|\bin (m|s)\b', self.description)
+        return '' if match is None else match[1] or match[2]
 
 
-def parameters_of(part: Any, prefix: str) -> Iterable[Parameter]:
+def parameters_of(section: Any, prefix: str) -> Iterable[Parameter]:
     """Yield the keys of a section and of those in it; prefix: before their names."""
-    for item in fields(part):
-        value = getattr(part, item.name)
+    for item in fields(section):
+        value = getattr(section, item.name)
         if is_dataclass(value):
             yield from parameters_of(value, f'{prefix}{item.name}.')
         elif item.metadata:

@@ -1,4 +1,4 @@
-"""Values put in for keys, in their types; what does not fit is refused."""
+"""Sets values of keys with their types; invalid ones raise."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
@@ -18,17 +18,17 @@ import yaml
 LONGEST_TEXT = 1000  # characters of a record.*
 DEEPEST = 100  # nesting of brackets in a YAML file
 NODE = 'handeye'  # the name of the node, and of its section in parameter files
+# Parameters of every ROS node, also in a dump of ours.
 EVERY_NODES = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
 
 def with_values(config: Config, values: Mapping[str, Any], source: str) -> Config:
     """
-    Return config with values by dotted key put in.
+    Return a configuration with values by dotted key.
 
-    source: what the values come from, for the message.
-    Raises UnknownKeyError and BadValueError.
+    source: of the values, for the message. Raises UnknownKeyError and BadValueError.
     """
-    known = {p.key: p for p in parameters()}
+    by_key = {p.key: p for p in parameters()}
     robot = values.get('noise.robot_class')
     if robot in ROBOT_CLASSES:
         values = {'noise.robot_smooth': ROBOT_CLASSES[robot], **values}
@@ -36,26 +36,26 @@ def with_values(config: Config, values: Mapping[str, Any], source: str) -> Confi
         if key.startswith(RECORD):
             config = _with_record(config, key, value)
             continue
-        if key not in known:
-            raise UnknownKeyError(key, list(known), source)
-        config = _put(config, key.split('.'), _checked(known[key], value))
+        if key not in by_key:
+            raise UnknownKeyError(key, list(by_key), source)
+        config = _with_value(config, key.split('.'), _checked(by_key[key], value))
     return config
 
 
 def from_provenance(values: Any) -> Config:
-    """Return the configuration that a file tells of; what is not known here is left out."""
+    """Return the configuration of a calibration file; unknown keys are ignored."""
     config, known = Config(), {p.key for p in parameters()}
     for key, value in values.items() if isinstance(values, Mapping) else ():
         if key in known or str(key).startswith(RECORD):
             try:
                 config = with_values(config, {key: value}, 'the calibration')
             except BadValueError:
-                continue  # written by a version that knew more
+                continue  # written by a newer version
     return config
 
 
 def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
-    """Return config with `key=value` texts (values in YAML) put in."""
+    """Return a configuration with `key=value` texts (values in YAML) applied."""
     for text in assignments:
         key, equals, value = text.partition('=')
         if not equals:
@@ -69,25 +69,25 @@ def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
 
 
 def flipped_range(config: Config) -> Config:
-    """Return the configuration with profile.range_sign the other way."""
+    """Return the configuration with the opposite profile.range_sign."""
     return replace(config, profile=replace(config.profile, range_sign=-config.profile.range_sign))
 
 
 def _with_record(config: Config, key: str, value: Any) -> Config:
-    """Return config with a free text put in; an empty one takes it away."""
+    """Return a configuration with a free text of the record; an empty one removes it."""
     name, text = key.removeprefix(RECORD), '' if value is None else str(value)
     if not re.fullmatch(r'[A-Za-z]\w*', name):
         raise BadValueError(key, value, 'a name of letters, digits and _ after record.')
     if len(text) > LONGEST_TEXT or not text.isprintable():
         raise BadValueError(key, value, f'one line of at most {LONGEST_TEXT} characters')
-    kept = {**dict(config.record), name: text}
-    return replace(config, record=tuple((n, t) for n, t in kept.items() if t))
+    record = {**dict(config.record), name: text}
+    return replace(config, record=tuple((n, t) for n, t in record.items() if t))
 
 
-def _put(part: Any, names: list[str], value: Any) -> Any:
+def _with_value(section: Any, names: list[str], value: Any) -> Any:
     if len(names) > 1:
-        value = _put(getattr(part, names[0]), names[1:], value)
-    return replace(part, **{names[0]: value})
+        value = _with_value(getattr(section, names[0]), names[1:], value)
+    return replace(section, **{names[0]: value})
 
 
 def _checked(parameter: Parameter, value: Any) -> Any:
@@ -108,7 +108,7 @@ def _checked(parameter: Parameter, value: Any) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """Return a whole number, or a text such as 3e-5 (to YAML no number), as a float."""
+    """Return an integer, or a text such as 3e-5 (no number in YAML), as a float."""
     try:
         return float(value) if type(value) in (int, str) else value
     except ValueError:
@@ -116,7 +116,7 @@ def _number(value: Any) -> Any:
 
 
 def _check_text(parameter: Parameter, value: str) -> None:
-    """Refuse texts that nobody can read, and empty ones where a name is needed."""
+    """Raise for unprintable texts, and for empty ones if a name is required."""
     if not value.isprintable() or value != value.strip():
         raise BadValueError(parameter.key, value,
                             'a text without control characters, or blanks around it')
@@ -155,28 +155,24 @@ def _check_limits(parameter: Parameter, value: Any) -> None:
 
 
 def yaml_content(text: str) -> Any:
-    """Return what a YAML text holds, of plain values alone; raises yaml.YAMLError."""
-    # the parser takes seconds for what nobody writes, before it gives up
+    """Return the content of a YAML text with plain values only; raises yaml.YAMLError."""
+    # deep nesting would take the parser seconds
     depths = accumulate(1 if c in '[{' else -1 for c in re.findall(r'[\[{}\]]', text))
     if max(depths, default=0) > DEEPEST:
         raise yaml.YAMLError('it is nested too deeply')
     try:
         return yaml.safe_load(text)
-    except ValueError as error:  # a date or a number that is none
+    except ValueError as error:  # an invalid date or number
         raise yaml.YAMLError(str(error)) from error
     except RecursionError as error:
         raise yaml.YAMLError('it is nested too deeply') from error
 
 
-"""Parameters that every ROS node has, and so a dump of ours: no keys of this package."""
-
-
 def load(path: Path, config: Config | None = None) -> Config:
     """
-    Return config (default: the defaults) with the values of a ROS parameter file put in.
+    Return a configuration (default: the defaults) with the values of a ROS parameter file.
 
-    Files for the node do, and dumps of it (`ros2 param dump`), whatever its name and namespace.
-    Raises InputError.
+    Also of a dump of the node (`ros2 param dump`) with any name and namespace. Raises InputError.
     """
     try:
         content = yaml_content(path.read_text(encoding='utf-8'))
@@ -191,17 +187,17 @@ def _node_values(content: Any, path: Path) -> dict[str, Any]:
     """
     Return the dotted values of our node in a parameter file; raises ConfigFileError.
 
-    They stand below the patterns that fit every node, and below our node's name, in any
-    namespace; or below the only name there is, for a node can be given another.
+    The sections are the patterns for every node, and our node's name in any namespace, or the only
+    name in the file, as a node can be renamed.
     """
     sections = dict(_sections(content, ''))
     general = [name for name in sections if name.split('/')[-1] in ('*', '**')]
     named = [name for name in sections if name not in general]
-    ours = [name for name in named if name.split('/')[-1] == NODE] or named
-    if len(ours) > 1 or not sections:
-        raise ConfigFileError(path, ours)
+    own_sections = [name for name in named if name.split('/')[-1] == NODE] or named
+    if len(own_sections) > 1 or not sections:
+        raise ConfigFileError(path, own_sections)
     values: dict[str, Any] = {}
-    for name in (*general, *ours):
+    for name in (*general, *own_sections):
         values |= sections[name]
     return {key: value for key, value in values.items() if not key.startswith(EVERY_NODES)}
 

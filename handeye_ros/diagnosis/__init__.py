@@ -1,5 +1,5 @@
 """
-What samples say of each other and of the clocks, and what was seen at each stop.
+Residuals of samples, wrong settings and clocks, and what was seen at each stop.
 
 Reviews samples while they are taken, and tests whether other settings explain them better.
 """

@@ -1,5 +1,5 @@
 """
-How well each sample agrees with the others, and what was seen at each stop.
+The residual of each sample against the others, and what was seen at each stop.
 
 The review needs three samples. Its fit is that of the solver, without the checks of an answer.
 """
@@ -19,8 +19,8 @@ from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import UNUSED
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import in_mount, mounted
+from handeye_ros.results.evidence import StopSnapshot
 from handeye_ros.results.outcome import left_out, Measured, measured_points
-from handeye_ros.results.report.evidence import StopSnapshot
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.passes import Pairing, single_samples
 from handeye_ros.sampling.session import Session
@@ -34,7 +34,7 @@ TOO_FAR = 5e-3  # m from every edge of the target: it is another one, or the fit
 
 
 class NoReviewError(DataError):
-    """Too few samples, or such that no fit can be started."""
+    """Samples that are too few, or from which no fit can start."""
 
     def __init__(self, samples: int) -> None:
         super().__init__(f'{samples} samples are used: at least {FEWEST} are needed for residuals')
@@ -57,7 +57,7 @@ class Agreement:
 @dataclass(frozen=True, eq=False)
 class Review:
     """
-    The agreement of samples with their common fit.
+    The residuals of all samples with their common fit.
 
     agreements: one for each sample, None for one that shows nothing of the fitted target;
     solution: the fit, however uncertain.
@@ -69,7 +69,7 @@ class Review:
 
 def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) -> Review:
     """
-    Return how well samples agree; those not included are only compared with the fit of the others.
+    Return the residuals of samples; excluded ones are compared with the fit of the others.
 
     Raises NoReviewError for too few, DataError where no fit can be started.
     """
@@ -99,7 +99,7 @@ def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) 
 
 
 def _of_passes(samples: Sequence[Sample], included: Sequence[bool], config: Config) -> Review:
-    """Return the review of passes, each from some profiles of its own at the time offset."""
+    """Return the review of passes, each of several profiles, at the estimated time offset."""
     each = max(sum(len(sample.single) for sample in samples) // MOST_SINGLE, 1)
     fewer = [replace(sample, single=sample.single[::each]) for sample in samples]
     number = np.repeat(np.arange(len(fewer)), [len(sample.single) or 1 for sample in fewer])
@@ -114,7 +114,7 @@ def _of_passes(samples: Sequence[Sample], included: Sequence[bool], config: Conf
 
 
 def _together(ones: Sequence[Agreement]) -> Agreement | None:
-    """Return the agreement of a pass: that of its profiles that are used, where most are."""
+    """Return the agreement of a pass from that of its profiles."""
     if not ones:
         return None
     believed = [one for one in ones if one.used]
@@ -125,7 +125,7 @@ def _together(ones: Sequence[Agreement]) -> Agreement | None:
 
 
 def _residuals(samples: Sequence[Sample], solution: Solution, config: Config) -> Array:
-    """Return the RMS residual (n,) of each sample at a solution, NaN where it shows nothing."""
+    """Return the RMS residual (n,) of each sample at a solution, NaN without observations."""
     method, estimate = solution.problem.method, solution.estimate
     whole = Problem(method, mounted(samples, config), method.features.observe(samples), config)
     labelled = method.geometry.relabel(whole.observations, whole.points_in_base(estimate.X),
@@ -139,7 +139,7 @@ def _left_out(used: Sequence[Sample], solution: Solution) -> Array:
     """Return the RMS residual (n,) of each used sample from the fit to the others."""
     measured = measured_points(used, solution.problem)
     n = len(used)
-    return _rms(measured, left_out(solution, measured, most=n), n)
+    return _rms(measured, left_out(solution, measured, max_folds=n), n)
 
 
 def _rms(measured: Measured, residuals: Array, n: int) -> Array:
@@ -151,7 +151,7 @@ def _rms(measured: Measured, residuals: Array, n: int) -> Array:
 
 
 def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
-    """Return that the laser crosses an edge at too small an angle to be used, if it does."""
+    """Return a sentence if the laser crosses an edge at too small an angle, else ''."""
     edges = [f.point for f in sample.features if isinstance(f, EdgePoint)]
     kinds = solution.problem.method.essential
     if not edges or not kinds:
@@ -195,12 +195,12 @@ NAMES = {'FaceLine': 'face line', 'EdgePoint': 'edge point', 'Arc': 'arc'}
 
 
 def count_of(count: int, what: str) -> str:
-    """Return `1 sample`, `2 samples`."""
+    """Return a number with its noun: `1 sample`, `2 samples`."""
     return f'{count} {what}' if count == 1 else f'{count} {what}s'
 
 
 def sample_summary(sample: Sample | Reject) -> str:
-    """Return what was seen in a sample, or why there is none."""
+    """Return what a sample shows, or why there is none, in words."""
     if isinstance(sample, Reject):
         return sample.reason
     counts = Counter(NAMES[type(feature).__name__] for feature in sample.features)
@@ -209,7 +209,7 @@ def sample_summary(sample: Sample | Reject) -> str:
 
 
 def stop_snapshots(session: Session, config: Config) -> tuple[StopSnapshot, ...]:
-    """Return what was seen at the stops, in the order of their numbers; all count as unused."""
+    """Return what was seen at all stops, in the order of their numbers, none marked as used."""
     return tuple(stop_snapshot(outcome, config) for outcome in session.outcomes)
 
 

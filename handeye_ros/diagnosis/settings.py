@@ -1,5 +1,5 @@
 """
-Whether a recording that gives no answer gives one with other settings, or at another time offset.
+Tests whether other settings or another time offset explain a recording without an answer.
 
 Each hypothesis changes one setting, or two that belong together, and reads the same profiles of
 the same stops again. The data then differ, and no likelihoods can be compared: a hypothesis counts
@@ -31,12 +31,13 @@ from handeye_ros.errors import DataError, FeatureError, mm, NamedCauseError, Unu
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.frames import mounted
 from handeye_ros.sampling import station_features
-from handeye_ros.sampling.dwells import interpolate, NS
+from handeye_ros.sampling.dwells import NS
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.errors import ClocksDifferError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.station_features import evenly
 from handeye_ros.sampling.stops import needed, result_of, Seen, Stop
+from handeye_ros.streams.stream import interpolate
 import numpy as np
 
 MOST_STOPS, MOST_PROFILES = 40, 4  # that are read again, and of each stop
@@ -67,24 +68,25 @@ def require_settings(session: Session, config: Config) -> None:
         return
     stops = [_thinned(outcome.stop, config) for outcome in session.outcomes
              if not outcome.refused][:MOST_STOPS]
-    stated, least, most = _fit(stops, config), float(FEWEST_CONDITIONS), math.inf
+    stated = _fit(stops, config, all_starts=True)  # as a solve starts
+    least, most = float(FEWEST_CONDITIONS), math.inf
     if stated and stated.believable:
         least = MORE * stated.solution.redundancy
         most = WORSE * max(stated.variance_factor, 1.0)
-    best: tuple[int, Hypothesis, Fit] | None = None
+    better: list[tuple[int, DataError]] = []
     for values in _changes(config):
-        one = _hypothesis(stops, config, values)
-        fit = one.refit()
-        count = fit.solution.redundancy if fit and fit.believable else 0
-        if fit and count >= least and len(fit.parts[0].used) >= LEAST_SHARE * len(stops) and (
-                fit.variance_factor < most and (best is None or count > best[0])):
-            best = count, one, fit
-    if best:
-        raise best[1].refusal(best[2])
+        hypothesis = _hypothesis(stops, config, values)
+        fit = hypothesis.refit()
+        if fit and fit.believable and fit.variance_factor < most and (
+                len(fit.parts[0].used) >= LEAST_SHARE * len(stops)) and (
+                fit.solution.redundancy >= least):
+            better.append((fit.solution.redundancy, hypothesis.refusal(fit)))
+    if better:
+        raise max(better, key=lambda one: one[0])[1]
 
 
 def _changes(config: Config) -> Iterator[dict[str, str]]:
-    """Yield the settings that may be meant, the likeliest first."""
+    """Yield the likely corrections of settings, the most likely first."""
     profile = config.profile
     sign = {'profile.range_sign': str(-profile.range_sign)}
     kinds = [{'target.type': name} for name in targets.METHODS if name != config.target.type]
@@ -98,7 +100,7 @@ def _changes(config: Config) -> Iterator[dict[str, str]]:
 
 
 def _hypothesis(stops: Sequence[Stop], config: Config, values: dict[str, str]) -> Hypothesis:
-    """Return the hypothesis that other values are meant."""
+    """Return the hypothesis of other values of settings."""
     def refusal(fit: Fit) -> DataError:
         return WrongSettingError(values, len(fit.parts[0].used), len(stops),
                                  fit.solution.residual_rms)
@@ -106,32 +108,33 @@ def _hypothesis(stops: Sequence[Stop], config: Config, values: dict[str, str]) -
 
 
 def _changed(config: Config, values: dict[str, str]) -> Config:
-    """Return the configuration with other values; what was stated of another target is not."""
+    """Return the configuration with other values; measures of another target are reset."""
     if 'target.type' in values:
         config = replace(config, method='auto', target=replace(config.target, radius=0.0, size=()))
     return with_assignments(config, [f'{key}={value}' for key, value in values.items()])
 
 
-def _fit(stops: Sequence[Stop], config: Config) -> Fit | None:
-    """Return the fit of stops as a configuration reads them, None where there is none."""
+def _fit(stops: Sequence[Stop], config: Config, all_starts: bool = False) -> Fit | None:
+    """Return the fit of stops under a configuration, or None; see Fit.of."""
     results: list[Sample | Reject] = [result_of(stop, config) for stop in stops]
     if range_sign_evidence(results).against:
         return None
-    return fit_of([result for result in results if isinstance(result, Sample)], config)
+    return fit_of([result for result in results if isinstance(result, Sample)], config,
+                  all_starts)
 
 
-def fit_of(samples: Sequence[Sample], config: Config) -> Fit | None:
-    """Return the fit of samples, None where they are too few or there is none."""
+def fit_of(samples: Sequence[Sample], config: Config, all_starts: bool = False) -> Fit | None:
+    """Return the fit of samples, None if they are too few or do not fit; see Fit.of."""
     method = targets.method_for(config)
     ordered, _ = consistent_edges(samples)
     if len(ordered) < method.minimum:
         return None
     observations = method.features.observe(ordered)
-    return Fit.of(Problem(method, mounted(ordered, config), observations, config))
+    return Fit.of(Problem(method, mounted(ordered, config), observations, config), all_starts)
 
 
 def _thinned(stop: Stop, config: Config) -> Stop:
-    """Return a stop with a few of the profiles of its still time."""
+    """Return a stop with a few of its profiles."""
     seen = needed(stop, config).load(config)
     few = Seen(seen.poses, tuple(evenly(seen.profiles, MOST_PROFILES)))
     return Stop(stop.began, lambda config: few)
@@ -140,7 +143,7 @@ def _thinned(stop: Stop, config: Config) -> Stop:
 @dataclass(frozen=True, eq=False)
 class _Still:
     """
-    What the sensor saw at rest during a stop of the robot, begun and ended by these stamps.
+    Profiles of a robot at rest, and the stamps at which the stop began and ended.
 
     pose: (4, 4) T_base_flange of the stop; start, end: of the stop; opened, closed: whether the
     target was seen to come to rest, and to leave it, within the stop.
@@ -157,7 +160,7 @@ class _Still:
 
 
 def require_same_clock(session: Session, config: Config) -> None:
-    """Raise ClocksDifferError where the samples fit the poses of another time better."""
+    """Raise ClocksDifferError where the samples fit poses of another time better."""
     seen = [part for outcome in session.outcomes if not outcome.refused
             and (part := _profiles(outcome.stop, config))]
     if len(seen) < targets.method_for(config).minimum:
@@ -167,29 +170,27 @@ def require_same_clock(session: Session, config: Config) -> None:
     limit = max(MOVING * rest, SMALLEST_CHANGE)
     stills = [_still(*part, limit, config) for part in seen]
     stated = fit_of(session.samples, config)
-    hypotheses = [_late(stills, behind, config) for behind in (0, 1, -1)
-                  if abs(_offset(stills, behind)) > SMALLEST]
-    require_stated(stated or Fit(()), hypotheses)
+    require_stated(stated or Fit(()), [_late(stills, behind, config) for behind in (0, 1, -1)
+                                       if abs(_offset(stills, behind)) > SMALLEST])
 
 
 def _profiles(stop: Stop, config: Config
               ) -> tuple[list[Profile], Array, int, int] | None:
-    """Return the profiles of a stop, some time apart, its pose, start and end."""
+    """Return a few profiles of a stop, its pose, start and end."""
     seen = stop.load(config)
     found: list[Profile] = []
     for profile in seen.profiles:
         if not found or profile.stamp - found[-1].stamp >= LAG:
             with suppress(UnusableMessageError):
                 found.append(profile.read(config.profile))
-    middle = [pose.stamp for pose in seen.poses]
     if len(found) < 2:
         return None
-    pose = se3.mean_pose(interpolate(seen.poses, middle))
-    return found, pose, middle[0], middle[-1]
+    pose = se3.mean_pose(interpolate(seen.poses, [pose.stamp for pose in seen.poses]))
+    return found, pose, seen.poses[0].stamp, seen.poses[-1].stamp
 
 
 def _differences(profiles: Sequence[Profile]) -> Array:
-    """Return by how much each profile differs from the one before, (n - 1,) in metres."""
+    """Return the difference of each profile from the one before, (n - 1,) in metres."""
     return np.array([_change(a.points, b.points)
                      for a, b in zip(profiles[:-1], profiles[1:], strict=True)])
 
@@ -206,7 +207,7 @@ def _change(a: Array, b: Array) -> float:
 
 def _still(profiles: list[Profile], pose: Array, start: int, end: int, limit: float,
            config: Config) -> _Still:
-    """Return what was seen in the longest time during a stop in which nothing changed."""
+    """Return the profiles of the longest time of a stop without a change."""
     moving = np.flatnonzero(np.append(_differences(profiles) > limit, True))
     before = np.concatenate([[-1], moving[:-1]])
     k = int(np.argmax(moving - before))
@@ -229,7 +230,7 @@ def _sample(profiles: list[Profile], pose: Array, config: Config) -> Sample | No
 
 def _offset(stills: Sequence[_Still], behind: int) -> float:
     """
-    Return the delay of the profiles (s), if they show the stop so many before.
+    Return the delay of the profiles (s) if they belong a given number of stops earlier.
 
     Where the clocks differ, most stops show it; a few stops without rest prove nothing.
     """
@@ -242,13 +243,13 @@ def _offset(stills: Sequence[_Still], behind: int) -> float:
 
 
 def _pairs(stills: Sequence[_Still], behind: int) -> list[tuple[_Still, _Still]]:
-    """Return what was seen during each stop, with the stop whose pose it may belong to."""
+    """Return the profiles of each stop with the stop whose pose may belong to them."""
     return [(still, stills[k - behind]) for k, still in enumerate(stills)
             if 0 <= k - behind < len(stills)]
 
 
 def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
-    """Return the hypothesis that the profiles of each stop belong to the stop so many before."""
+    """Return the hypothesis that profiles belong a given number of stops earlier."""
     def refit() -> Fit | None:
         fit = fit_of([replace(still.sample, T_base_flange=stop.pose)
                       for still, stop in _pairs(stills, behind) if still.sample], config)

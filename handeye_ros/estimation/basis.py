@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.linalg import eigen
+from handeye_ros.least_squares.covariance import eigen
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
@@ -27,12 +27,12 @@ Kernel = Callable[[Array], Array]
 
 
 def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> list[Array]:
-    """Return products of Legendre polynomials of u and v (m,), each of RMS 1, by their degree."""
+    """Return products of Legendre polynomials of u and v (m,), by degree, each of RMS 1."""
     return _products(_normalised(u), _normalised(v), degrees)
 
 
 def _products(u: Array, v: Array, degrees: Sequence[int]) -> list[Array]:
-    """Return the same for u and v (m,) over the interval -1 to 1, where the RMS is 1."""
+    """Return the products for u and v (m,) in -1 to 1, over which each has RMS 1."""
     norm = np.sqrt(2 * np.arange(max(degrees) + 1) + 1)
     a, b = (legendre.legvander(w, max(degrees)) * norm for w in (u, v))
     return [a[:, :degree + 1] * b[:, degree::-1] for degree in degrees]
@@ -82,14 +82,14 @@ def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
 
 
 def box(points: Array, across: Sequence[float] | Array) -> Array:
-    """Return a grid (k, 2) over the box of points (m, 2), which goes from -1 to 1 each way."""
+    """Return a grid (k, 2) over the bounding box of points (m, 2), scaled to -1 to 1."""
     low, high = points.min(axis=0), points.max(axis=0)
     u, v = (w.ravel() for w in np.meshgrid(across, across))
     return np.asarray((low + high) / 2 + np.column_stack([u, v]) * (high - low) / 2)
 
 
 def _rigid(points: Array) -> Array:
-    """Return the displacements (2 m, 3), all x first, of points (m, 2) that move together."""
+    """Return the displacements (2 m, 3), all x first, of points (m, 2) under rigid motions."""
     x, z = points.T
     one, none = np.ones(len(x)), np.zeros(len(x))
     return np.concatenate([np.column_stack([one, none, z]), np.column_stack([none, one, -x])])
@@ -120,26 +120,26 @@ def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]
 
 
 def _each_of_unit_size(columns: Array, counts: Sequence[int], ways: int) -> list[Array]:
-    """Return columns (..., ways * sum of counts) split by counts, the RMS of each part 1."""
+    """Return columns (..., ways * sum of counts) split by counts, each part scaled to RMS 1."""
     parts = np.split(columns, ways * np.cumsum(counts)[:-1], axis=-1)
     return [part / count ** 0.5 for part, count in zip(parts, counts, strict=True)]
 
 
 def pose_features(poses: Array) -> Array:
-    """Return positions and rotation vectors (n, 6) of poses (n, 4, 4) over the lengths above."""
+    """Return positions and rotation vectors (n, 6) of poses (n, 4, 4) over their length scales."""
     rotations = Rotation.from_matrix(poses[:, :3, :3])
     vectors = (rotations.mean().inv() * rotations).as_rotvec()
     return np.concatenate([poses[:, :3, 3] / POSITION_LENGTH, vectors / ROTATION_LENGTH], axis=1)
 
 
 def rational_quadratic(squared: Array) -> Array:
-    """Return correlations at squared distances: errors of all lengths, for the estimate."""
+    """Return the correlations at squared distances for errors of all wavelengths (estimate)."""
     return np.asarray(1.0 / (1.0 + squared))
 
 
 def gaussian(squared: Array) -> Array:
     """
-    Return correlations at squared distances: errors without short waves, for the report.
+    Return the correlations at squared distances for errors of long wavelengths (report).
 
     Those of joints and links are such: with short ones believed to go with them, the missing of
     short ones would prove the long ones small, which the samples show least.
@@ -167,7 +167,7 @@ def process_in_time(times: Array) -> Array:
 
 
 def correlations(a: Array, b: Array, kernel: Kernel) -> Array:
-    """Return those (n, k) of errors at features (n, j) with errors at features (k, j)."""
+    """Return the (n, k) correlations between errors at features (n, j) and (k, j)."""
     return kernel(((a[:, None] - b[None]) ** 2).sum(axis=2))
 
 
@@ -182,7 +182,7 @@ def _root(features: Array, chosen: list[int], kernel: Kernel) -> Array:
 
 def farthest_points(features: Array, most: int) -> list[int]:
     """
-    Return the indices of at most so many features (n, 6) that are far from each other.
+    Return the indices of at most a number of features (n, 6), by farthest-point sampling.
 
     Nearer ones than 0.006 (6 mm, 0.5 degrees) are the same pose taken again.
     """
@@ -195,7 +195,7 @@ def farthest_points(features: Array, most: int) -> list[int]:
 
 
 def of_mount(X: Array) -> Array:
-    """Return the motion (6, 3) in the mount for motions of the sensor plane: along x, z, turn."""
+    """Return the motion (6, 3) of the mount for motions of the sensor plane: x, z, turn."""
     x, y, z = X[:3, :3].T
     none = np.zeros(3)
     return np.column_stack([np.append(x, none), np.append(z, none), np.append(none, y)])

@@ -81,7 +81,7 @@ Source = Callable[[Linear], Blocks]
 
 def prepared(first: Linear) -> Callable[[Linear], tuple[ParameterBlock, ...]]:
     """
-    Return the function that gives all blocks at an estimate, prepared at the first one.
+    Return the function that gives all blocks at an estimate; bases are fixed at the first one.
 
     Blocks with functions of the poses are the last.
     """
@@ -117,7 +117,7 @@ def stated_measures(first: Linear) -> Blocks:
 
 
 def robot_scale(first: Linear) -> Blocks:
-    """Return the block of the robot's lengths, all too long by one factor."""
+    """Return the block of one scale error of all lengths of the robot."""
     problem, std = first.problem, first.problem.config.noise.robot_scale
     poses = problem.robot_poses
     twists = np.zeros((len(poses), 6, 1))
@@ -148,7 +148,7 @@ def robot_smooth(first: Linear) -> Blocks:
 
 
 def sensor_scale(first: Linear) -> Blocks:
-    """Return the block of the sensor's lengths, which look much like the robot's."""
+    """Return the block of one scale error of the sensor, nearly collinear with the robot's."""
     std = 0.3 * first.problem.config.noise.robot_scale
 
     def at(linear: Linear) -> Iterator[ParameterBlock]:
@@ -184,7 +184,7 @@ def _motions_of_degree(motions: Callable[[Linear], list[Array]], i: int, linear:
 
 
 def pose_model(first: Linear) -> Blocks:
-    """Return the blocks of the parameters that the poses of the problem depend on."""
+    """Return the blocks of the parameters in the problem's pose model, such as a time offset."""
     if first.problem.pose_model is None:
         return _none
 

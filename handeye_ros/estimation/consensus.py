@@ -1,5 +1,5 @@
 """
-Which stations can be believed.
+Finds the stations that agree, and the probability that one of them is wrong.
 
 The first guess that explains nearly all stations is taken. Otherwise further guesses, and those of
 random subsets, compete by how well all stations are explained. Then stations are dropped one by
@@ -22,7 +22,6 @@ from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.linearise import MANY, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
-from handeye_ros.estimation.outliers import chi2_sf, GROSS, outliers, shared_scale
 from handeye_ros.estimation.posterior import evaluated, map_solution
 from handeye_ros.estimation.search import (
     evaluate,
@@ -33,6 +32,7 @@ from handeye_ros.estimation.search import (
     refined,
 )
 from handeye_ros.estimation.solution import Solution, station_statistic
+from handeye_ros.least_squares.outliers import chi2_sf, GROSS, outliers, shared_scale
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,7 +46,7 @@ EXPLAINED = 0.2  # p-value of the squares of the others, below which more than o
 @dataclass(frozen=True, eq=False)
 class Consensus:
     """
-    A solution from the stations used (ascending), and the squared residual of the rest.
+    A solution from the stations used (ascending), and the squared residuals of those dropped.
 
     whole: the problem with all stations and all that they show; contaminated: the probability
     that one of few stations used is wrong.
@@ -60,26 +60,26 @@ class Consensus:
 
     @property
     def unused(self) -> NDArray[np.intp]:
-        """Return those of the stations used whose essential observations are all unused."""
+        """Return the used stations of which no essential observation is used."""
         labelled = self.solution.problem
         whole = self.whole.subset(self.used)
         return self.used[whole.shows_essential & ~labelled.shows_essential]
 
     @property
     def explained(self) -> int:
-        """Return how many stations are used with all kinds of evidence that they show."""
+        """Return the number of used stations with their essential observations used."""
         return len(self.used) - len(self.unused)
 
     @property
     def unused_share(self) -> float:
-        """Return the share of stations that are not used, or not with all that they show."""
+        """Return the share of stations that are dropped or lack their essential observations."""
         return 1 - self.explained / len(self.whole.poses)
 
     @classmethod
     def of(cls, problem: Problem, rng: np.random.Generator, subsets: bool = False,
            start: Estimate | None = None) -> Consensus:
         """
-        Return the solution of the stations that agree.
+        Return the solution of the stations that agree, from several starts.
 
         subsets: whether to start from random subsets of the stations, too, where all together do
         not fit. start: from which alone to start.
@@ -96,7 +96,7 @@ class Consensus:
 
     @classmethod
     def of_first_guesses(cls, problem: Problem) -> Consensus | None:
-        """Return the consensus, None where the first two guesses lead to no fit."""
+        """Return the consensus from the first two starts, None if neither fits."""
         try:
             for start in islice(problem.guesses(np.random.default_rng(0)), 2):
                 if far(problem, start):
@@ -141,7 +141,7 @@ class Consensus:
 
 
 def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Iterator[Estimate]:
-    """Yield the first guess of each of so many random subsets of the stations."""
+    """Yield the first start of each of count random subsets of the stations."""
     n, size = len(problem.poses), max(6, problem.method.minimum)
     for _ in range(count if n > size else 0):
         chosen = np.sort(rng.permutation(n)[:size])
@@ -149,7 +149,7 @@ def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Ite
 
 
 def without_outliers(trial: Refined) -> Consensus:
-    """Return the consensus after dropping, one by one, the stations that do not fit."""
+    """Return the consensus after dropping stations that do not fit, one by one."""
     n, minimum = len(trial.problem.poses), trial.problem.method.minimum
     good = trial.squares <= GROSS * max(1.0, trial.spread)
     good[np.argsort(trial.squares, kind='stable')[:minimum]] = True
@@ -182,7 +182,7 @@ def _mean_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
 @dataclass(frozen=True, eq=False)
 class Contamination:
     """
-    The probability of each station being wrong, and by how much it then moves the transform.
+    The probability that each station is wrong, and the change of the transform if it is.
 
     Of (10), probability: (n,) p_i; shifts: (n, 6) h_i; covariances: (n, 6, 6) Sigma_i. rest: (n,)
     the p-value of the squared residuals that then remain.
@@ -195,7 +195,7 @@ class Contamination:
 
     @property
     def worst(self) -> int | None:
-        """Return the station that is surely wrong, all others being right, None if none is."""
+        """Return the station that is almost surely the only wrong one, or None."""
         worst = int(np.argmax(self.probability))
         conclusive = self.probability[worst] > SURE * (1 - self.probability[worst])
         return worst if conclusive and self.rest[worst] > EXPLAINED else None
@@ -214,7 +214,7 @@ class Contamination:
 
 def contamination(solution: Solution, dropped: int) -> Contamination | None:
     """
-    Return which station of a solution may be wrong, None of very many.
+    Return the contamination of a solution, None with very many stations.
 
     The probabilities fade from MANY stations to 0 at twice as many. dropped: how many stations
     were dropped as wrong, which makes another one likelier.
@@ -248,7 +248,7 @@ def contamination(solution: Solution, dropped: int) -> Contamination | None:
 
 
 def _probabilities(log_odds: Array) -> Array:
-    """Return the probabilities (n,) of exclusive cases, by their log odds against none of them."""
+    """Return probabilities (n,) of exclusive cases from their log odds against none of them."""
     most = max(0.0, float(log_odds.max()))
     odds = np.exp(log_odds - most)
     return np.asarray(odds / (np.exp(-most) + odds.sum()))

@@ -14,7 +14,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import farthest_points, pose_features, process_root
-from handeye_ros.estimation.linalg import products, Stations, stations_of
+from handeye_ros.estimation.jacobian import products, Stations, stations_of
 from handeye_ros.estimation.model import Estimate, Method, Observations, PoseModel
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,7 @@ class Problem:
 
     @cached_property
     def columns(self) -> NDArray[np.intp]:
-        """Return the columns of the Jacobian that are unknown."""
+        """Return the columns of the Jacobian that belong to unknowns."""
         free = self.method.geometry.free(self.config)
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
 
@@ -75,7 +75,7 @@ class Problem:
 
     @property
     def few(self) -> bool:
-        """Return whether there may be several answers, so that more starts are needed."""
+        """Return whether the problem may have several solutions and needs more starts."""
         return len(self.poses) <= 12
 
     @property
@@ -85,7 +85,7 @@ class Problem:
 
     @cached_property
     def robot_poses(self) -> Array:
-        """Return the poses (n, 4, 4) of the flange in the base, whatever the sensor is on."""
+        """Return the poses (n, 4, 4) of the flange in the base, for either calibration type."""
         return self.poses if self.in_hand else se3.inverse(self.poses)
 
     @cached_property
@@ -100,12 +100,12 @@ class Problem:
 
     @cached_property
     def of_long_errors(self) -> Problem:
-        """Return the problem of a robot whose smooth error has no short waves, for the report."""
+        """Return the problem for the report: a robot without smooth errors of short wavelength."""
         return replace(self, long_errors=True)
 
     @property
     def tolerances(self) -> Array:
-        """Return 1 sigma (k,) of the target's parameters that are stated with one, 0 of others."""
+        """Return 1 sigma (k,) of the target's stated parameters, 0 for others."""
         stated = self.method.measures.tolerances(self.config)
         return stated if len(stated) else np.zeros(len(self.method.labels))
 
@@ -119,7 +119,7 @@ class Problem:
         return shows
 
     def guesses(self, rng: np.random.Generator) -> Iterator[Estimate]:
-        """Return estimates to start from, best first, made when they are asked for."""
+        """Return an iterator over starts, best first, computed on demand."""
         return iter(self.method.guess(self, rng))
 
     def points_in_base(self, X: Array) -> Array:
@@ -127,14 +127,14 @@ class Problem:
         return self.observations.in_base(self.poses, X)
 
     def retracted(self, estimate: Estimate, step: Array) -> Estimate:
-        """Return the estimate, or several, moved by a step (..., u) in the unknown columns."""
+        """Return the estimate, or several, after a step (..., u) in the unknown columns."""
         delta = np.zeros((*step.shape[:-1], 6 + len(self.method.labels)))
         delta[..., self.columns] = step
         return Estimate(se3.perturb(estimate.X, delta[..., :6]),
                         self.method.geometry.retract(estimate.target, delta[..., 6:]))
 
     def with_pose_values(self, values: Array) -> Problem:
-        """Return the problem with the poses that its model gives for values (k,)."""
+        """Return the problem with the poses of its pose model at values (k,)."""
         assert self.pose_model is not None
         poses, _ = self.pose_model.at(values)
         other = replace(self, poses=poses if self.in_hand else se3.inverse(poses),

@@ -14,8 +14,9 @@ from functools import cached_property
 
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
-from handeye_ros.estimation.linalg import eigen, Stations
+from handeye_ros.estimation.jacobian import Stations
 from handeye_ros.estimation.linearise import Linear
+from handeye_ros.least_squares.covariance import eigen, inverse_roots
 import numpy as np
 from numpy.typing import NDArray
 
@@ -161,13 +162,6 @@ def whitening(linear: Linear, noise: Noise) -> Whitening:
         inverse_roots(total_covariance(linear, at, noise)) for at in stations))
 
 
-def inverse_roots(covariance: Array) -> Array:
-    """Return the whitening factors (n, c, c) of covariances (n, c, c)."""
-    size = 1e-12 * np.einsum('nii->n', covariance)[:, None, None]  # of many points: of rank 6
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance + size * np.eye(
-        covariance.shape[1]))))
-
-
 @dataclass(frozen=True, eq=False)
 class Scales:
     """
@@ -228,11 +222,12 @@ def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], size:
     parameters of each begin; largest: (d,) bound of the variance.
     """
     counts = np.diff([*first, len(value)])
-    ratios, along = np.empty(len(value)), np.empty(len(value))  # posterior over prior variance
+    ratios, along = np.diag(covariance).copy(), value.copy()  # posterior over prior variance
     for start, count in zip(first.tolist(), counts.tolist(), strict=True):
-        block = slice(start, start + count)
-        ratios[block], axes = eigen(covariance[block, block])
-        along[block] = axes.T @ value[block]
+        if count > 1:
+            block = slice(start, start + count)
+            ratios[block], axes = eigen(covariance[block, block])
+            along[block] = axes.T @ value[block]
     ratios = np.clip(ratios, 1e-12, 1 - 1e-9)
     present = np.repeat(size, counts)
     # what the data alone say, all other unknowns free: information and its gradient

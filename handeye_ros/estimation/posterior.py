@@ -18,7 +18,7 @@ from functools import cached_property
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import ParameterBlock, prepared
-from handeye_ros.estimation.linalg import FactoredJacobian, from_information
+from handeye_ros.estimation.jacobian import FactoredJacobian
 from handeye_ros.estimation.linearise import Linear, linearise, MANY, Problem, State
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import (
@@ -31,6 +31,7 @@ from handeye_ros.estimation.noise import (
     whitening,
 )
 from handeye_ros.estimation.solution import columns_of, Solution
+from handeye_ros.least_squares.covariance import from_information
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,7 +41,7 @@ MAP_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for
 
 def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) -> Solution:
     """
-    Return the solution near a start, prior scales and noise as large as the residuals show.
+    Return the MAP solution near a start, with prior scales and noise estimated from residuals.
 
     noise: to start from, None: as configured. From very many stations, a part comes first.
     """
@@ -59,7 +60,7 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) 
 
 
 def _iterated(system: _System) -> tuple[_System, bool]:
-    """Return the system at its solution, and whether its steps diverged and it was left."""
+    """Return the system at its solution, and whether the steps diverged before it."""
     least, best, resting = np.inf, system, False
     for count in range(10):  # of linearising
         x, covariance = system.solved
@@ -80,13 +81,13 @@ def _iterated(system: _System) -> tuple[_System, bool]:
 
 
 def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
-    """Return the solution at an estimate, with blocks, noise and scales as given."""
+    """Return the solution at an estimate, with noise and prior scales as given."""
     state = State.of(problem, estimate)
     return _System.of(state, replace(noise, lumped=False)).solution()
 
 
 def reestimated(solution: Solution, further: tuple[ParameterBlock, ...] = ()) -> Solution:
-    """Return a solution with noise and scales estimated again at its estimate, and more blocks."""
+    """Return a solution with noise and prior scales estimated again, and further blocks."""
     system = _System.of(State.of(solution.problem, solution.estimate), solution.noise)
     system = system.reweighted(system.noise, further)
     for _ in range(LAST_STEPS):
@@ -126,7 +127,7 @@ class _System:
     def built(cls, state: State, linear: Linear, noise: Noise,
               blocks: tuple[ParameterBlock, ...],
               blocks_at: Callable[[Linear], tuple[ParameterBlock, ...]]) -> _System:
-        """Return the system of what is linearised, whitened by a noise."""
+        """Return the system of a linearised problem, whitened by a noise."""
         problem, residuals = state.problem, linear.residuals
         white: Whitening = whitening(linear, noise)
         for block in blocks:
@@ -141,7 +142,7 @@ class _System:
                    columns.gradient_of(r, columns.rows), group, blocks_at)
 
     def at(self, state: State, noise: Noise) -> _System:
-        """Return the system at another state, its blocks prepared as here."""
+        """Return the system at another state, with the same bases of its blocks."""
         linear = linearise(state.problem, state.estimate)
         return _System.built(state, linear, noise, self.blocks_at(linear), self.blocks_at)
 
@@ -160,17 +161,17 @@ class _System:
 
     @property
     def first(self) -> NDArray[np.intp]:
-        """Return where the parameters of each block begin (d,), among those of all blocks."""
+        """Return the first parameter of each block (d,), counted over all blocks."""
         return np.searchsorted(self.group, np.arange(len(self.blocks)))
 
     @property
     def variances(self) -> Array:
-        """Return of each block (d,) its variance over the configured one."""
+        """Return the variance of each block (d,) relative to the configured one."""
         return np.array([self.noise.scales.get(d.name, 1.0) for d in self.blocks])
 
     @cached_property
     def scales(self) -> Array:
-        """Return for each parameter (u + q,) its scale: 1 for unknowns."""
+        """Return the scale of each parameter (u + q,): 1 for unknowns."""
         return np.append(np.ones(self.u), np.sqrt(self.variances)[self.group])
 
     @cached_property
@@ -180,7 +181,7 @@ class _System:
 
     def rescaled(self, steps: int) -> tuple[_System, Scales | None]:
         """
-        Return the system with the conservative prior scales that the data show, and the scales.
+        Return the system with the conservative prior scales estimated, and these scales.
 
         A last step that changes next to nothing is not made; without blocks there are no scales.
         """
@@ -194,13 +195,13 @@ class _System:
 
     @cached_property
     def estimated_scales(self) -> Scales:
-        """Return the prior scales that the data show."""
+        """Return the prior scales estimated from the data."""
         (x, covariance), u = self.solved, self.u
         largest = np.array([d.largest for d in self.blocks])
         return prior_scales(covariance[u:, u:], x[u:], self.first, self.variances, largest)
 
     def with_noise(self, x: Array, covariance: Array, believed: Array | float = 1.0) -> Noise:
-        """Return the noise with the factors that residuals show, held to those believed, (7)."""
+        """Return the noise with factors estimated from residuals and a prior, (7)."""
         sums, columns = np.zeros((len(MAP_FACTORS), 2)), self.columns.scaled(self.scales)
         every = -(-len(self.problem.poses) // MANY)
         for stations, factors in zip(self.problem.stations, self.white.factors, strict=True):
@@ -218,7 +219,7 @@ class _System:
         return self.noise.with_factors(np.clip(after, 1e-4, 1e8))
 
     def retracted(self, x: Array) -> State:
-        """Return the state moved by a solution."""
+        """Return the state after a step to a solution."""
         problem, values = self.problem, dict(self.state.values)
         estimate = problem.retracted(self.state.estimate, x[:self.u])
         scaled = x * self.scales
@@ -231,13 +232,13 @@ class _System:
         return State(problem, estimate, values)
 
     def with_variances(self, variances: Array) -> _System:
-        """Return the system with other variances (d,) of the blocks, over the configured ones."""
+        """Return the system with variances (d,) of the blocks, relative to the configured ones."""
         named = {d.name: max(float(v), d.least)
                  for d, v in zip(self.blocks, variances, strict=True)}
         return replace(self, noise=replace(self.noise, scales=named))
 
     def answer(self) -> Solution:
-        """Return the solution at the MAP scales, with the one at the conservative scales."""
+        """Return the solution at the MAP scales, together with that at the conservative scales."""
         _, scales = self.rescaled(LAST_STEPS)
         best, conservative = (self, self) if scales is None else (
             self.with_variances(scales.map_scales), self.with_variances(scales.conservative))
@@ -249,7 +250,7 @@ class _System:
         return replace(best.solution(), conservative=conservative.solution())
 
     def solution(self) -> Solution:
-        """Return the solution one step further, near enough to the minimum."""
+        """Return the solution after one more step, which is close to the minimum."""
         (x, covariance), s = self.solved, self.scales
         columns = self.columns.scaled(s)
         blocks = tuple(replace(block, std=block.std * float(tau)) for block, tau

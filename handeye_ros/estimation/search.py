@@ -1,5 +1,5 @@
 """
-From starts to a refined estimate.
+From starts to a robustly refined estimate.
 
 Many starts go down together, each its own way, and the poor ones are given up early: plain
 residuals decide, which far from the solution say more than whitened ones. One start is then
@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.linalg import covariance_of
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate, UNUSED
 from handeye_ros.estimation.noise import Noise, Whitening, whitening
 from handeye_ros.estimation.solution import columns_of, Solution
-from handeye_ros.estimation.solver import (
+from handeye_ros.least_squares.covariance import covariance_of
+from handeye_ros.least_squares.solver import (
     believed,
     BELIEVED_SHARE,
     graduated,
@@ -36,7 +36,7 @@ CONVINCING, LARGEST_SQUARE = 4.0, 16.0
 @dataclass(frozen=True, eq=False)
 class Refined:
     """
-    A robustly refined estimate and the mean squared residuals (n,) of all stations, whitened.
+    A robust estimate and the mean squared whitened residuals (n,) of all stations.
 
     problem: whole with its observations labelled as they fit, without those that do not. free:
     whether observations were left out, and the others do not determine all directions.
@@ -50,18 +50,18 @@ class Refined:
 
     @property
     def spread(self) -> float:
-        """Return the squared residual that the believed share of stations stays below."""
+        """Return the BELIEVED_SHARE quantile of the squared residuals."""
         return believed(self.squares)
 
     @property
     def misfit(self) -> float:
-        """Return the spread, large where too much was left out: fewer always fit better."""
+        """Return the spread, penalised where many observations are left out."""
         return max(self.spread, 2 * LARGEST_SQUARE) if self.free else self.spread
 
     @property
     def loss(self) -> float:
         """
-        Return a robust mean of the squares of all stations, large where too much was left out.
+        Return a robust mean of all squares, penalised where many observations are left out.
 
         Its logarithm orders estimates alike whatever the size of the noise.
         """
@@ -70,19 +70,19 @@ class Refined:
 
     @property
     def accepted(self) -> bool:
-        """Return whether nearly all stations are explained, as far as a poor robot lets them."""
+        """Return whether nearly all stations fit, within the errors of an inaccurate robot."""
         return self.misfit <= CONVINCING and self.far_share <= 0.1
 
     @property
     def far_share(self) -> float:
-        """Return the share of stations far from the estimate, or with nothing essential used."""
+        """Return the share of stations far from the estimate or without essential observations."""
         far_off = self.squares > LARGEST_SQUARE * max(1.0, self.spread)
         unused = self.whole.shows_essential & ~self.problem.shows_essential
         return float((far_off | unused).mean())
 
 
 def refined(problem: Problem, estimate: Estimate) -> Refined:
-    """Return the estimate that graduated non-convexity leads to from another one."""
+    """Return the estimate that graduated non-convexity reaches from another one."""
     def refit(at: Weighed, weights: Array) -> Weighed:
         before = at.linear.problem
         at = system(before, at.noise).reweighted(at, weights)
@@ -102,7 +102,7 @@ def refined(problem: Problem, estimate: Estimate) -> Refined:
 
 def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = None) -> Problem:
     """
-    Return the problem with its observations as they fit an estimate, the unfit left out.
+    Return the problem with its observations assigned again, misfits unused.
 
     before: with the labels of another estimate; it is returned where these are the same, as what
     it has found out about its stations still holds.
@@ -125,7 +125,7 @@ def _mean_squares(at: Weighed) -> Array:
 
 
 def far(problem: Problem, estimate: Estimate) -> bool:
-    """Return whether most stations are too far from an estimate for it to become a good one."""
+    """Return whether an estimate is too far from most stations to be refined."""
     labelled = relabelled(problem, estimate)
     station, n = labelled.observations.station, len(problem.poses)
     count = np.bincount(station, minlength=n)
@@ -136,7 +136,7 @@ def far(problem: Problem, estimate: Estimate) -> bool:
 
 def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:
     """
-    Return the estimates that the starts lead to, best first, poor ones given up early.
+    Return the estimates reached from the starts, best first; poor ones are given up early.
 
     more: times as many go on.
     """
@@ -171,7 +171,7 @@ def different(X: Array) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """A problem linearised at an estimate, weighed by a noise as soon as that is asked for."""
+    """A problem linearised at an estimate, with a whitening computed on demand."""
 
     linear: Linear
     noise: Noise
@@ -183,19 +183,19 @@ class Weighed:
 
 
 def weighed(problem: Problem, estimate: Estimate, noise: Noise) -> Weighed:
-    """Return a problem linearised at an estimate, to be weighed by a noise."""
+    """Return a problem linearised at an estimate, with its noise."""
     return Weighed(linearise(problem, estimate), noise)
 
 
 def system(problem: Problem, noise: Noise) -> System[Weighed]:
-    """Return what is to be made small; a station is a block."""
+    """Return the least-squares system of a problem; each station is a block."""
     def rows(at: Weighed) -> Rows:
         return Rows(at.linear.residuals, lambda: at.linear.jacobian[:, problem.columns],
                     lambda: at.white)
 
-    def moved(at: Weighed, step: Array) -> Weighed:
+    def retracted(at: Weighed, step: Array) -> Weighed:
         return weighed(problem, problem.retracted(at.linear.estimate, step), noise)
-    return System(rows, moved, problem.observations.station)
+    return System(rows, retracted, problem.observations.station)
 
 
 def fit(problem: Problem, start: Estimate, noise: Noise) -> Estimate:
@@ -205,7 +205,7 @@ def fit(problem: Problem, start: Estimate, noise: Noise) -> Estimate:
 
 
 def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
-    """Return the solution that an estimate is, with its covariance."""
+    """Return the solution at an estimate, with its covariance."""
     linear = linearise(problem, estimate)
     white = whitening(linear, noise)
     r, J = white(linear.residuals), white(linear.jacobian[:, problem.columns])

@@ -7,7 +7,7 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import best_fit_motions, ParameterBlock, pose_corrections
-from handeye_ros.estimation.linalg import FactoredJacobian, FREE, inverse
+from handeye_ros.estimation.jacobian import FactoredJacobian
 from handeye_ros.estimation.linearise import Linear, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import (
@@ -16,7 +16,8 @@ from handeye_ros.estimation.noise import (
     total_covariance,
     whitening,
 )
-from handeye_ros.estimation.outliers import leave_own_out
+from handeye_ros.least_squares.covariance import FREE, inverse
+from handeye_ros.least_squares.outliers import leave_own_out
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 @dataclass(frozen=True, eq=False)
 class Solution:
     """
-    An estimate with what the data says of it.
+    An estimate with its residuals, covariance and statistics.
 
     white: whitened residuals (m,) without what the blocks explain; columns: whitened derivatives
     by u unknowns, X's six first, then by q nuisance parameters in sigmas; covariance: C of (5) for
@@ -77,19 +78,19 @@ class Solution:
 
     @property
     def jacobian(self) -> Array:
-        """Return the whitened derivatives (m, u + q) themselves."""
+        """Return the dense whitened derivatives (m, u + q)."""
         return self.columns.dense
 
     @cached_property
     def information(self) -> Array:
-        """Return that of all unknowns, (u + q, u + q): of the residuals and of the priors."""
+        """Return the (u + q, u + q) information of residuals and priors."""
         prior = np.append(np.zeros(self.unknowns), np.ones(len(self.nuisance)))
         return np.asarray(self.columns.gram + np.diag(prior))
 
     @cached_property
     def ranks(self) -> NDArray[np.intp]:
         """
-        Return how many independent things (n,) each station says of the unknowns.
+        Return the rank (n,) of each station's derivatives by the unknowns.
 
         Many points of one line say two: where it is, and how it is turned.
         """
@@ -105,7 +106,7 @@ class Solution:
 
     @property
     def squares(self) -> float:
-        """Return the sum of squares, of residuals and of nuisance parameters."""
+        """Return the sum of squares of residuals and nuisance parameters."""
         return float(self.white @ self.white + self.nuisance @ self.nuisance)
 
     @property
@@ -120,7 +121,7 @@ class Solution:
 
     @property
     def target_std(self) -> Array:
-        """Return 1 sigma (k,) of the target's parameters, 0 of those that were given."""
+        """Return 1 sigma (k,) of the target's parameters, 0 for known ones."""
         if self.conservative is not None:
             return self.conservative.target_std
         std = np.zeros(len(self.problem.method.labels))
@@ -136,7 +137,7 @@ class Solution:
     @property
     def redundancy(self) -> int:
         """
-        Return how many independent conditions there are beyond the number of unknowns.
+        Return the number of independent conditions in excess of the unknowns.
 
         A pose that is taken again says nothing new; of very many poses some are counted.
         """
@@ -144,12 +145,12 @@ class Solution:
 
     @property
     def residual_rms(self) -> float:
-        """Return the RMS (m) of the residuals as they are, not whitened."""
+        """Return the RMS (m) of the residuals before whitening."""
         return float(np.sqrt((self.linear.residuals ** 2).mean()))
 
     @property
     def expected_rms(self) -> float:
-        """Return the RMS (m) of residuals from configured noise and nuisance parameters."""
+        """Return the expected RMS (m) of residuals for configured noise and nuisances."""
         total = sum(float(np.einsum('nii->', total_covariance(self.linear, at, Noise())))
                     for at in self.problem.stations)
         return float((total / len(self.linear.residuals)) ** 0.5)
@@ -181,7 +182,7 @@ class Solution:
 
     def predictions(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
         """
-        Return the estimates from all stations but those of a fold, for each fold, to first order.
+        Return the estimate without each fold of stations, to first order.
 
         fold: (n,) from 0, that each station is of. And the poses (n, 4, 4) of the stations without
         the smooth error of the robot that those of the other folds show.
@@ -204,7 +205,7 @@ def columns_of(problem: Problem, own: Array, axes: int) -> FactoredJacobian:
 
 def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
     """
-    Return for each station its squared deleted residual and the number of its conditions.
+    Return the squared leave-one-out residual of each station, and its degrees of freedom.
 
     The deleted residual is that against the solution without the station, to first order;
     squared and whitened it is chi-squared distributed when the station is good.
@@ -220,7 +221,7 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
 
 
 def _steps_without_one(solution: Solution) -> Array:
-    """Return by how much the unknowns (n, u + q) differ without each of the stations."""
+    """Return the changes (n, u + q) of the unknowns without each station."""
     columns, station = solution.columns, solution.problem.observations.station
     slopes = np.zeros((len(solution.problem.poses), columns.count))
     for rows in columns.rows:
@@ -231,14 +232,14 @@ def _steps_without_one(solution: Solution) -> Array:
 
 
 def _step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
-    """Return by how much the unknowns (u + q,) differ without some stations."""
+    """Return the change (u + q,) of the unknowns without some stations."""
     columns, part = solution.columns, solution.columns.of(stations)
     left = solution.information - columns.gram_of(part)
     return inverse(left) @ columns.gradient_of(solution.white, part)
 
 
 def covering(first: Array, second: Array) -> Array:
-    """Return the smallest covariance (k, k) that neither of two exceeds in any direction, (8)."""
+    """Return the smallest covariance (k, k) not below either of two in any direction, (8)."""
     std = np.sqrt(np.diag(first))
     values, vectors = np.linalg.eigh(first / np.outer(std, std))
     roots = np.sqrt(np.maximum(values, FREE))

@@ -1,4 +1,4 @@
-"""The targets that are solved from files of measured values, one file for each."""
+"""Targets that are solved from files of measured values, one file each."""
 from __future__ import annotations
 
 from typing import Any
@@ -20,7 +20,7 @@ FILE_METHODS: dict[str, FileMethod[Any]] = {m.name: m for m in (POINTS, HAND_EYE
 
 def of(config: Config) -> FileMethod[Any] | None:
     """
-    Return the method that a configuration asks for, None where its target is seen by profiles.
+    Return the file method of a configuration, None for targets seen by profiles.
 
     Raises BadValueError for a method or a calibration type that it cannot be of.
     """

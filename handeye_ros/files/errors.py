@@ -5,7 +5,7 @@ from handeye_ros.errors import DataError
 
 
 class DegenerateError(DataError):
-    """Measured values that leave something open, or contradict each other."""
+    """Measured values that do not determine the answer, or contradict each other."""
 
     def __init__(self, method: str, reason: str, advice: str) -> None:
         super().__init__(f'{method} cannot be solved: {reason}; {advice}')

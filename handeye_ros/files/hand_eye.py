@@ -1,4 +1,4 @@
-"""A X = X B, from a file of poses: a camera that sees the whole pose of a target."""
+"""A X = X B from a file of poses: a camera that measures the full pose of a target."""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ CLEAR = 0.2  # of the misfit is left when a convention error is undone
 @dataclass(frozen=True, eq=False)
 class Views:
     """
-    Poses (n, 4, 4) of the same moments.
+    Poses (n, 4, 4) at the same times.
 
     T_fixed_mount: of what carries the camera (the flange, or with eye_on_base the base) in what
     carries the target; T_camera_target: as seen.
@@ -65,7 +65,7 @@ def _solve(data: Views, config: Config) -> Answer[Views]:
 
 
 def _wxyz(T: Array) -> Array:
-    """Return the poses (n, 4, 4) whose quaternions were read in the wrong order."""
+    """Return the poses (n, 4, 4) with their quaternions read in the other order."""
     q = np.roll(se3.quaternion(T), -1, axis=1)
     return se3.transform(Rotation.from_quat(q).as_matrix(), T[:, :3, 3])
 
@@ -86,7 +86,7 @@ CONVENTION_ERRORS: tuple[tuple[str, str, _Change, _Change], ...] = (
 
 
 def _name_convention_error(data: Views, config: Config) -> None:
-    """Raise ConventionError where one explains why the poses contradict each other."""
+    """Raise ConventionError if a convention error explains the contradiction of the poses."""
     before = _misfit(data.T_fixed_mount, data.T_camera_target)
     for name, advice, of_mount, of_target in CONVENTION_ERRORS:
         T, seen = of_mount(data.T_fixed_mount), of_target(data.T_camera_target)

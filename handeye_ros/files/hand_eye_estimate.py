@@ -1,5 +1,5 @@
 """
-A X = X B from any number of poses: a camera that sees the whole pose of a target (CN105021139A).
+A X = X B from any number of poses of robot and target (CN105021139A).
 
 A closed form starts (rotation axes of all pairs of poses, then linear), and least squares over
 the poses finish, on rotation and translation together: with Z the fixed target, the pose that
@@ -13,7 +13,7 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.checks.consistency import require_rotations
 from handeye_ros.data import Array
-from handeye_ros.estimation.outliers import adjust, Adjusted, first_variances, variance_components
+from handeye_ros.errors import TooFewError
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.hand_eye_model import (
     causes,
@@ -26,7 +26,12 @@ from handeye_ros.files.hand_eye_model import (
     State,
     system,
 )
-from handeye_ros.published.errors import TooFewError
+from handeye_ros.least_squares.outliers import (
+    adjust,
+    Adjusted,
+    first_variances,
+    variance_components,
+)
 from handeye_ros.tables import Table
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +55,7 @@ LOST = 'the position along it is free'
 @dataclass(frozen=True, eq=False)
 class HandEyeResult:
     """
-    The answer.
+    The result.
 
     T_flange_camera, T_base_target: (4, 4), with eye_on_base T_base_camera and T_flange_target;
     covariance: (6, 6) of the first, x y z rx ry rz in its parent; used: indices of the poses
@@ -122,7 +127,7 @@ def _rms(factors: Array, white: Array) -> tuple[float, float]:
 
 def closed_form(T: Array, T_camera_target: Array) -> State:
     """
-    Return X and Z from poses (n, 4, 4): all pairs of them, rotation first.
+    Return X and Z from all pairs of poses (n, 4, 4), rotation first.
 
     Park and Martin 1994 (IEEE Trans. Robotics and Automation 10:717), least squares throughout.
     """
@@ -140,7 +145,7 @@ def closed_form(T: Array, T_camera_target: Array) -> State:
 
 
 def _start(T: Array, T_camera_target: Array) -> State:
-    """Return the closed form of all poses, or where some are doubtful that of the best few."""
+    """Return the closed form of all poses, or of the best few if some are outliers."""
     everything = closed_form(T, T_camera_target)
     squares = _squares(T, T_camera_target, everything)
     if len(T) <= SUBSET_SIZE or squares.max() < DOUBTFUL * np.median(squares):
@@ -161,7 +166,7 @@ def _squares(T: Array, T_camera_target: Array, state: State) -> Array:
 
 def _with_noise(T: Array, T_camera_target: Array, start: State, noise: PoseNoise | None,
                 eye_on_base: bool) -> tuple[Adjusted[State], PoseNoise]:
-    """Return the adjusted state, and the noise that was given or that its residuals show."""
+    """Return the least-squares state, and the given noise or the noise of its residuals."""
     def adjusted(state: State, noise: PoseNoise) -> Adjusted[State]:
         return adjust(system(T, T_camera_target, noise, eye_on_base), state, MINIMUM)
 

@@ -1,5 +1,5 @@
 """
-A X = X B: how measured poses differ from those that X and the fixed target Z predict, and why.
+A X = X B: residuals of measured poses given X and the fixed target Z, and their noise.
 
 T (n, 4, 4) is the mount of the camera in the frame where the target is fixed: T_base_flange, or
 with eye_on_base its inverse. A state is X and Z.
@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.solver import Rows, System, White
+from handeye_ros.least_squares.solver import Rows, System, White
 import numpy as np
 
 MINIMUM = 3
@@ -23,7 +23,7 @@ State: TypeAlias = tuple[Array, Array]
 @dataclass(frozen=True)
 class PoseNoise:
     """
-    1 sigma of each axis: of the target's pose as seen (camera frame), and of the robot's.
+    1 sigma per axis: of the target's pose in the camera frame, and of the robot's pose.
 
     Where it is estimated, target_translation holds that of both, which look alike.
     """
@@ -35,7 +35,7 @@ class PoseNoise:
 
 
 def residuals(T: Array, T_camera_target: Array, state: State) -> Array:
-    """Return the (n, 6) differences of measured and predicted views, in the camera frame."""
+    """Return the (n, 6) differences of measured and predicted views in the camera frame."""
     X, Z = state
     predicted = se3.inverse(T @ X) @ Z
     turned = T_camera_target[:, :3, :3] @ np.swapaxes(predicted[:, :3, :3], 1, 2)
@@ -73,7 +73,7 @@ def factors(T: Array, state: State, noise: PoseNoise, eye_on_base: bool) -> Arra
 
 def system(T: Array, T_camera_target: Array, noise: PoseNoise, eye_on_base: bool
            ) -> System[State]:
-    """Return what is to be adjusted: X and Z, to the residuals of all poses; each is a block."""
+    """Return the least-squares system of X and Z; each pose is a block."""
     n = len(T)
 
     def rows(state: State) -> Rows:
@@ -90,7 +90,7 @@ def system(T: Array, T_camera_target: Array, noise: PoseNoise, eye_on_base: bool
 
 def causes(T: Array, state: State, eye_on_base: bool) -> Array:
     """
-    Return what unit variances do to the residuals, (3, n, 6, 6).
+    Return the covariances (3, n, 6, 6) of the residuals for unit variances of each cause.
 
     Of translation, of the target's rotation, of the robot's, which shifts the target too. The
     translations of target and robot have the same effect: they are one.
@@ -102,6 +102,6 @@ def causes(T: Array, state: State, eye_on_base: bool) -> Array:
 
 
 def noise_of(variances: Array) -> PoseNoise:
-    """Return the noise that the variances (3,) of the causes are."""
+    """Return the noise with the variances (3,) of the causes."""
     shift, turn, robot_turn = np.maximum(np.sqrt(variances), SMALLEST_NOISE).tolist()
     return PoseNoise(shift, turn, robot_rotation=robot_turn)

@@ -1,5 +1,5 @@
 """
-Targets that are solved from files: what each gives, and from its answer to the calibration.
+Targets solved from files: their common interface, and the calibration from an answer.
 
 The refusals and the report are the same for all of them.
 """
@@ -15,8 +15,8 @@ from handeye_ros.checks.errors import LeftOutError, TooUncertainError
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import AnyProfile, Array, Calibration, Quality, SampleReport, TimedPose
 from handeye_ros.frames import mount_frame, name_direction, sensor_axes
+from handeye_ros.least_squares.solver import single_threaded
 from handeye_ros.se3 import worst_rotation, worst_translation
-from handeye_ros.threads import single_threaded
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,7 +26,7 @@ Index: TypeAlias = NDArray[np.intp]
 
 
 class Recorded(Protocol):
-    """What a bag holds; see ros.bag.Recording."""
+    """The contents of a bag; see ros.bag.Recording."""
 
     @property
     def profiles(self) -> Sequence[AnyProfile]:
@@ -38,7 +38,7 @@ class Recorded(Protocol):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return a sentence for each thing that was lost."""
+        """Return one sentence for each kind of lost message."""
 
     @property
     def inputs(self) -> tuple[dict[str, str], ...]:
@@ -51,7 +51,7 @@ ReadBag: TypeAlias = Callable[[Path, Config], Recorded]
 @dataclass(frozen=True, eq=False)
 class Input(Generic[D]):
     """
-    What was read.
+    The values read, with their files.
 
     frame: of the sensor; inputs: path and sha256 of every file; warnings: what was lost.
     """
@@ -65,7 +65,7 @@ class Input(Generic[D]):
 @dataclass(frozen=True, eq=False)
 class Answer(Generic[D]):
     """
-    The transform from the mount to what the measured values are of, X (4, 4), and its judgement.
+    The transform X (4, 4) from the mount to the frame of the values, with its statistics.
 
     covariance: (6, 6), x y z rx ry rz in the mount; used: (n,) of the samples; off: (n,) by which
     each misses (m); residual_rms, holdout_rms: of the used (m), the latter each against the
@@ -86,7 +86,7 @@ class Answer(Generic[D]):
 @dataclass(frozen=True)
 class FileMethod(Generic[D]):
     """
-    One target's reader and estimator, as plain functions.
+    Reader and estimator of one target, as functions.
 
     mounts: the calibration types it can be of; advice: what makes an answer more certain.
     read(path, config, how to read a bag): the input; raises InputError, DataError.
@@ -114,7 +114,7 @@ class FileMethod(Generic[D]):
 
 @single_threaded
 def calibrate(method: FileMethod[Any], given: Input[Any], config: Config) -> Calibration:
-    """Return the calibration; raises DataError when the files cannot carry an answer."""
+    """Return the calibration; raises DataError when the files do not determine an answer."""
     answer = method.solve(given.data, config)
     require_trusted(method, answer, config)
     provenance = {'version': __version__, 'inputs': list(given.inputs),
@@ -133,7 +133,7 @@ def plane_axes(method: FileMethod[Any], config: Config) -> Array:
 
 
 def require_trusted(method: FileMethod[Any], answer: Answer[Any], config: Config) -> None:
-    """Refuse an answer beyond the limits; raises TooUncertainError and LeftOutError."""
+    """Raise TooUncertainError or LeftOutError for an answer beyond the limits."""
     limits, frame = config.limits, mount_frame(config)
     turn, axis = worst_rotation(answer.covariance)
     if not turn <= limits.rotation:
@@ -156,7 +156,7 @@ def _quality(answer: Answer[Any], config: Config) -> Quality:
 
 def _reports(method: FileMethod[Any], data: Any, answer: Answer[Any]
              ) -> tuple[SampleReport, ...]:
-    """Return what became of each sample; a row of a file has its number for a stamp."""
+    """Return the outcome of each sample; a row of a file has its number as the stamp."""
     reports = []
     for (stamp, kind), used, off in zip(method.samples(data), answer.used, answer.off,
                                         strict=True):

@@ -1,4 +1,4 @@
-"""Points in two frames, from a file: the sensor stands beside the robot (Wu 2017)."""
+"""Points in two frames from a file: the sensor is beside the robot (Wu 2017)."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -8,11 +8,11 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.estimation.outliers import adjust, Adjusted
-from handeye_ros.estimation.solver import Rows, System
+from handeye_ros.errors import TooFewError
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.method import Answer, FileMethod, Index, Input, ReadBag
-from handeye_ros.published.errors import TooFewError
+from handeye_ros.least_squares.outliers import adjust, Adjusted
+from handeye_ros.least_squares.solver import Rows, System
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.tables import Table
 import numpy as np
@@ -32,7 +32,7 @@ LARGEST_RMS = 5e-3  # of an answer that can be trusted (m)
 @dataclass(frozen=True, eq=False)
 class PointsResult:
     """
-    The answer.
+    The result.
 
     T_base_camera: (4, 4); covariance: (6, 6) of x y z rx ry rz in the base; used: indices of
     the points used; residuals: (n,) distances of all points (m); noise: 1 sigma per axis of a
@@ -90,7 +90,7 @@ def _rms(vectors: Array) -> float:
 
 
 def _system(in_camera: Array, in_base: Array, sigma: float) -> System[Array]:
-    """Return what is to be adjusted; a point is a block."""
+    """Return the least-squares system; each point is a block."""
     def rows(T: Array) -> Rows:
         turned = in_camera @ T[:3, :3].T
 
@@ -112,7 +112,7 @@ def fit_rigid(a: Array, b: Array) -> Array:
 
 
 def _start(in_camera: Array, in_base: Array, rng: np.random.Generator) -> Array:
-    """Return the transform of three points that leaves the believed share nearest."""
+    """Return the transform of three points with the smallest BELIEVED_SHARE residual."""
     n = len(in_base)
     if n <= ALL_TRIPLES:
         triples = np.array(list(combinations(range(n), 3)))
@@ -127,7 +127,7 @@ def _start(in_camera: Array, in_base: Array, rng: np.random.Generator) -> Array:
 
 
 def _require_triangle(points: Array) -> None:
-    """Refuse points (n, 3) that lie in one line, or nearly."""
+    """Raise for points (n, 3) that are (nearly) collinear."""
     along, across = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[:2]
     if across < SMALLEST_ANGLE * along:
         raise DegenerateError(NAME, 'the points lie in one line, so a turn about it is free',
@@ -144,7 +144,7 @@ def _require_agreement(fit: Adjusted[Array], total: int, rms: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """The same points (n, 3) as the sensor sees them and in the robot's base; metres."""
+    """The same points (n, 3) in the frame of the sensor and in the robot's base; metres."""
 
     in_camera: Array
     in_base: Array

@@ -1,5 +1,5 @@
 """
-The sweep of a profiler over ball and block, from profiles and poses to points (Jing 2020).
+A sweep of the profiler over ball and block: from profiles and poses to points (Jing 2020).
 
 The flange moves along a line without turning. Profiles that show two faces which meet in a ridge
 are of the block, those that show an arc of the ball; all others are passed over.
@@ -17,7 +17,7 @@ from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.tracker_model import Sweep, SWEPT
 from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.segment import noise_level, Segment, straight_segments
-from handeye_ros.sampling.dwells import interpolate
+from handeye_ros.streams.stream import interpolate
 import numpy as np
 
 NAME = 'the sweep over ball and block'
@@ -26,7 +26,7 @@ SHARE = 0.6  # of the points of a profile that the two faces hold together, or t
 STRAIGHT = 1.5  # scatter of a straight face over the noise; pieces of an arc have more
 STEEP = 0.5  # cosine of the angle of incidence from which a point of the ball is used
 END = 0.1  # of a face left out at either end, where mixed points are
-SHARES = 12  # mean points that stand for a face in one profile
+BINS = 12  # mean points that stand for a face in one profile
 LARGEST_TURN = 2e-3  # of a flange that only moves along a line (rad)
 LARGEST_ASIDE = 2e-4  # of its way (m, RMS)
 SMALLEST_WAY = 0.02
@@ -61,7 +61,7 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
 
 def _found(profiles: Sequence[AnyProfile], ways: Array, config: Config
            ) -> dict[str, list[tuple[int, Array]]]:
-    """Return for each part of the sweep the stamps and the rows of the profiles that show it."""
+    """Return for each part of the sweep the stamps and rows of its profiles."""
     runs: list[list[tuple[int, list[Array]]]] = [[]]  # of profiles that show two faces
     arcs: list[tuple[int, float, Arc]] = []
     missed = 0
@@ -92,7 +92,7 @@ def _found(profiles: Sequence[AnyProfile], ways: Array, config: Config
 
 
 def _ways(T: Array) -> Array:
-    """Return how far (n - 1,) poses (n, 4, 4) are from the first, along the flange's z."""
+    """Return the distances (n - 1,) of poses (n, 4, 4) from the first along the flange's z."""
     turn = float(np.max(se3.angle(T[:, :3, :3] @ T[0, :3, :3].T)))
     if turn > LARGEST_TURN:
         raise DegenerateError(NAME, f'the flange turns by {np.degrees(turn):.2f} degrees',
@@ -108,7 +108,7 @@ def _ways(T: Array) -> Array:
 
 
 def ridge(points: Array, config: Config) -> tuple[Segment, Segment] | None:
-    """Return the two faces of a block in a profile (n, 2), that at smaller x first, or None."""
+    """Return the two faces of a block in a profile (n, 2), the one at smaller x first, or None."""
     segments = straight_segments(points, config.noise.sensor, config.sampling.min_points)
     if len(segments) < 2:
         return None
@@ -131,10 +131,10 @@ def _face_points(segment: Segment, points: Array) -> tuple[Array, Array]:
     margin = int(END * len(segment.rows))
     inner = points[segment.rows[margin:len(segment.rows) - margin]]
     order = np.argsort(inner[:, 0])
-    shares = np.array_split(inner[order], min(SHARES, len(inner)))
-    count = np.array([len(share) for share in shares])
+    bins = np.array_split(inner[order], min(BINS, len(inner)))
+    count = np.array([len(points) for points in bins])
     std = segment.noise / np.hypot(1.0, segment.slope)
-    return np.array([share.mean(axis=0) for share in shares]), std / np.sqrt(count)
+    return np.array([points.mean(axis=0) for points in bins]), std / np.sqrt(count)
 
 
 def _arc(points: Array, config: Config) -> Arc | None:
@@ -149,7 +149,7 @@ def _arc(points: Array, config: Config) -> Arc | None:
 
 
 def _ball(arcs: Sequence[tuple[int, float, Arc]], radius: float) -> list[tuple[int, Array]]:
-    """Return stamps and rows of the arcs, without points that the light only grazes."""
+    """Return stamps and rows of the arcs without points at grazing incidence."""
     radius = radius or max((arc.radius for *_, arc in arcs), default=0.0)
     found = []
     for stamp, q3, arc in arcs:

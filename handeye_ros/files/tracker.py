@@ -1,4 +1,4 @@
-"""The laser tracker's file of reflector points, and the bag of the sweep beside it (Jing 2020)."""
+"""Reflector points of a laser tracker in a file, with the bag of the sweep (Jing 2020)."""
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -8,12 +8,12 @@ from pathlib import Path
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import BadValueError
-from handeye_ros.estimation.outliers import adjust
 from handeye_ros.files import tracker_estimate, tracker_model
 from handeye_ros.files.method import Answer, FileMethod, Index, Input, ReadBag
 from handeye_ros.files.sweeps import sweep_from
 from handeye_ros.files.tracker_model import Seen, State, Sweep, SWEPT
 from handeye_ros.frames import sensor_axes
+from handeye_ros.least_squares.outliers import adjust
 from handeye_ros.published import jing2020
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.truth_file import FIELD, field_points
@@ -31,7 +31,7 @@ Masks = Mapping[str, NDArray[np.bool_]]
 @dataclass(frozen=True, eq=False)
 class Session:
     """
-    What both instruments saw.
+    The measurements of both instruments.
 
     of: index of the sample of each point, by the name of the part; samples: row of the file or
     stamp of the profile, and what it is of.
@@ -43,7 +43,7 @@ class Session:
     samples: tuple[tuple[int, str], ...]
 
     def seen(self, config: Config) -> Seen:
-        """Return the same as the model takes it."""
+        """Return the measurements in the form of the model."""
         return Seen(self.reflector, self.sweep, config.tracker.noise)
 
     def chain(self, config: Config) -> jing2020.Result:
@@ -52,7 +52,7 @@ class Session:
 
 
 def direction(config: Config) -> Array:
-    """Return which way (3,) the sweep goes, x along the line and z the range."""
+    """Return which way (3,) the sweep runs, x along the line and z the range."""
     given = np.array(config.tracker.direction)
     if not given.any():
         raise BadValueError('tracker.direction', list(given), 'a direction that is not zero')
@@ -75,7 +75,7 @@ def _read(path: Path, config: Config, read_bag: ReadBag) -> Input[Session]:
 
 
 def _session(reflector: jing2020.Tracker, sweep: Sweep, kinds: NDArray[np.str_]) -> Session:
-    """Return the session, its samples numbered: first the rows of the file, then the profiles."""
+    """Return the session with numbered samples: first the rows of the file, then profiles."""
     rows = [(row, str(kind)) for row, kind in enumerate(kinds, 1) if kind != 'ball']
     row_kinds = np.array([kind for _, kind in rows])
     of = {part: np.flatnonzero(row_kinds == kind) for part, kind in REFLECTED.items()}
@@ -108,7 +108,7 @@ def _rms(values: Array) -> float:
 
 
 def _agreed(data: Session, good: NDArray[np.bool_], used: NDArray[np.bool_]) -> Session:
-    """Return the session without the points that were left out; good: (n,) of all distances."""
+    """Return the session without the points left out; good: (n,) of all distances."""
     ends = np.cumsum([len(of) for of in data.of.values()])
     points = dict(zip(data.of, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
     wrong = tracker_model.sources(points)[~good]
@@ -124,7 +124,7 @@ def _subset(data: Session, keep: Index) -> Session:
 
 
 def _select(data: Session, masks: Masks) -> Session:
-    """Return the points where masks are true; the ball's centre by the tracker always stays."""
+    """Return the points where masks are true; the ball's centre by the tracker always remains."""
     reflector = {kind: getattr(data.reflector, kind)[masks[part]]
                  for part, kind in REFLECTED.items()}
     swept = {part: getattr(data.sweep, part)[masks[part]] for part in SWEPT}

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.outliers import adjust, Adjusted
 from handeye_ros.files import tracker_model
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.tracker_model import Seen, State, Sweep
+from handeye_ros.least_squares.outliers import adjust, Adjusted
 from handeye_ros.published import jing2020
 from handeye_ros.tables import LENGTH, Table, TableError
 import numpy as np
@@ -40,7 +40,7 @@ LARGEST_DROPPED_SHARE = 0.34
 @dataclass(frozen=True, eq=False)
 class TrackerResult:
     """
-    The answer.
+    The result.
 
     T_flange_sensor, T_tracker_flange at q30: (4, 4); covariance: (6, 6) of the first, x y z rx
     ry rz in the flange; skew: by which R2 and P3 are not square, face_angle: between the
@@ -118,7 +118,7 @@ def _result(fit: Adjusted[State], seen: Seen) -> TrackerResult:
 
 
 def _require_order(tracker: jing2020.Tracker) -> None:
-    """Refuse an arc or a line whose points are not in the order measured."""
+    """Raise for an arc or a line whose points are not in measured order."""
     arc, line = (points[np.linspace(0, len(points) - 1, min(len(points), ORDERED)).astype(int)]
                  for points in (tracker.arc, tracker.line))
     centre, axis = jing2020.fit_arc(tracker.arc)
@@ -130,7 +130,7 @@ def _require_order(tracker: jing2020.Tracker) -> None:
 
 
 def _require_angles(tracker: jing2020.Tracker, faces: Array) -> None:
-    """Refuse an arc that is hardly one, and faces that are nearly parallel."""
+    """Raise for an arc that is too short, and for faces that are nearly parallel."""
     centre, axis = jing2020.fit_arc(tracker.arc)
     first, last = tracker.arc[0] - centre, tracker.arc[-1] - centre
     turn = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)
@@ -143,7 +143,7 @@ def _require_angles(tracker: jing2020.Tracker, faces: Array) -> None:
 
 
 def _require_one_direction(chain: jing2020.Result) -> None:
-    """Refuse a sweep that the ball shows to run another way than the link that carries it."""
+    """Raise for a sweep whose direction by the ball differs from that of the link."""
     cosine = float(chain.direction @ chain.T_flange_sensor[2, :3])
     if cosine < np.cos(LARGEST_TURN):
         raise DegenerateError(

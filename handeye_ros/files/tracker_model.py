@@ -1,5 +1,5 @@
 """
-The unknowns of arm, tracker, ball and block, and how far a state of them is from what was seen.
+Unknowns and residuals of arm, tracker, ball and block.
 
 Flange: frame 3 (D-H), z along P3, x along the common normal of R2 and P3.
 """
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.solver import Rows, System
+from handeye_ros.least_squares.solver import Rows, System
 from handeye_ros.published import jing2020
 import numpy as np
 from numpy.typing import NDArray
@@ -43,13 +43,13 @@ class Sweep:
 
     @property
     def published(self) -> jing2020.Sweep:
-        """Return the same as the published algorithm takes it, which knows no sigma."""
+        """Return the same in the form of the published algorithm, without sigmas."""
         return jing2020.Sweep(self.ball[:, :3], self.face_c[:, :3], self.face_d[:, :3], self.q30)
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What both instruments saw; noise: of the tracker, 1 sigma per axis (m)."""
+    """The measurements of both instruments; noise: of the tracker, 1 sigma per axis (m)."""
 
     tracker: jing2020.Tracker
     sweep: Sweep
@@ -77,7 +77,7 @@ def link(q3: float) -> Array:
 
 
 def start(chain: jing2020.Result, seen: Seen) -> State:
-    """Return the state that the published chain is."""
+    """Return the state of the published chain."""
     sweep = seen.sweep
     T_tracker_2 = chain.T_tracker_flange @ se3.inverse(link(sweep.q30))
     to_2 = se3.inverse(T_tracker_2)
@@ -95,7 +95,7 @@ def start(chain: jing2020.Result, seen: Seen) -> State:
 
 def system(seen: Seen, given_X: bool = False) -> System[State]:
     """
-    Return what is to be adjusted: all 26 unknowns, or with X given the other 20.
+    Return the least-squares system: all 26 unknowns, or 20 with X given.
 
     Each distance is a block.
     """

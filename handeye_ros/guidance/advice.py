@@ -1,4 +1,4 @@
-"""The uncertainty so far, what is missing, and the next pose: the whole of the guidance."""
+"""Guidance: the uncertainty so far, what is missing, and the next pose."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ SEED = 0  # the same samples give the same advice
 
 @dataclass(frozen=True)
 class Sigma:
-    """One direction's 1 sigma and its limit, metres or radians (unit: m or rad)."""
+    """Uncertainty in one direction: 1 sigma and its limit, m or rad (unit)."""
 
     name: str
     std: float
@@ -51,7 +51,7 @@ class Sigma:
 @dataclass(frozen=True, eq=False)
 class Proposal:
     """
-    The next pose: T_base_flange (4, 4), and what it would bring.
+    The next pose, T_base_flange (4, 4), and the uncertainty expected after it.
 
     place: (2,) where in the sensor plane the feature will be seen; std: 1 sigma of mapped points
     with it (m).
@@ -65,7 +65,7 @@ class Proposal:
 @dataclass(frozen=True, eq=False)
 class Advice:
     """
-    Advice to whoever moves the robot.
+    Advice for the operator.
 
     sentences: in the order of their weight; next: the pose that helps most, None before the
     sensor is roughly known; move: what to do instead then; sigmas: empty before there is an
@@ -89,7 +89,7 @@ def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
            trouble: str = '', seen: Array | None = None,
            refused: Sequence[Array] = (), notes: Sequence[str] = ()) -> Advice:
     """
-    Return the advice after some samples, the first of them being what guidance.* counts from.
+    Return the advice after some samples; the limits of guidance.* are relative to the first.
 
     solution: of those that agree, None before there is one; trouble: why there is none, or why it
     was refused; seen: points (n, 2) of profiles, to learn the view from; refused: poses of the
@@ -134,7 +134,7 @@ def _unguided(text: str, move: Move | None, trouble: str) -> Advice:
 
 def _of_sweep(solution: Solution, sigmas: tuple[Sigma, ...], lacking: Sequence[str], trouble: str,
               notes: Sequence[str]) -> Advice:
-    """Return the advice during a sweep: what it lacks, and no pose to go to."""
+    """Return the advice during a sweep: what is missing, without a next pose."""
     enough, why = judged(sigmas, None, None, len(solution.problem.poses))
     content = [trouble, why, *notes, *(() if enough else lacking)]
     return Advice(tuple(filter(None, content)), None, None, sigmas, enough and not trouble, why)
@@ -145,7 +145,7 @@ def _stated(solution: Solution) -> Array:
 
 
 def sigma_table(solution: Solution, mapped: Mapping, config: Config) -> tuple[Sigma, ...]:
-    """Return the uncertainty of each direction, of the worst ones, and of mapped points."""
+    """Return the uncertainty along each axis, in the worst directions, and of mapped points."""
     covariance, limits, frame = _stated(solution), config.limits, mount_frame(config)
     std = np.sqrt(np.diag(covariance))
     sigmas = [Sigma(f'position {axis}', float(s), limits.translation)
@@ -166,7 +166,7 @@ def sigma_table(solution: Solution, mapped: Mapping, config: Config) -> tuple[Si
 
 
 def propose(search: Search, config: Config) -> Proposal | None:
-    """Return the pose that helps most, None where none keeps the feature in view."""
+    """Return the pose with the largest gain, None if none keeps the feature in view."""
     rng = np.random.default_rng(SEED)
     drawn = search.draw(rng)
     if not drawn:
@@ -182,7 +182,7 @@ def propose(search: Search, config: Config) -> Proposal | None:
 
 def judged(sigmas: Sequence[Sigma], proposal: Proposal | None, cause: Cause | None,
            count: int) -> tuple[bool, str]:
-    """Return whether the samples are enough, and why."""
+    """Return whether the samples are sufficient, and the reason."""
     std, accuracy = sigmas[-1].std, sigmas[-1].limit
     over = [s for s in sigmas[:-2] if s.std > s.limit]
     if over:
@@ -208,7 +208,7 @@ def _figure(sigma: Sigma) -> str:
 
 
 def _directions(T_base_flange: Array, proposal: Proposal, config: Config, what: str) -> str:
-    """Return how to get from the last sample to the next pose."""
+    """Return in words the motion from the last sample to the next pose."""
     T = se3.inverse(T_base_flange) @ proposal.T_base_flange
     shift = 1e3 * (proposal.T_base_flange[:3, 3] - T_base_flange[:3, 3])
     turns = Rotation.from_matrix(T[:3, :3]).as_euler('XYZ', degrees=True)

@@ -1,5 +1,5 @@
 """
-Poses that could come next, and how well mapped points would be known after each.
+Candidates for the next pose, and the uncertainty of mapped points expected after each.
 
 A station that was taken is a template: the sensor is turned about its anchor (views.anchor_of) and
 shifted, so that the anchor appears elsewhere in the field of view. Candidates are drawn at random,
@@ -31,7 +31,7 @@ NEAR = np.array([0.15, 0.1, 0.1, 0.1, 0.1, 0.3])  # 1 sigma of the choices of a 
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """
-    n poses (n, 4, 4) of the mount, and the uncertainty with a sample at each.
+    n poses (n, 4, 4) of the mount, and the uncertainty after a sample at each.
 
     station: of the template; choices: (n, 6) twist, tilt (2), place (2) and shift as drawn;
     anchors: (n, 2) in the sensor plane; variance: (n,) of mapped points with the
@@ -46,11 +46,11 @@ class Candidates:
     problem: Problem
 
     def best(self) -> int:
-        """Return which is the best."""
+        """Return the index of the best candidate."""
         return int(np.argmin(self.variance))
 
     def only(self, i: int) -> Candidates:
-        """Return one of them."""
+        """Return a single candidate."""
         rows = slice(i, i + 1)
         return replace(self, choices=self.choices[rows], poses=self.poses[rows],
                        anchors=self.anchors[rows], variance=self.variance[rows],
@@ -59,7 +59,7 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What candidates are drawn from and compared by; last: T_base_flange of the last sample."""
+    """How candidates are drawn and compared; last: T_base_flange of the last sample."""
 
     solution: Solution
     view: View
@@ -69,7 +69,7 @@ class Search:
     last: Array
 
     def draw(self, rng: np.random.Generator) -> list[Candidates]:
-        """Return candidates of some stations; none where none keeps the feature in view."""
+        """Return candidates from some stations, empty if none keeps the feature in view."""
         candidates = []
         for station in templates(self.solution.problem):
             drawn = self.judged(station, _drawn(DRAWN, self.limits, rng))
@@ -88,7 +88,7 @@ class Search:
         return best if start == best.best() else best.only(start)
 
     def _nearest_useful(self, drawn: list[Candidates]) -> tuple[Candidates, int]:
-        """Return the candidate nearest to the last sample whose gain is USEFUL."""
+        """Return the nearest candidate with at least the share USEFUL of the best gain."""
         variance = float(self.mapping.variance(self.solution.reported[:6, :6]))
         gains = [variance - part.variance for part in drawn]
         least = USEFUL * max(float(gain.max()) for gain in gains)
@@ -104,7 +104,7 @@ class Search:
                           + LEVER * se3.angle(self.last[:3, :3].T @ flange[:, :3, :3]))
 
     def judged(self, station: int, choices: Array) -> Candidates:
-        """Return the possible candidates of choices (n, 6)."""
+        """Return the feasible candidates of choices (n, 6)."""
         problem, estimate = self.solution.problem, self.solution.estimate
         X = estimate.X
         T_sensor, anchors = self._sensors(problem.poses[station] @ X, anchor_of(problem, station),
@@ -146,7 +146,7 @@ class Search:
 
 
 def _drawn(count: int, limits: Limits, rng: np.random.Generator) -> Array:
-    """Return choices (n, 6), evenly spread; half of the tilts are the largest."""
+    """Return choices (n, 6), evenly distributed; half of the tilts are the largest."""
     turn = rng.uniform(0.0, 2 * np.pi, count)
     tilt = limits.tilt * np.minimum(np.sqrt(rng.uniform(0.0, 2.0, count)), 0.99)
     return np.column_stack([
@@ -155,7 +155,7 @@ def _drawn(count: int, limits: Limits, rng: np.random.Generator) -> Array:
 
 
 def templates(problem: Problem) -> list[int]:
-    """Return some stations, at least one of every combination of conditions."""
+    """Return some stations, at least one of each combination of conditions."""
     obs = problem.observations
     stations = np.unique(obs.station)
     kinds = [tuple(obs.kind[obs.station == i]) for i in stations]

@@ -1,5 +1,5 @@
 """
-What the samples lack, and moves that a person does by the look of the laser.
+What the samples lack, and moves described by the view of the laser line.
 
 Before the sensor is roughly known, the first samples are those of a fixed design, described from
 the first pose in axes that can be seen: the laser line, the light plane, the viewing direction.
@@ -67,7 +67,7 @@ WANTED_PER_EDGE = 3
 @dataclass(frozen=True, eq=False)
 class Move:
     """
-    A move from the first pose, by the look of the laser.
+    A move relative to the first pose, described by the view of the laser line.
 
     turn: rad about the viewing direction (the range axis), done first; tilt: (2,) rad about the
     laser line and about the normal of the light plane; place: (2,) where in the sensor plane the
@@ -84,14 +84,14 @@ class Move:
 
 
 def design(method: Method) -> Array:
-    """Return the moves (n, 6) that a method's target asks for."""
+    """Return the moves (n, 6) for the target of a method."""
     if _round(method):
         return SPHERE
     return TWO_EDGES if len(method.essential) > 1 else ONE_EDGE
 
 
 def next_move(taken: int, method: Method, config: Config, view: View) -> Move:
-    """Return the move after so many samples (one at least)."""
+    """Return the move after a number of samples (at least one)."""
     steps = design(method)
     mirrored = -1.0 if taken // len(steps) % 2 else 1.0
     step = steps[taken % len(steps)] * [mirrored, 1, 1, 1, 1, 1]
@@ -106,12 +106,12 @@ def next_move(taken: int, method: Method, config: Config, view: View) -> Move:
 
 
 def _round(method: Method) -> bool:
-    """Return whether the target looks the same from wherever the line crosses it."""
+    """Return whether the target looks the same at every crossing."""
     return method.kinds == ('arc',)
 
 
 def _turn(share: float, edge: int, method: Method, config: Config) -> float:
-    """Return the turn from the first pose: at the other edge, less than squarely across it."""
+    """Return the turn from the first pose: at the other edge, and obliquely across it."""
     largest = config.guidance.turn
     if not _round(method):  # the line has to cross where parts of the target meet
         largest = min(largest, np.pi / 2 - config.sampling.min_crossing_angle)
@@ -121,7 +121,7 @@ def _turn(share: float, edge: int, method: Method, config: Config) -> float:
 
 
 def noun(method: Method) -> str:
-    """Return what the laser line has to see."""
+    """Return the feature that the laser line must show, in words."""
     return 'edge' if method.essential else method.name
 
 
@@ -143,7 +143,7 @@ def _turns(turn: float, tilt: Array) -> str:
 
 
 def _shown(method: Method, place: Array, share: Array) -> str:
-    """Return where the feature should be seen."""
+    """Return where in the view the feature should appear, in words."""
     x, z = place * 1e3
     along = ('low', 'middle', 'high')[int(np.sign(share[0])) + 1]
     near = ('near', 'middle', 'far')[int(np.sign(share[1])) + 1]
@@ -152,7 +152,7 @@ def _shown(method: Method, place: Array, share: Array) -> str:
 
 
 def _beside(share: float) -> str:
-    """Return how far beside its middle a sphere is cut, in words."""
+    """Return how far from its centre the laser line cuts a sphere, in words."""
     if not share:
         return ''
     side = 'positive' if share > 0 else 'negative'
@@ -162,14 +162,14 @@ def _beside(share: float) -> str:
 
 @dataclass(frozen=True)
 class Spread:
-    """Of one way to differ, how much there is and how much is wanted, and both in words."""
+    """One kind of diversity of the samples: its amount, the amount wanted, and both in words."""
 
     share: float
     text: str
 
 
 def missing(solution: Solution, view: View, limits: Limits) -> list[str]:
-    """Return what the samples of a solution lack, the worst first, each in words."""
+    """Return in words what the samples of a solution lack, the most important first."""
     problem = solution.problem
     spreads = [*_rotations(problem.poses, solution.estimate.X, limits), *_coverage(problem, view),
                *_edges(problem)]
@@ -188,7 +188,7 @@ def _rotations(poses: Array, X: Array, limits: Limits) -> list[Spread]:
 
 
 def _turned(what: str, angles: Array, wanted: float) -> Spread:
-    """Return the spread of angles (n,) to either side."""
+    """Return the spread of angles (n,) to both sides."""
     half = float(np.ptp(angles)) / 2
     return Spread(half / wanted if wanted else 1.0,
                   f'{what}: {np.degrees(half):.0f} degrees to either side so far, '
@@ -196,7 +196,7 @@ def _turned(what: str, angles: Array, wanted: float) -> Spread:
 
 
 def _coverage(problem: Problem, view: View) -> list[Spread]:
-    """Return the spread of what was seen over the view, along the line and in range."""
+    """Return the spread of the features over the view, along the line and in range."""
     obs, n = problem.observations, len(problem.poses)
     anchors = np.array([anchor_of(problem, i) for i in range(n)])
     lengths = [np.ptp(obs.points[obs.station == i], axis=0)[0] for i in range(n)]
@@ -212,7 +212,7 @@ def _coverage(problem: Problem, view: View) -> list[Spread]:
 
 
 def _edges(problem: Problem) -> list[Spread]:
-    """Return for each edge that was seen how many samples saw it, if there are several."""
+    """Return for each visible edge the number of samples, if there are several edges."""
     obs, method = problem.observations, problem.method
     if len(method.essential) < 2:
         return []

@@ -1,5 +1,5 @@
 """
-Where proposed poses may be: the limits of guidance.*, and the rules by which stops give samples.
+Which poses may be proposed: the limits of guidance.*, and the conditions of a valid sample.
 
 Each rule has a margin: a stop that is off by ERROR gives a sample too.
 """
@@ -28,7 +28,7 @@ SMALLEST_FACE = 0.2  # of the view's width: how far a face goes on beside its ed
 @dataclass(frozen=True, eq=False)
 class Limits:
     """
-    What guidance.* allows around the first sample.
+    The limits of guidance.* around the first sample.
 
     first: (4, 4) pose of what carries the sensor in what carries the target; in_hand: whether
     that is the flange in the base, and not the base in the flange. reach: metres; tilt (of the
@@ -42,7 +42,7 @@ class Limits:
     turn: float
 
     def allow(self, poses: Array, X: Array) -> NDArray[np.bool_]:
-        """Return which poses (n, 4, 4) like first are allowed to a sensor at X (4, 4)."""
+        """Return which poses (n, 4, 4) are within the limits, for a sensor at X (4, 4)."""
         T, first = (poses, self.first) if self.in_hand else (
             se3.inverse(poses), se3.inverse(self.first))
         away = np.linalg.norm(T[:, :3, 3] - first[:3, 3], axis=1)
@@ -54,7 +54,7 @@ class Limits:
 
 def twist_of(first: Array, R: Array) -> Array:
     """
-    Return by how much (n,) rad sensors R (n, 3, 3) are turned about the viewing direction.
+    Return the rotation (n,) rad of sensors R (n, 3, 3) about the viewing direction.
 
     The rotation from the first (3, 3) is one about the viewing direction, then a tilt.
     """
@@ -74,7 +74,7 @@ def limits_of(first: Array, config: Config) -> Limits:
 
 @dataclass(frozen=True, eq=False)
 class Visited:
-    """Poses of the flange with a sample (n, 4, 4), and where stops gave none (k, 4, 4)."""
+    """Flange poses with a sample (n, 4, 4), and of stops without one (k, 4, 4)."""
 
     taken: Array
     refused: Array
@@ -83,11 +83,11 @@ class Visited:
 
     @property
     def careful(self) -> bool:
-        """Return whether there is a margin."""
+        """Return whether a margin is required."""
         return any(self.margin)
 
     def allow(self, poses: Array) -> NDArray[np.bool_]:
-        """Return which poses (m, 4, 4) of the flange are new, with a margin."""
+        """Return which poses (m, 4, 4) of the flange are distinct from these, with a margin."""
         sampling = self.config.sampling
         new = (sampling.new_translation, sampling.new_rotation)
         apart = (new[0] + self.margin[0], new[1] + self.margin[1])
@@ -99,13 +99,13 @@ class Visited:
 
 def visited(samples: Sequence[Sample], refused: Sequence[Array], config: Config,
             margin: tuple[float, float] = ERROR) -> Visited:
-    """Return where the robot stood; refused: poses of the flange at which no sample was taken."""
+    """Return the visited poses; refused: poses of the flange at which no sample was taken."""
     return Visited(np.array([s.T_base_flange for s in samples]).reshape(-1, 4, 4),
                    np.array(refused).reshape(-1, 4, 4), margin, config)
 
 
 def _away(poses: Array, others: Array, least: tuple[float, float]) -> NDArray[np.bool_]:
-    """Return which poses (m, 4, 4) are as far or as much turned from all others (n, 4, 4)."""
+    """Return which poses (m, 4, 4) are distinct from all others (n, 4, 4)."""
     distance = np.linalg.norm(poses[:, None, :3, 3] - others[None, :, :3, 3], axis=2)
     trace = np.einsum('mij,nij->mn', poses[:, :3, :3], others[:, :3, :3])
     angle = np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
@@ -113,7 +113,7 @@ def _away(poses: Array, others: Array, least: tuple[float, float]) -> NDArray[np
 
 
 def stricter(config: Config) -> Config:
-    """Return the configuration by which a proposal is judged: edges crossed more steeply."""
+    """Return the configuration for proposals, with a larger least angle at edges."""
     sampling = config.sampling
     return replace(config, sampling=replace(
         sampling, min_crossing_angle=sampling.min_crossing_angle + ERROR[1]))
@@ -121,7 +121,7 @@ def stricter(config: Config) -> Config:
 
 def crossing_steeply(linear: Linear, count: int) -> NDArray[np.bool_]:
     """
-    Return at which of n stations the laser line crosses the edges steeply enough.
+    Return at which of n stations the laser line crosses the edges at a sufficient angle.
 
     linear: with count conditions a station. All conditions of one edge point count together, as
     single distances from a line in space depend on the axes across it.
@@ -138,13 +138,13 @@ def crossing_steeply(linear: Linear, count: int) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class FaceBeside:
-    """The face beside an edge: its normal (3,), and the direction (3,) across the edge into it."""
+    """The face beside an edge: normal (3,), and direction (3,) from the edge into the face."""
 
     normal: Array
     inward: Array
 
     def room(self, poses: Array, points: Array, view: View) -> Array:
-        """Return the length (n,) of the face in the view from edge points (n, 2), m."""
+        """Return the visible length (n,) of the face beside edge points (n, 2), m."""
         along = np.cross(self.normal, poses[:, :3, 1])
         along *= np.sign(along @ self.inward)[:, None]
         plane = np.einsum('nij,ni->nj', poses[:, :3, :3], along)[:, [0, 2]]
@@ -154,7 +154,7 @@ class FaceBeside:
 
 
 def face_beside(linear: Linear) -> FaceBeside | None:
-    """Return the face of a station that shows an edge alone; None if it has conditions itself."""
+    """Return the face of a station with edge points only; None if it has face conditions."""
     problem, obs = linear.problem, linear.problem.observations
     if not isinstance(obs, EdgeObservations) or len(obs) != 2 or np.ptp(obs.points, axis=0).any():
         return None
@@ -168,7 +168,7 @@ def face_beside(linear: Linear) -> FaceBeside | None:
 @dataclass(frozen=True, eq=False)
 class Corners:
     """
-    Where two faces meet, in n profiles.
+    The corner of two faces in each of n profiles.
 
     points: (n, 2) in the sensor plane; angle: (n,) between the faces in the profile (rad); reach:
     (n, 2) signed distance of the middle of each visible face from the corner, across the edge
@@ -182,7 +182,7 @@ class Corners:
 
 
 def corners(linear: Linear, count: int) -> Corners | None:
-    """Return where the two faces of a target without edges meet; None for other targets."""
+    """Return the corners of a target without edge points; None for other targets."""
     problem, obs = linear.problem, linear.problem.observations
     if problem.method.essential or len(problem.method.kinds) != 2:
         return None
@@ -208,7 +208,7 @@ def corners(linear: Linear, count: int) -> Corners | None:
 
 def _face(linear: Linear, rows: NDArray[np.bool_], count: int) -> tuple[Array, ...]:
     """
-    Return the visible part of one face at n stations; rows (n, count): the conditions of it.
+    Return the visible part of one face at n stations; rows (n, count): its conditions.
 
     Its normal (n, 2) and middle (n, 2) in the sensor plane, middle and normal (n, 3) in the base,
     and the cosine (n,) between normal and viewing direction.
@@ -228,7 +228,7 @@ def _face(linear: Linear, rows: NDArray[np.bool_], count: int) -> tuple[Array, .
 def meeting(corners: Corners | None, template: Corners | None, strict: bool
             ) -> NDArray[np.bool_] | None:
     """
-    Return which corners show both faces as that of the template does; None: no corner.
+    Return which corners show both faces as the template does; None: no corner.
 
     strict: no face at a flatter angle than SMALLEST_COSINE, whatever the template saw.
     """

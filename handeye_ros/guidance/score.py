@@ -1,5 +1,5 @@
 """
-The field of view as far as it was seen, and the uncertainty of points mapped from it.
+The visible field of view, and the uncertainty of points mapped from it.
 
 Its size, its causes, and what further samples would change.
 
@@ -55,19 +55,19 @@ class View:
         return np.asarray(self.high - self.low)
 
     def shrunk(self, border: float) -> View:
-        """Return the view without a border of so much (m), nowhere less than half of it."""
+        """Return the view without a border (m), nowhere less than half of it."""
         border = min(border, float(self.size.min()) / 4)
         return View(self.normals, self.offsets - border, self.low + border, self.high - border)
 
     def inner(self) -> View:
-        """Return the view that leaves room for who moves the robot."""
+        """Return the view with a margin for the operator."""
         middle = (self.low + self.high) / 2
         offsets = self.normals @ middle + ROOM * (self.offsets - self.normals @ middle)
         half = ROOM * self.size / 2
         return View(self.normals, offsets, middle - half, middle + half)
 
     def room(self, points: Array) -> Array:
-        """Return how far points (..., 2) are from the border, negative outside: (...)."""
+        """Return the distance of points (..., 2) from the border, negative outside: (...)."""
         return np.asarray((self.offsets - points @ self.normals.T).min(axis=-1))
 
 
@@ -86,20 +86,20 @@ def seen_points(sample: Sample) -> Array:
 
 
 def tangents() -> Array:
-    """Return the directions (d, 2) in which a view ends."""
+    """Return the outward normals (d, 2) of the borders of a view."""
     turn = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
     return np.column_stack([np.cos(turn), np.sin(turn)])
 
 
 def extremes(points: Array) -> Array:
-    """Return the few of points (n, 2), rows with NaN left out, that a view is learnt from."""
+    """Return the extreme ones of points (n, 2), which determine a view; NaN rows are ignored."""
     finite = points[np.isfinite(points).all(axis=1)]
     return finite[np.unique((finite @ tangents().T).argmax(axis=0))] if len(finite) else finite
 
 
 def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
     """
-    Return the view that holds the features of samples and points seen (n, 2) of profiles.
+    Return the view that contains the features of samples and visible points (n, 2).
 
     There must be one sample, or one point, at least.
     """
@@ -113,7 +113,7 @@ def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
 @dataclass(frozen=True, eq=False)
 class Mapping:
     """
-    Points of the field of view as the transform carries them.
+    Points of the field of view, mapped by the transform.
 
     by_transform: (k, 3, 6) their derivative by the transform's perturbation.
     """
@@ -139,7 +139,7 @@ class Mapping:
 
 
 def mapping(X: Array, view: View) -> Mapping:
-    """Return the points of the field of view as X (4, 4) maps them."""
+    """Return the points of the field of view mapped by X (4, 4)."""
     share = np.linspace(0.0, 1.0, STEPS)
     x, z = np.meshgrid(*(view.low + share[:, None] * view.size).T)
     lever = np.column_stack([x.ravel(), z.ravel()]) @ X[:3, [0, 2]].T
@@ -149,7 +149,7 @@ def mapping(X: Array, view: View) -> Mapping:
 
 def with_rows(solution: Solution, rows: Array) -> Array:
     """
-    Return the covariances (n, 6, 6) of the transform after n alternatives of more conditions.
+    Return the covariances (n, 6, 6) of the transform for n alternatives of added conditions.
 
     rows: (n, c, u) whitened derivatives by the unknowns.
     """
@@ -165,7 +165,7 @@ def with_rows(solution: Solution, rows: Array) -> Array:
 
 @dataclass(frozen=True)
 class Cause:
-    """The largest cause: in words, its key, and its part of the 1 sigma of mapped points (m)."""
+    """The largest cause: in words, its key, and its share of the 1 sigma of mapped points (m)."""
 
     text: str
     key: str
@@ -173,7 +173,7 @@ class Cause:
 
 
 def largest_cause(solution: Solution, mapped: Mapping) -> Cause | None:
-    """Return what most of the reported uncertainty of mapped points comes from, None if noise."""
+    """Return the nuisance with the largest share of the uncertainty, None if it is noise."""
     source = solution.conservative or solution
     C, first = source.covariance, source.unknowns
     rows: dict[tuple[str, str], list[int]] = {}
@@ -198,7 +198,7 @@ def _explained(C: Array, at: Array) -> Array:
 
 def with_sample(solution: Solution, mapped: Mapping, one: Problem) -> float:
     """
-    Return the reported 1 sigma of mapped points (m) that one more sample would lead to.
+    Return the reported 1 sigma of mapped points (m) expected after one more sample.
 
     one: the problem of the sample alone. All nuisance parameters are shared with the others.
     """
@@ -211,7 +211,7 @@ def with_sample(solution: Solution, mapped: Mapping, one: Problem) -> float:
 
 
 def _extended(problem: Problem, one: Problem) -> Problem:
-    """Return a problem with the stations of another after its own."""
+    """Return a problem with the stations of another appended."""
     more = replace(one.observations, station=one.observations.station + len(problem.poses))
     both = Observations(*(np.concatenate([getattr(problem.observations, item.name),
                                           getattr(more, item.name)])

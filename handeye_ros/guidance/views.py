@@ -1,5 +1,5 @@
 """
-Predicted views: what stations at other poses would see, from one that was taken, the template.
+Predicted views: the features at other poses, from a template station.
 
 The points of the template take least steps in the sensor's plane until the conditions of the
 method hold, so that nothing else of the target needs to be known.
@@ -23,7 +23,7 @@ SMALLEST_SHARE = 0.5  # of a feature's length that must stay in the view
 @dataclass(frozen=True, eq=False)
 class Batch:
     """
-    n stations that see the same parts of the target as a template, at other poses.
+    n stations at other poses that show the same parts of the target as a template.
 
     problem: c observations for each station; anchored: which of them define the anchor
     (anchor_rows); groups: arrays (points, r) of the observations of one point, by their number r;
@@ -45,7 +45,7 @@ class Batch:
 
     @property
     def points(self) -> Array:
-        """Return what was observed, (n, c, 2), in the sensor plane."""
+        """Return what was observed in the sensor plane, (n, c, 2)."""
         return self.problem.observations.points.reshape(len(self), len(self.seen), 2)
 
     @property
@@ -64,7 +64,7 @@ class Batch:
 
 
 def anchor_rows(problem: Problem, station: int) -> NDArray[np.intp]:
-    """Return the observations of a station that define its anchor: those of edges, if any."""
+    """Return the observations that define the anchor of a station: those of edges, if any."""
     obs = problem.observations
     rows = np.flatnonzero(obs.station == station)
     at_edge = rows[np.isin(obs.kind[rows], problem.method.essential_kinds)]
@@ -72,13 +72,13 @@ def anchor_rows(problem: Problem, station: int) -> NDArray[np.intp]:
 
 
 def anchor_of(problem: Problem, station: int) -> Array:
-    """Return the anchor (2,) of a station: the mean point of its edge, or of all it saw."""
+    """Return the anchor (2,) of a station: the mean of its edge points, or of all points."""
     return np.asarray(problem.observations.points[anchor_rows(problem, station)].mean(axis=0))
 
 
 def batch_of(template: Problem, estimate: Estimate, poses: Array, anchors: Array) -> Batch:
     """
-    Return a batch at poses (n, 4, 4), its points not yet on the target.
+    Return a batch at poses (n, 4, 4), its points not yet moved onto the target.
 
     template: of one station; anchors: (n, 2) of the sensor plane, to which its anchor goes.
     """
@@ -96,7 +96,7 @@ def batch_of(template: Problem, estimate: Estimate, poses: Array, anchors: Array
 
 
 def predicted(batch: Batch, view: View, strict: bool = True) -> tuple[Batch, NDArray[np.intp]]:
-    """Return the stations that see the target as the template did, and their indices."""
+    """Return the stations that see the target like the template, and their indices."""
     kept = np.arange(len(batch))
     if len(batch):
         batch, share = _fitted(_on_target(batch), view)
@@ -124,7 +124,7 @@ def predicted(batch: Batch, view: View, strict: bool = True) -> tuple[Batch, NDA
 
 
 def _on_target(batch: Batch) -> Batch:
-    """Return the batch after least steps of its points towards the target."""
+    """Return the batch with its points moved onto the target by least steps."""
     for _ in range(4):
         linear = linearise(batch.problem, batch.estimate)
         g, A = linear.residuals.reshape(len(batch), -1), linear.by_point
@@ -139,7 +139,7 @@ def _on_target(batch: Batch) -> Batch:
 
 def _least_step(A: Array, g: Array) -> Array:
     """
-    Return the shortest x (n, k, 2) with A x = g for each of k points; nearly, if flat.
+    Return the shortest x (n, k, 2) with A x = g for each of k points, regularised.
 
     A: (n, k, r, 2) and g: (n, k, r) of their r conditions, 1 or 2.
     """
@@ -151,7 +151,7 @@ def _least_step(A: Array, g: Array) -> Array:
 
 
 def _fitted(batch: Batch, view: View) -> tuple[Batch, Array]:
-    """Return the batch with features cut to what is in the view, and the shares (n,) left."""
+    """Return the batch with features cut to the view, and the shares (n,) that remain."""
     anchors = batch.anchors[:, None]
     offset = batch.points - anchors
     outward = np.maximum(offset @ view.normals.T, 1e-9)
@@ -165,7 +165,7 @@ def _fitted(batch: Batch, view: View) -> tuple[Batch, Array]:
 
 
 def _steep(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
-    """Return which stations have all conditions changed enough by moves within the plane."""
+    """Return which stations have conditions that are sensitive to moves within the plane."""
     angle = rules.stricter(batch.problem.config).sampling.min_crossing_angle
     good = np.ones(len(batch), dtype=bool)
     for rows in batch.groups:
@@ -176,7 +176,7 @@ def _steep(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
 
 
 def _facing(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
-    """Return which stations look at the target from the side that the template saw."""
+    """Return which stations see the target from the same side as the template."""
     good = np.ones(len(batch), dtype=bool)
     for rows in batch.groups:  # conditions of one point together, in whatever axes they are
         size = np.linalg.norm(batch.seen[rows], axis=1)
@@ -187,7 +187,7 @@ def _facing(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
 
 
 def _recognised(batch: Batch) -> NDArray[np.bool_]:
-    """Return which stations the method would label as the template is labelled."""
+    """Return which stations would be labelled like the template."""
     problem, estimate = batch.problem, batch.estimate
     p = problem.points_in_base(estimate.X)
     labelled = problem.method.geometry.relabel(problem.observations, p, estimate.target,

@@ -1,7 +1,8 @@
 """
-The robot's own error: joints and axes that differ from its URDF.
+Kinematic calibration of the robot: joints and axes that differ from its URDF.
 
-Found with the same target; answers are a corrected URDF and a calibration that fits it.
+The data are those of a hand-eye calibration with joint values; the answer is a corrected URDF with
+the calibration that belongs to it.
 """
 
 OFFERED = (

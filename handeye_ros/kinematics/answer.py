@@ -24,9 +24,9 @@ import numpy as np
 import yaml
 
 NAME, URDF = KINEMATICS_FILE, 'corrected.urdf'
-UNKNOWN = 0.9  # of the prior sigma: the data say next to nothing
-OTHER_FRAMES = 0.02  # m; poses further off are of other frames than the URDF's
-EQUAL = 5e-5  # m; rounding of reported poses
+UNKNOWN = 0.9  # of the prior sigma: the data hardly determine the parameter
+OTHER_FRAMES = 0.02  # m, rad: larger differences mean other frames than those of the URDF
+EQUAL = 5e-5  # m: rounding of reported poses
 HEADER = """\
 # Errors of the joints and axes of an arm, found with the hand-eye transform in calibration.yaml.
 # offset is added to the joint's reading; direction (rad) and position (m) turn and shift its axis
@@ -45,7 +45,7 @@ class Answer:
     @classmethod
     def of(cls, outcome: Outcome, calibration: Calibration, inputs: Sequence[dict[str, str]],
            warnings: Sequence[str]) -> Answer:
-        """Return the answer; inputs: path and sha256 of all files; warnings: of the reading."""
+        """Return the answer; inputs: path and sha256 of all files; warnings: of reading them."""
         provenance = {**calibration.provenance, 'inputs': list(inputs)}
         return cls(outcome, replace(calibration, provenance=provenance),
                    (*warnings, *outcome.warnings))
@@ -57,17 +57,17 @@ class Answer:
 
     @property
     def sentence(self) -> str:
-        """Return what is gained, and what is left."""
-        before, after = self.outcome.models[0], self.outcome.chosen
-        return (f'points that were left out: {before.left_out_rms * 1e3:.2f} mm RMS before, '
-                f'{after.left_out_rms * 1e3:.2f} mm after; what is left of the error of the '
+        """Return the gain in accuracy, and the remaining error, in words."""
+        stated, corrected = self.outcome.models[0], self.outcome.chosen
+        return (f'points that were left out: {stated.left_out_rms * 1e3:.2f} mm RMS before, '
+                f'{corrected.left_out_rms * 1e3:.2f} mm after; what is left of the error of the '
                 f'robot: {self.outcome.smooth * 1e3:.2f} mm (RMS, each axis)')
 
     def save(self, urdf: str, folder: Path, formats: Sequence[str]) -> str:
         """
-        Write calibration.yaml, kinematics.yaml and corrected.urdf; return what was written.
+        Write calibration.yaml, kinematics.yaml and corrected.urdf; return their paths.
 
-        urdf: that of the robot as stated. The calibration names the kinematics that belong to it.
+        urdf: the stated one of the robot. The calibration names the kinematics file.
         """
         folder = folder.absolute()
         provenance = self.calibration.provenance
@@ -76,28 +76,28 @@ class Answer:
         saved = exports.save_all(calibration, folder, formats)
         write_whole(folder / NAME, _text(self))
         write_whole(folder / URDF, corrected_urdf(urdf, self.arm))
-        lost = [kind for kind in ON_DEMAND if kind in self.outcome.chosen.kinds]
-        without = f' (without {" and ".join(lost)}, which no URDF can hold)' if lost else ''
-        return f'{saved}, {NAME}, {URDF}{without}'
+        unwritten = [kind for kind in ON_DEMAND if kind in self.outcome.chosen.kinds]
+        note = f' (without {" and ".join(unwritten)}, which no URDF can hold)' if unwritten else ''
+        return f'{saved}, {NAME}, {URDF}{note}'
 
 
-def solve_table(path: Path, chain: Chain, more: Sequence[str], config: Config,
+def solve_table(path: Path, chain: Chain, extra_kinds: Sequence[str], config: Config,
                 inputs: Sequence[dict[str, str]]) -> Answer:
     """
     Return the corrected arm from a table of joint values and points (points.read_table).
 
-    more: kinds of parameters beside the geometry; inputs: what the answer comes from. Raises
+    extra_kinds: of parameters beside the geometry; inputs: path and sha256 of the files. Raises
     HandeyeError.
     """
-    data, odd = read_table(path, chain, config.calibration_type == 'eye_in_hand')
-    outcome = solve_points(data, chain, more, config.limits.residual)
+    data, notes = read_table(path, chain, config.calibration_type == 'eye_in_hand')
+    outcome = solve_points(data, chain, extra_kinds, config.limits.residual)
     reported = () if data.reported is None else (
         compared(data.reported, chain.forward(data.q)),)
-    return Answer.of(outcome, _calibration(outcome, data, config), inputs, (*odd, *reported))
+    return Answer.of(outcome, _calibration(outcome, data, config), inputs, (*notes, *reported))
 
 
 def _calibration(outcome: Outcome, data: Points, config: Config) -> Calibration:
-    """Return the hand-eye transform found from points, as calibration.yaml tells it."""
+    """Return the hand-eye transform found from points, as a Calibration."""
     fit, chain = outcome.chosen.fit, outcome.arm.chain
     config = replace(config, robot_base_frame=chain.base, robot_effector_frame=chain.flange)
     std, direction = worst_translation(outcome.covariance[:6, :6])
@@ -118,7 +118,7 @@ def _calibration(outcome: Outcome, data: Points, config: Config) -> Calibration:
 
 
 def _text(answer: Answer) -> str:
-    """Return what is in kinematics.yaml."""
+    """Return the contents of kinematics.yaml."""
     outcome, arm, calibration = answer.outcome, answer.arm, answer.calibration
     provenance = {'version': __version__,
                   'created': datetime.now(UTC).isoformat(timespec='seconds'),
@@ -142,29 +142,29 @@ def _text(answer: Answer) -> str:
 
 def _joints(outcome: Outcome) -> list[dict[str, Any]]:
     arm, entries = outcome.arm, []
-    columns = {'value': arm.values, 'std': outcome.stds, 'known': outcome.known}
+    columns = {'value': arm.values, 'std': outcome.stds, 'known': outcome.sigma_ratios}
     for i, joint in enumerate(arm.chain.joints):
         values: dict[str, Any] = {
             'name': joint.name, 'type': joint.kind, 'origin': transform_values(joint.origin),
             'axis': joint.axis.tolist(), 'follows': joint.follows, 'factor': joint.factor,
             'shift': joint.shift, 'lower': joint.lower, 'upper': joint.upper}
         for kind in dict.fromkeys(p.kind for p in arm.parameters):
-            own = [k for k, p in enumerate(arm.parameters) if (p.joint, p.kind) == (i, kind)]
-            if own:
-                values[kind] = {key: array[own].tolist() for key, array in columns.items()}
+            rows = [k for k, p in enumerate(arm.parameters) if (p.joint, p.kind) == (i, kind)]
+            if rows:
+                values[kind] = {key: array[rows].tolist() for key, array in columns.items()}
         entries.append(values)
     return entries
 
 
 def compared(reported: Array, nominal: Array) -> str:
     """Return in words how reported poses (n, 4, 4) differ from those of the URDF."""
-    off = np.linalg.norm(reported[:, :3, 3] - nominal[:, :3, 3], axis=1)
-    turn = se3.angle(reported[:, :3, :3] @ np.swapaxes(nominal[:, :3, :3], 1, 2))
-    if off.max() > OTHER_FRAMES or turn.max() > OTHER_FRAMES:
+    distances = np.linalg.norm(reported[:, :3, 3] - nominal[:, :3, 3], axis=1)
+    angles = se3.angle(reported[:, :3, :3] @ np.swapaxes(nominal[:, :3, :3], 1, 2))
+    if distances.max() > OTHER_FRAMES or angles.max() > OTHER_FRAMES:
         return ('the reported poses are of other frames than base and flange of the URDF, and are '
                 'not compared; the joint values are used')
-    if off.max() < EQUAL:
+    if distances.max() < EQUAL:
         return 'the controller and the URDF have the same kinematics'
     return (f'the controller does not have the kinematics of the URDF: its poses differ by '
-            f'{np.sqrt((off ** 2).mean()) * 1e3:.2f} mm RMS, {off.max() * 1e3:.2f} mm at most; '
-            'the joint values are used')
+            f'{np.sqrt((distances ** 2).mean()) * 1e3:.2f} mm RMS, {distances.max() * 1e3:.2f} mm '
+            'at most; the joint values are used')

@@ -1,9 +1,8 @@
 """
-Hand-eye transform and joints from the same points: one least squares with stated priors.
+Hand-eye transform and joints from the same points: one least squares with priors.
 
-The estimate and its reported covariance are found as those of profiles are (see estimation): the
-data show the scale of each kind of error, with a small prior for the estimate and a wide one for
-the covariance.
+Estimate and reported covariance follow docs/estimator.md: the data determine the scale of each
+kind of error, its most likely value for the estimate and a conservative one for the covariance.
 """
 from __future__ import annotations
 
@@ -14,30 +13,30 @@ from typing import Protocol
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import process_root
-from handeye_ros.estimation.linalg import covariance_of
 from handeye_ros.estimation.noise import prior_scales
-from handeye_ros.estimation.outliers import leave_one_out, outliers
-from handeye_ros.estimation.solver import Rows, System
 from handeye_ros.kinematics.model import Arm
+from handeye_ros.least_squares.covariance import covariance_of
+from handeye_ros.least_squares.outliers import leave_one_out, outliers
+from handeye_ros.least_squares.solver import Rows, System
 import numpy as np
 from numpy.typing import NDArray
 
 MINIMUM = 12  # configurations
-SMOOTH = 2e-4  # 1 sigma of what is left of the robot's error, each axis (m)
-ROUNDS, CONVERGED = 6, 0.02  # of estimating prior scales and noise; relative change that ends
-POOLED = 4.0  # degrees of freedom with which the noise of all axes counts for each
+SMOOTH = 2e-4  # prior 1 sigma of the remaining error of the robot, each axis (m)
+ROUNDS, CONVERGED = 6, 0.02  # iterations of prior scales and noise; relative change that ends them
+POOLED = 4.0  # degrees of freedom by which the noise of all axes counts for each axis
 LEAST_NOISE = 1e-6  # rounding of the values (m)
-SMOOTH_ROUNDS = 2  # of estimating its size and the noise beside it
-LARGEST = 1e3  # variance of a kind over the configured one
+SMOOTH_ROUNDS = 2  # iterations of the size of the smooth error and the noise
+LARGEST = 1e3  # largest prior scale
 
 
 @dataclass(frozen=True, eq=False)
 class State:
     """
-    An estimate: the sensor in its mount X (4, 4), where the targets are, the arm.
+    An estimate: sensor in its mount X (4, 4), positions of the targets, the arm.
 
-    targets: (t, 3) of points, the parameters of the target of profiles. smooth: (r, 3) what is
-    left of the robot's error, coefficients of smooth functions.
+    targets: (t, 3) of points, or the parameters of the targets of profiles. smooth: (r, 3)
+    remaining error of the robot, coefficients of smooth functions.
     """
 
     X: Array
@@ -45,15 +44,15 @@ class State:
     arm: Arm
     smooth: Array
 
-    def with_arm_moved(self, step: Array) -> State:
-        """Return the state with the arm and what is left of its error moved by a step."""
-        own, smooth = np.split(step, [len(self.arm.values)])
-        return replace(self, arm=replace(self.arm, values=self.arm.values + own),
+    def with_arm_step(self, step: Array) -> State:
+        """Return the state after a step of the arm and of its smooth remaining error."""
+        parameters, smooth = np.split(step, [len(self.arm.values)])
+        return replace(self, arm=replace(self.arm, values=self.arm.values + parameters),
                        smooth=self.smooth + smooth.reshape(self.smooth.shape))
 
 
 class Data(Protocol):
-    """What was measured at n configurations: m residuals of an estimate with u unknowns."""
+    """Measurements at n configurations: m residuals of an estimate with u unknowns."""
 
     @property
     def q(self) -> Array: ...
@@ -65,7 +64,7 @@ class Data(Protocol):
     def component(self) -> NDArray[np.intp]: ...
     def __len__(self) -> int: ...
     def with_postures(self, rows: NDArray[np.intp], q: Array) -> Data: ...
-    def moved(self, state: State, step: Array) -> State: ...
+    def retracted(self, state: State, step: Array) -> State: ...
     def distances(self, state: State) -> Array: ...
     def linearised(self, state: State, root: Array) -> tuple[Array, Array]: ...
 
@@ -81,9 +80,9 @@ class Weights:
 @dataclass(frozen=True, eq=False)
 class Fit:
     """
-    An estimate with its weights, of the configurations used (n,); root: the smooth functions.
+    An estimate with its weights and used configurations (n,); root: the smooth functions.
 
-    residuals: (m,) whitened, of all configurations, the smooth part taken out; jacobian: (m, u).
+    residuals: (m,) whitened, of all configurations, without the smooth error; jacobian: (m, u).
     """
 
     data: Data
@@ -104,8 +103,8 @@ class Fit:
     def group(self) -> NDArray[np.intp]:
         """Return the kind of each unknown with a prior, an index into kinds."""
         kinds = self.kinds
-        own = [kinds.index(p.kind) for p in self.state.arm.parameters]
-        return np.array(own + [len(kinds) - 1] * (3 * self.root.shape[1]), dtype=np.intp)
+        groups = [kinds.index(p.kind) for p in self.state.arm.parameters]
+        return np.array(groups + [len(kinds) - 1] * (3 * self.root.shape[1]), dtype=np.intp)
 
     @property
     def stds(self) -> Array:
@@ -127,43 +126,43 @@ class Fit:
 
     @property
     def rows(self) -> NDArray[np.bool_]:
-        """Return which residuals (m,) are of configurations that are used."""
+        """Return which residuals (m,) belong to used configurations."""
         return self.used[self.data.block]
 
     @property
     def noise_rms(self) -> float:
-        """Return the RMS by which the used configurations miss (m)."""
+        """Return the RMS residual of the used configurations (m)."""
         return float(np.sqrt((self.data.distances(self.state)[self.used] ** 2).mean()))
 
     @property
     def smooth_rms(self) -> float:
-        """Return the RMS of what is left of the robot's error, each axis (m)."""
+        """Return the RMS of the smooth remaining error of the robot, per axis (m)."""
         return float(np.sqrt(((self.root @ self.state.smooth)[self.used] ** 2).mean()))
 
 
 def fitted(data: Data, state: State, weights: Weights, used: NDArray[np.bool_], root: Array
            ) -> Fit:
-    """Return the estimate with the least squares of residuals and priors near a state."""
-    frame = Fit(data, state, weights, used, root, np.zeros(0), np.zeros((0, 0)))
-    prior, n, u = 1 / frame.stds, len(data), data.unknowns
+    """Return the least-squares estimate with priors near a state."""
+    unfitted = Fit(data, state, weights, used, root, np.zeros(0), np.zeros((0, 0)))
+    prior, n, u = 1 / unfitted.stds, len(data), data.unknowns
     whiten = 1 / weights.noise[data.component]
 
-    def rows(at: State) -> Rows:
-        r, J = data.linearised(at, root)
-        values = np.append(at.arm.values, at.smooth.ravel())
+    def rows(state_now: State) -> Rows:
+        r, J = data.linearised(state_now, root)
+        values = np.append(state_now.arm.values, state_now.smooth.ravel())
         by_prior = np.zeros((len(prior), J.shape[1]))
         by_prior[:, u:] = np.diag(prior)
         return Rows(np.append(r * whiten, values * prior),
                     lambda: np.vstack([J * whiten[:, None], by_prior]))
     block = np.append(data.block, np.full(len(prior), n))
-    system = System(rows, data.moved, block)
+    system = System(rows, data.retracted, block)
     state = system.least_squares(state, np.append(used.astype(float), 1.0), 20, 1e-4)
     r, J = data.linearised(state, root)
-    return replace(frame, state=state, residuals=r * whiten, jacobian=J * whiten[:, None])
+    return replace(unfitted, state=state, residuals=r * whiten, jacobian=J * whiten[:, None])
 
 
 def estimated_weights(fit: Fit, conservative: bool = False) -> Weights:
-    """Return the weights that a fit shows; conservative: scales for the report (see noise)."""
+    """Return the weights estimated from a fit; conservative: with the scales for the report."""
     variances = fit.weights.variances
     if fit.kinds:
         q, s = fit.data.unknowns, fit.stds
@@ -172,16 +171,16 @@ def estimated_weights(fit: Fit, conservative: bool = False) -> Weights:
                               variances, np.full(len(first), LARGEST))
         variances = scales.conservative if conservative else scales.map_scales
     rows, component = fit.rows, fit.data.component
-    J, own = fit.jacobian[rows], (fit.residuals * fit.weights.noise[component])[rows]
-    free, squares = (np.bincount(component[rows], each, len(fit.weights.noise)) for each in (
-        1 - np.einsum('mi,mi->m', J @ fit.covariance, J), own ** 2))
+    J, residuals = fit.jacobian[rows], (fit.residuals * fit.weights.noise[component])[rows]
+    free, squares = (np.bincount(component[rows], values, len(fit.weights.noise)) for values in (
+        1 - np.einsum('mi,mi->m', J @ fit.covariance, J), residuals ** 2))
     pooled = squares.sum() / max(free.sum(), 1.0)
     noise = np.sqrt((squares + POOLED * pooled) / (np.maximum(free, 0.0) + POOLED))
     return Weights(np.maximum(noise, LEAST_NOISE), variances)
 
 
 def adjusted(fit: Fit, conservative: bool = False, rounds: int = ROUNDS) -> Fit:
-    """Return a fit with weights as the data show them; see estimated_weights."""
+    """Return a fit with estimated weights; see estimated_weights."""
     for _ in range(rounds):
         weights = estimated_weights(fit, conservative)
         change = max(np.abs(np.log(weights.noise / fit.weights.noise)).max(),
@@ -193,7 +192,7 @@ def adjusted(fit: Fit, conservative: bool = False, rounds: int = ROUNDS) -> Fit:
 
 
 def without_outliers(fit: Fit) -> Fit:
-    """Return a fit, adjusted, after leaving out the rows that the others do not explain."""
+    """Return a fit without the configurations that the others do not predict."""
     while True:
         fit = adjusted(fit)
         rows, used = fit.rows, np.flatnonzero(fit.used)
@@ -212,12 +211,12 @@ def without_outliers(fit: Fit) -> Fit:
 def fit_of(data: Data, state: State) -> Fit:
     """Return a fit of the hand-eye transform alone, near a state, with estimated weights."""
     noise = np.ones(int(data.component.max()) + 1)
-    used, nothing = np.ones(len(data), dtype=bool), np.zeros((len(data), 0))
-    return adjusted(fitted(data, state, Weights(noise, np.zeros(0)), used, nothing))
+    used, no_smooth = np.ones(len(data), dtype=bool), np.zeros((len(data), 0))
+    return adjusted(fitted(data, state, Weights(noise, np.zeros(0)), used, no_smooth))
 
 
 def with_arm(fit: Fit, arm: Arm) -> Fit:
-    """Return the fit with the parameters of an arm too, at their configured size."""
+    """Return the fit with the parameters of an arm, at their configured sigmas."""
     state = replace(fit.state, arm=arm)
     variances = np.ones(len({p.kind for p in arm.parameters}))
     return fitted(fit.data, state, Weights(fit.weights.noise, variances), fit.used, fit.root)
@@ -225,29 +224,30 @@ def with_arm(fit: Fit, arm: Arm) -> Fit:
 
 def reported_covariance(fit: Fit, chosen: State) -> tuple[Fit, Array]:
     """
-    Return a fit with the errors as large as they may be, and the covariance of a chosen estimate.
+    Return a fit with conservative prior scales, and the covariance of a chosen estimate.
 
-    (u, u), of X, the targets and the first of the parameters, which the chosen one has too. It
-    holds by what the wider errors move X and the parameters, and that what is left of the robot's
-    error is smooth, so that neighbours share it.
+    (u, u), of X, the targets and the parameters of the chosen estimate. It includes the change of
+    X and the parameters by the wider priors, and a smooth remaining error of the robot, which
+    neighbouring configurations have in common.
     """
     wide = _with_smooth(adjusted(fit, conservative=True))
-    own, u = len(chosen.arm.values), fit.data.unknowns
-    away = np.zeros(u + own)
-    away[:6] = se3.difference(wide.state.X, chosen.X)
-    away[u:] = wide.state.arm.values[:own] - chosen.arm.values
-    return wide, wide.covariance[:len(away), :len(away)] + np.outer(away, away)
+    count, u = len(chosen.arm.values), fit.data.unknowns
+    difference = np.zeros(u + count)
+    difference[:6] = se3.difference(wide.state.X, chosen.X)
+    difference[u:] = wide.state.arm.values[:count] - chosen.arm.values
+    u += count
+    return wide, wide.covariance[:u, :u] + np.outer(difference, difference)
 
 
 def _with_smooth(fit: Fit) -> Fit:
-    """Return a fit with what is left of the robot's error, as large as it may be."""
+    """Return a fit with the smooth remaining error of the robot, of a conservative size."""
     root = process_root(fit.state.arm.forward(fit.data.q))
     state = replace(fit.state, smooth=np.zeros((root.shape[1], 3)))
     for _ in range(SMOOTH_ROUNDS):
         weights = Weights(fit.weights.noise, np.append(
             fit.weights.variances[:len(fit.kinds) - bool(fit.root.shape[1])], 1.0))
         fit = fitted(fit.data, state, weights, fit.used, root)
-        after = estimated_weights(fit, conservative=True)
-        fit = replace(fit, weights=Weights(after.noise, np.append(
-            weights.variances[:-1], after.variances[-1])))
+        estimated = estimated_weights(fit, conservative=True)
+        fit = replace(fit, weights=Weights(estimated.noise, np.append(
+            weights.variances[:-1], estimated.variances[-1])))
     return fit

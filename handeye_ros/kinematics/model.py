@@ -1,10 +1,10 @@
 """
-A serial arm as stated, and with joints and axes that are not quite so: forward kinematics.
+A serial arm as stated by its URDF, and with errors of joints and axes: forward kinematics.
 
 T = prod_j P_j D_j Exp(a_j (q_j + o_j)) P_f (product of exponentials, each axis in the frame of the
-joint before): P_j the stated origin of joint j, D_j a small shift and turn across its axis a_j,
-o_j its zero offset. Four numbers of an axis and one of its zero: no two are the same for any
-directions of the axes, parallel ones too. On demand o_j also holds an error of the gear ratio,
+previous joint): P_j is the stated origin of joint j, D_j a small shift and rotation orthogonal to
+its axis a_j, o_j its zero offset. These are four parameters of an axis and one of its zero,
+without redundancy even for parallel axes. On demand o_j also includes an error of the gear ratio,
 an eccentricity, and the sag under the weight of the tool.
 """
 from __future__ import annotations
@@ -23,34 +23,34 @@ OFFSET, DIRECTION, POSITION = 'offset', 'direction', 'position'
 GEAR, ECCENTRICITY, SAG = 'gear', 'eccentricity', 'sag'
 GEOMETRY = (OFFSET, DIRECTION, POSITION)
 ON_DEMAND = (GEAR, ECCENTRICITY, SAG)
-# 1 sigma of each beforehand: of a revolute joint and of a prismatic one (rad or m; the gear ratio
-# relative; sag: rad per metre of lever)
+# Prior 1 sigma of a revolute joint and of a prismatic one (rad or m; the gear ratio relative; sag:
+# rad per metre of lever).
 PRIORS = {OFFSET: (1e-3, 5e-4), DIRECTION: (5e-4, 5e-4), POSITION: (5e-4, 0.0),
           GEAR: (2e-4, 2e-4), ECCENTRICITY: (2e-4, 0.0), SAG: (3e-4, 0.0)}
 COUNTS = {OFFSET: 1, DIRECTION: 2, POSITION: 2, GEAR: 1, ECCENTRICITY: 2, SAG: 1}
 SAGGING = (1, 2)  # joints 2 and 3: they carry the arm
-WAY = 15  # configurations on the way from one to another
+STEPS = 15  # configurations on the line from one to another
 DOWN = np.array([0.0, 0.0, -1.0])  # in the base, which stands upright
 
 
 class JointNamesError(InputError):
-    """Joint values and joints of the URDF that have different names."""
+    """Joint values with other names than the joints of the URDF."""
 
     @classmethod
-    def missing(cls, source: object, joint: str, given: Sequence[str]) -> JointNamesError:
+    def missing(cls, source: object, joint: str, available: Sequence[str]) -> JointNamesError:
         """Return the error for a joint of the robot without values."""
-        return cls(f'{source}: there are no values of the joint {joint}{nearest(joint, given)}; '
-                   f'the joints with values are {", ".join(given) or "none"}; name them as the '
-                   'URDF does')
+        return cls(f'{source}: there are no values of the joint {joint}'
+                   f'{nearest(joint, available)}; the joints with values are '
+                   f'{", ".join(available) or "none"}; name them as the URDF does')
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
     """
-    A joint that moves.
+    A movable joint.
 
-    origin: (4, 4) its frame in that of the joint before, at zero; axis: (3,) unit vector in its
-    frame. Its value is factor * that of the joint follows + shift; a joint that mimics none
+    origin: (4, 4) its frame in that of the previous joint, at zero; axis: (3,) unit vector in its
+    frame. Its value is factor * (value of the joint `follows`) + shift; a joint that mimics none
     follows itself. lower, upper: its limits (rad or m).
     """
 
@@ -66,7 +66,7 @@ class Joint:
 
     @cached_property
     def across(self) -> Array:
-        """Return two unit vectors (3, 2) across the axis: of z, they are x and y."""
+        """Return two unit vectors (3, 2) orthogonal to the axis: for z, x and y."""
         helper = np.eye(3)[0 if abs(self.axis[0]) < 0.9 else 1]
         first = helper - self.axis * (self.axis @ helper)
         first /= np.linalg.norm(first)
@@ -84,27 +84,27 @@ class Chain:
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """Return the names of the joints that values are needed of."""
+        """Return the names of the joints whose values are needed."""
         return tuple(dict.fromkeys(joint.follows for joint in self.joints))
 
-    def values(self, given: Mapping[str, Array], source: object) -> Array:
-        """Return what all joints are at, (n, joints); raises JointNamesError."""
+    def values(self, readings: Mapping[str, Array], source: object) -> Array:
+        """Return the positions of all joints, (n, joints); raises JointNamesError."""
         for name in self.measured:
-            if name not in given:
-                raise JointNamesError.missing(source, name, list(given))
-        return np.stack([j.factor * given[j.follows] + j.shift for j in self.joints], axis=-1)
+            if name not in readings:
+                raise JointNamesError.missing(source, name, list(readings))
+        return np.stack([j.factor * readings[j.follows] + j.shift for j in self.joints], axis=-1)
 
-    def given(self, q: Array) -> dict[str, Array]:
-        """Return the values (n,) by the names of measured, of what all joints are at."""
+    def measured_values(self, q: Array) -> dict[str, Array]:
+        """Return the values (n,) by the names of measured, from the positions of all joints."""
         return {j.follows: (value - j.shift) / j.factor
                 for j, value in zip(self.joints, q.T, strict=True)}
 
     def forward(self, q: Array) -> Array:
-        """Return T_base_flange (n, 4, 4) of joint values (n, joints), without any error."""
+        """Return T_base_flange (n, 4, 4) at joint values (n, joints), without errors."""
         return self.frames(q)[-1]
 
     def frames(self, q: Array) -> list[Array]:
-        """Return T_base (n, 4, 4) of each joint before its own motion, then of the flange."""
+        """Return T_base (n, 4, 4) of each joint before its own motion, and of the flange."""
         T, frames = np.tile(np.eye(4), (len(q), 1, 1)), []
         for joint, value in zip(self.joints, q.T, strict=True):
             frames.append(T @ joint.origin)
@@ -113,7 +113,7 @@ class Chain:
 
 
 def motion(joint: Joint, value: Array) -> Array:
-    """Return the transforms (n, 4, 4) of a joint by its values (n,)."""
+    """Return the transforms (n, 4, 4) of a joint at its values (n,)."""
     along = value[:, None] * joint.axis
     if joint.kind == PRISMATIC:
         return se3.transform(np.broadcast_to(np.eye(3), (len(value), 3, 3)), along)
@@ -122,16 +122,16 @@ def motion(joint: Joint, value: Array) -> Array:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number: of which joint (index), what it is, which of it, and its prior sigma."""
+    """One error parameter: joint (index), kind, number within the kind, and prior sigma."""
 
     joint: int
     kind: str
-    which: int
+    index: int
     prior: float
 
 
 def parameters(chain: Chain, kinds: Sequence[str]) -> tuple[Parameter, ...]:
-    """Return the parameters of some kinds of all joints, kind after kind."""
+    """Return the parameters of some kinds for all joints, kind after kind."""
     return tuple(
         Parameter(j, kind, k, PRIORS[kind][joint.kind != REVOLUTE])
         for kind in kinds for j, joint in enumerate(chain.joints)
@@ -153,11 +153,11 @@ class Arm:
         return np.array([p.prior for p in self.parameters])
 
     def of(self, joint: int, kind: str) -> Array:
-        """Return the values (COUNTS,) of a kind of a joint, 0 where they are not estimated."""
+        """Return the values (COUNTS,) of a kind for a joint, 0 if they are not estimated."""
         values = np.zeros(COUNTS[kind])
         for parameter, value in zip(self.parameters, self.values, strict=True):
             if (parameter.joint, parameter.kind) == (joint, kind):
-                values[parameter.which] = value
+                values[parameter.index] = value
         return values
 
     @cached_property
@@ -173,13 +173,13 @@ class Arm:
 
     def with_twists(self, q: Array) -> tuple[Array, Array]:
         """
-        Return T_base_flange (n, 4, 4), and by how much the flange moves (n, 6, k).
+        Return T_base_flange (n, 4, 4), and the twists (n, 6, k) of the flange by the parameters.
 
         Per unit of each parameter: translation of the flange's origin and rotation, in the base.
         """
         T = np.tile(np.eye(4), (len(q), 1, 1))
         levers = _levers(self.chain, q) if any(p.kind == SAG for p in self.parameters) else {}
-        turns, shifts, origins = np.zeros((3, len(q), len(self.parameters), 3))
+        rotations, direct, origins = np.zeros((3, len(q), len(self.parameters), 3))
         for j, joint in enumerate(self.chain.joints):
             A = T @ joint.origin
             across = A[:, :3, :3] @ joint.across
@@ -190,19 +190,19 @@ class Arm:
                     continue
                 origins[:, k] = A[:, :3, 3]
                 if p.kind == POSITION:
-                    shifts[:, k] = across[:, :, p.which]
+                    direct[:, k] = across[:, :, p.index]
                 elif p.kind == DIRECTION:
-                    turns[:, k] = across[:, :, p.which]
+                    rotations[:, k] = across[:, :, p.index]
                 else:
-                    part = turns if joint.kind == REVOLUTE else shifts
-                    part[:, k] = along * _share(p, joint, q[:, j], levers)[:, None]
+                    components = rotations if joint.kind == REVOLUTE else direct
+                    components[:, k] = along * _share(p, joint, q[:, j], levers)[:, None]
             T = A @ self.displacements[j] @ motion(joint, value)
         T = T @ self.chain.end
-        moved = shifts + se3.cross(turns, T[:, None, :3, 3] - origins)
-        return T, np.swapaxes(np.concatenate([moved, turns], axis=2), 1, 2)
+        translations = direct + se3.cross(rotations, T[:, None, :3, 3] - origins)
+        return T, np.swapaxes(np.concatenate([translations, rotations], axis=2), 1, 2)
 
     def _offset(self, joint: int, q: Array, levers: dict[int, Array]) -> Array:
-        """Return what is added (n,) to the values (n,) of a joint."""
+        """Return the correction (n,) of the values (n,) of a joint."""
         total = np.zeros(len(q))
         for parameter, value in zip(self.parameters, self.values, strict=True):
             if parameter.joint == joint and parameter.kind not in (DIRECTION, POSITION):
@@ -211,16 +211,16 @@ class Arm:
 
 
 def _share(parameter: Parameter, joint: Joint, q: Array, levers: dict[int, Array]) -> Array:
-    """Return what is added (n,) to the values (n,) of a joint per unit of a parameter."""
+    """Return the correction (n,) of the values (n,) of a joint per unit of a parameter."""
     if parameter.kind == GEAR:
         return q
     if parameter.kind == ECCENTRICITY:
-        return np.sin(q) if parameter.which == 0 else np.cos(q) - 1.0
+        return np.sin(q) if parameter.index == 0 else np.cos(q) - 1.0
     return levers[parameter.joint] if parameter.kind == SAG else np.ones(len(q))
 
 
 def _levers(chain: Chain, q: Array) -> dict[int, Array]:
-    """Return the horizontal distances (n,) of the flange from the axes that sag, signed."""
+    """Return the signed horizontal distances (n,) of the flange from the axes with sag."""
     *frames, flange = chain.frames(q)
     return {j: (se3.cross(flange[:, :3, 3] - frames[j][:, :3, 3], DOWN) * (
         frames[j][:, :3, :3] @ chain.joints[j].axis)).sum(axis=1)
@@ -229,14 +229,14 @@ def _levers(chain: Chain, q: Array) -> dict[int, Array]:
 
 def one_configuration(arm: Arm, q: Array) -> bool:
     """
-    Tell whether a six-axis arm stays on one side of all its singular configurations.
+    Return whether a six-axis arm stays on one side of all its singularities.
 
-    That is: no straight way in joint space from the first to another one passes through one.
+    Then no straight line in joint space from the first configuration to another crosses one.
     """
-    chain, ways = arm.chain, np.linspace(0.0, 1.0, WAY)[:, None, None]
+    chain, fractions = arm.chain, np.linspace(0.0, 1.0, STEPS)[:, None, None]
     if len(chain.joints) != 6 or any(joint.kind != REVOLUTE for joint in chain.joints):
         return False
-    own = parameters(chain, (OFFSET,))
-    between = (q[0] + ways * (q - q[0])).reshape(-1, 6)
-    _, J = Arm(chain, own, np.zeros(6)).with_twists(between)
+    offsets = parameters(chain, (OFFSET,))
+    between = (q[0] + fractions * (q - q[0])).reshape(-1, 6)
+    _, J = Arm(chain, offsets, np.zeros(6)).with_twists(between)
     return len(np.unique(np.sign(np.linalg.det(J)))) == 1

@@ -1,8 +1,8 @@
 """
-From configurations and points to the corrected arm: models from simple to rich, and the answer.
+From configurations and points to the corrected arm: model selection from simple to rich.
 
-Each model predicts points that were left out, region by region of the joint space; one that
-predicts them worse than a simpler one does is not the answer.
+Each model is cross-validated by regions of the joint space. A model with more parameters is chosen
+only if it predicts the left-out points better.
 """
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ from handeye_ros.kinematics.model import (
     POSITION,
 )
 from handeye_ros.kinematics.points import cause_of_points, first_fit, Points
-from handeye_ros.threads import single_threaded
+from handeye_ros.least_squares.solver import single_threaded
 import numpy as np
 from numpy.typing import NDArray
 
 REGIONS = 8  # of the joint space, each left out once
 FEWEST_OF_REGION = 3
 FOLD_ROUNDS = 2
-MOST_FREEDOM = 6  # conditions of a stop that are independent: a pose has no more
-MOST_SHARE = 0.8  # of the conditions that a fit takes
-AGREEING = 0.5  # of the configurations at least, or joint values and points contradict each other
+MOST_FREEDOM = 6  # independent conditions of a stop: a pose has no more
+MOST_SHARE = 0.8  # largest ratio of parameters to conditions
+AGREEING = 0.5  # of the configurations must agree
 HOPELESS = 20.0  # times the limit of a corrected arm: no arm is so inaccurate
-LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis of the robot of a URDF (rad, m)
-LARGEST_TURN, LARGEST_SHIFT = 0.02, 0.01  # 1 sigma of the sensor's place (rad, m)
+LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF is of the robot
+LARGEST_TURN, LARGEST_SHIFT = 0.02, 0.01  # 1 sigma of the sensor's pose (rad, m)
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A fit with some kinds of parameters; left_out: (n,) errors (m) of left-out points."""
+    """A fit with some kinds of parameters; left_out: (n,) cross-validation errors (m)."""
 
     kinds: tuple[str, ...]
     fit: Fit
@@ -63,28 +63,29 @@ class Model:
 
     @property
     def left_out_rms(self) -> float:
-        """Return the RMS of the left-out errors of the used points (m)."""
+        """Return the RMS of the cross-validation errors of the used points (m)."""
         return float(np.sqrt((self.left_out[self.fit.used] ** 2).mean()))
 
     @property
     def left_out_median(self) -> float:
-        """Return the median of the same (m)."""
+        """Return the median of the cross-validation errors of the used points (m)."""
         return float(np.median(self.left_out[self.fit.used]))
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """
-    The answer: the model chosen, and all models from the simplest, which has no errors of the arm.
+    The chosen model, and all models; the simplest has no errors of the arm.
 
-    covariance: (u, u) of X, the targets, the parameters; known: (k,) sigma over prior of each
-    parameter; smooth: RMS (m) of what is left of the robot's error; warnings: sentences.
+    covariance: (u, u) of X, the targets, the parameters; sigma_ratios: (k,) posterior over prior
+    sigma of each parameter; smooth: RMS (m) of the remaining error of the robot; warnings:
+    sentences.
     """
 
     models: tuple[Model, ...]
     chosen: Model
     covariance: Array
-    known: Array
+    sigma_ratios: Array
     smooth: float
     warnings: tuple[str, ...]
 
@@ -100,32 +101,30 @@ class Outcome:
         return np.sqrt(np.diag(self.covariance)[first:first + len(self.arm.values)])
 
 
-def solve_points(data: Points, chain: Chain, more: Sequence[str], limit: float) -> Outcome:
+def solve_points(data: Points, chain: Chain, extra_kinds: Sequence[str], limit: float) -> Outcome:
     """Return the outcome of points that a sensor measured; see solve."""
-    start = first_fit(data, Arm(chain))
-
-    def cause() -> str:
-        return cause_of_points(data, chain)
-    return solve(start, more, limit, cause)
+    return solve(first_fit(data, Arm(chain)), extra_kinds, limit,
+                 lambda: cause_of_points(data, chain))
 
 
 @single_threaded
-def solve(start: Fit, more: Sequence[str], limit: float, cause: Callable[[], str]) -> Outcome:
+def solve(start: Fit, extra_kinds: Sequence[str], limit: float, cause: Callable[[], str]
+          ) -> Outcome:
     """
-    Return the corrected arm and the hand-eye transform that belongs to it.
+    Return the corrected arm and its hand-eye transform.
 
-    start: the hand-eye transform alone; more: kinds of parameters beside the geometry; limit: the
-    largest residual of a trusted answer (m); cause: what may be wrong beyond it, in words. Raises
+    start: the hand-eye transform alone; extra_kinds: of parameters beside the geometry; limit: the
+    largest valid residual (m); cause: the likely error if it is exceeded, in words. Raises
     DataError.
     """
     chain = start.state.arm.chain
     if start.noise_rms > HOPELESS * limit:
         raise ContradictionError(start.noise_rms, HOPELESS * limit, cause())
-    ladder = [(OFFSET,), GEOMETRY, *([(*GEOMETRY, *more)] if more else [])]
+    ladder = [(OFFSET,), GEOMETRY, *([(*GEOMETRY, *extra_kinds)] if extra_kinds else [])]
     richest = _fit(start, chain, ladder[-1])
     if richest.noise_rms > limit or richest.used.mean() < AGREEING:
-        missed = float(np.median(start.data.distances(start.state)))
-        raise ContradictionError(max(missed, richest.noise_rms), limit, cause())
+        misfit = float(np.median(start.data.distances(start.state)))
+        raise ContradictionError(max(misfit, richest.noise_rms), limit, cause())
     _require_mount(richest)
     fold = regions(start.data.q)
     start = adjusted(replace(start, used=richest.used))
@@ -139,44 +138,44 @@ def solve(start: Fit, more: Sequence[str], limit: float, cause: Callable[[], str
     _require_same_robot(chosen.fit.state.arm)
     wide, covariance = reported_covariance(richest, chosen.fit.state)
     covariance = covariance * _misfit(models[-1])
-    return Outcome(models, chosen, covariance, _known(chosen.fit), wide.smooth_rms,
+    return Outcome(models, chosen, covariance, _sigma_ratios(chosen.fit), wide.smooth_rms,
                    tuple(_warnings(models, chosen)))
 
 
 def _fit(start: Fit, chain: Chain, kinds: Sequence[str]) -> Fit:
-    own = parameters(chain, kinds)
-    return without_outliers(with_arm(start, Arm(chain, own, np.zeros(len(own)))))
+    chosen = parameters(chain, kinds)
+    return without_outliers(with_arm(start, Arm(chain, chosen, np.zeros(len(chosen)))))
 
 
 def regions(q: Array) -> NDArray[np.intp]:
-    """Return the region (n,) of the joint space that configurations (n, joints) belong to."""
-    parts = [np.arange(len(q))]
-    while len(parts) < REGIONS and min(map(len, parts)) >= 2 * FEWEST_OF_REGION:
+    """Return the region (n,) of joint space of configurations (n, joints)."""
+    groups = [np.arange(len(q))]
+    while len(groups) < REGIONS and min(map(len, groups)) >= 2 * FEWEST_OF_REGION:
         halves = []
-        for part in parts:
-            centred = q[part] - q[part].mean(axis=0)
+        for group in groups:
+            centred = q[group] - q[group].mean(axis=0)
             _, _, axes = np.linalg.svd(centred, full_matrices=False)
-            order = part[np.argsort(centred @ axes[0], kind='stable')]
+            order = group[np.argsort(centred @ axes[0], kind='stable')]
             halves += [order[:len(order) // 2], order[len(order) // 2:]]
-        parts = halves
+        groups = halves
     region = np.empty(len(q), dtype=np.intp)
-    for number, part in enumerate(parts):
-        region[part] = number
+    for number, group in enumerate(groups):
+        region[group] = number
     return region
 
 
 def _left_out(fit: Fit, fold: NDArray[np.intp]) -> Array:
-    """Return the errors (n,) of points, each against the answer without its region."""
+    """Return the errors (n,) of points, each predicted without its region."""
     data, errors = fit.data, np.empty(len(fit.data))
     for number in range(int(fold.max()) + 1):
-        inside = fold == number
-        others = adjusted(replace(fit, used=fit.used & ~inside), rounds=FOLD_ROUNDS)
-        errors[inside] = data.distances(others.state)[inside]
+        in_region = fold == number
+        fit_without = adjusted(replace(fit, used=fit.used & ~in_region), rounds=FOLD_ROUNDS)
+        errors[in_region] = data.distances(fit_without.state)[in_region]
     return errors
 
 
 def _better(model: Model, simpler: Model) -> bool:
-    """Tell whether a model predicts left-out points better, by more than one standard error."""
+    """Return whether a model predicts left-out points better by more than one standard error."""
     used = model.fit.used
     gain = simpler.left_out[used] ** 2 - model.left_out[used] ** 2
     return bool(gain.mean() > gain.std() / len(gain) ** 0.5)
@@ -184,10 +183,10 @@ def _better(model: Model, simpler: Model) -> bool:
 
 def _misfit(model: Model) -> float:
     """
-    Return the variance of left-out errors over that which the fit promises, at least 1.
+    Return the variance of left-out errors relative to that predicted by the fit, at least 1.
 
-    Of a fit that takes the share h of its conditions it is (1 + h) / (1 - h) times that of the
-    residuals; what is beyond are errors of the arm that the model does not hold.
+    With h parameters per condition, the predicted variance is (1 + h) / (1 - h) times that of the
+    residuals. A larger one shows errors of the arm that the model does not include.
     """
     fit, J = model.fit, model.fit.jacobian[model.fit.rows]
     conditions = np.minimum(np.bincount(fit.data.block[fit.rows]), MOST_FREEDOM).sum()
@@ -195,8 +194,8 @@ def _misfit(model: Model) -> float:
     return max(1.0, float((model.left_out_rms / fit.noise_rms) ** 2 * (1 - h) / (1 + h)))
 
 
-def _known(fit: Fit) -> Array:
-    """Return the sigma over the prior (k,) of the parameters, both as configured."""
+def _sigma_ratios(fit: Fit) -> Array:
+    """Return the posterior over the prior sigma (k,) of the parameters, without prior scales."""
     first, arm = fit.data.unknowns, fit.state.arm
     as_configured = replace(fit, weights=replace(
         fit.weights, variances=np.ones_like(fit.weights.variances)))
@@ -206,32 +205,32 @@ def _known(fit: Fit) -> Array:
 
 def _require_mount(fit: Fit) -> None:
     std = np.sqrt(np.diag(fit.covariance)[:6])
-    for what, size, limit in (('orientation', std[3:].max(), LARGEST_TURN),
-                              ('position', std[:3].max(), LARGEST_SHIFT)):
+    for quantity, size, limit in (('orientation', std[3:].max(), LARGEST_TURN),
+                                  ('position', std[:3].max(), LARGEST_SHIFT)):
         if size > limit:
-            raise DegenerateConfigurationsError(f'the {what} of the sensor')
+            raise DegenerateConfigurationsError(f'the {quantity} of the sensor')
 
 
 def _require_same_robot(arm: Arm) -> None:
     for kind, largest in LARGEST_ERROR.items():
         for i, joint in enumerate(arm.chain.joints):
-            off = float(np.linalg.norm(arm.of(i, kind)))
-            if off > largest:
-                raise OtherRobotError(joint.name, kind, off)
+            error = float(np.linalg.norm(arm.of(i, kind)))
+            if error > largest:
+                raise OtherRobotError(joint.name, kind, error)
 
 
 def _warnings(models: Sequence[Model], chosen: Model) -> list[str]:
-    content, last = [], models[-1]
-    lost = int((~last.fit.used).sum())
-    if lost:
-        content.append(f'{lost} of {len(last.fit.used)} points contradict the others and are left '
-                       'out')
+    sentences, last = [], models[-1]
+    dropped = int((~last.fit.used).sum())
+    if dropped:
+        sentences.append(f'{dropped} of {len(last.fit.used)} points contradict the others and are '
+                         'left out')
     if chosen is not last:
-        content.append(f'the model with {" and ".join(last.kinds)} predicts left-out points no '
-                       f'better than {" and ".join(chosen.kinds) or "the URDF as it is"}: the '
-                       'simpler one is the answer')
+        sentences.append(f'the model with {" and ".join(last.kinds)} predicts left-out points no '
+                         f'better than {" and ".join(chosen.kinds) or "the URDF as it is"}: the '
+                         'simpler one is the answer')
     arm, q = last.fit.state.arm, last.fit.data.q
     if one_configuration(arm, q):
-        content.append('all poses have one configuration of elbow and wrist: other configurations '
-                       'determine more joint parameters')
-    return content
+        sentences.append('all poses have one configuration of elbow and wrist: other '
+                         'configurations determine more joint parameters')
+    return sentences

@@ -1,9 +1,9 @@
 """
-Which robot configurations help next: what was seen, seen again with other postures of the arm.
+The next robot configurations: poses already sampled, in other postures of the arm.
 
-A candidate brings the sensor to where it has seen the target already, by another solution of the
-inverse kinematics within the limits of the joints, so that the target is surely in view. Those
-that tell most of joints and hand-eye transform together are taken, one after the other.
+A candidate brings the sensor to a pose that it had already, by another solution of the inverse
+kinematics within the limits of the joints: there the target is surely in view. The candidates with
+the most information on joints and hand-eye transform are chosen one after the other.
 """
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 import yaml
 
 TRIES = 12  # starts of the inverse kinematics for each view
-STEPS, LARGEST_STEP = 40, 0.3  # of it; rad or m
+STEPS, LARGEST_STEP = 40, 0.3  # of the inverse kinematics; rad or m
 REACHED = 1e-5  # m and rad
-OTHER = 0.5  # joints differ by more than this in another posture (rad or m)
+OTHER = 0.5  # smallest difference of a joint between postures (rad or m)
 MARGIN = 0.05  # to the limits of the joints (rad or m)
-WIDE = math.pi  # limits that are not stated
+WIDE = math.pi  # default limits
 SECONDS = 5.0  # from one configuration to the next
 SEED = 0
 
@@ -35,8 +35,8 @@ class Programme:
     """
     Configurations q (n, joints) of a chain, the best first.
 
-    errors: (n + 1,) 1 sigma (m) of points predicted in other postures, after each of them, the
-    first without any; enough: after how many they are known to the noise of the points.
+    errors: (n + 1,) 1 sigma (m) of points predicted in other postures, before the first and after
+    each configuration; enough: the number after which it is below the noise of the points.
     """
 
     chain: Chain
@@ -64,21 +64,21 @@ class Programme:
 
 
 def programme(fit: Fit, count: int) -> Programme:
-    """Return so many configurations, the best first; raises NoPostureError."""
+    """Return `count` configurations, best first; raises NoPostureError."""
     rng, chain = np.random.default_rng(SEED), fit.state.arm.chain
     views, q = postures(chain, fit.data.q[fit.used], rng)
     if not len(q):
         raise NoPostureError(chain.flange)
-    seen = fit.data.with_postures(np.flatnonzero(fit.used)[views], q)
-    _, J = seen.linearised(fit.state, np.zeros((len(q), fit.root.shape[1])))
-    J = J / fit.weights.noise[seen.component][:, None]
-    rows = [np.flatnonzero(seen.block == k) for k in range(len(q))]
-    covariance, left, chosen = fit.covariance, list(range(len(q))), list[int]()
+    predicted = fit.data.with_postures(np.flatnonzero(fit.used)[views], q)
+    _, J = predicted.linearised(fit.state, np.zeros((len(q), fit.root.shape[1])))
+    J = J / fit.weights.noise[predicted.component][:, None]
+    rows = [np.flatnonzero(predicted.block == k) for k in range(len(q))]
+    covariance, candidates, chosen = fit.covariance, list(range(len(q))), list[int]()
     errors = [_spread(J, covariance, fit, rows)]
-    while left and len(chosen) < count:
+    while candidates and len(chosen) < count:
         gains = [np.linalg.slogdet(np.eye(len(A)) + A @ covariance @ A.T)[1]
-                 for A in (J[rows[k]] for k in left)]
-        best = left.pop(int(np.argmax(gains)))
+                 for A in (J[rows[k]] for k in candidates)]
+        best = candidates.pop(int(np.argmax(gains)))
         chosen.append(best)
         A = J[rows[best]] @ covariance
         covariance = covariance - A.T @ np.linalg.solve(
@@ -89,41 +89,37 @@ def programme(fit: Fit, count: int) -> Programme:
 
 
 def _spread(J: Array, covariance: Array, fit: Fit, rows: Sequence[NDArray[np.intp]]) -> float:
-    """Return the RMS (m) by which points in all these postures are uncertain."""
+    """Return the RMS uncertainty (m) of points in all these postures."""
     variance = np.einsum('mi,mi->m', J @ covariance, J)
     per_sigma = fit.noise_rms / max(float(np.sqrt(np.mean(fit.residuals ** 2))), 1e-9)
-    each = [variance[own].mean() for own in rows]
-    return float(np.sqrt(np.mean(each))) * per_sigma
+    by_posture = [variance[posture_rows].mean() for posture_rows in rows]
+    return float(np.sqrt(np.mean(by_posture))) * per_sigma
 
 
 def postures(chain: Chain, q: Array, rng: np.random.Generator) -> tuple[NDArray[np.intp], Array]:
-    """Return which (m,) of configurations (n, joints) have other postures, and these."""
-    own = parameters(chain, (OFFSET,))
-    arm, views = Arm(chain, own, np.zeros(len(own))), np.repeat(np.arange(len(q)), TRIES)
-    low, high = _limits(chain)
-    wanted = chain.forward(q)[views]
+    """Return which (m,) of configurations (n, joints) have other postures, and these postures."""
+    offsets = parameters(chain, (OFFSET,))
+    arm, views = Arm(chain, offsets, np.zeros(len(offsets))), np.repeat(np.arange(len(q)), TRIES)
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in chain.joints]).T
+    low, high = np.maximum(lower + MARGIN, -WIDE), np.minimum(upper - MARGIN, WIDE)
+    goals = chain.forward(q)[views]
     solutions = rng.uniform(low, high, (len(views), len(low)))
     for _ in range(STEPS):
         T, twists = arm.with_twists(solutions)
-        off = np.concatenate([wanted[:, :3, 3] - T[:, :3, 3], se3.log_rotation(
-            wanted[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))], axis=1)
+        error = np.concatenate([goals[:, :3, 3] - T[:, :3, 3], se3.log_rotation(
+            goals[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))], axis=1)
         square = twists @ np.swapaxes(twists, 1, 2) + 1e-8 * np.eye(6)
-        step = np.einsum('nij,ni->nj', twists, np.linalg.solve(square, off[..., None])[..., 0])
+        step = np.einsum('nij,ni->nj', twists, np.linalg.solve(square, error[..., None])[..., 0])
         solutions = solutions + np.clip(step, -LARGEST_STEP, LARGEST_STEP)
     turning = np.array([joint.kind == REVOLUTE for joint in chain.joints])
     solutions = np.where(turning & ((solutions < low) | (solutions > high)),
                          (solutions + np.pi) % (2 * np.pi) - np.pi, solutions)
     free = all(joint.follows == joint.name for joint in chain.joints)
-    good = ((np.abs(off).max(axis=1) < REACHED) & (solutions > low).all(axis=1) & free
+    good = ((np.abs(error).max(axis=1) < REACHED) & (solutions > low).all(axis=1) & free
             & (solutions < high).all(axis=1))
-    kept: list[int] = []
+    distinct: list[int] = []
     for k in np.flatnonzero(good):
-        others = [q[views[k]], *(solutions[i] for i in kept if views[i] == views[k])]
-        if all(np.abs(solutions[k] - other).max() > OTHER for other in others):
-            kept.append(int(k))
-    return views[kept], solutions[kept]
-
-
-def _limits(chain: Chain) -> tuple[Array, Array]:
-    lower, upper = np.array([(joint.lower, joint.upper) for joint in chain.joints]).T
-    return np.maximum(lower + MARGIN, -WIDE), np.minimum(upper - MARGIN, WIDE)
+        known = [q[views[k]], *(solutions[i] for i in distinct if views[i] == views[k])]
+        if all(np.abs(solutions[k] - known_q).max() > OTHER for known_q in known):
+            distinct.append(int(k))
+    return views[distinct], solutions[distinct]

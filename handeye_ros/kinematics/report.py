@@ -1,4 +1,4 @@
-"""The corrected arm for a person, on the screen and as a page: degrees and mm, with 1 sigma."""
+"""Report of the corrected arm, on the screen and as a page: degrees and mm, with 1 sigma."""
 from __future__ import annotations
 
 import base64
@@ -10,7 +10,7 @@ from pathlib import Path
 from handeye_ros.kinematics.answer import Answer, UNKNOWN
 from handeye_ros.kinematics.model import DIRECTION, OFFSET, POSITION, REVOLUTE
 from handeye_ros.output import write_whole
-from handeye_ros.results.report.figures import style
+from handeye_ros.results.figures import style
 from jinja2 import Environment
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -39,13 +39,13 @@ regions of the joint space. Crosses contradict the others and are left out.</p>
 
 
 def table(answer: Answer) -> RenderableType:
-    """Return the joints with their errors, and how well each model predicts left-out points."""
-    shown = []
+    """Return the joints with their errors, and the cross-validation error of each model."""
+    tables = []
     for header, *rows in (_joint_rows(answer), _model_rows(answer)):
-        shown.append(Table(*header, box=box.SIMPLE_HEAD, pad_edge=False))
+        tables.append(Table(*header, box=box.SIMPLE_HEAD, pad_edge=False))
         for row in rows:
-            shown[-1].add_row(*row)
-    return Group(Text('Zero offset: add it to the reading of the joint.'), *shown,
+            tables[-1].add_row(*row)
+    return Group(Text('Zero offset: add it to the reading of the joint.'), *tables,
                  Text(answer.sentence))
 
 
@@ -67,12 +67,12 @@ def _model_rows(answer: Answer) -> Iterator[tuple[str, ...]]:
 
 
 def _unknown(answer: Answer, joint: int) -> Iterator[str]:
-    """Yield the kinds of errors of a joint of which the data tell next to nothing."""
+    """Yield the kinds of errors of a joint that the data do not determine."""
     unknown_kinds: dict[str, list[bool]] = {}
-    for p, ratio in zip(answer.arm.parameters, answer.outcome.known, strict=True):
+    for p, ratio in zip(answer.arm.parameters, answer.outcome.sigma_ratios, strict=True):
         if p.joint == joint:
             unknown_kinds.setdefault(p.kind, []).append(ratio > UNKNOWN)
-    yield from (kind for kind, each in unknown_kinds.items() if all(each))
+    yield from (kind for kind, uncertain in unknown_kinds.items() if all(uncertain))
 
 
 def _cell(answer: Answer, joint: int, kind: str, factor: float, digits: int, unit: str) -> str:
@@ -92,22 +92,22 @@ def write_page(answer: Answer, folder: Path) -> None:
 
 
 def _picture(answer: Answer) -> bytes:
-    """Return the left-out errors over the workspace, before and after, as SVG."""
+    """Return the cross-validation errors over the workspace, before and after, as SVG."""
     models = (answer.outcome.models[0], answer.outcome.chosen)
     used, fit = models[0].fit.used, models[0].fit
-    place = answer.arm.chain.forward(fit.data.q)[:, :3, 3]
+    positions = answer.arm.chain.forward(fit.data.q)[:, :3, 3]
     largest = 1e3 * float(max(model.left_out[used].max() for model in models))
     with style():
         figure = Figure(figsize=(9, 6.4), layout='constrained')
         FigureCanvasSVG(figure)
         axes = figure.subplots(2, 2, squeeze=False)
-        for row, model, when in zip(axes, models, ('before', 'after'), strict=True):
+        for row, model, title in zip(axes, models, ('before', 'after'), strict=True):
             for ax, (view, i, j) in zip(row, VIEWS, strict=True):
-                dots = ax.scatter(*place[used][:, [i, j]].T, c=1e3 * model.left_out[used],
+                dots = ax.scatter(*positions[used][:, [i, j]].T, c=1e3 * model.left_out[used],
                                   vmin=0, vmax=largest, cmap='viridis_r', s=28)
-                ax.plot(*place[~used][:, [i, j]].T, 'x', color='#c62828')
+                ax.plot(*positions[~used][:, [i, j]].T, 'x', color='#c62828')
                 ax.set(xlabel='x (m)', ylabel=f'{"xyz"[j]} (m)', aspect='equal',
-                       title=f'{when}, {view}: {1e3 * model.left_out_rms:.2f} mm RMS')
+                       title=f'{title}, {view}: {1e3 * model.left_out_rms:.2f} mm RMS')
         figure.colorbar(dots, ax=axes, label='error of left-out points (mm)')
         stream = BytesIO()
         figure.savefig(stream, format='svg', metadata={'Date': None, 'Creator': None})

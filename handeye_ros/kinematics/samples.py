@@ -1,4 +1,4 @@
-"""The corrected arm from samples of profiles: its joint values, and the answer of the pipeline."""
+"""The corrected arm from samples of profiles, through the pipeline."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from handeye_ros.kinematics.errors import (
     cause_of,
     Change,
     ContradictionError,
-    judged_joints,
+    joint_notes,
     NoJointValuesError,
     OTHER_SIDE,
     TooFewConfigurationsError,
@@ -39,8 +39,8 @@ class JointRecording:
     """
     A recording of profiles and joint values.
 
-    poses: the flange poses of the arm as stated, at the joint values (n, joints); reported: the
-    controller's own, empty where there are none; warnings, inputs: of the reading.
+    poses: the flange poses of the arm as stated, at the joint values (n, joints); reported: those
+    of the controller, may be empty; warnings, inputs: of the reading.
     """
 
     profiles: Sequence[AnyProfile]
@@ -54,11 +54,11 @@ class JointRecording:
 @dataclass(frozen=True, eq=False)
 class Source:
     """
-    Samples of one target, their poses those of the arm as stated, with joint values.
+    Samples of one target with joint values; their poses are those of the arm as stated.
 
-    joints: (n, joints) at stamps (n,); recording: what the samples come from, None for stops of a
-    session; require_same_clock: raises where the clocks are why they contradict each other;
-    inputs, warnings: of the reading.
+    joints: (n, joints) at stamps (n,); recording: the source of the samples, None for stops of a
+    session; require_same_clock: raises if the clocks explain a contradiction; inputs, warnings: of
+    the reading.
     """
 
     samples: Sequence[Sample]
@@ -74,32 +74,33 @@ class Source:
 
     @classmethod
     def of(cls, samples: Sequence[Sample], rejects: Sequence[Reject], frame_id: str,
-           config: Config, chain: Chain, stamps: NDArray[np.int64], joints: Array, **more: Any
+           config: Config, chain: Chain, stamps: NDArray[np.int64], joints: Array, **fields: Any
            ) -> Source:
-        """Return samples whose settings have the frames of a chain; more: the other fields."""
-        return cls(samples, rejects, frame_id, _configured(config, chain), stamps, joints, **more)
+        """Return samples whose settings have the frames of a chain; fields: the others."""
+        return cls(samples, rejects, frame_id, _configured(config, chain), stamps, joints,
+                   **fields)
 
     def joints_at(self, samples: Sequence[Sample]) -> Array:
         """Return the joint values (k, joints) at samples; raises NoJointValuesError."""
-        at = np.array([sample.stamp + round(sample.offsets[0] * 1e9) for sample in samples])
-        after = np.searchsorted(self.stamps, at)
-        near = np.minimum(*(np.abs(self.stamps[np.clip(after - k, 0, len(self.stamps) - 1)] - at)
-                            for k in (0, 1)))
-        if (near > LONGEST_GAP).any():
-            raise NoJointValuesError(int((near > LONGEST_GAP).sum()), len(at))
-        return at_stamps(at, self.stamps, self.joints)
+        times = np.array([sample.stamp + round(sample.offsets[0] * 1e9) for sample in samples])
+        following = np.searchsorted(self.stamps, times)
+        gaps = np.minimum(*(np.abs(self.stamps[np.clip(following - k, 0, len(self.stamps) - 1)]
+                                   - times) for k in (0, 1)))
+        if (gaps > LONGEST_GAP).any():
+            raise NoJointValuesError(int((gaps > LONGEST_GAP).sum()), len(times))
+        return interpolated_joints(times, self.stamps, self.joints)
 
     def calibrated(self, arm: Arm) -> Calibration:
         """Return the calibration with the poses of a corrected arm; raises DataError."""
         recording = self.recording
         if recording:
             T = arm.forward(recording.joints)
-            poses = [replace(pose, translation=own[:3, 3], quaternion=q) for pose, own, q in zip(
-                recording.poses, T, se3.quaternion(T), strict=True)]
+            poses = [replace(pose, translation=p, quaternion=q) for pose, p, q in zip(
+                recording.poses, T[:, :3, 3], se3.quaternion(T), strict=True)]
             return pipeline.calibrate(recording.profiles, poses, self.config)
         T = arm.forward(self.joints_at(self.samples))
-        stops = [replace(sample, T_base_flange=own, motion=None)
-                 for sample, own in zip(self.samples, T, strict=True)]
+        stops = [replace(sample, T_base_flange=pose_of_arm, motion=None)
+                 for sample, pose_of_arm in zip(self.samples, T, strict=True)]
         return pipeline.solve(stops, self.rejects, self.config, self.frame_id)
 
 
@@ -107,32 +108,32 @@ def source_of(recording: JointRecording, chain: Chain, config: Config) -> Source
     """Return the samples of a recording; raises DataError."""
     config = _configured(config, chain)
     stamps = np.array([pose.stamp for pose in recording.poses])
-    odd = judged_joints(chain, chain.given(recording.joints))
+    undetermined = joint_notes(chain, chain.measured_values(recording.joints))
     session = pipeline.gather(recording.profiles, recording.poses, config)
     source = Source(session.samples, session.rejects, session.frame_id, config, stamps,
                     recording.joints, recording, partial(require_same_clock, session),
                     recording.inputs)
     compared = _compared(recording, source, chain) if recording.reported else ''
     return replace(source, warnings=[*filter(None, (
-        *recording.warnings, *session.warnings, *odd, compared))])
+        *recording.warnings, *session.warnings, *undetermined, compared))])
 
 
 def _configured(config: Config, chain: Chain) -> Config:
-    """Return settings with the frames of a chain, whose poses come from joint values."""
+    """Return settings with the frames of a chain and poses from joint values."""
     return replace(config, kinematics='', pose_source='topic', robot_base_frame=chain.base,
                    robot_effector_frame=chain.flange)
 
 
-def solve_sources(sources: Sequence[Source], chain: Chain, more: Sequence[str],
+def solve_sources(sources: Sequence[Source], chain: Chain, extra_kinds: Sequence[str],
                   inputs: Sequence[dict[str, str]] = ()) -> Answer:
     """
     Return the corrected arm, and the calibration that belongs to it; raises DataError.
 
-    sources: of one sensor on one robot; each has seen a target, or the same at another place.
-    inputs: what else the answer comes from.
+    sources: of one sensor on one robot, each with another target or another position of it.
+    inputs: further files.
     """
     try:
-        outcome = outcome_of(sources, chain, more)
+        outcome = outcome_of(sources, chain, extra_kinds)
     except (ContradictionError, TooFewConfigurationsError):
         for source in sources:
             if source.require_same_clock:
@@ -141,26 +142,26 @@ def solve_sources(sources: Sequence[Source], chain: Chain, more: Sequence[str],
     calibrations = [source.calibrated(outcome.arm) for source in sources]
     inputs = [*(values for source in sources for values in source.inputs), *inputs]
     warnings = list(dict.fromkeys(w for source in sources for w in source.warnings))
-    return Answer.of(outcome, _together(calibrations, outcome), inputs, warnings)
+    return Answer.of(outcome, _combined(calibrations, outcome), inputs, warnings)
 
 
-def _together(calibrations: Sequence[Calibration], outcome: Outcome) -> Calibration:
-    """Return the calibration of all targets: the transform of several is that of the outcome."""
-    first, own = calibrations[0], outcome.covariance[:6, :6]
+def _combined(calibrations: Sequence[Calibration], outcome: Outcome) -> Calibration:
+    """Return one calibration for all targets; the transform of several is that of the outcome."""
+    first, covariance = calibrations[0], outcome.covariance[:6, :6]
     if len(calibrations) == 1:
-        return replace(first, covariance=covering(first.covariance, own))
-    qualities = [each.quality for each in calibrations]
+        return replace(first, covariance=covering(first.covariance, covariance))
+    qualities = [calibration.quality for calibration in calibrations]
     quality = replace(first.quality, samples_used=sum(q.samples_used for q in qualities),
                       samples_rejected=sum(q.samples_rejected for q in qualities),
                       residual_rms=max(q.residual_rms for q in qualities),
                       holdout_rms=max(q.holdout_rms for q in qualities))
-    reports = tuple(report for each in calibrations for report in each.samples)
-    return replace(first, T_flange_sensor=outcome.chosen.fit.state.X, covariance=own,
+    reports = tuple(report for calibration in calibrations for report in calibration.samples)
+    return replace(first, T_flange_sensor=outcome.chosen.fit.state.X, covariance=covariance,
                    quality=quality, samples=reports)
 
 
-def outcome_of(sources: Sequence[Source], chain: Chain, more: Sequence[str]) -> Outcome:
-    """Return the corrected arm, of a robot that stops or moves; raises DataError."""
+def outcome_of(sources: Sequence[Source], chain: Chain, extra_kinds: Sequence[str]) -> Outcome:
+    """Return the corrected arm from stops or a sweep; raises DataError."""
     count = sum(len(source.samples) for source in sources)
     limit = sources[0].config.limits.residual
     if count < MINIMUM:
@@ -176,18 +177,18 @@ def outcome_of(sources: Sequence[Source], chain: Chain, more: Sequence[str]) -> 
     data, state = profiles_of(problems, joints, Arm(chain))
     if len(data) < max(MINIMUM, AGREEING * count):
         raise ContradictionError(missed(Change('', np.eye(len(chain.joints)))), limit, cause())
-    return solve(fit_of(data, state), more, limit, cause)
+    return solve(fit_of(data, state), extra_kinds, limit, cause)
 
 
 def _problem(source: Source, chain: Chain) -> tuple[Problem, Array]:
-    """Return what a source shows, with the arm as stated, and the joint values (n, joints)."""
+    """Return the problem of a source with the arm as stated, and the joint values (n, joints)."""
     ordered, problem = pipeline.at_stops(source.samples, source.config)
     q = source.joints_at(ordered)
     return replace(problem, poses=in_mount(chain.forward(q), source.config)), q
 
 
 def _changed(problem: Problem, T_base_flange: Array, change: Change) -> Problem:
-    """Return a problem with other poses (n, 4, 4), and what else is changed."""
+    """Return a problem with other poses (n, 4, 4) and the calibration_type of a change."""
     config = problem.config
     if change.other_side:
         config = replace(config, calibration_type=OTHER_SIDE[config.calibration_type])
@@ -198,19 +199,22 @@ def _compared(recording: JointRecording, source: Source, chain: Chain) -> str:
     """Return in words how the controller's poses differ from those of the URDF, at samples."""
     reported = np.array([pose.stamp for pose in recording.reported])
     times, first = np.unique(reported - reported[0], return_index=True)
-    at = np.array([sample.stamp for sample in source.samples])
-    at = at[(at >= reported[0]) & (at <= reported[-1])]
-    if len(times) < 2 or not len(at):
+    times_of_samples = np.array([sample.stamp for sample in source.samples])
+    within = (times_of_samples >= reported[0]) & (times_of_samples <= reported[-1])
+    times_of_samples = times_of_samples[within]
+    if len(times) < 2 or not len(times_of_samples):
         return 'the reported poses are of another time than the profiles, and are not compared'
     poses = [recording.reported[i] for i in first]
     T = se3.interpolated(times.astype(float), np.array([p.translation for p in poses]),
                          np.array([p.quaternion for p in poses]),
-                         (at - reported[0]).astype(float))
-    return compared(T, chain.forward(at_stamps(at, source.stamps, source.joints)))
+                         (times_of_samples - reported[0]).astype(float))
+    return compared(T, chain.forward(interpolated_joints(times_of_samples, source.stamps,
+                                                         source.joints)))
 
 
-def at_stamps(at: NDArray[np.int64], stamps: NDArray[np.int64], joints: Array) -> Array:
-    """Return joint values (k, joints) at some stamps, between those (n, joints) of stamps (n,)."""
-    times, first = np.unique(stamps - stamps[0], return_index=True)
-    spline = PchipInterpolator(times * 1e-9, joints[first])
-    return np.asarray(spline(np.clip(at - stamps[0], times[0], times[-1]) * 1e-9))
+def interpolated_joints(times: NDArray[np.int64], stamps: NDArray[np.int64], joints: Array
+                        ) -> Array:
+    """Return joint values (k, joints) at times (k,) from those (n, joints) at stamps (n,)."""
+    knots, first = np.unique(stamps - stamps[0], return_index=True)
+    spline = PchipInterpolator(knots * 1e-9, joints[first])
+    return np.asarray(spline(np.clip(times - stamps[0], knots[0], knots[-1]) * 1e-9))

@@ -1,7 +1,7 @@
 """
-The files that describe an arm: its URDF, the URDF with its errors corrected, and kinematics.yaml.
+Reads the URDF of an arm; writes the corrected URDF and reads kinematics.yaml.
 
-pinocchio reads the URDF; what is kept of it is plain, and needs pinocchio no more.
+pinocchio reads the URDF; the resulting Chain does not depend on it.
 """
 from __future__ import annotations
 
@@ -74,19 +74,19 @@ def chain_of(text: str, base: str = '', flange: str = '', source: object = 'robo
     data = model.createData()
     neutral = pinocchio.neutral(model)
     pinocchio.computeJointJacobians(model, data, neutral)
-    joints, before = [], se3.inverse(frames[0].placement.homogeneous)
+    joints, to_parent = [], se3.inverse(frames[0].placement.homogeneous)
     for i in path:
         name = model.names[i]
         if elements[name].get('type') not in TYPES:
             raise UrdfError(source, f'the joint {name} is {elements[name].get("type")}; only '
                             'revolute, continuous, prismatic and fixed joints can be corrected')
-        first = model.joints[i].idx_v
-        column = pinocchio.getJointJacobian(model, data, i, pinocchio.LOCAL)[:, first]
-        origin = before @ model.jointPlacements[i].homogeneous
+        index = model.joints[i].idx_v
+        column = pinocchio.getJointJacobian(model, data, i, pinocchio.LOCAL)[:, index]
+        origin = to_parent @ model.jointPlacements[i].homogeneous
         joints.append(_joint(name, origin, column, elements[name]))
-        before = np.eye(4)
+        to_parent = np.eye(4)
     _require_serial(joints, source)
-    return Chain(base, flange, tuple(joints), before @ frames[1].placement.homogeneous)
+    return Chain(base, flange, tuple(joints), to_parent @ frames[1].placement.homogeneous)
 
 
 def _parsed(text: str, source: object) -> ElementTree.Element:
@@ -174,7 +174,7 @@ def corrected_urdf(urdf: str, arm: Arm) -> str:
     """
     Return a URDF with the same links and joints, the origins of the joints corrected.
 
-    P_j D_j Exp(a_j o_j) is a transform like P_j; what changes with the joints is left out.
+    P_j D_j Exp(a_j o_j) replaces P_j; the errors that depend on joint values are left out.
     """
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     root = ElementTree.fromstring(urdf, parser)
@@ -201,12 +201,12 @@ def read_arm(path: Path) -> Arm:
         if content.get('format') != FORMAT:
             raise UrdfError(path, f'its format is {content.get("format")!r}, expected {FORMAT}: '
                             'it is written by "handeye kinematics"')
-        joints, own, values = [], [], []
+        joints, parameters, values = [], [], []
         for i, joint in enumerate(content['joints']):
             joints.append(_stored_joint(path, joint))
             for kind in (kind for kind in COUNTS if kind in joint):
-                for which, value in enumerate(joint[kind]['value']):
-                    own.append(Parameter(i, kind, which, PRIORS[kind][0]))
+                for index, value in enumerate(joint[kind]['value']):
+                    parameters.append(Parameter(i, kind, index, PRIORS[kind][0]))
                     values.append(float(value))
         chain = Chain(str(content['base']), str(content['flange']), tuple(joints),
                       transform_from(path, 'end', content['end']))
@@ -215,7 +215,7 @@ def read_arm(path: Path) -> Arm:
     except (UnicodeDecodeError, yaml.YAMLError, AttributeError, KeyError, TypeError,
             ValueError) as error:
         raise UrdfError(path, f'is no kinematics.yaml: {error}') from error
-    return Arm(chain, tuple(own), np.array(values))
+    return Arm(chain, tuple(parameters), np.array(values))
 
 
 def _stored_joint(path: Path, values: Mapping[str, Any]) -> Joint:

@@ -32,7 +32,7 @@ TOLERANCE_SIGMAS = 6.0
 SIGMA_OF_MEDIAN = 1.4826  # 1 sigma of a normal distribution over its median absolute deviation
 NOISIER, RESCALED = 2.0, 4  # times more noise than believed are looked into; so often at most
 NORMAL_POINTS = 12
-BLOCKS = 4  # of each share of an arc, whose scatter tells that of its normal point
+BLOCKS = 4  # of each bin of an arc, whose scatter tells that of its normal point
 MOST_SCATTER = 2.5  # RMS distance of an arc's points from their circle, in sigmas
 BELIEVED_SCATTER = 1.5  # the same, in sigmas of the configured noise, that needs no test
 SLOWEST = 0.5  # share of the scatter that the normal points may have
@@ -58,7 +58,7 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
 
 def arcs_of_each(profiles: Sequence[Array], config: Config) -> list[tuple[Arc] | FeatureError]:
     """
-    Return what arc_features does of each profile of a stop, or the error that it raises.
+    Return for each profile of a stop the result of arc_features, or its error.
 
     All show nearly the same arc, so the first one found is looked for in the others first.
     """
@@ -83,7 +83,7 @@ class _Seen(NamedTuple):
 
 
 def _returns(points: Array, config: Config) -> tuple[Array, float]:
-    """Return what came back of a profile but clutter (k, 2), and its noise, 1 sigma."""
+    """Return the returns of a profile without clutter (k, 2), and their noise, 1 sigma."""
     valid = points.take(without_clutter(returned(points), points, config.noise.sensor), axis=0)
     if len(valid) < config.sampling.min_points:
         raise FeatureError(f'fewer than {config.sampling.min_points} returns in the profile')
@@ -93,7 +93,7 @@ def _returns(points: Array, config: Config) -> tuple[Array, float]:
 
 
 def _alike(points: Array, known: _Seen, config: Config) -> _Seen | None:
-    """Return the arc of a profile if it shows the same as another does, else None."""
+    """Return the arc of a profile if it is close to that of another one, else None."""
     valid, noise = _returns(points, config)
     noise, arc = max(noise, known.noise), known.arc
     used = arc_points(valid, np.append(arc.centre, arc.radius), TOLERANCE_SIGMAS * noise,
@@ -108,7 +108,7 @@ def _alike(points: Array, known: _Seen, config: Config) -> _Seen | None:
 
 
 def _searched(points: Array, config: Config) -> _Seen:
-    """Return the arc of a profile; raises FeatureError with the reason of the best circle."""
+    """Return the arc of a profile; raises FeatureError with the reason for the best circle."""
     valid, noise = _returns(points, config)
     radius, reason = config.target.radius, ''
     limits = (SMALLEST_RADIUS, LARGEST_RADIUS)
@@ -125,7 +125,7 @@ def _searched(points: Array, config: Config) -> _Seen:
 
 def _rescaled(points: Array, used: NDArray[np.bool_], noise: float, config: Config) -> _Seen:
     """
-    Return the arc of some points, with the noise that all points between its ends show.
+    Return the arc of some points, with the noise of all points between its ends.
 
     Noise that is alike over some columns, and more than configured, is not seen by noise_level:
     it would cut an arc to the part of it that happens to lie near the circle.
@@ -176,14 +176,14 @@ def _arc(points: Array, inliers: NDArray[np.bool_], noise: float, config: Config
 
 def _wanders(arc: Arc, noise: float, config: Config) -> bool:
     """
-    Return whether points do not scatter about their circle, but wander from side to side of it.
+    Return whether residuals from a circle are correlated along it, unlike noise.
 
     So do those of a corner, or of two surfaces that a circle happens to touch.
     """
     x, z = (arc.raw - arc.centre).T
     off = np.sqrt(x * x + z * z) - arc.radius
-    of_shares = np.sqrt(((arc.points - arc.centre) ** 2).sum(axis=1)) - arc.radius
-    scatter, slow = float(off @ off) / len(off), float(of_shares @ of_shares) / len(of_shares)
+    of_bins = np.sqrt(((arc.points - arc.centre) ** 2).sum(axis=1)) - arc.radius
+    scatter, slow = float(off @ off) / len(off), float(of_bins @ of_bins) / len(of_bins)
     white = min(BELIEVED_SCATTER * config.noise.sensor,
                 MOST_SCATTER * noise_level(arc.raw[:, 1], config.noise.sensor))
     believed = np.hypot(white, BELIEVED_SCATTER * config.noise.distortion)
@@ -193,7 +193,7 @@ def _wanders(arc: Arc, noise: float, config: Config) -> bool:
 
 def _is_corner(arc: Arc) -> bool:
     """
-    Return whether two straight lines fit the points of an arc about as well as the circle does.
+    Return whether two straight lines fit the points of an arc about as well as a circle.
 
     A circle that lies in a corner, or passes through two surfaces, finds many points near it; but
     the halves of an arc are bent as well.
@@ -212,7 +212,7 @@ def _is_corner(arc: Arc) -> bool:
 
 
 def _squares_of_lines(sums: Array) -> Array:
-    """Return the squared distances (k,) of points from their lines, of sums of 1, u, v, ..."""
+    """Return the squared distances (k,) of points from their lines, from sums of 1, u, v, ..."""
     n, u, v, uu, uv, vv = sums
     uu, uv, vv = np.maximum(uu - u * u / n, TINY), uv - u * v / n, vv - v * v / n
     slope = uv / uu
@@ -233,24 +233,24 @@ def normal_points(raw: Array) -> Arc:
     angle = np.arctan2(middle[0] * z - middle[1] * x, middle[0] * x + middle[1] * z)
     order = np.argsort(angle)
     angle, residual = angle[order], distance[order] - circle[2]
-    shares = min(NORMAL_POINTS, len(raw) // 3)
-    radius, count = bin_means(residual, shares)
-    turn = bin_means(angle, shares)[0] + np.arctan2(middle[1], middle[0])
+    bins = min(NORMAL_POINTS, len(raw) // 3)
+    radius, count = bin_means(residual, bins)
+    turn = bin_means(angle, bins)[0] + np.arctan2(middle[1], middle[0])
     points = circle[:2] + (circle[2] + radius)[:, None] * np.column_stack(
         [np.cos(turn), np.sin(turn)])
-    std = np.sqrt(_variance(residual, radius, len(raw) / shares) * len(raw) / shares / count)
+    std = np.sqrt(_variance(residual, radius, len(raw) / bins) * len(raw) / bins / count)
     return Arc(points, std, circle[:2], float(circle[2]), raw)
 
 
-def _variance(residual: Array, of_shares: Array, size: float) -> float:
-    """Return the variance of a normal point, the mean of a share of the residuals (n,)."""
+def _variance(residual: Array, of_bins: Array, size: float) -> float:
+    """Return the variance of a normal point, the mean of a bin of the residuals (n,)."""
     white = float(residual @ residual) / max(len(residual) - 3, 1) / size
-    blocks = bin_means(residual, BLOCKS * len(of_shares))[0] if size > 2 * BLOCKS else of_shares
-    fine = variance_of_bins(blocks, white * len(blocks) / len(of_shares))
-    # what is alike over a whole share scatters between them
-    coarse = float(of_shares @ of_shares) / max(len(of_shares) - 3, 1)
+    blocks = bin_means(residual, BLOCKS * len(of_bins))[0] if size > 2 * BLOCKS else of_bins
+    fine = variance_of_bins(blocks, white * len(blocks) / len(of_bins))
+    # what is alike over a whole bin scatters between them
+    coarse = float(of_bins @ of_bins) / max(len(of_bins) - 3, 1)
     coarse = coarse if coarse > SURELY_MORE * white else white
-    return max(fine * len(of_shares) / len(blocks), coarse)
+    return max(fine * len(of_bins) / len(blocks), coarse)
 
 
 def _covered_angle(arc: Arc) -> float:

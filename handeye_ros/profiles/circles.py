@@ -1,4 +1,4 @@
-"""Circles through points: fitted, and searched for among points of anything else."""
+"""Fits circles to points, and searches for circles among clutter."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
@@ -59,7 +59,7 @@ def fit_circle(points: Array, steps: int = 4) -> Array:
 
 
 def _solved(A: Array, b: Array) -> list[float]:
-    """Return the solution of normal equations, of nearly least norm when they say too little."""
+    """Return the solution of normal equations, near the minimum norm if they are singular."""
     diagonal = A.ravel()[::len(b) + 1]
     diagonal += TINY * float(np.add.reduce(diagonal)) + SMALLEST
     solution: list[float] = dgesv(A, b)[2].tolist()
@@ -69,7 +69,7 @@ def _solved(A: Array, b: Array) -> list[float]:
 def candidates(points: Array, smallest: float, largest: float, tolerance: float
                ) -> Iterator[Array]:
     """
-    Yield circles (x, z, r) on which many of the points (n, 2) lie, the most first.
+    Yield circles (x, z, r) through many of the points (n, 2), the most points first.
 
     smallest, largest: of the radius. The points of a circle have no say for those after it.
     """
@@ -93,7 +93,7 @@ def candidates(points: Array, smallest: float, largest: float, tolerance: float
 
 
 def _on_circle(circles: Array, points: Array, tolerance: float) -> NDArray[np.bool_]:
-    """Return (k, n) which points are near which circles."""
+    """Return (n, k) which points are near which circles."""
     # d - r < t and d - r > -t are together |d^2 - r^2 - t^2| < 2 r t, which is a product of
     # matrices; of a circle smaller than t every point inside is near
     x, z, r = circles.T
@@ -111,7 +111,7 @@ def _on_circle(circles: Array, points: Array, tolerance: float) -> NDArray[np.bo
 
 def _votes(on: NDArray[np.bool_], circles: Array, points: Array, tolerance: float
            ) -> NDArray[np.intp]:
-    """Return how many points are on each circle, 0 where they are as well on a line."""
+    """Return the number of points on each circle, 0 where a line fits them as well."""
     sums = np.ones((4, len(points)))
     sums[0], sums[1] = points[:, 0], points[:, 1]
     sums[2] = sums[0] ** 2 + sums[1] ** 2
@@ -124,7 +124,7 @@ def _votes(on: NDArray[np.bool_], circles: Array, points: Array, tolerance: floa
 
 
 def _hypotheses(points: Array) -> Array:
-    """Return circles (k, 3) through three points each, spread over the profile."""
+    """Return circles (k, 3) through three points each, distributed over the profile."""
     a, b, c = points.take(_triples(len(points)), axis=0)
     found = _through(a, b, c)
     # a radius is finite where the centre is
@@ -133,7 +133,7 @@ def _hypotheses(points: Array) -> Array:
 
 @lru_cache(KEPT_TRIPLES)
 def _triples(size: int) -> NDArray[np.intp]:
-    """Return (3, k) rows of three out of so many points."""
+    """Return (3, k) rows of triples out of a number of points."""
     span = np.maximum((size / SPANS / 2).astype(int), 1)[:, None]
     last = size - 1 - 2 * span
     first = np.maximum(np.arange(HYPOTHESES) * last // (HYPOTHESES - 1), 0)
@@ -157,7 +157,7 @@ def _through(a: Array, b: Array, c: Array) -> Array:
 def arc_points(points: Array, circle: Array, tolerance: float,
                widths: Sequence[float] = WIDTHS) -> NDArray[np.bool_]:
     """
-    Return which of points (n, 2) lie on a circle, fitted again to them, without rims.
+    Return which points (n, 2) are on a circle refitted to them, without its rims.
 
     widths: tolerances, within which points are taken for the next circle.
     """
@@ -181,7 +181,7 @@ def arc_points(points: Array, circle: Array, tolerance: float,
 
 def _rim(points: Array, on: NDArray[np.bool_], circle: Array) -> NDArray[np.bool_]:
     """
-    Return which points are near an end of the arc where the surface turns away.
+    Return which points are near an end of the arc, at grazing incidence.
 
     The light comes back badly before it stops to come back at all; how steep that is depends on
     the part of the tilt that a profile does not show, so it is reported by where the arc ends.
@@ -196,7 +196,7 @@ def _rim(points: Array, on: NDArray[np.bool_], circle: Array) -> NDArray[np.bool
 
 
 def _quantiles(values: Array, shares: tuple[float, ...]) -> list[float]:
-    """Return what np.quantile does of finite values, with less ado."""
+    """Return np.quantile of finite values, faster."""
     ordered = np.sort(values)
     places = [share * (len(ordered) - 1) for share in shares]
     return [float(ordered[int(p)] + (ordered[min(int(p) + 1, len(ordered) - 1)]

@@ -1,4 +1,4 @@
-"""One end of a face in a profile: its frame, and the points that its surface continues on."""
+"""The end of a face in a profile: its frame, and the points on the continuation of its surface."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ CONTINUATION_ROWS = 80  # behind a face that may still be the bent end of its pl
 @dataclass(frozen=True, eq=False)
 class Returns:
     """
-    A profile, as the ends of its faces are looked for.
+    A profile with its returns, for the search of ends of faces.
 
     points: (n, 2) of the profile; rows: (k,) of those that came back; near: multiplied with a
     range, larger is nearer: -1 where it grows away from the sensor.
@@ -30,12 +30,12 @@ class Returns:
     near: int
 
     def lost(self, first: int, last: int) -> int:
-        """Return how many of the rows from the first up to the last came not back."""
+        """Return the number of rows without a return, after the first and up to the last."""
         found = self.rows.searchsorted([first, last])
         return last - first - int(found[1] - found[0])
 
     def outwards(self, row: int, outward: int) -> NDArray[np.intp]:
-        """Return a row and those that came back in the CONTINUATION_ROWS behind it."""
+        """Return a row and the returns among the CONTINUATION_ROWS behind it."""
         at = int(self.rows.searchsorted(row))
         if outward > 0:
             some = self.rows[at:at + CONTINUATION_ROWS + 1]
@@ -47,7 +47,7 @@ class Returns:
 @dataclass(frozen=True, eq=False)
 class Frame:
     """
-    The frame of a face at one of its ends: along the face, outwards, and below it.
+    The frame of a face at one of its ends: along the face, outwards, and below.
 
     origin: (2,) the point of the face line at the segment's last point; along: (2,) unit
     vector; below: (2,) unit vector away from the sensor.
@@ -58,14 +58,14 @@ class Frame:
     below: Array
 
     def of(self, points: Array) -> tuple[Array, Array]:
-        """Return how far along and below points (k, 2) lie."""
+        """Return the coordinates of points (k, 2) along and below the face."""
         away = points - self.origin
         return away @ self.along, away @ self.below
 
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """One end of a segment of a profile: the direction of the rows behind it (+1 or -1)."""
+    """One end of a segment of a profile, with the direction of the rows behind it (+1 or -1)."""
 
     segment: Segment
     outward: int
@@ -86,7 +86,7 @@ class End:
 
     @property
     def column(self) -> float:
-        """Return the distance along x between neighbouring columns on the segment."""
+        """Return the mean distance along x between neighbouring columns of the segment."""
         first, last = self.segment.first, self.segment.last
         x = self.seen.points[:, 0]
         return abs(float(x[last] - x[first])) / (last - first)
@@ -105,13 +105,13 @@ class End:
         return Frame(*frame)
 
     def along_and_below(self, rows: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Return how far along and below the face rows of the profile lie."""
+        """Return the coordinates of rows of the profile along and below the face."""
         return self.frame.of(self.seen.points.take(rows, axis=0))
 
 
 def continuation(end: End) -> NDArray[np.intp]:
     """
-    Return the rows behind a segment's last point that its surface continues on, outwards.
+    Return the rows behind the last point of a segment that continue its surface, outwards.
 
     The surface turns away from the sensor, as steeply as light comes back from it at most; one
     wrong point does not end it.
@@ -130,13 +130,13 @@ def continuation(end: End) -> NDArray[np.intp]:
 
 
 def leading(values: NDArray[np.bool_]) -> int:
-    """Return how many values are true before the first that is not."""
+    """Return the number of true values before the first false one."""
     first = int(values.argmin()) if len(values) else 0
     return len(values) if not len(values) or values[first] else first
 
 
 def _follows(end: End, rows: Any, after: Any) -> Any:
-    """Return whether a row (or which rows) after others go on on a surface that turns away."""
+    """Return whether a row (or which rows) continues a surface that curves away."""
     points, slack = end.seen.points, SLACK_SIGMAS * end.segment.noise
     step = (points[after] - points[rows]).T
     aside, drop = abs(step[0]), -end.seen.near * step[1]

@@ -1,5 +1,5 @@
 """
-The rounded or bevelled end of a plate: how it bends away from the face, and where its edge is.
+The rounded or bevelled end of a plate: its shape, and the position of the edge.
 
 The edge is where the planes of face and wall meet. A rounding of radius r that was seen down to a
 depth d ends r - sqrt(2 r d - d^2) before it; a bevel of 45 degrees and legs r, which is seen
@@ -26,7 +26,7 @@ TINY = 1e-30  # of the slopes of points that all lie on the face
 
 
 def reach(radius: float, depth: float) -> float:
-    """Return how far outwards a rounding leads that is seen down to a depth."""
+    """Return the extent outwards of a rounding that is visible down to a depth."""
     depth = min(max(depth, 0.0), radius)
     return float(np.sqrt(depth * (2 * radius - depth)))
 
@@ -34,7 +34,7 @@ def reach(radius: float, depth: float) -> float:
 @dataclass(frozen=True)
 class EndRounding:
     """
-    The bend at the end of a face, as one profile shows it.
+    The rounding at the end of a face in one profile.
 
     depth: of its end (m); shapes: (k + 1,) logarithms of how likely roundings of the k RADII
     are, and a bevel, 0 for the likeliest.
@@ -66,7 +66,7 @@ class _Fits:
 
 def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> EndRounding:
     """
-    Return the bend at an end of a face.
+    Return the rounding at an end of a face.
 
     u (n,): outwards along the face; v (n,): below it; pitch: of the points along it; noise: 1
     sigma of v. Circles that leave the face line, and straight lines that do, as they are likely.
@@ -90,7 +90,7 @@ def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> E
 
 def _fitted(u: Array, v: Array, pitch: float, noise: float) -> _Fits:
     """
-    Return roundings and bevels with what leaves the face line fitted, all at once.
+    Return all roundings and bevels fitted together with the face line.
 
     By reweighted least squares with Cauchy's weights: where hardly any light comes back, ranges
     are wrong by many sigmas.
@@ -112,7 +112,7 @@ def _fitted(u: Array, v: Array, pitch: float, noise: float) -> _Fits:
 
 
 def _first_guess(u: Array, v: Array, low: NDArray[np.bool_]) -> Array:
-    """Return where shapes begin (k, 1) that lead through the middle of what is low."""
+    """Return the start (k, 1) of shapes that pass through the centre of the low points."""
     depth = max(float(v[low].mean()), 0.0)
     within = np.minimum(depth, STEEPEST * RADII)
     out = np.concatenate([np.sqrt(within * (2 * RADII - within)), depth / SLOPES])
@@ -120,7 +120,7 @@ def _first_guess(u: Array, v: Array, low: NDArray[np.bool_]) -> Array:
 
 
 def _shapes(away: Array) -> tuple[Array, Array]:
-    """Return depths and slopes (k, n) of shapes, so far away (k, n) from where they begin."""
+    """Return depths and slopes (k, n) of shapes at distances (k, n) from their start."""
     away, k = np.maximum(away, 0.0), len(RADII)
     sine = np.minimum(away[:k] / RADII, STEEPEST)
     cosine = np.sqrt(1 - sine * sine)

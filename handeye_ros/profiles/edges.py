@@ -1,5 +1,5 @@
 """
-Where a face ends: the edge of a plate that is sharp, rounded or bevelled.
+The edge at the end of a face: sharp, rounded or bevelled.
 
 The edge is where the plane of the face meets the plane of the wall below it. A wall in sight
 gives it as the crossing of two lines, whatever lies between them. Otherwise the plate ends at
@@ -34,7 +34,7 @@ RAMP_STD = 0.1  # 1 sigma of where the edge is within a wide transition, of its 
 
 def wall_edge(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
     """
-    Return where a wall in a face's continuation (rows) meets the face line, and its 1 sigma.
+    Return the intersection of a wall in the continuation (rows) with the face line, 1 sigma.
 
     The place is along the face from its last point on. None when no wall is in sight.
     """
@@ -60,14 +60,14 @@ def wall_edge(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
 
 
 def _end_of_face(end: End, u: Array, v: Array) -> float:
-    """Return where the flat part of a face ends, whose points lie along it at u, below at v."""
+    """Return the end of the flat part of a face, with points at u along and v below it."""
     flat = leading(v <= FLAT_SIGMAS * end.segment.noise)
     return float(u[flat - 1]) if flat else 0.0
 
 
 def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: str) -> EdgePoint:
     """
-    Return where a plate ends, its continuation (rows) included, before a drop.
+    Return the end of a plate before a drop, its continuation (rows) included.
 
     ground: what is seen below, if anything. How far a bent end is from its edge is judged later,
     from all stations (see all_edges).
@@ -94,7 +94,7 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: str
 
 def _rounded(end: End, edge: EdgePoint, rows: NDArray[np.intp], place: float, beyond: float
              ) -> EdgePoint:
-    """Return an edge at a place, with its rounding; beyond: how far the end leads outwards."""
+    """Return an edge with its rounding; beyond: the extent of the end outwards."""
     segment, before = end.segment, max(2 * len(rows), SHORTEST_ROUNDING)
     believed = rows[:len(rows) - min(len(rows) // RIM_SHARE, LARGEST_RIM)]
     rows = np.concatenate([segment.rows[::end.outward][-before:], believed])
@@ -110,7 +110,7 @@ def _rounded(end: End, edge: EdgePoint, rows: NDArray[np.intp], place: float, be
 
 def _transition(end: End, last: int, ground: Segment | None) -> tuple[int, float]:
     """
-    Return what lies between a plate's last point and the ground: how many points, and more.
+    Return the number of points between plate and ground, and the middle of their ramp.
 
     A column whose spot straddles the edge returns something between the levels: the edge is as
     likely on its one side as on the other. A sensor that smooths, or whose spot is wide, makes a
@@ -136,7 +136,7 @@ def _transition(end: End, last: int, ground: Segment | None) -> tuple[int, float
 
 
 def edge_point(frame: Frame, place: float, std: float, kind: str) -> EdgePoint:
-    """Return the edge at a place along the face from its last point on, its line exact."""
+    """Return the edge at a distance along the face from its last point, on its line."""
     return EdgePoint(frame.origin + place * frame.along, frame.along, std, 0.0, kind)
 
 

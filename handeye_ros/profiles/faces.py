@@ -56,7 +56,7 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
 
 def plane_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     """
-    Return the straight pieces of a profile, any of which may be the plane, the longest first.
+    Return all straight pieces of a profile as candidates for the plane, longest first.
 
     points: (n, 2) in the sensor plane, NaN where there was no return. Edges are neither needed
     nor looked for. Raises FeatureError.
@@ -72,7 +72,7 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
 
 def _preferred(segments: Sequence[Segment], seen: Returns
                ) -> tuple[Segment | None, list[EdgePoint]]:
-    """Return the segment that is most likely the face, and its edges; None without any edge."""
+    """Return the most likely face segment and its edges; None without any edge."""
     best = 0.0
     found: tuple[Segment | None, list[EdgePoint]] = (None, [])
     # the longest first: most of the others then cannot be preferred, whatever their edges are
@@ -87,27 +87,27 @@ def _preferred(segments: Sequence[Segment], seen: Returns
 
 
 def _preference(segment: Segment, edges: Sequence[EdgePoint], behind: bool) -> float:
-    """Return how likely a segment is the face: its number of points, more for a sure edge."""
+    """Return a score of a segment as the face: its number of points, more with a sure edge."""
     sure = any(edge.kind in ('step', 'shadow', 'roof') for edge in edges)
     return len(segment.rows) * (SURE_EDGE if sure else 1.0) * (BEHIND if behind else 1.0)
 
 
 def _edges(segment: Segment, segments: Sequence[Segment], seen: Returns
            ) -> tuple[list[EdgePoint], bool]:
-    """Return the edges of a segment, and whether something beside it is nearer."""
+    """Return the edges of a segment, and whether a nearer surface is beside it."""
     ends = [End(segment, outward, seen) for outward in (-1, 1)]
     behind = any(_is_above(end, other) for end in ends for other in _following(end, segments))
     return [edge for end in ends if (edge := _edge(end, segments))], behind
 
 
 def _following(end: End, segments: Sequence[Segment]) -> list[Segment]:
-    """Return the segments of a profile behind an end, the nearest first."""
+    """Return the segments behind an end, the nearest first."""
     return [s for s in segments[::end.outward] if s is not end.segment
             and (s.first - end.row) * end.outward > 0]
 
 
 def _is_above(end: End, other: Segment) -> bool:
-    """Return whether another surface, across a gap or the foot of its wall, is nearer."""
+    """Return whether the adjacent surface, behind a gap or a wall, is nearer."""
     x, z = end.seen.points[other.rows.item(len(other.rows) // 2)].tolist()
     rise = end.seen.near * (z - end.segment.height(x)) / math.hypot(1.0, end.segment.slope)
     if rise <= _smallest_step(end, other):
@@ -118,7 +118,7 @@ def _is_above(end: End, other: Segment) -> bool:
 
 def _edge(end: End, segments: Sequence[Segment]) -> EdgePoint | None:
     """
-    Return the edge at a segment's end, None where that is none.
+    Return the edge at the end of a segment, or None.
 
     segments: all of the profile, in the order of their first rows.
     """
@@ -143,7 +143,7 @@ def _edge(end: End, segments: Sequence[Segment]) -> EdgePoint | None:
 
 
 def _is_bevel(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
-    """Return whether the next piece is the bevelled end of the same plate, not a wall or face."""
+    """Return whether the next piece is a bevel of the same plate, not a wall or face."""
     if not np.count_nonzero(rows == end.start_of(other)):
         return False
     ends = end.seen.points.take([end.start_of(other), end.end_of(other)], axis=0)
@@ -154,7 +154,7 @@ def _is_bevel(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
 
 
 def _kind(end: End, other: Segment | None, rows: NDArray[np.intp]) -> str:
-    """Return one of EDGE_KINDS, or 'border' where the face only ends; other: what follows."""
+    """Return one of EDGE_KINDS, or 'border' for an end of the view; other: the next segment."""
     points, size = end.seen.points, len(end.seen.points)
     if other is None:
         behind = (end.row + 1, size) if end.outward > 0 else (0, end.row)
@@ -175,7 +175,7 @@ def _kind(end: End, other: Segment | None, rows: NDArray[np.intp]) -> str:
 
 
 def _foot_hidden(end: End, rows: NDArray[np.intp], ground: Segment) -> bool:
-    """Return whether nothing comes back from between a plate's last point and the ground."""
+    """Return whether there are no returns between the end of a plate and the ground."""
     last = int(rows[-1]) if len(rows) else end.row
     first, after = sorted((last, end.start_of(ground)))
     return end.seen.lost(first, after) >= GAP_COLUMNS
@@ -186,7 +186,7 @@ def _smallest_step(end: End, other: Segment) -> float:
 
 
 def _roof_crossing(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
-    """Return whether the two pieces meet in a corner where both end."""
+    """Return whether two pieces end in a common corner."""
     a, b, points = end.segment, other, end.seen.points
     if abs(math.atan(a.slope) - math.atan(b.slope)) < ROOF_ANGLE:
         return False

@@ -1,5 +1,5 @@
 """
-The line that most points of a profile lie on, among points of anything else.
+Finds the line with the most points of a profile among clutter.
 
 A line is (3,): offset, slope and -1, so that its product with (3, n) 1, x and z tells how far it
 is from points in z. Pairs of points vote, and the best pair is fitted again to the points near
@@ -26,7 +26,7 @@ NARROWEST = 1e-6  # part of the laser line that points of a line lie on (m)
 
 def line_terms(x: Array, z: Array) -> Array:
     """
-    Return (5, n) 1, x, z, xx, xz of points, from their middle.
+    Return (5, n) 1, x, z, xx, xz of points relative to their centre.
 
     Sums of them give the line through some; far from the middle they would cancel each other.
     """
@@ -42,7 +42,7 @@ def line_terms(x: Array, z: Array) -> Array:
 
 def dominant_line(terms: Array, tolerance: float, min_points: int) -> NDArray[np.bool_] | None:
     """
-    Return which points lie on the line with the most of them; None if these are too few.
+    Return which points are on the line with the most points; None if these are too few.
 
     terms: (5, n) of the points, see line_terms; tolerance: of a point on a line; min_points:
     fewest of a line.
@@ -62,7 +62,7 @@ def dominant_line(terms: Array, tolerance: float, min_points: int) -> NDArray[np
 
 def _refined(terms: Array, line: Array, tolerance: float, min_points: int
              ) -> NDArray[np.bool_] | None:
-    """Return which points lie on a line (3,), fitted again to these, None if too few."""
+    """Return which points are on a line (3,) refitted to them, None if too few."""
     points = terms[:3]
     before: tuple[float, list[float]] = (0.0, [])
     for width in (2.0, 1.5, 1.0, 1.0):
@@ -77,14 +77,14 @@ def _refined(terms: Array, line: Array, tolerance: float, min_points: int
 
 
 def _fitted(n: float, x: float, z: float, xx: float, xz: float) -> Array:
-    """Return the least-squares line (3,), of sums of the terms of its points."""
+    """Return the least-squares line (3,) from sums of the terms of its points."""
     spread = xx - x * x / n
     slope = (xz - x * z / n) / spread if spread > LEAST_SPREAD * xx else 0.0
     return np.array([(z - slope * x) / n, slope, -1.0])
 
 
 def _near(lines: Array, points: Array, tolerance: float) -> NDArray[np.bool_]:
-    """Return (n,) or (n, k), which of points (3, n), 1, x and z, are near lines (3,) or (3, k)."""
+    """Return (n,) or (n, k): which points (3, n), 1, x and z, are near lines (3,) or (3, k)."""
     # products of matrices are by far the quickest way to multiply, and to count
     away = points.T @ lines
     near: NDArray[np.bool_] = np.abs(away, out=away) < tolerance
@@ -92,7 +92,7 @@ def _near(lines: Array, points: Array, tolerance: float) -> NDArray[np.bool_]:
 
 
 def _votes(lines: Array, voters: Array, tolerance: float) -> NDArray[np.float32]:
-    """Return how many of the points (3, n), 1, x and z, lie on each of the lines (3, k)."""
+    """Return the number of points (3, n), 1, x and z, on each of the lines (3, k)."""
     near = _near(lines, voters, tolerance)
     votes: NDArray[np.float32] = _ones(voters.shape[1]) @ near.astype(np.float32)
     return votes
@@ -100,7 +100,7 @@ def _votes(lines: Array, voters: Array, tolerance: float) -> NDArray[np.float32]
 
 @lru_cache(KEPT_PAIRS)
 def _voters(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return which of so many points vote first, and which others may vote on the best lines."""
+    """Return the points that vote first, and those that vote on the best lines only."""
     voters = np.arange(0, size, -(-size // SEARCH_POINTS))
     if len(voters) <= 2 * FIRST_VOTERS:
         return voters, voters[:0]
@@ -114,7 +114,7 @@ def _ones(size: int) -> NDArray[np.float32]:
 
 
 def _hypotheses(x: Array, z: Array) -> Array:
-    """Return lines (3, k) through pairs of points, evenly spread."""
+    """Return lines (3, k) through pairs of points, evenly distributed."""
     pairs = _pairs(len(x))
     (x, other_x), (z, other_z) = x.take(pairs), z.take(pairs)
     dx, dz = other_x - x, other_z - z
@@ -130,7 +130,7 @@ def _hypotheses(x: Array, z: Array) -> Array:
 
 @lru_cache(KEPT_PAIRS)
 def _pairs(size: int) -> NDArray[np.intp]:
-    """Return the first and the second points (2, k) of pairs out of so many."""
+    """Return the first and the second points (2, k) of pairs."""
     span = np.maximum(size // SPANS, 2)[:, None]
     first = np.arange(HYPOTHESES) * (size - 1 - span) // (HYPOTHESES - 1)
     return np.stack([first.ravel(), (first + span).ravel()])

@@ -1,5 +1,5 @@
 """
-The line of a face, the normal points that stand for its shape, and corners of two such lines.
+The line of a face with its normal points, and corners of two such lines.
 
 Normal points are means of equal bins of points. Speckle is alike over some columns, and stays
 while the robot stands: the scatter of single points, divided by the root of their number, says
@@ -50,7 +50,7 @@ def face_line(segment: Segment, points: Array) -> FaceLine:
 
 def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoint:
     """
-    Return an edge as certain across the line as the line is there.
+    Return an edge with the uncertainty of the line across it.
 
     correlated: how many times more than for white noise the line is uncertain; a corner of two
     lines is so too.
@@ -62,14 +62,14 @@ def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoi
 
 
 def white_std(segment: Segment) -> float:
-    """Return 1 sigma of the offset of a segment's line, were its noise white."""
+    """Return 1 sigma of the offset of a segment's line for white noise."""
     return segment.noise / math.hypot(1.0, segment.slope) / math.sqrt(len(segment.straight))
 
 
 def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatter: float
                   ) -> FaceLine:
     """
-    Return one line for those that profiles of one stop show.
+    Return one line from those of several profiles of a stop.
 
     centre (2,), slope: of it; scatter: 1 sigma of their offsets. What repeats from profile to
     profile, such as the speckle of a face, does not average out.
@@ -92,7 +92,7 @@ def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatte
 
 
 def _line(centre: Array, slope: float, spread: float, blocks: Array, white: float) -> FaceLine:
-    """Return the line with blocks (m, 2); white: variance of each across it, if independent."""
+    """Return the line with blocks (m, 2); white: the variance of each for independent noise."""
     length = math.hypot(1.0, slope)
     direction = np.array([1.0 / length, slope / length])
     across = (blocks - centre) @ np.array([-direction[1], direction[0]])
@@ -103,14 +103,14 @@ def _line(centre: Array, slope: float, spread: float, blocks: Array, white: floa
 
 
 def mean_and_std(values: Array) -> tuple[float, float]:
-    """Return mean and standard deviation of values (n,), as numpy does with more ado."""
+    """Return the mean and standard deviation of values (n,), faster than numpy."""
     mean = float(np.add.reduce(values)) / len(values)
     away = values - mean
     return mean, math.sqrt(away @ away / len(values))
 
 
 def bin_means(values: Array, bins: int) -> tuple[Array, NDArray[np.intp]]:
-    """Return means, (k, ...), of equal bins of values (n, ...), and the sizes (k,) of these."""
+    """Return the means (k, ...) of equal bins of values (n, ...), and the bin sizes (k,)."""
     first, count = _bins(len(values), bins)
     total = np.add.reduceat(values, first)
     return total / (count if values.ndim == 1 else count[:, None]), count
@@ -118,7 +118,7 @@ def bin_means(values: Array, bins: int) -> tuple[Array, NDArray[np.intp]]:
 
 @lru_cache(KEPT)
 def _bins(size: int, bins: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return where equal bins of so many values begin, and their sizes; not to be changed."""
+    """Return the first rows of equal bins, and their sizes; read-only."""
     first = np.linspace(0, size, bins, endpoint=False).astype(int)
     count = np.diff(np.append(first, size))
     count.setflags(write=False)
@@ -149,7 +149,7 @@ def _variance(blocks: Array) -> float:
 
 def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     """
-    Return the lines of the faces of a profile that meet, two by two, each two in the order of x.
+    Return the lines of adjacent faces that meet, in pairs ordered by x.
 
     points: (n, 2) in the sensor plane, NaN where there was no return. Any two of them may be the
     edge: a block on a table makes a groove with it. First come those whose shorter face is the
@@ -176,7 +176,7 @@ def _reason(segments: list[Segment], min_points: int) -> str:
 
 
 def _meet(a: Segment, b: Segment, points: Array) -> bool:
-    """Return whether two pieces turn at an angle, and end near where their lines cross."""
+    """Return whether two pieces form an angle and end near the crossing of their lines."""
     if abs(np.arctan(a.slope) - np.arctan(b.slope)) < SMALLEST_ANGLE:
         return False
     x = (b.offset - a.offset) / (a.slope - b.slope)

@@ -49,13 +49,13 @@ class Segment:
     straight: NDArray[np.intp]
 
     def height(self, x: Any) -> Any:
-        """Return the range of its line at x, a number or an array."""
+        """Return the range of the line at x, a number or an array."""
         return self.offset + self.slope * x
 
 
 def noise_level(z: Array, configured: float) -> float:
     """
-    Return the range noise of consecutive valid points, within sight of the configured one.
+    Return the range noise of consecutive valid points, bounded near the configured one.
 
     With a third of gross outliers a third of the second differences is still free of them.
     """
@@ -72,7 +72,7 @@ def noise_level(z: Array, configured: float) -> float:
 
 def without_clutter(rows: NDArray[np.intp], points: Array, noise: float) -> NDArray[np.intp]:
     """
-    Return those of rows (k,) whose points lie on some surface, where many do not.
+    Return those of rows (k,) whose points are on a surface, where many are clutter.
 
     A sensor may return random ranges where nothing reflects. The points of a surface have
     neighbours about as far away as they are; noise: the configured one, 1 sigma.
@@ -100,7 +100,7 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
 
 def segments_among(rows: NDArray[np.intp], points: Array, noise: float, min_points: int
                    ) -> list[Segment]:
-    """Return what straight_segments does, of the rows (k,) that came back."""
+    """Return the same as straight_segments from the rows (k,) with returns."""
     if len(rows) < min_points:
         return []
     rows = without_clutter(rows, points, noise)
@@ -114,9 +114,13 @@ def segments_among(rows: NDArray[np.intp], points: Array, noise: float, min_poin
         if inliers is None:
             break
         for piece in _pieces(free[inliers]):
-            of_x = x.take(piece)
-            if len(piece) >= min_points and _is_wide(of_x):
-                segments.append(_segment(rows.take(piece), of_x, z.take(piece), noise / 3))
+            if len(piece) < min_points:
+                continue
+            segment = _segment(rows.take(piece), x.take(piece), z.take(piece), noise / 3)
+            along = points[:, 0].take(segment.straight)
+            margin = len(along) // 10  # single points at the ends do not make a line
+            if _is_wide(along[margin:len(along) - margin]):
+                segments.append(segment)
         left = (~inliers).nonzero()[0]
         if len(left) < min_points:
             break
@@ -125,7 +129,7 @@ def segments_among(rows: NDArray[np.intp], points: Array, noise: float, min_poin
 
 
 def _is_wide(x: Array) -> bool:
-    """Return whether points lie on some part of the laser line."""
+    """Return whether points cover a sufficient length of the laser line."""
     # the ends alone say so mostly
     return bool(abs(x[-1] - x[0]) > NARROWEST or x.max() - x.min() > NARROWEST)
 
@@ -137,7 +141,7 @@ def returned(points: Array) -> NDArray[np.intp]:
 
 
 def _pieces(members: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
-    """Part the members of a line where points of something else lie between them."""
+    """Split the points of a line where points of another surface are between them."""
     steps = members[1:] - members[:-1]
     cuts = (steps > FOREIGN_POINTS).nonzero()[0] + 1
     for first, last in pairwise([0, *cuts.tolist(), len(members)]):
@@ -150,7 +154,7 @@ def _pieces(members: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
 
 def _segment(rows: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> Segment:
     """
-    Return the line through the points x, z of rows.
+    Return the segment fitted to the points x, z of rows.
 
     least_noise: a sensor that rounds may show no noise where there is some.
     """
@@ -168,7 +172,7 @@ def _segment(rows: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> 
 
 
 def _fit_with_noise(x: Array, z: Array, inner: slice) -> tuple[float, float, Array, float]:
-    """Return offset and slope of the inner points, residuals of all, their standard deviation."""
+    """Return offset and slope from the inner points, residuals of all, and their std."""
     count = inner.stop - inner.start
     mean_x = float(np.add.reduce(x[inner])) / count
     mean_z = float(np.add.reduce(z[inner])) / count
@@ -183,7 +187,7 @@ def _fit_with_noise(x: Array, z: Array, inner: slice) -> tuple[float, float, Arr
 
 
 def _rounded_end(residual: Array, noise: float) -> int:
-    """Return how many residuals (n,) from the first on together say that the end is bent."""
+    """Return the number of leading residuals (n,) that indicate a rounded end."""
     most, least = len(residual) // LARGEST_END // END_POINTS, ROUNDED_SIGMAS * noise
     if abs(sum(residual[:END_POINTS].tolist())) / END_POINTS <= least / END_POINTS ** 0.5:
         return 0  # as it is mostly

@@ -23,7 +23,7 @@ from typing import cast
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.published.errors import TooFewError
+from handeye_ros.errors import TooFewError
 import numpy as np
 from scipy.optimize import Bounds, least_squares, minimize, NonlinearConstraint
 from scipy.spatial.transform import Rotation

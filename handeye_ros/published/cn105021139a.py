@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.published.errors import SingularError, TooFewError
+from handeye_ros.errors import SingularError, TooFewError
 import numpy as np
 
 NAME = 'CN105021139A'

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.published.errors import TooFewError
+from handeye_ros.errors import TooFewError
 import numpy as np
 from scipy.optimize import least_squares
 

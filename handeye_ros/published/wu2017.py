@@ -22,7 +22,7 @@ from itertools import combinations
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.published.errors import SingularError, TooFewError
+from handeye_ros.errors import SingularError, TooFewError
 import numpy as np
 
 FLAT = 1e-6

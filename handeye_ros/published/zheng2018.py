@@ -5,7 +5,7 @@ Transactions of the China Welding Institution 39(8), 108-113. Points of one stra
 from many poses, lie on one line of the base frame. Fifteen parameters: r2, r3 and t of the
 hand-eye matrix, a point c and the direction d of the line; penalty function with a dynamic
 factor; modified Powell with 0.618 line search. The sensor plane is x = 0, points are (y, z).
-The sensor's own model is in `zheng2018_sensor`, the profile filter in `zheng2018_features`.
+The sensor's own model and the profile filter are in `zheng2018_features`.
 
 What is lost or wrong in print, and what is done here:
 
@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.published.errors import TooFewError
+from handeye_ros.errors import TooFewError
 import numpy as np
 
 MINIMUM = 5

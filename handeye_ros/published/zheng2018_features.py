@@ -1,5 +1,5 @@
 """
-The profile filter of Zheng 2018, section 1.3: where the edge crosses the profile.
+The profile filter of Zheng 2018, section 1.3: where the edge crosses the profile; and its sensor.
 
 Median filter, slope from differences widened to +-4 neighbours, and the extremum of the second
 derivative, likewise widened, as the feature point. The formulas are lost in the stored text,
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.published.errors import TooFewError
+from handeye_ros.errors import TooFewError
 import numpy as np
 from scipy.ndimage import median_filter
 

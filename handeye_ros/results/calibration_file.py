@@ -1,8 +1,4 @@
-"""
-calibration.yaml: what is saved of an answer, and read back.
-
-A file is written beside its final place and then renamed: it is whole or not there.
-"""
+"""Writes and reads calibration.yaml."""
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -37,16 +33,16 @@ ROUNDING = 1e-12  # of a rotation that goes through a quaternion and back
 
 
 class Section:
-    """A mapping in a file, of which every value is checked before it is used."""
+    """A mapping in a file; each value is checked on access."""
 
     def __init__(self, path: Path, prefix: str, values: Any) -> None:
         if not isinstance(values, dict):
-            what = prefix.rstrip('.') or 'the file'
-            raise CalibrationFileError(path, f'{what} is no mapping')
+            section_name = prefix.rstrip('.') or 'the file'
+            raise CalibrationFileError(path, f'{section_name} is no mapping')
         self.path, self._prefix, self._values = path, prefix, values
 
     def get(self, key: str, kind: type, default: Any = None) -> Any:
-        """Return a value of a kind, or the default where there is none."""
+        """Return a value of a type, or the default if it is missing."""
         value = self._values.get(key, default)
         if value is None:
             raise self.error(key, 'is missing')
@@ -64,21 +60,21 @@ class Section:
         return value
 
     def has(self, key: str) -> bool:
-        """Tell whether there is a value."""
+        """Return whether there is a value."""
         return self._values.get(key) is not None
 
     def section(self, key: str) -> Section:
-        """Return a mapping inside."""
+        """Return a nested mapping."""
         return Section(self.path, f'{self._prefix}{key}.', self.get(key, dict))
 
-    def error(self, key: str, what: str) -> CalibrationFileError:
+    def error(self, key: str, problem: str) -> CalibrationFileError:
         """Return the error for a key."""
-        return CalibrationFileError(self.path, f'{self._prefix}{key} {what}')
+        return CalibrationFileError(self.path, f'{self._prefix}{key} {problem}')
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
     """
-    Write a calibration as YAML, with the time in its provenance if there is none.
+    Write a calibration as YAML; the time is added to the provenance if missing.
 
     Raises UnwritableError; then nothing is left behind.
 
@@ -93,7 +89,7 @@ def dated(calibration: Calibration) -> Calibration:
 
 
 def text(calibration: Calibration) -> str:
-    """Return what is in the file."""
+    """Return the content of the file."""
     header = HEADER.format(parent=calibration.parent_frame, child=calibration.child_frame)
     return header + str(yaml.safe_dump(_content(calibration), sort_keys=False, width=100,
                                        default_flow_style=None, allow_unicode=True))
@@ -110,7 +106,8 @@ def _content(calibration: Calibration) -> dict[str, Any]:
         'target': _plain(calibration.target),
         **({'time_offset': _plain(asdict(offset))} if offset else {}),
         'quality': _plain(asdict(calibration.quality)),
-        'samples': [_sample_values(report) for report in calibration.samples],
+        'samples': [{key: _plain(value) for key, value in asdict(report).items()
+                     if value is not None and value != ''} for report in calibration.samples],
         'provenance': _provenance(calibration.provenance),
     }
 
@@ -121,25 +118,20 @@ def transform_values(T: Array) -> dict[str, dict[str, float]]:
             'rotation': dict(zip('xyzw', map(float, se3.quaternion(T)), strict=True))}
 
 
-def _sample_values(report: SampleReport) -> dict[str, Any]:
-    return {key: _plain(value) for key, value in asdict(report).items()
-            if value is not None and value != ''}
-
-
 def input_values(file: Path) -> dict[str, str]:
-    """Return what the provenance tells of a file that was read: path and sha256."""
+    """Return path and sha256 of an input file, as in the provenance."""
     with file.open('rb') as stream:
         return {'path': str(file), 'sha256': hashlib.file_digest(stream, 'sha256').hexdigest()}
 
 
 def _provenance(provenance: Mapping[str, Any]) -> dict[str, Any]:
     merged: dict[str, Any] = _plain(provenance)
-    merged['config'] = merged.pop('config', {})  # long: behind all others
+    merged['config'] = merged.pop('config', {})  # long: after all others
     return merged
 
 
 def _plain(value: Any) -> Any:
-    """Return a value with the types that YAML knows."""
+    """Return a value with types of YAML."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -150,7 +142,7 @@ def _plain(value: Any) -> Any:
 
 
 def file_of(path: Path) -> Path:
-    """Return the file of a calibration, given the file or the folder that holds it."""
+    """Return the file of a calibration from its path or that of its folder."""
     return path / NAME if path.is_dir() else path
 
 
@@ -181,12 +173,12 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _time_offset(file: Section) -> TimeOffset | None:
-    found = file.section('time_offset') if file.has('time_offset') else None
-    return TimeOffset(found.number('value'), found.number('std')) if found else None
+    section = file.section('time_offset') if file.has('time_offset') else None
+    return TimeOffset(section.number('value'), section.number('std')) if section else None
 
 
 def transform_from(path: Path, key: str, values: Any) -> Array:
-    """Return the transform (4, 4) of plain values, which path holds under key."""
+    """Return the transform (4, 4) of plain values, which a file holds under a key."""
     return _transform(Section(path, f'{key}.', values))
 
 
@@ -209,7 +201,7 @@ def _transform(section: Section) -> Array:
 
 
 def _check_rpy(file: Section, T: Array) -> None:
-    """Refuse angles that somebody changed beside the quaternion, which is what counts."""
+    """Raise for angles that were edited without the quaternion, which is the one used."""
     if not file.has('rpy'):
         return
     rpy = file.get('rpy', list)
@@ -243,7 +235,7 @@ def _sample(section: Section) -> SampleReport:
 
 
 def equal(a: Calibration, b: Calibration) -> bool:
-    """Tell whether two calibrations say the same, but for the rounding of a quaternion."""
+    """Return whether two calibrations are equal, except for the rounding of a quaternion."""
     return all((
         np.allclose(a.T_flange_sensor, b.T_flange_sensor, rtol=0, atol=ROUNDING),
         np.array_equal(a.T_flange_sensor[:3, 3], b.T_flange_sensor[:3, 3]),

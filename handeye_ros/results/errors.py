@@ -1,4 +1,4 @@
-"""What cannot be read back or written of an answer."""
+"""Refusals of reading and writing results."""
 from __future__ import annotations
 
 from handeye_ros.errors import DataError, InputError
@@ -12,7 +12,7 @@ class CalibrationFileError(InputError):
 
 
 class NothingToSaveError(DataError):
-    """The node is asked to save before there is an answer."""
+    """The node was requested to save before there is an answer."""
 
     def __init__(self) -> None:
         super().__init__('there is no calibration to save: call ~/compute_calibration first, and '

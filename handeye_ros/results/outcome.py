@@ -1,4 +1,4 @@
-"""From a solution to what is reported of it: transform, target, quality, every sample's fate."""
+"""From a solution to its Calibration: transform, target, quality, result of each sample."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ ONLY_FACE = ('only its face was used: its edge point lies on no edge of the targ
 
 @dataclass(frozen=True)
 class NuisanceReport:
-    """What is reported of nuisance parameters by key, notes in words, and the time offset."""
+    """The reported nuisance parameters by key, notes in words, and the time offset."""
 
     values: dict[str, Any]
     notes: Sequence[str]
@@ -65,7 +65,7 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
 
 
 def _described_target(agreed: Consensus, nuisances: NuisanceReport) -> dict[str, Any]:
-    """Return what was estimated of the target, and of all else that was in doubt."""
+    """Return the estimates of the target and of all nuisance parameters."""
     solution = agreed.solution
     described = solution.problem.method.measures.describe(solution.estimate.target,
                                                           solution.target_std)
@@ -76,29 +76,29 @@ def _described_target(agreed: Consensus, nuisances: NuisanceReport) -> dict[str,
 
 
 def other_surfaces(agreed: Consensus) -> str:
-    """Return which of several surfaces in view is the target, in words, '' where it is the one."""
-    whole, problem = agreed.whole.subset(agreed.used), agreed.solution.problem
-    several = len(whole.observations) > len(problem.observations)
+    """Return in words which of several visible surfaces is the target, '' with one surface."""
+    observed, problem = agreed.whole.subset(agreed.used), agreed.solution.problem
+    several = len(observed.observations) > len(problem.observations)
     if problem.method.essential or not several:
         return ''
-    estimate, obs = agreed.solution.estimate, whole.observations
+    estimate, obs = agreed.solution.estimate, observed.observations
     unused = ~np.isin(np.column_stack([obs.station, obs.source]) @ [1, 1j], np.column_stack(
         [problem.observations.station, problem.observations.source]) @ [1, 1j])
     sensors = problem.poses[obs.station[unused]] @ estimate.X[:, 3]
     height, of_sensor = (problem.method.geometry.conditions(
         p, obs.kind[unused], estimate.target, problem.config).g
-        for p in (whole.points_in_base(estimate.X)[unused], sensors[:, :3]))
+        for p in (observed.points_in_base(estimate.X)[unused], sensors[:, :3]))
     nearer = height * np.sign(of_sensor) > 0
-    where = 'nearer and farther' if 0 < nearer.sum() < len(nearer) else (
+    side = 'nearer and farther' if 0 < nearer.sum() < len(nearer) else (
         'nearer' if nearer.any() else 'farther')
     stations = len(np.unique(obs.station[unused]))
-    return (f'{stations} of {len(agreed.used)} samples show other surfaces too, {where} than the '
+    return (f'{stations} of {len(agreed.used)} samples show other surfaces too, {side} than the '
             f'{problem.method.name} that was used in all of them')
 
 
 def _joint(solution: Solution) -> dict[str, Any]:
     """
-    Return what a later check compares with: target state, joint covariance, variance factor.
+    Return the values for a later check: target state, joint covariance, variance factor.
 
     The covariance (6 + k, 6 + k) is of the errors of the transform and of the target's parameters
     as the data show them, so that errors in common cancel.
@@ -113,7 +113,7 @@ def _joint(solution: Solution) -> dict[str, Any]:
 
 def _used_reports(used: Sequence[Sample], problem: Problem, station: NDArray[np.intp],
                   residuals: Array) -> list[SampleReport]:
-    """Return what became of the samples used; residuals (k,) of points of a station (k,) each."""
+    """Return the reports of used samples; residuals (k,) of points with their station (k,)."""
     count = np.bincount(station, minlength=len(used))
     rms = np.sqrt(np.bincount(station, residuals ** 2, minlength=len(used)) / np.maximum(count, 1))
     reports = []
@@ -124,7 +124,7 @@ def _used_reports(used: Sequence[Sample], problem: Problem, station: NDArray[np.
 
 
 def _edges_used(problem: Problem) -> list[str]:
-    """Return of each station which edges of the target it shows, in words."""
+    """Return for each station the edges of the target that it shows, in words."""
     obs, method = problem.observations, problem.method
     bounds = np.searchsorted(obs.station, np.arange(len(problem.poses) + 1))
     if not method.essential:
@@ -140,23 +140,23 @@ def _dropped_reports(samples: Sequence[Sample], agreed: Consensus) -> list[Sampl
             for i, square in agreed.dropped.items()]
 
 
-def left_out(solution: Solution, measured: Measured, most: int = MOST_FOLDS) -> Array:
+def left_out(solution: Solution, measured: Measured, max_folds: int = MOST_FOLDS) -> Array:
     """
-    Return the residuals (k,) of stations that are predicted without them, fold by fold.
+    Return the cross-validation residuals (k,) of the stations, fold by fold.
 
-    most: of the folds; with fewer stations each is left out by itself.
+    With at most max_folds stations, each fold is one station.
     """
     problem, n = solution.problem, len(solution.problem.poses)
-    fold = np.arange(n) % min(n, most)
+    fold = np.arange(n) % min(n, max_folds)
     estimates, poses = solution.predictions(fold)
     p = measured.mapped(poses @ np.array([estimate.X for estimate in estimates])[fold])
     order = np.argsort(fold[measured.station], kind='stable')
-    by_fold, kind, found = p.T.take(order, axis=1).T, measured.kind[order], np.empty(len(p))
+    by_fold, kind, residuals = p.T.take(order, axis=1).T, measured.kind[order], np.empty(len(p))
     ends = np.cumsum(np.bincount(fold[measured.station], minlength=len(estimates))).tolist()
     for first, last, estimate in zip([0, *ends], ends, estimates, strict=False):
-        found[order[first:last]] = problem.method.geometry.conditions(
+        residuals[order[first:last]] = problem.method.geometry.conditions(
             by_fold[first:last], kind[first:last], estimate.target, problem.config).g
-    return found
+    return residuals
 
 
 def _rms(values: Array) -> float:
@@ -166,7 +166,7 @@ def _rms(values: Array) -> float:
 @dataclass(frozen=True, eq=False)
 class Measured:
     """
-    All measured points of the used samples, as the method's observations stand for them.
+    All measured points of the used samples, represented by the method's observations.
 
     points: (k, 2) of the sensor plane; kind: (k,); station: (k,) the problem's.
     """
@@ -182,7 +182,7 @@ class Measured:
     def residuals(self, problem: Problem, estimate: Estimate, poses: Array | None = None
                   ) -> Array:
         """
-        Return the plain residuals, (k,) in metres, at an estimate.
+        Return the residuals before whitening, (k,) in metres, at an estimate.
 
         poses: (n, 4, 4) instead of the reported ones, such as without the robot's smooth error.
         """
@@ -190,9 +190,9 @@ class Measured:
         return problem.method.geometry.conditions(p, self.kind, estimate.target, problem.config).g
 
     def mapped(self, T: Array) -> Array:
-        """Return the points (k, 3) in the frame that T (n, 4, 4) of the stations lead to."""
+        """Return the points (k, 3) mapped by T (n, 4, 4) of their stations."""
         x, z = np.ascontiguousarray(self.points.T)
-        mapped = np.empty((3, len(x)))  # of many points each coordinate by itself is quicker
+        mapped = np.empty((3, len(x)))  # one coordinate after the other: faster for many points
         for row, of_station in zip(mapped, np.moveaxis(T[:, :3, [0, 2, 3]], 0, 2), strict=True):
             by_x, by_z, origin = of_station.take(self.station, axis=1)
             np.multiply(by_x, x, out=row)
@@ -205,17 +205,17 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:
     """
     Return all measured points of samples, in the order of the problem's stations.
 
-    Of very many every second, third, ... is taken: their RMS is the same.
+    Of more than MOST_POINTS every second, third, ... is taken: their RMS is the same.
     """
     obs = problem.observations
     bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
     parts = [problem.method.features.measured(sample, obs.points[first:last], obs.kind[first:last])
              for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
     count = np.array([len(kind) for _, kind in parts])
-    every = max(-(-int(count.sum()) // MOST_POINTS), 1)
-    # the first of each that is the so manieth of all
-    first = -(np.cumsum(count) - count) % every
-    parts = [(points[k::every], kind[k::every])
+    step = max(-(-int(count.sum()) // MOST_POINTS), 1)
+    # index in each part of its first point whose index in all parts is a multiple of step
+    first = -(np.cumsum(count) - count) % step
+    parts = [(points[k::step], kind[k::step])
              for (points, kind), k in zip(parts, first.tolist(), strict=True)]
     station = np.repeat(np.arange(len(used)), [len(kind) for _, kind in parts])
     return Measured(np.concatenate([points for points, _ in parts]),

@@ -1,4 +1,4 @@
-"""The answer for a person: millimetres and degrees, each with its unit and 1 sigma."""
+"""Tables of a calibration: millimetres and degrees, each with its unit and 1 sigma."""
 from __future__ import annotations
 
 from collections import Counter
@@ -20,9 +20,9 @@ from rich.text import Text
 LENGTHS = ('centre', 'point', 'radius', 'distance', 'size', 'setback')
 DIRECTIONS = ('normal', 'direction', 'normal_1', 'normal_2')
 ANGLES = ('angle',)
-MOST_REASONS = 10  # of samples left out, that are told in full
-# Sizes of smooth errors that the samples show: how they are reported.
-FOUND = {
+MOST_REASONS = 10  # for rejected samples, listed in full
+# Estimated sizes of smooth errors: label, factor and unit.
+SMOOTH_ERRORS = {
     'robot_position_error': ('robot, smooth error', 1e3, 'mm'),
     'tracking_position_error': ('robot, error in motion', 1e3, 'mm'),
     'tracking_rotation_error': ('robot, turn in motion', math.degrees(1), 'degrees'),
@@ -36,7 +36,7 @@ BEHIND = {'step': 'surface below in sight', 'shadow': 'surface below hidden',
 
 
 def table(calibration: Calibration) -> RenderableType:
-    """Return all that a person wants to see of a calibration, for a rich console."""
+    """Return the table of a calibration, for a rich console."""
     parent, child = calibration.parent_frame, calibration.child_frame
     title = Text(f'{calibration.name}: {child} in {parent}. T maps points of {child} into '
                  f'{parent}: p_{parent} = T @ p_{child}')
@@ -91,7 +91,7 @@ def _facts_table(calibration: Calibration) -> Table:
 
 
 def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
-    """Yield what else there is to tell of a calibration, each with its name."""
+    """Yield the other facts of a calibration, each with its name."""
     quality = calibration.quality
     quaternion = se3.quaternion(calibration.T_flange_sensor)
     yield 'quaternion', ' '.join(f'{q:.9f}' for q in quaternion) + '  (x y z w)'
@@ -110,21 +110,21 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
 
 
 def records(calibration: Calibration) -> Iterator[tuple[str, str]]:
-    """Yield the names and texts of record.* that a calibration was made with."""
+    """Yield the names and texts of record.* of a calibration."""
     for key, text in (calibration.provenance.get('config') or {}).items():
         if key.startswith(RECORD):
             yield key.removeprefix(RECORD).replace('_', ' '), str(text)
 
 
 def _reasons(samples: tuple[SampleReport, ...]) -> Counter[str]:
-    found = Counter(s.reason or 'no reason given' for s in samples if not s.used)
-    if len(found) <= MOST_REASONS:
-        return found
+    reasons = Counter(s.reason or 'no reason given' for s in samples if not s.used)
+    if len(reasons) <= MOST_REASONS:
+        return reasons
     return Counter((s.reason or 'no reason given').split(':')[0] for s in samples if not s.used)
 
 
 def weakest(quality: Quality) -> str:
-    """Return the weakest direction, whose sentence says whether std is in metres or radians."""
+    """Return the weakest direction; its sentence says whether std is in metres or radians."""
     direction, std = quality.weakest_direction, quality.weakest_std
     if direction.endswith(' (m)'):
         return f'{direction[:-4]}: {std * 1e3:.3f} mm (1 sigma)'
@@ -132,7 +132,7 @@ def weakest(quality: Quality) -> str:
 
 
 def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield what else was estimated, of target, sensor and robot, in the units of a person."""
+    """Yield the other estimates, of target, sensor and robot, in mm and degrees."""
     for key, value in target.items():
         name = _name(key)
         std = target.get(f'{key}_std')
@@ -141,8 +141,8 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             q = np.array([value['rotation'][axis] for axis in 'xyzw'])
             angles = se3.rpy(se3.from_quaternion(np.zeros(3), q))
             yield f'{name}, rpy', ' '.join(f'{math.degrees(a):.4f}' for a in angles) + ' degrees'
-        elif key in FOUND:
-            label, factor, unit = FOUND[key]
+        elif key in SMOOTH_ERRORS:
+            label, factor, unit = SMOOTH_ERRORS[key]
             yield label, f'{value * factor:.4f} {unit} (1 sigma, found and allowed for)'
         elif key.startswith(LENGTHS) and not key.endswith('_std'):
             values = value.values() if isinstance(value, Mapping) else np.atleast_1d(value)
@@ -162,7 +162,7 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _name(key: str) -> str:
-    """Return the words for a key of the target."""
+    """Return the name for a key of the target."""
     setback = re.fullmatch(r'setback(?:_([pq]))?_(\w+)', key)
     if not setback:
         return f'target {key.replace("_", " ")}'
@@ -181,7 +181,7 @@ def _millimetres(values: Any) -> str:
 
 
 def error_sentence(errors: Errors, over: str = 'the field of view') -> str:
-    """Return the errors against what is true; over: of which points."""
+    """Return the errors against the truth in words; over: the points they refer to."""
     return (f'error against truth.yaml: translation {errors.translation * 1e3:.3f} mm, rotation '
             f'{math.degrees(errors.rotation):.4f} degrees, mapped points '
             f'{errors.mapped_points * 1e3:.3f} mm RMS over {over}')

@@ -1,4 +1,4 @@
-"""truth.yaml: what is true of a simulated recording; errors of an answer against it."""
+"""Reads and writes truth.yaml of simulated recordings; errors of an answer against it."""
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ def text(values: Mapping[str, Any]) -> str:
 
 def true_transform(bag: Path) -> Array | None:
     """
-    Return T_flange_sensor (4, 4) that is true of a bag, or None where it is not known.
+    Return the true T_flange_sensor (4, 4) of a bag, None if it is unknown.
 
     bag: a rosbag2 folder, or a file in one. Raises CalibrationFileError for a damaged truth.yaml.
 
@@ -72,7 +72,7 @@ def mapped_point_error(T_est: Array, T_true: Array, x: tuple[float, float] = (-0
     Return the RMS of |(T_est - T_true) p| over a field of view (metres).
 
     T_est, T_true: (4, 4); p: a grid in the sensor plane, along the line within x and in range
-    within z. What a user of the transform meets; the translation alone is dominated by the
+    within z. This is the error in use; the error of the translation alone is dominated by the
     lever arm of the rotation.
 
     """

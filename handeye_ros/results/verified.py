@@ -1,4 +1,4 @@
-"""A verification as its YAML holds it (see verification/verification.py), for a person."""
+"""A verification from its YAML (see verification/verification.py), formatted."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
@@ -23,7 +23,7 @@ LIMITS = (('tolerance of lengths', 'tolerance', 'm'),
 
 @dataclass(frozen=True)
 class Verified:
-    """What is shown: title, sentences, rows of a name and texts by COLUMNS."""
+    """Formatted verification: title, sentences, rows of a name and texts by COLUMNS."""
 
     title: str
     good: bool
@@ -31,8 +31,8 @@ class Verified:
     rows: tuple[tuple[str, tuple[str, ...]], ...]
 
 
-def shown(value: float | None, unit: str) -> str:
-    """Return a value for a person: millimetres, or degrees."""
+def formatted(value: float | None, unit: str) -> str:
+    """Return a value in millimetres or degrees, '' if there is none."""
     if value is None or math.isnan(value):
         return ''
     return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{math.degrees(value):.4f} degrees'
@@ -44,17 +44,17 @@ def title_of(content: Mapping[str, Any]) -> str:
 
 
 def rows_of(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield what was measured: a name, and the texts of COLUMNS."""
+    """Yield the measured values: a name, and the texts of COLUMNS."""
     for q in content['quantities']:
         nominal = q['nominal']
         error = None if nominal is None else q['value'] - nominal
-        yield q['name'], tuple(shown(v, q['unit']) for v in (
+        yield q['name'], tuple(formatted(v, q['unit']) for v in (
             q['value'], nominal, error, content['k'] * q['std'],
             q['claimed'] or None))  # a scatter claims nothing
     for name, key in SCATTER:
-        yield name, (shown(content['scatter'][key], 'm'), '', '', '', '')
+        yield name, (formatted(content['scatter'][key], 'm'), '', '', '', '')
     for name, key, unit in LIMITS:
-        yield name, (shown(content[key], unit), '', '', '', '')
+        yield name, (formatted(content[key], unit), '', '', '', '')
 
 
 def read(path: Path) -> Verified:
@@ -68,11 +68,11 @@ def read(path: Path) -> Verified:
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise VerificationFileError(path, str(error).splitlines()[0]) from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise VerificationFileError(path, 'it does not hold what a verification does') from error
+        raise VerificationFileError(path, 'it is not the result of a verification') from error
 
 
-def written(path: Path) -> dict[str, Any] | None:
-    """Return what the file of a verification holds, None of another; VerificationFileError."""
+def content_of(path: Path) -> dict[str, Any] | None:
+    """Return the content of a verification's file, None for others; VerificationFileError."""
     try:
         content = yaml_content(path.read_text(encoding='utf-8'))
     except (OSError, UnicodeDecodeError, yaml.YAMLError):

@@ -1,7 +1,7 @@
 """
 The ROS side: the only room that imports ROS or reads bags.
 
-The modules here are executables, and what the rooms below share.
+Its modules are executables, and code for the rooms below.
 """
 
 OFFERED = (

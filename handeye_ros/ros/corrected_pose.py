@@ -1,12 +1,12 @@
 """
-Publishes the flange pose of a corrected arm: what `ros2 run handeye_ros corrected_pose` runs.
+Publishes the flange pose of a corrected arm: `ros2 run handeye_ros corrected_pose`.
 
 usage: ros2 run handeye_ros corrected_pose (--urdf FILE | --kinematics FILE) [--base LINK]
            [--flange LINK] [--joint-topic TOPIC] [--pose-topic TOPIC] [--frame NAME]
 
-FILE is the corrected.urdf or the kinematics.yaml that `handeye kinematics` wrote. For every
-JointState there is one PoseStamped with its stamp, and a transform on /tf
-from the base to a frame of its own name, so that it stands beside the controller's.
+FILE is the corrected.urdf or the kinematics.yaml of `handeye kinematics`. The node publishes one
+PoseStamped for every JointState, with its stamp, and a transform on /tf from the base to a
+separate frame, besides that of the controller.
 """
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from pathlib import Path
 import sys
 
 from geometry_msgs.msg import PoseStamped, TransformStamped
-from handeye_ros.data import TimedPose
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.urdf import read_arm, read_chain
 from handeye_ros.ros.bags.poses import pose_from_joints
 from handeye_ros.ros.errors import MessageError, TopicsError
 from handeye_ros.ros.executable import exit_code, RCLError, ros, spin
 from handeye_ros.ros.node.intake import STREAM, TFMessage, THROTTLE
+from handeye_ros.ros.node.publishers import pose_stamped, time_message
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -30,7 +30,7 @@ from sensor_msgs.msg import JointState
 
 
 class CorrectedPose(Node):
-    """Takes joint values, and publishes flange poses at their rate."""
+    """Subscribes to joint values and publishes flange poses at the same rate."""
 
     def __init__(self, arm: Arm, options: argparse.Namespace) -> None:
         """Subscribe."""
@@ -48,31 +48,20 @@ class CorrectedPose(Node):
         except MessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
             return
-        message = pose_stamped(pose)
+        message = pose_stamped(pose.translation, pose.quaternion, pose.parent_frame,
+                               time_message(pose.stamp))
         self._poses.publish(message)
         if self._tree:
-            tree = TransformStamped(header=message.header, child_frame_id=self._frame)
+            transform = TransformStamped(header=message.header, child_frame_id=self._frame)
             p = message.pose.position
-            tree.transform.translation.x, tree.transform.translation.y = p.x, p.y
-            tree.transform.translation.z = p.z
-            tree.transform.rotation = message.pose.orientation
-            self._tree.publish(TFMessage(transforms=[tree]))
-
-
-def pose_stamped(pose: TimedPose) -> PoseStamped:
-    """Return a pose as a message."""
-    message = PoseStamped()
-    message.header.frame_id = pose.parent_frame
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(pose.stamp, 1_000_000_000)
-    for part, names, values in ((message.pose.position, 'xyz', pose.translation),
-                                (message.pose.orientation, 'xyzw', pose.quaternion)):
-        for name, value in zip(names, values, strict=True):
-            setattr(part, name, float(value))
-    return message
+            transform.transform.translation.x, transform.transform.translation.y = p.x, p.y
+            transform.transform.translation.z = p.z
+            transform.transform.rotation = message.pose.orientation
+            self._tree.publish(TFMessage(transforms=[transform]))
 
 
 def run(options: argparse.Namespace) -> None:
-    """Publish until Ctrl-C; raises InputError."""
+    """Run the node until Ctrl-C; raises InputError."""
     arm = read_arm(options.kinematics) if options.kinematics else Arm(
         read_chain(options.urdf, options.base, options.flange)[1])
     with ros():

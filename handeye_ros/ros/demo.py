@@ -1,8 +1,8 @@
 """
-The whole way of a bag through the node, as a user would go it: what `make demo` runs.
+Calibrates from a bag through the node, as a user would: `make demo`.
 
-Starts the node and the replay, each in its own process, asks the node for the calibration and
-to save it, and shows the answer.
+Starts the node and the replay, each in its own process, calls the services to compute and save the
+calibration, and shows the answer.
 """
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from handeye_ros import config as configuration
 from handeye_ros.data import Calibration
 from handeye_ros.errors import InputError, UnwritableError
-from handeye_ros.results import calibration_file, exports, table
-from handeye_ros.results.report import page
+from handeye_ros.results import calibration_file, exports, pages, table
 from handeye_ros.results.truth_file import errors_against, true_transform
 from handeye_ros.ros.bags.bag import evidence
 from handeye_ros.ros.bags.storage import scan
+from handeye_ros.ros.domain import claimed_domain
 from handeye_ros.ros.errors import NodeError, RefusedError
 from handeye_ros.ros.executable import exit_code, ros
 import rclpy
@@ -40,30 +40,31 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
     """
     Calibrate from a bag over ROS; print the answer and leave out/calibration.yaml.
 
-    A former result in out is kept in its history; where there is no answer it stays as it is.
-    Raises InputError, or RefusedError when the node has no answer.
+    A previous result in out is kept in its history; without an answer it stays in place. Raises
+    InputError, or RefusedError when the node has no answer.
 
     """
     configuration.load(config)
     T_true, out = true_transform(bag), out.absolute()
-    os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 101)  # undisturbed by other nodes
+    domain, claim = claimed_domain()  # undisturbed by other nodes
+    os.environ['ROS_DOMAIN_ID'] = str(domain)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    with _scratch(out) as saved, ros([], interruptible=True):
+    with claim, _scratch(out) as saved, ros([], interruptible=True):
         _through_the_node(bag, rate, out / 'node.log',
                           ['--params-file', str(config), '-p', f'output_dir:={saved}'])
-        calibration = _of_bag(
+        calibration = _with_bag(
             calibration_file.read_calibration(next(saved.glob('*/calibration.yaml'))), bag, out)
     written = exports.save_all(calibration, out)
     terminal = sys.stdout.isatty()
     Console(width=None if terminal else 160).print(table.table(calibration))
     if T_true is not None:
         print(table.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
-    report_file = page.write(calibration, evidence(calibration, bag), out / page.NAME)
+    report_file = pages.write(calibration, evidence(calibration, bag), out / exports.REPORT)
     print(f'{written}\nwrote {report_file}: open it in a browser')
 
 
-def _of_bag(calibration: Calibration, bag: Path, out: Path) -> Calibration:
-    """Return the calibration with the bag that was replayed in place of the node's session."""
+def _with_bag(calibration: Calibration, bag: Path, out: Path) -> Calibration:
+    """Return the calibration with the replayed bag in place of the node's session."""
     provenance = dict(calibration.provenance)
     topics = [item for item in provenance['inputs'] if 'topic' in item]
     provenance['inputs'] = [*topics, *map(calibration_file.input_values, scan(bag).files)]
@@ -72,7 +73,7 @@ def _of_bag(calibration: Calibration, bag: Path, out: Path) -> Calibration:
 
 
 def _through_the_node(bag: Path, rate: float, log: Path, options: Sequence[str]) -> None:
-    """Start the node, replay the bag to it, let it compute and save."""
+    """Start the node, replay the bag, compute and save."""
     with log.open('wb') as stream, _child('node', ['--ros-args', *options], stream) as node:
         print(f'the node is running; its log: {log}', flush=True)
         client = Client(node, log)
@@ -90,7 +91,7 @@ def _through_the_node(bag: Path, rate: float, log: Path, options: Sequence[str])
 
 @contextmanager
 def _scratch(out: Path) -> Iterator[Path]:
-    """Give a folder below out that goes away in the end."""
+    """Give a temporary folder below out."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix='.', dir=out) as folder:
@@ -102,7 +103,7 @@ def _scratch(out: Path) -> Iterator[Path]:
 @contextmanager
 def _child(module: str, arguments: Sequence[str], log: object = None
            ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a module of this folder in a process that ends with the block."""
+    """Run a module of this package in a process that ends with the block."""
     command = [sys.executable, '-m', f'handeye_ros.ros.{module}', *arguments]
     process = subprocess.Popen(command, stdout=log, stderr=log)  # type: ignore[call-overload]
     try:
@@ -117,7 +118,7 @@ def _child(module: str, arguments: Sequence[str], log: object = None
 
 
 class Client:
-    """Talks to the node in another process."""
+    """Client of the node in another process."""
 
     def __init__(self, process: subprocess.Popen[bytes], log: Path) -> None:
         """Listen to the node; log: what it prints."""
@@ -128,22 +129,22 @@ class Client:
         self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
 
     def wait(self) -> None:
-        """Wait for the node; raises NodeError with its own words when it ends instead."""
+        """Wait for the node; raises NodeError with its own message if it ends instead."""
         client = self._node.create_client(Trigger, '/handeye/save_calibration')
         self._until(client.service_is_ready)
 
     def print_samples_until(self, condition: Callable[[], bool]) -> None:
-        """Print how many samples there are, whenever that changes, until a condition holds."""
-        printed = ''
+        """Print the number of samples at each change until a condition holds."""
+        last_count = ''
         while not condition():
             rclpy.spin_once(self._node, timeout_sec=0.1)
             count = self._diagnostics[-1].get('samples', '') if self._diagnostics else ''
-            if count != printed and count != '0':
+            if count != last_count and count != '0':
                 print(f'samples so far: {count}', flush=True)
-                printed = count
+                last_count = count
 
     def call(self, service: str) -> str:
-        """Return what a service says; raises RefusedError when it does not succeed."""
+        """Return the message of a service; raises RefusedError if it fails."""
         future = self._node.create_client(Trigger, f'/handeye/{service}').call_async(
             Trigger.Request())
         self._until(future.done)
@@ -152,7 +153,7 @@ class Client:
         return str(future.result().message)
 
     def wait_until_all_is_taken(self) -> None:
-        """Wait until the node counts no further messages from one second to the next."""
+        """Wait until the node receives no further messages for a second."""
         self._diagnostics.clear()
         self._until(lambda: len(self._diagnostics) > 1
                     and _counts(self._diagnostics[-1]) == _counts(self._diagnostics[-2]))

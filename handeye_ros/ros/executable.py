@@ -1,4 +1,4 @@
-"""What the executables share: how rclpy starts, and how errors become exit codes."""
+"""Common to the executables: starting rclpy, and exit codes."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
@@ -19,12 +19,12 @@ from rclpy.signals import SignalHandlerOptions
 
 __all__ = ['exit_code', 'InvalidHandle', 'offer', 'RCLError', 'ros', 'spin', 'UNSENDABLE']
 
-REQUESTS = QoSProfile(depth=1000)  # that wait for a solve; ROS would drop all but ten
+REQUESTS = QoSProfile(depth=1000)  # may wait for a solve; by default ROS keeps only ten
 UNSENDABLE = (RCLError, InvalidHandle)
 
 
 def exit_code(run: Callable[[], None]) -> int:
-    """Run to the end, or to Ctrl-C or SIGTERM; print the sentence of an error of ours."""
+    """Run to the end, or to Ctrl-C or SIGTERM; print the sentence of a HandeyeError."""
     try:
         run()
     except HandeyeError as error:
@@ -52,13 +52,15 @@ def ros(args: Sequence[str] | None = None, *, interruptible: bool = False) -> It
     try:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=options)
     except RCLError as error:
-        raise InputError(f'ROS does not start: {_first_sentence(str(error))}') from error
+        # without positions in the source of rcl
+        text = str(error).removeprefix('failed to initialize rcl: ').split(', at /', 1)[0]
+        raise InputError(f'ROS does not start: {text}') from error
     if interruptible:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
     finally:
-        with suppress(RCLError):  # a signal has done it in between
+        with suppress(RCLError):  # a signal has shut it down meanwhile
             rclpy.try_shutdown()
 
 
@@ -66,22 +68,17 @@ def spin(executor: Executor) -> None:
     """
     Spin until ROS is shut down.
 
-    What another thread destroys while the executor prepares to wait for it would end it.
+    Without the loop, an entity that another thread destroys meanwhile would end the executor.
     """
     while rclpy.ok():
         try:
             return executor.spin()
         except InvalidHandle:
-            pass  # the next round knows that it is gone
-
-
-def _first_sentence(text: str) -> str:
-    """Return an error of rcl without the places in its source."""
-    return text.removeprefix('failed to initialize rcl: ').split(', at /', 1)[0]
+            pass  # the next spin does not wait for it
 
 
 def offer(node: Node, kind: Any, name: str, callback: Any, group: CallbackGroup) -> None:
-    """Create a service of a node; an answer that cannot be sent is reported in the log."""
+    """Create a service of a node; an unsent response is reported in the log."""
     service = node.create_service(kind, f'~/{name}', callback, callback_group=group,
                                   qos_profile=REQUESTS)
     send = service.send_response

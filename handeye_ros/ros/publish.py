@@ -1,4 +1,4 @@
-"""Puts saved calibrations on /tf_static: what `ros2 run handeye_ros publish FILE...` runs."""
+"""Publishes saved calibrations on /tf_static: `ros2 run handeye_ros publish FILE...`."""
 from __future__ import annotations
 
 import argparse
@@ -21,10 +21,10 @@ from rclpy.utilities import remove_ros_args
 
 def publish(paths: Sequence[Path]) -> None:
     """
-    Publish the calibrations of files, or of the folders that hold one, until Ctrl-C.
+    Publish the calibrations of files or folders until Ctrl-C.
 
-    A file that cannot be used is reported on stderr at once, and the others are published; then,
-    in the end, raises UnpublishedError.
+    An unusable file is reported on stderr at once, and the others are published; raises
+    UnpublishedError at the end.
     """
     if not TFMessage:
         raise NoRosError('publish', 'tf2_msgs')
@@ -42,11 +42,11 @@ def publish(paths: Sequence[Path]) -> None:
         raise UnpublishedError(len(failed), len(paths))
 
 
-def _read(path: Path, others: Sequence[Calibration]) -> Calibration:
-    """Return a calibration; raises SameFrameError if its sensor has a place already."""
+def _read(path: Path, calibrations: Sequence[Calibration]) -> Calibration:
+    """Return a calibration; raises SameFrameError if its sensor has a frame already."""
     file = file_of(path).absolute()
     calibration = read_calibration(file)
-    if any(other.child_frame == calibration.child_frame for other in others):
+    if any(known.child_frame == calibration.child_frame for known in calibrations):
         raise SameFrameError(file, calibration.child_frame)
     return calibration
 
@@ -61,7 +61,7 @@ def _spin(calibrations: Sequence[Calibration]) -> None:
         executor.add_node(node)
         publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
         stamp = node.get_clock().now().to_msg()
-        # in one message: of a latched topic the last alone is kept
+        # in one message: a latched topic keeps only the last
         publisher.publish(TFMessage(transforms=[transform_stamped(calibration, stamp)
                                                 for calibration in calibrations]))
         for calibration in calibrations:

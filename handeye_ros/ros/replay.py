@@ -1,4 +1,4 @@
-"""Publishes a bag on its own topics, as it was recorded, with /clock; all is sent at the end."""
+"""Publishes a bag on its own topics with /clock, at a given rate."""
 from __future__ import annotations
 
 import argparse
@@ -24,17 +24,16 @@ from rich.progress import Progress
 from rosgraph_msgs.msg import Clock
 
 TICK = 0.02  # s between two messages on /clock
-# s. A publisher knows of a subscriber slightly before that knows of it, and who takes best
-# effort tells nobody what has arrived: both get this long, before the first message and after
-# the last one.
-SETTLE = 0.5
+# s before the first message and after the last one: a publisher discovers a subscriber slightly
+# before the subscriber discovers it, and best-effort subscribers acknowledge nothing.
+DISCOVERY = 0.5
 LONGEST_END = Duration(seconds=10)
 
 
 def replay(bag: Path, rate: float = 1.0, wait_for: int | None = None, timeout: float = 5.0,
            ros_args: list[str] | None = None) -> None:
     """
-    Publish a bag at rate times its recorded speed, and return when all is sent.
+    Publish a bag at rate times its recorded speed, and return when all messages are sent.
 
     Starts once wait_for of its topics (None: all) have a subscriber, or after timeout seconds.
     Raises InputError when the bag cannot be read or holds nothing to publish.
@@ -57,18 +56,21 @@ def replay(bag: Path, rate: float = 1.0, wait_for: int | None = None, timeout: f
         _publish_all(messages, publishers, clock, rate)
         for publisher in publishers.values():
             publisher.wait_for_all_acked(LONGEST_END)
-        time.sleep(SETTLE)
+        time.sleep(DISCOVERY)
 
 
 def _publishers(node: Node, topics: Mapping[str, str]) -> dict[str, Publisher]:
-    """Return a publisher for each topic whose type is installed; tell of the others."""
+    """Return a publisher for each topic with an installed type; report the others."""
     publishers = {}
     for topic, type_name in topics.items():
         message_type = _message_type(type_name)
         if message_type is None:
             print(f'{topic} is left out: {type_name} is not installed', file=sys.stderr)
         else:
-            publishers[topic] = node.create_publisher(message_type, topic, _qos(topic))
+            durability = (DurabilityPolicy.TRANSIENT_LOCAL if topic == '/tf_static'
+                          else DurabilityPolicy.VOLATILE)
+            publishers[topic] = node.create_publisher(
+                message_type, topic, QoSProfile(depth=1000, durability=durability))
     return publishers
 
 
@@ -80,24 +82,18 @@ def _message_type(name: str) -> Any:
         return None
 
 
-def _qos(topic: str) -> QoSProfile:
-    durability = (DurabilityPolicy.TRANSIENT_LOCAL if topic == '/tf_static'
-                  else DurabilityPolicy.VOLATILE)
-    return QoSProfile(depth=1000, durability=durability)
-
-
 def _wait_for_subscribers(publishers: dict[str, Publisher], wait_for: int | None,
                           timeout: float) -> None:
     needed = len(publishers) if wait_for is None else min(wait_for, len(publishers))
     end = time.monotonic() + timeout
-    while len(deaf := _without_subscriber(publishers)) > len(publishers) - needed:
+    while len(unsubscribed := _without_subscriber(publishers)) > len(publishers) - needed:
         if time.monotonic() > end:
-            print(f'no subscriber on {", ".join(deaf)}; starting anyway',
+            print(f'no subscriber on {", ".join(unsubscribed)}; starting anyway',
                   file=sys.stderr)
             break
         time.sleep(TICK)
-    if len(deaf) < len(publishers):
-        time.sleep(SETTLE)
+    if len(unsubscribed) < len(publishers):
+        time.sleep(DISCOVERY)
 
 
 def _without_subscriber(publishers: dict[str, Publisher]) -> list[str]:
@@ -106,19 +102,20 @@ def _without_subscriber(publishers: dict[str, Publisher]) -> list[str]:
 
 def _publish_all(messages: Sequence[Raw], publishers: Mapping[str, Publisher],
                  clock: Publisher, rate: float) -> None:
-    """Publish every message when it is due; rate: of the bag's time to the wall's."""
+    """Publish every message at its time; rate: of the bag's time to real time."""
     first, last = messages[0].log_time, messages[-1].log_time
     begin = time.monotonic()
 
-    def now() -> int:
+    def bag_time() -> int:
         return first + round((time.monotonic() - begin) * rate * 1e9)
 
-    with _progress() as progress:
+    console = Console(stderr=True)
+    with Progress(console=console, disable=not console.is_terminal, transient=True) as progress:
         task = progress.add_task('replay', total=last - first)
         for message in messages:
-            while (ahead := (message.log_time - now()) * 1e-9 / rate) > 0:
-                clock.publish(_clock(now()))
-                progress.update(task, completed=now() - first)
+            while (ahead := (message.log_time - bag_time()) * 1e-9 / rate) > 0:
+                clock.publish(_clock(bag_time()))
+                progress.update(task, completed=bag_time() - first)
                 time.sleep(min(ahead, TICK))
             publishers[message.topic].publish(message.data)
         clock.publish(_clock(last))
@@ -128,12 +125,6 @@ def _clock(stamp: int) -> Clock:
     msg = Clock()
     msg.clock.sec, msg.clock.nanosec = divmod(stamp, 1_000_000_000)
     return msg
-
-
-def _progress() -> Progress:
-    """Return a progress bar that stays quiet unless a person watches."""
-    console = Console(stderr=True)
-    return Progress(console=console, disable=not console.is_terminal, transient=True)
 
 
 def main() -> int:

@@ -1,13 +1,13 @@
 """
-Publishes what the laser sees as points in the base: what `ros2 run handeye_ros scan` runs.
+Publishes laser points in the base frame: `ros2 run handeye_ros scan`.
 
 usage: ros2 run handeye_ros scan CALIBRATION [--set KEY=VALUE]... [--range NEAR FAR]
            [--incidence DEGREES] [--voxel EDGE] [--std] [--ros-args ...]
 
 CALIBRATION is a calibration.yaml, or the folder that holds one; its settings (topics, unit,
 frames) are used, and --set changes them. The points are published on ~/points, in the base, a
-cloud for the profiles of every 50 ms, each profile where its own stamp plus time_offset says; one
-waits for the pose after it. The number of what was dropped is logged.
+cloud for the profiles of every 50 ms. Each profile is placed by the pose at its stamp plus
+time_offset, and waits for the pose after it. The number of dropped profiles is logged.
 """
 from __future__ import annotations
 
@@ -25,37 +25,33 @@ from handeye_ros.errors import DataError, NoRosError
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.urdf import read_arm
 from handeye_ros.results.calibration_file import file_of, read_calibration
-from handeye_ros.results.report.evidence import use_config
+from handeye_ros.results.evidence import use_config
 from handeye_ros.ros.bags.messages import pose_from_stamped
 from handeye_ros.ros.bags.poses import pose_from_joints
 from handeye_ros.ros.bags.profile_reader import returns_of
 from handeye_ros.ros.bags.transforms import FlangeTracker
 from handeye_ros.ros.errors import MessageError, TopicsError
 from handeye_ros.ros.executable import exit_code, RCLError, ros
-from handeye_ros.ros.node.intake import TFMessage
+from handeye_ros.ros.node.intake import LATCHED_TREE, STREAM, TFMessage, THROTTLE
 from handeye_ros.ros.node.publishers import cloud
-from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.scan import Scanner, ScanOptions
+from handeye_ros.streams.trajectory import track_of
 import rclpy
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import JointState, PointCloud2
 
 PERIOD = 0.05  # s between two clouds
-KEPT_POSES = 2000  # that profiles may still need: 20 s of 100 Hz
-AROUND = 1_000_000_000  # ns of poses before a profile that tell where it was
-KEPT_PROFILES = 4000  # that wait for a pose; the oldest go first
-STREAM = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
-LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-THROTTLE = 5.0  # s between two warnings of a kind
+KEPT_POSES = 2000  # profiles may still need them: 20 s of 100 Hz
+AROUND = 1_000_000_000  # ns of poses before a profile, for the interpolation
+KEPT_PROFILES = 4000  # may wait for a pose; the oldest are dropped first
 
 
 class ScanNode(Node):
-    """Takes profiles and poses, and publishes points."""
+    """Subscribes to profiles and poses, and publishes points."""
 
     def __init__(self, calibration: Calibration, config: Config, options: ScanOptions) -> None:
-        """Subscribe; raises NoRosError where the poses are transforms and tf2_msgs is missing."""
+        """Subscribe; raises NoRosError for poses from transforms without tf2_msgs."""
         super().__init__('handeye_scan')
         self._config = config
         self._scanner = Scanner(calibration, config, options)
@@ -114,7 +110,7 @@ class ScanNode(Node):
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 
     def _publish_ready(self) -> None:
-        """Publish the points of the profiles that the poses have passed."""
+        """Publish the points of profiles older than the last pose."""
         if not self._poses:
             return
         latest = self._poses[-1].stamp
@@ -124,8 +120,8 @@ class ScanNode(Node):
         for profile in ready:
             self._profiles.remove(profile)
         try:
-            since = latest - ready[0].stamp - self._offset + AROUND
-            track = track_of([pose for pose in self._poses if abs(latest - pose.stamp) <= since],
+            span = latest - ready[0].stamp - self._offset + AROUND
+            track = track_of([pose for pose in self._poses if abs(latest - pose.stamp) <= span],
                              self._config.sampling.max_pose_gap)
         except DataError as error:  # the clock was set back
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
@@ -142,7 +138,7 @@ class ScanNode(Node):
 
 
 def scan(path: Path, assignments: Sequence[str], options: ScanOptions) -> None:
-    """Publish until Ctrl-C; raises InputError for a calibration that cannot be read."""
+    """Run the node until Ctrl-C; raises InputError for an invalid calibration."""
     calibration = read_calibration(file_of(path))
     config = with_assignments(use_config(calibration), assignments)
     with ros():
@@ -162,9 +158,9 @@ def main() -> None:
     parser.add_argument('--incidence', type=float, default=90.0, metavar='DEGREES')
     parser.add_argument('--voxel', default='0', metavar='EDGE')
     parser.add_argument('--std', action='store_true')
-    given = parser.parse_args(remove_ros_args(sys.argv)[1:])
-    sys.exit(exit_code(lambda: scan(given.calibration, given.set, ScanOptions.of_texts(
-        given.range, given.incidence, given.voxel, given.std))))
+    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    sys.exit(exit_code(lambda: scan(options.calibration, options.set, ScanOptions.of_texts(
+        options.range, options.incidence, options.voxel, options.std))))
 
 
 if __name__ == '__main__':

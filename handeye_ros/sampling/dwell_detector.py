@@ -1,5 +1,5 @@
 """
-When the robot stood still, and what was seen meanwhile: stops out of two streams.
+Cuts the streams of poses and profiles into stops of the robot, with the profiles of each.
 
 Stops come from the pose stream alone, and one is over only when both streams have passed its
 end, so they do not depend on how poses and profiles were interleaved on arrival.
@@ -29,13 +29,13 @@ from handeye_ros.sampling.errors import (
 from handeye_ros.sampling.passes import finder_of
 from handeye_ros.sampling.profile_buffer import ProfileBuffer
 from handeye_ros.sampling.stops import beside, Stop, stop_of
-from handeye_ros.sampling.stream import LARGEST_STEP, Stream
+from handeye_ros.streams.stream import LARGEST_STEP, Stream
 
 SILENCE = 0.25  # s without a pose, while profiles come, after which the robot may be anywhere
 
 
 class DwellDetector:
-    """Takes poses and profiles as they come; gives the stops that they show, each once."""
+    """Receives poses and profiles and returns each stop of the robot once."""
 
     def __init__(self, config: Config) -> None:
         """Start with nothing."""
@@ -56,7 +56,7 @@ class DwellDetector:
         self._profile_stream: Stream[AnyProfile] = Stream('profile')
 
     def copied(self) -> Self:
-        """Return another that goes on from here by itself."""
+        """Return an independent copy."""
         other = copy(self)
         other._waiting, other._profiles, other._taken = (
             list(self._waiting), self._profiles.copied(), set(self._taken))
@@ -65,14 +65,14 @@ class DwellDetector:
         return other
 
     def configure(self, config: Config) -> None:
-        """Go on with another configuration; stops and passes are cut out anew from now on."""
+        """Apply another configuration to all stops and passes that begin from now on."""
         if config.sampling.moving != self._config.sampling.moving:
             self._finder = finder_of(config.sampling)
         self._config, self._finder.sampling = config, config.sampling
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return what was dropped on the way, one sentence each."""
+        """Return one sentence for each kind of message that was dropped."""
         notes = frame_notes(self._profile_stream.frame, self._beside, self._config)
         return (*self._pose_stream.warnings, *self._profile_stream.warnings,
                 *self._profiles.warnings, *self._given_up(), *notes)
@@ -85,28 +85,28 @@ class DwellDetector:
 
     @property
     def conflict(self) -> InputError | None:
-        """Return the error of a topic with messages of two frames, None if there is none."""
+        """Return the error for a topic with messages in two frames, or None."""
         return self._pose_stream.conflict or self._profile_stream.conflict
 
     @property
     def late(self) -> tuple[str, ...]:
-        """Return what comes with stamps older than before, and is dropped: poses, profiles."""
+        """Return which streams (poses, profiles) are dropped because their stamps are too old."""
         late = {'poses': self._pose_stream.late, 'profiles': self._profile_stream.late}
         return tuple(kind for kind, is_late in late.items() if is_late)
 
     @property
     def motion(self) -> Motion | None:
-        """Return how the robot moves now, None before poses tell."""
+        """Return the current motion of the robot, None with fewer than two poses."""
         return self._finder.motion()
 
     @property
     def is_standing(self) -> bool:
-        """Return whether the robot stands still, for long enough to take a sample."""
+        """Return whether the robot has stood still long enough for a sample."""
         return self._finder.current() is not None
 
     @property
     def unasked(self) -> str:
-        """Return that the robot stood still and nobody asked for a sample, if that is so."""
+        """Return in words that the robot stopped but no sample was requested, '' otherwise."""
         if self._taken or not self._passed_by:
             return ''
         return (f'the robot stood still {self._passed_by} times, but no sample was requested: '
@@ -132,7 +132,7 @@ class DwellDetector:
         self._profiles.add(self._profile_stream.add(profile, profile.frame_id))
 
     def keep_waiting(self, most: int) -> None:
-        """Give up the oldest of more stops than that wait for profiles; they are counted."""
+        """Limit the number of stops that wait for profiles; the oldest are dropped and counted."""
         excess = len(self._waiting) - most
         if excess > 0:
             self._unseen += excess
@@ -143,7 +143,7 @@ class DwellDetector:
             yield f'gave up {self._unseen} stops, the oldest that waited for profiles'
 
     def passed(self) -> list[Stop]:
-        """Return the stops that both streams have passed since the last call."""
+        """Return the stops that are complete in both streams and were not returned before."""
         if self._pose_stream.set_back or self._profile_stream.set_back:
             return self._restarted()
         # a sensor that is triggered once at each stop does not send the next profile soon
@@ -156,7 +156,7 @@ class DwellDetector:
         return stops
 
     def _restarted(self) -> list[Stop]:
-        """Go on after a clock was set back; return the stops of the time before."""
+        """Continue after a clock was set back; return the stops from before."""
         stops = self._rest()
         self._finder = finder_of(self._config.sampling)
         if self._pose_stream.set_back:
@@ -168,7 +168,7 @@ class DwellDetector:
 
     def rest(self) -> list[Stop]:
         """
-        Return all stops left, the one the robot stands in included.
+        Return all remaining stops, including the current one.
 
         Raises TwoFramesError when messages of two frames came on one topic.
         """
@@ -184,7 +184,7 @@ class DwellDetector:
 
     def current_stop(self) -> Stop:
         """
-        Return the stop that the robot stands in now.
+        Return the stop at which the robot stands now.
 
         Raises TwoFramesError, NoPosesError, SilentPosesError, LatePosesError or MovingError.
         """
@@ -218,7 +218,7 @@ class DwellDetector:
         raise NoStationsError(poses.count, sampling.still_time, self._finder.longest / NS)
 
     def _stops(self, stations: Sequence[Dwell]) -> list[Stop]:
-        """Return the stops of stations, but for those taken by hand."""
+        """Return the stops at dwells, without those that were sampled on request."""
         new = [station for station in stations if station.began not in self._taken]
         self._taken |= {station.began for station in new}
         return [self._stop(station) for station in new]
@@ -233,7 +233,7 @@ class DwellDetector:
         return self._config.sampling.by_itself
 
     def _require_poses_now(self) -> None:
-        """Refuse where no poses come, or of another time: nobody knows where the robot is."""
+        """Raise an error where no current poses arrive: the position of the robot is unknown."""
         poses = self._pose_stream
         if poses.late or poses.latest < 0:
             raise LatePosesError
@@ -250,7 +250,7 @@ class DwellDetector:
             raise self.conflict
 
     def _forget_old_profiles(self) -> None:
-        """Keep only what a station that is waiting, or not yet over, can still need."""
+        """Drop the profiles that no pending or current stop can use."""
         starts = [s.start for s in self._waiting]
         first, last = self._finder.window()
         oldest = min([*starts, first])

@@ -1,16 +1,13 @@
-"""When the robot stood still, cut out of a stream of poses, and where it was in between."""
+"""Finds the times at which the robot stood still in a stream of poses."""
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 import math
 
-from handeye_ros import se3
 from handeye_ros.config import SamplingConfig
-from handeye_ros.data import Array, TimedPose
+from handeye_ros.data import TimedPose
 import numpy as np
 
 NS = 1_000_000_000
@@ -44,7 +41,7 @@ class Dwell:
 
 @dataclass(frozen=True)
 class Motion:
-    """How the robot moves: m/s, rad/s, and for how long it has stood still (s)."""
+    """Speed (m/s), angular speed (rad/s), and the time since the robot stopped (s)."""
 
     speed: float
     turning: float
@@ -52,7 +49,7 @@ class Motion:
 
     @property
     def sentence(self) -> str:
-        """Return it in words."""
+        """Return the motion in words."""
         if self.still > MOTION_TIME / NS:
             return f'it has stood still for {self.still:.1f} s'
         return (f'it moves by {self.speed * 1e3:.1f} mm/s and '
@@ -60,7 +57,7 @@ class Motion:
 
 
 class DwellFinder:
-    """Cuts a stream of poses into the times during which the robot stood still."""
+    """Cuts a stream of poses into dwells."""
 
     def __init__(self, sampling: SamplingConfig) -> None:
         """Start with no poses."""
@@ -71,13 +68,13 @@ class DwellFinder:
         self.longest = 0  # time that the robot stood still (ns)
 
     def copied(self) -> DwellFinder:
-        """Return another that goes on from here by itself."""
+        """Return an independent copy."""
         other = copy(self)
         other._run, other._recent = deque(self._run), deque(self._recent)
         return other
 
     def add(self, pose: TimedPose) -> Dwell | None:
-        """Take the next pose; return the station that it ends, if it ends one."""
+        """Add the next pose; return the dwell that it ends, or None."""
         self._recent.append(pose)
         while (pose.stamp - self._recent[0].stamp > MOTION_TIME
                or len(self._recent) > MOST_POSES):
@@ -94,16 +91,16 @@ class DwellFinder:
         return ended
 
     def current(self) -> Dwell | None:
-        """Return the station that the robot stands in now, if it has stood still for long."""
+        """Return the current dwell, None before sampling.still_time."""
         return self._dwell(self._run)
 
     @property
     def stood(self) -> int:
-        """Return for how long the robot has stood still in the dwell of now (ns)."""
+        """Return the duration of the current dwell (ns)."""
         return self._latest - self._run[0].stamp if self._run else 0
 
     def motion(self) -> Motion | None:
-        """Return how the robot moves now, None where poses do not tell."""
+        """Return the current motion of the robot, None with fewer than two poses."""
         if len(self._recent) < 2:
             return None
         first, last = self._recent[0], self._recent[-1]
@@ -112,14 +109,14 @@ class DwellFinder:
                       _turned(first, last) / seconds, (last.stamp - self._run[0].stamp) / NS)
 
     def window(self) -> tuple[int, int]:
-        """Return the first and last stamp that can still matter to this stop of the robot."""
+        """Return the first and last stamp of profiles that the current dwell can use."""
         if not self._run:
             return 0, FOREVER
         limited = self.sampling.by_itself
         return self._run[0].stamp, self._run[0].stamp + MAX_DWELL if limited else FOREVER
 
     def _extend(self, pose: TimedPose) -> None:
-        """Let a long stop use its first seconds, or its last when samples are asked for."""
+        """Add a pose to a dwell; a long one keeps its first seconds, on request its last."""
         if not self._is_full(pose):
             self._run.append(pose)
         elif not self.sampling.by_itself:
@@ -145,33 +142,3 @@ def _turned(a: TimedPose, b: TimedPose) -> float:
     """Return the angle between close orientations (rad): twice |q1 - q2|."""
     apart = math.dist(a.quaternion, b.quaternion)  # of three numbers much quicker than numpy
     return 2 * (apart if apart < 1.0 else min(apart, math.dist(a.quaternion, -b.quaternion)))
-
-
-def around(poses: Sequence[TimedPose], stamps: Sequence[int]) -> list[TimedPose]:
-    """Return the poses next to stamps, and the first and the last: what interpolate needs."""
-    last = len(poses) - 1
-    places = {0, last}
-    for stamp in stamps:
-        places.add(max(bisect_right(poses, stamp, key=_stamp) - 1, 0))
-        places.add(min(bisect_left(poses, stamp, key=_stamp), last))
-    return [poses[place] for place in sorted(places)]
-
-
-def _stamp(pose: TimedPose) -> int:
-    return pose.stamp
-
-
-def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
-    """
-    Return the poses T_base_flange (n, 4, 4) at n stamps within the time of the given poses.
-
-    Linear in the translation, slerp in the rotation. Raises ValueError outside.
-    """
-    poses = around(poses, stamps)
-    times = np.array([p.stamp - poses[0].stamp for p in poses], dtype=float)
-    at = np.array([s - poses[0].stamp for s in stamps], dtype=float)
-    if at.min() < times[0] or at.max() > times[-1]:
-        raise ValueError('a stamp lies outside the time of the poses')
-    translations, quaternions = (np.array([getattr(p, name) for p in poses])
-                                 for name in ('translation', 'quaternion'))
-    return se3.interpolated(times, translations, quaternions, at)

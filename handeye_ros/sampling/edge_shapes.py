@@ -1,4 +1,4 @@
-"""What the stations of a calibration say together of the edges that they show."""
+"""The common shape of the edges over all stations, and the edge points that follow from it."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ DEPTH_STD = 1.5e-5  # 1 sigma of the depth of an end (m)
 @dataclass(frozen=True)
 class EdgeShape:
     """
-    What the edges of a target are like.
+    Shape of the target's edges.
 
     size: radius or legs (m), 0 of sharp ones; doubt: 1 sigma of it, relative.
     """
@@ -33,14 +33,14 @@ class EdgeShape:
 
 
 def consistent_edges(samples: Sequence[Sample]) -> tuple[list[Sample], list[Reject]]:
-    """Return the samples with the edges that all of them believe in, and those without any."""
+    """Return the samples with the edges of the common shape, and those left without any."""
     kept, rejects = without_border_ends(samples)
     return with_common_shape(kept), rejects
 
 
 def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
     """
-    Return the samples with their edges where the planes of face and wall meet.
+    Return the samples with edge points where the planes of face and wall intersect.
 
     How a rounded or bevelled end bends is alike at all stations, but one profile shows it only
     roughly, or not at all when the bevel sends no light back. So the shape that is likeliest for
@@ -51,7 +51,7 @@ def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
 
 
 def common_shape(samples: Sequence[Sample]) -> EdgeShape:
-    """Return the shape that the ends of faces have, of which the radius is alike at all."""
+    """Return the edge shape that all stations support, with one common radius where they agree."""
     ends = [f for s in samples for f in s.features
             if isinstance(f, EdgePoint) and f.kind != 'roof']
     if len(ends) < 3 or np.median([end.bevel for end in ends]) <= SHARPEST:
@@ -69,7 +69,7 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
 
 def _blurred(shapes: Array) -> Array:
     """
-    Return what one end says of shapes (k + 1,), as far as it may be believed.
+    Return the log likelihoods (k + 1,) of the shapes at one end, bounded against model error.
 
     A laser that crosses at a slant sees an ellipse: other radii nearby are as likely.
     """
@@ -81,7 +81,7 @@ def _blurred(shapes: Array) -> Array:
 
 
 def _radius(log_odds: Array) -> tuple[float, float]:
-    """Return a radius (m) and its relative 1 sigma, of logarithms (k,) of how likely each is."""
+    """Return the radius (m) and its relative 1 sigma from log likelihoods (k,) of RADII."""
     tried = np.log(RADII[:, 0])
     logs = np.linspace(tried[0], tried[-1], 8 * len(log_odds))
     likely = CubicSpline(tried, log_odds)(logs)
@@ -92,7 +92,7 @@ def _radius(log_odds: Array) -> tuple[float, float]:
 
 
 def _moved(feature: Feature, shape: EdgeShape) -> Feature:
-    """Return a feature; an edge point where face and wall meet, its bend as far as the wall."""
+    """Return a feature with its edge point moved to the intersection of face and wall."""
     if not isinstance(feature, EdgePoint) or feature.kind == 'roof':
         return feature
     if not shape.size:
@@ -104,7 +104,7 @@ def _moved(feature: Feature, shape: EdgeShape) -> Feature:
 
 def _from_arc(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
     """
-    Return the edge of a rounding: the middle of its arc in sight, carried outwards to the wall.
+    Return the edge of a rounding: the middle of the visible arc, extrapolated to the wall.
 
     That is a point of the wall however the laser crosses the edge, since the middle was measured.
     """
@@ -119,7 +119,7 @@ def _from_arc(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
 
 def _from_end(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
     """
-    Return the edge of a bevel, or of a rounding that is hardly seen: its end, carried outwards.
+    Return the edge of a bevel or a barely visible rounding: the end, extrapolated to the wall.
 
     A bevel sends light back as a whole or not at all, and leads as far outwards as down.
     """

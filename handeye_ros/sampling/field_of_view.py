@@ -1,5 +1,5 @@
 """
-Ends of faces at the end of the sensor's field of view, which are no edges.
+Detects ends of faces that are only the border of the sensor's field of view.
 
 The border of the field of view is learnt from where its profiles end. Where a face leaves the
 field of view it looks like an edge with nothing behind it. The border is straight: many ends on
@@ -24,7 +24,7 @@ NEAREST = 1e-3  # m from the end of the view to an edge
 
 
 def without_border_ends(samples: Sequence[Sample]) -> tuple[list[Sample], list[Reject]]:
-    """Return the samples without the ends at the border, and those that had no other edge."""
+    """Return the samples without ends at the border of the view, and those left without edges."""
     ends = np.array([end.point for s in samples for end in _open_ends(s)])
     if len(ends) < FEWEST_ENDS:
         return list(samples), []
@@ -45,7 +45,7 @@ def without_border_ends(samples: Sequence[Sample]) -> tuple[list[Sample], list[R
 
 def _believed(lines: Array, ends: Array, samples: Sequence[Sample]) -> Array:
     """
-    Return those of the lines (k, 3) that are no edges of the target.
+    Return the lines (k, 3) that are borders of the view and not edges of the target.
 
     A programme that brings an edge to the same place of the field of view every time makes a
     line too. But most stations show an edge beside a border, and the ends at a border scatter
@@ -63,7 +63,7 @@ def _believed(lines: Array, ends: Array, samples: Sequence[Sample]) -> Array:
 
 
 def _groups(lines: Array, ends: Array) -> list[Array]:
-    """Return lines (k, 3) parted into those that share most of the ends on them."""
+    """Return the lines (k, 3) in groups that share most of their ends."""
     on, groups = _near(ends, lines), []
     while on.shape[1]:
         best = int(np.argmax(on.sum(axis=0)))
@@ -76,7 +76,7 @@ def _groups(lines: Array, ends: Array) -> list[Array]:
 
 
 def _scatter(group: Array, ends: Array) -> float:
-    """Return how far the ends on a group of lines are from their best line (RMS)."""
+    """Return the RMS distance of the ends of a group of lines from their best line."""
     members = ends[_near(ends, group).any(axis=1)]
     smallest = np.linalg.svd(members - members.mean(axis=0), compute_uv=False)[-1]
     return float(smallest / len(members) ** 0.5)
@@ -87,7 +87,7 @@ def _open_ends(sample: Sample) -> list[EdgePoint]:
 
 
 def _seen(samples: Sequence[Sample]) -> Array:
-    """Return points (n, 2) that span what was seen: the ends of faces, and edges."""
+    """Return points (n, 2) that span the visible region: ends of faces, and edges."""
     points = []
     for sample in samples:
         for f in sample.features:
@@ -99,7 +99,7 @@ def _seen(samples: Sequence[Sample]) -> Array:
 
 
 def border_lines(ends: Array, seen: Array) -> Array:
-    """Return lines (k, 3), normal and offset, on which many of the ends (n, 2) lie."""
+    """Return the lines (k, 3), normal and offset, through many of the ends (n, 2)."""
     some = ends[np.linspace(0, len(ends) - 1, min(len(ends), 60)).astype(int)]
     i, j = np.triu_indices(len(some), 1)
     along = some[j] - some[i]
@@ -126,7 +126,7 @@ def _on_any(point: Array, lines: Array) -> bool:
 
 def require_inside(features: Sequence[Feature], profiles: Sequence[Profile]) -> None:
     """
-    Refuse a stop all of whose edges lie so near the end of the view that they may be cut off.
+    Reject a stop if all its edges may be cut off by the border of the view.
 
     The end of the view is where the columns of a profile end. A driver that leaves columns
     without a return out of its messages does not show it; then nothing is refused.
@@ -144,12 +144,12 @@ def require_inside(features: Sequence[Feature], profiles: Sequence[Profile]) -> 
 
 
 def _shows_columns(points: Array) -> bool:
-    """Tell whether a profile has its columns without a return too."""
+    """Return whether the profile also contains its columns without a return."""
     return bool(np.isnan(points).any())
 
 
 def _to_the_end(edge: EdgePoint, points: Array) -> float:
-    """Return how far the columns go on beside an edge, on the shorter side (m)."""
+    """Return the width (m) of the columns beside an edge, on the side with fewer."""
     seen = np.flatnonzero(np.isfinite(points).all(axis=1))
     at = seen[int(np.argmin(np.abs(points[seen] - edge.point).sum(axis=1)))]
     along = points[seen] @ edge.direction

@@ -1,5 +1,5 @@
 """
-Samples of a robot that moves, each a single profile with the pose of its own time; their problem.
+Samples of a moving robot: single profiles with the poses at their own times.
 
 A recording is cut into passes, two seconds of motion each, or one rest. A pass is kept, numbered
 and left out as a stop is. The poses depend on the time offset, which is unknown.
@@ -30,10 +30,11 @@ from handeye_ros.estimation.linearise import Linear, Problem
 from handeye_ros.estimation.model import PoseModel
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.frames import mounted
-from handeye_ros.sampling.dwells import DwellFinder, interpolate, NS
+from handeye_ros.sampling.dwells import DwellFinder, NS
 from handeye_ros.sampling.errors import NoProfilesError
 from handeye_ros.sampling.station_features import evenly, features_of_each, flipped_features
-from handeye_ros.sampling.trajectory import Instants, joined, Trajectory, trajectory_of
+from handeye_ros.streams.stream import interpolate
+from handeye_ros.streams.trajectory import Instants, joined, Trajectory, trajectory_of
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,7 +43,7 @@ MOST_SINGLE = 32  # profiles of a pass that are looked at, twice as many where f
 
 
 class PassFinder(DwellFinder):
-    """Cuts a stream of poses into passes, whether the robot moves or stands."""
+    """Cuts a stream of poses into passes of a fixed duration, moving or at rest."""
 
     def _continues(self, pose: TimedPose) -> bool:
         first, gap = self._run[0].stamp, self.sampling.max_pose_gap * NS
@@ -52,7 +53,7 @@ class PassFinder(DwellFinder):
 
 
 def finder_of(sampling: SamplingConfig) -> DwellFinder:
-    """Return what cuts poses into stops, or into passes of a robot that moves."""
+    """Return the finder of stops, or of passes where sampling.mode is moving."""
     return (PassFinder if sampling.moving else DwellFinder)(sampling)
 
 
@@ -75,7 +76,7 @@ def pass_sample(poses: Sequence[TimedPose], messages: Sequence[AnyProfile], conf
 
 def _found(messages: Iterable[AnyProfile], config: Config
            ) -> tuple[list[tuple[Profile, tuple[Feature, ...]]], DataError | None]:
-    """Return the profiles that show the target with its features; why the last other does not."""
+    """Return the profiles that show the target, their features, and the last error of others."""
     profiles, found, why = [], [], None
     for message in messages:
         with suppress(UnusableMessageError):
@@ -90,7 +91,7 @@ def _found(messages: Iterable[AnyProfile], config: Config
 
 
 def single_samples(samples: Sequence[Sample]) -> tuple[Sample, ...]:
-    """Return the samples of passes one by one, with the motion of all; others as they are."""
+    """Return passes as one sample per profile, with the common trajectory; others unchanged."""
     passes = [sample for sample in samples if sample.single]
     if not passes:
         return tuple(samples)
@@ -102,7 +103,7 @@ def single_samples(samples: Sequence[Sample]) -> tuple[Sample, ...]:
 @dataclass(frozen=True, eq=False)
 class Pairing:
     """
-    The poses of n samples as a function of the time offset, those of a robot at rest as they are.
+    Poses of n samples as a function of the time offset; those of stops are constant.
 
     T_base_flange: (n, 4, 4) with the stamps as they are; moving: (n,) whether the robot moved.
     """
@@ -114,14 +115,14 @@ class Pairing:
 
     @classmethod
     def of(cls, samples: Sequence[Sample]) -> Pairing:
-        """Return that of samples, of which some must be of a robot that moves."""
+        """Return the pairing of samples, at least one of them of a moving robot."""
         return cls(np.array([sample.T_base_flange for sample in samples]),
                    np.array([sample.stamp for sample in samples]),
                    np.array([sample.motion is not None for sample in samples]),
                    next(s.motion for s in samples if isinstance(s.motion, Trajectory)))
 
     def at(self, offset: float, lag: float = 0.0) -> Instants:
-        """Return where the flange was at each sample, with an offset and a lag (s)."""
+        """Return the flange at each sample for a time offset and a lag of the rotation (s)."""
         found = self.motion.at(self.stamps[self.moving] + round(offset * 1e9), lag)
         n = len(self.stamps)
         every = Instants(self.T_base_flange.copy(), np.zeros((n, 6)), np.ones(n, dtype=bool))
@@ -130,7 +131,7 @@ class Pairing:
         return every
 
     def poses_and_twists(self, values: Array) -> tuple[Array, Array]:
-        """Return poses (n, 4, 4) and twists (n, 6, k) of an offset and a lag, for a PoseModel."""
+        """Return poses (n, 4, 4) and twists (n, 6, k) for an offset and a lag; see PoseModel."""
         return _evaluated(self, tuple(values.tolist()))
 
 
@@ -143,7 +144,7 @@ def _evaluated(pairing: Pairing, values: tuple[float, ...]) -> tuple[Array, Arra
 
 
 def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
-    """Return the problem of samples; that of a robot that moves with the time offset in it."""
+    """Return the problem of samples; for a moving robot with the time offset as an unknown."""
     method = targets.method_for(config)
     problem = Problem(method, mounted(samples, config), method.features.observe(samples), config)
     if not any(sample.motion for sample in samples):
@@ -160,7 +161,7 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
 
 
 def errors_in_motion(stamps: NDArray[np.int64], first: Linear) -> Blocks:
-    """Return the blocks of the errors of a robot that moves, smooth in time, and of exposure."""
+    """Return the blocks of errors of a moving robot: smooth in time, and of the exposure."""
     size, model = first.problem.config.noise.robot_smooth, first.problem.pose_model
     assert model is not None
     here = stamps if model.stations is None else stamps[model.stations]
@@ -180,7 +181,7 @@ def errors_in_motion(stamps: NDArray[np.int64], first: Linear) -> Blocks:
 
 def _exposure(linear: Linear) -> ParameterBlock:
     """
-    Return the block of how much sooner a face seems to end during an exposure.
+    Return the block of the shortening of faces during an exposure.
 
     What a profile averages over is of the face only as long as the face is seen: the end moves by
     up to half the exposure times the velocity at which the edge passes, always the same way.

@@ -1,4 +1,4 @@
-"""The profiles that a stop of the robot can still need, in no more than so much memory."""
+"""Buffer of the profiles that the current and pending stops can use, bounded in memory."""
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
@@ -14,7 +14,7 @@ MOST_BACK = 0.2  # of the way forth: behind a step the columns may run back by l
 
 
 class ProfileBuffer:
-    """Profiles in the order of their stamps; the oldest are dropped first, and counted."""
+    """Profiles in the order of their stamps; if full, the oldest are dropped and counted."""
 
     def __init__(self, most_bytes: int = 256_000_000) -> None:
         """Start with none; by default 8 s of 2000 profiles a second of 1280 points fit in."""
@@ -24,24 +24,24 @@ class ProfileBuffer:
         self._dropped = 0
 
     def __len__(self) -> int:
-        """Return how many are kept."""
+        """Return the number of profiles."""
         return len(self.items)
 
     @property
     def warnings(self) -> Iterator[str]:
-        """Yield how many were dropped, where any were."""
+        """Yield a sentence with the number of dropped profiles, if any."""
         if self._dropped:
             yield (f'dropped {self._dropped} profiles, the oldest of their stops: a stop may take '
                    f'{self._most / 1e6:.0f} MB')
 
     def copied(self) -> Self:
-        """Return another that goes on from here by itself."""
+        """Return an independent copy."""
         other = copy(self)
         other.items = list(self.items)
         return other
 
     def add(self, profiles: Iterable[AnyProfile]) -> None:
-        """Take the next ones."""
+        """Add the next profiles."""
         for profile in profiles:
             self.items.append(in_line_order(profile))
             self._bytes += _held(profile)
@@ -55,7 +55,7 @@ class ProfileBuffer:
             self._forget(slice(0, drop))
 
     def keep(self, first: int, last: int) -> None:
-        """Forget what does not lie between two stamps."""
+        """Drop all profiles outside two stamps."""
         end = bisect_right(self.items, last, key=_stamp)
         self._forget(slice(end, len(self.items)))
         self._forget(slice(0, bisect_left(self.items, first, key=_stamp)))
@@ -74,10 +74,18 @@ def _stamp(profile: AnyProfile) -> int:
 
 
 def in_line_order(profile: AnyProfile) -> AnyProfile:
-    """Return a profile with its points sorted along the line where they are in no order."""
+    """
+    Return a profile with its points sorted along the laser line if they are unordered.
+
+    Points in the origin become NaN: drivers publish the origin for missing returns.
+    """
     if isinstance(profile, RawProfile):
         return profile  # sorted when it is read
     x = profile.points[:, 0]
+    missing = (x == 0) & (profile.points[:, 1] == 0)
+    if missing.any():
+        points = np.where(missing[:, None], np.nan, profile.points)
+        profile, x = replace(profile, points=points), points[:, 0]
     placed = np.isfinite(x).nonzero()[0]
     steps = np.diff(x[placed])
     forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()

@@ -1,5 +1,5 @@
 """
-The samples of a recording, or of a running node: stops, and what became of each.
+The session: all stops of a recording or of a running node, and their outcomes.
 
 The same Session takes the messages of a bag and those of live topics.
 """
@@ -32,7 +32,7 @@ EARLY_CHECKS = ((0.0, MOST_PROFILES), (0.3, 1), (1.3, 0), (3.3, 0), (7.3, 0))
 
 
 class Session(DwellDetector):
-    """Takes poses and profiles as they come; gives a sample, or a reject, per stop."""
+    """Receives poses and profiles and turns each stop into a sample or a reject."""
 
     def __init__(self, config: Config) -> None:
         """Start with no samples; raises BadValueError for a method that does not exist."""
@@ -40,7 +40,7 @@ class Session(DwellDetector):
         super().__init__(config)
 
     def clear(self) -> None:
-        """Forget all samples and all that was received."""
+        """Forget all samples and all messages."""
         super().clear()
         self._checks = 0  # by early(), in the dwell of now; the next one, and the first (ns)
         self._early_at = self._early_from = 0
@@ -49,35 +49,35 @@ class Session(DwellDetector):
 
     @property
     def base_frame(self) -> str:
-        """Return the frame that the poses are given in, empty before the first."""
+        """Return the frame of the poses, empty before the first one."""
         return (self._pose_stream.frame or '').lstrip('/')
 
     def with_base(self, config: Config) -> Config:
-        """Return settings with the frame of the poses as the base, where they name none."""
+        """Return the settings with the frame of the poses as the base, if they name none."""
         return config if config.robot_base_frame else replace(
             config, robot_base_frame=self.base_frame)
 
     @property
     def conflict(self) -> InputError | None:
-        """Return the error of frames that do not go together, None where they do."""
+        """Return the error of contradicting frames, or None."""
         wanted = self._config.robot_base_frame.lstrip('/')
         if wanted and self.base_frame and wanted != self.base_frame:
             return BaseFrameError(self.base_frame, wanted)
         return super().conflict
 
     def copied(self) -> Self:
-        """Return another that goes on from here by itself."""
+        """Return an independent copy."""
         other = super().copied()
         other._outcomes = list(self._outcomes)
         return other
 
     def replace(self, outcomes: Iterable[Outcome]) -> None:
-        """Let stops have given something else; those that were removed meanwhile stay away."""
+        """Replace the outcomes of stops, except those removed in the meantime."""
         fresh = {id(outcome.stop): outcome for outcome in outcomes}
         self._outcomes = [fresh.get(id(outcome.stop), outcome) for outcome in self._outcomes]
 
     def restore(self, outcomes: Sequence[Outcome], numbers: int, frame_id: str) -> None:
-        """Go on from the stops of an earlier run; numbers: given so far."""
+        """Continue from the stops of an earlier run; numbers: how many were assigned."""
         self.clear()
         self._outcomes, self._numbers = list(outcomes), numbers
         self._taken = {outcome.stop.began for outcome in outcomes} | ({-1} if numbers else set())
@@ -85,51 +85,51 @@ class Session(DwellDetector):
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
-        """Return what became of the stops, in the order of their numbers."""
+        """Return the outcomes in the order of their numbers."""
         return tuple(sorted(self._outcomes, key=lambda outcome: outcome.number))
 
     @property
     def numbers(self) -> int:
-        """Return the last number given."""
+        """Return the last number assigned."""
         return self._numbers
 
     @property
     def samples(self) -> tuple[Sample, ...]:
-        """Return the samples taken so far, but for those that samples.exclude leaves out."""
+        """Return the samples, without those of samples.exclude."""
         return single_samples([o.sample for o in self._outcomes
                                if o.sample and not self.excludes(o)])
 
     @property
     def rejects(self) -> tuple[Reject, ...]:
-        """Return the stops that gave no sample, or one that is left out, with the reasons."""
+        """Return the stops without a sample or with an excluded one, with the reasons."""
         return tuple(o.result if isinstance(o.result, Reject) else
                      Reject(o.result.stamp, f'sample {o.number} is left out by samples.exclude')
                      for o in self._outcomes
                      if isinstance(o.result, Reject) or self.excludes(o))
 
     def excludes(self, outcome: Outcome) -> bool:
-        """Tell whether samples.exclude leaves a sample out."""
+        """Return whether samples.exclude contains a sample."""
         return outcome.number in self._config.samples.exclude
 
     def collect(self) -> list[Sample | Reject]:
-        """Return what became of the stops that both streams have passed since the last call."""
+        """Return the outcomes of stops completed in both streams since the last call."""
         return self._judged(self.passed())
 
     def finish(self) -> list[Sample | Reject]:
         """
-        Return what became of all stops left, the one the robot stands in included.
+        Return the outcomes of all remaining stops, including the current one.
 
         Raises TwoFramesError when messages of two frames came on one topic.
         """
         return self._judged(self.rest())
 
     def _judged(self, stops: Sequence[Stop]) -> list[Sample | Reject]:
-        """Return what becomes of stops, and keep it."""
+        """Return the outcomes of stops and store them."""
         return [self.put(self.outcome(stop, result_of(stop, self._config))).result
                 for stop in stops]
 
     def outcome(self, stop: Stop, result: Sample | Reject) -> Outcome:
-        """Return what became of a stop: numbered, and a sample that brings nothing new none."""
+        """Return the numbered outcome of a stop; a duplicate pose gives no sample."""
         before = [o for o in self._outcomes if o.stop.began == stop.began]
         number = before[0].number if before else self._numbers + 1
         others = [o for o in self._outcomes if o not in before and not self.excludes(o)]
@@ -138,7 +138,7 @@ class Session(DwellDetector):
         return Outcome(number, stop, Reject(result.stamp, why) if why else result, why)
 
     def put(self, outcome: Outcome, over: bool = True) -> Outcome:
-        """Keep what became of a stop, instead of what was known of it; return it."""
+        """Store and return the outcome of a stop in place of an earlier one."""
         began = outcome.stop.began
         self._outcomes = [o for o in self._outcomes if o.stop.began != began] + [outcome]
         self._numbers = max(self._numbers, outcome.number)
@@ -147,15 +147,15 @@ class Session(DwellDetector):
         return outcome
 
     def is_taken(self, stop: Stop) -> bool:
-        """Return whether a stop is given no more."""
+        """Return whether a stop was already sampled, or is to be ignored."""
         return stop.began in self._taken
 
     def leave(self, stop: Stop) -> None:
-        """Let a stop count as taken: it is given no more."""
+        """Mark a stop as taken, so that it is not returned again."""
         self._taken.add(stop.began)
 
     def standing(self) -> Stop | None:
-        """Return the stop that the robot stands in, if it will be given by itself."""
+        """Return the current stop if it is sampled automatically."""
         dwell = self._finder.current()
         if dwell is None or not self._by_itself or dwell.began in self._taken:
             return None
@@ -163,7 +163,7 @@ class Session(DwellDetector):
 
     def early(self) -> Stop | None:
         """
-        Return the stop that the robot stands in as soon as it has what a sample needs.
+        Return the current stop as soon as it has enough profiles for a sample.
 
         That is MOST_PROFILES soon, or one after a second. A stop that gave no sample is returned
         a few times more: what hindered may be gone. passed() returns it again when it is over.
@@ -190,7 +190,7 @@ class Session(DwellDetector):
 
     def take_sample(self) -> Sample:
         """
-        Return a sample of the stop that the robot stands in now.
+        Return a sample of the current stop.
 
         Raises what current_stop() raises, or a NoProfilesError, FeatureError or NothingNewError.
         """
@@ -203,7 +203,7 @@ class Session(DwellDetector):
 
     def last(self, judge: Callable[[Stop, Config], Sample | Reject] = result_of) -> Outcome:
         """
-        Return the last sample, which may be of the stop the robot stands in.
+        Return the last sample, which may be of the current stop.
 
         judge: tells what a stop gives. Raises NothingToRemoveError when there is none.
         """
@@ -218,7 +218,7 @@ class Session(DwellDetector):
         return max(samples, key=lambda outcome: outcome.number)
 
     def remove(self, outcome: Outcome) -> None:
-        """Forget what became of a stop; the stop counts as taken."""
+        """Forget the outcome of a stop; the stop counts as taken."""
         self._taken.add(outcome.stop.began)
         self._outcomes = [o for o in self._outcomes if o.number != outcome.number]
 

@@ -1,5 +1,5 @@
 """
-What the profiles of one station say together.
+Features of a station, combined from all its profiles.
 
 The scatter between the profiles gives the uncertainty of what they share.
 """
@@ -39,7 +39,7 @@ class DisagreeingProfilesError(FeatureError):
 def of_station(profiles: Sequence[Profile], method: Method, config: Config
                ) -> tuple[list[Profile], tuple[Feature, ...]]:
     """
-    Return the profiles of a station that show the target, and their features combined.
+    Return the profiles of a station that show the target, and their combined features.
 
     Raises FeatureError when most do not show it, or do not agree.
     """
@@ -58,14 +58,14 @@ def of_station(profiles: Sequence[Profile], method: Method, config: Config
 
 def features_of_each(profiles: Sequence[Profile], method: Method, config: Config
                      ) -> Sequence[tuple[Feature, ...] | DataError]:
-    """Return the features of each profile, or why there are none."""
+    """Return for each profile its features or the error."""
     several = method.features.extract_each or partial(_one_by_one, method)
     return several([profile.points for profile in profiles], config)
 
 
 def _one_by_one(method: Method, profiles: Sequence[Array], config: Config
                 ) -> list[tuple[Feature, ...] | DataError]:
-    """Return the features of each profile, or why there are none."""
+    """Return for each profile its features or the error."""
     found: list[tuple[Feature, ...] | DataError] = []
     for points in profiles:
         try:
@@ -81,14 +81,14 @@ def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:
 
 
 def evenly(profiles: Sequence[AnyProfile], most: int) -> list[AnyProfile]:
-    """Return so many of the profiles at most, evenly spread."""
+    """Return at most a number of the profiles, evenly spaced."""
     if len(profiles) <= most:
         return list(profiles)
     return [profiles[i] for i in np.linspace(0, len(profiles) - 1, most).astype(int)]
 
 
 def flipped_features(profile: Profile, config: Config) -> tuple[Feature, ...]:
-    """Return what a profile shows with profile.range_sign the other way."""
+    """Return the features with the opposite profile.range_sign."""
     method = targets.method_for(config)
     if not method.essential:
         return ()
@@ -100,7 +100,7 @@ def flipped_features(profile: Profile, config: Config) -> tuple[Feature, ...]:
 
 def combine(found: Sequence[tuple[Feature, ...]], together: int = 1) -> tuple[Feature, ...]:
     """
-    Return the features of one station from those of its profiles (one tuple each).
+    Return the features of a station from those of its profiles (one tuple each).
 
     Features are matched by kind, place, and the way they face; together: of so many lines one
     after the other none is used without the others. Raises FeatureError when the
@@ -128,7 +128,7 @@ def combine(found: Sequence[tuple[Feature, ...]], together: int = 1) -> tuple[Fe
 
 def _combined_lines(seen: Sequence[Sequence[FaceLine]], together: int) -> list[FaceLine]:
     """
-    Return one line for each surface that most profiles show, of those that each shows.
+    Return one line for each surface that most of the profiles show.
 
     Raises DisagreeingProfilesError when they agree on fewer than every one of them shows.
     """
@@ -149,7 +149,7 @@ def _combined_lines(seen: Sequence[Sequence[FaceLine]], together: int) -> list[F
 
 
 def _apart(line: FaceLine, other: FaceLine) -> float:
-    """Return how far apart two lines are (m): across, and a little of how far along."""
+    """Return the distance between two lines (m): across, plus a small part along."""
     away = line.centre - other.centre
     across = away[1] * line.direction[0] - away[0] * line.direction[1]
     return float(abs(across) + ALONG * abs(away[0]))
@@ -191,7 +191,7 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
 
 def _combined_ends(points: Array, edges: Sequence[EdgePoint], good: NDArray[np.bool_]
                    ) -> tuple[Array, Array, float]:
-    """Return shapes, arc and arc_std of edges at points (n, 2), where most of them are bent."""
+    """Return shapes, arc and arc_std of edges at points (n, 2) if most of them are rounded."""
     bent = good & [len(edge.shapes) > 0 for edge in edges]
     if 2 * bent.sum() <= good.sum():
         return np.empty(0), np.zeros(2), 0.0
@@ -205,7 +205,7 @@ def _combined_ends(points: Array, edges: Sequence[EdgePoint], good: NDArray[np.b
 
 def _agreeing(values: Array, times: float, least: float, what: str) -> NDArray[np.bool_]:
     """
-    Return which values (n,) lie near their median: within so many scatters, or least.
+    Return which values (n,) are within some scatters, or a least distance, of the median.
 
     Raises DisagreeingProfilesError when too many do not, or they scatter more than a robot may
     move that stands still.
@@ -238,6 +238,6 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
 
 
 def _scatter(arc: Arc, centre: Array, radius: float) -> float:
-    """Return the RMS distance of an arc's points from a circle."""
+    """Return the RMS distance of the points of an arc from its circle."""
     off = np.linalg.norm(arc.raw - centre, axis=1) - radius
     return float(np.sqrt((off ** 2).mean()))

@@ -1,5 +1,5 @@
 """
-What is kept of a stop of the robot, and the sample that its profiles and poses give.
+A stop of the robot: the messages kept, and the sample made of them.
 
 The messages stay with the stop, so that another configuration needs no new stops.
 """
@@ -15,11 +15,12 @@ from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Profile, RawProfile, Reject, Sample, TimedPose
 from handeye_ros.errors import FeatureError, UnusableMessageError
-from handeye_ros.sampling.dwells import around, Dwell, interpolate, NS
+from handeye_ros.sampling.dwells import Dwell, NS
 from handeye_ros.sampling.errors import NoProfilesError
 from handeye_ros.sampling.field_of_view import require_inside
 from handeye_ros.sampling.passes import pass_sample
 from handeye_ros.sampling.station_features import evenly, flipped_features, of_station
+from handeye_ros.streams.stream import around, interpolate
 import numpy as np
 
 # Of one stop, evenly spread. A robot that stands still sees the same speckle, and 32 profiles
@@ -30,7 +31,7 @@ MOST_PROFILES = 32
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """The poses and the profiles of the time of a stop, each in the order of their stamps."""
+    """Poses and profiles of the duration of a stop, each in the order of their stamps."""
 
     poses: tuple[TimedPose, ...]
     profiles: tuple[AnyProfile, ...]
@@ -57,7 +58,7 @@ class Stop:
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """
-    What became of a stop.
+    Result of a stop: a sample, or the reason why there is none.
 
     number: counted from 1, never given twice in a session; refused: why its sample is none,
     whatever the profiles show.
@@ -70,12 +71,12 @@ class Outcome:
 
     @property
     def sample(self) -> Sample | None:
-        """Return the sample, None where there is none."""
+        """Return the sample, or None."""
         return self.result if isinstance(self.result, Sample) else None
 
 
 def stop_of(station: Dwell, profiles: Sequence[AnyProfile], config: Config) -> Stop:
-    """Return the stop of a station; profiles: all that may belong to its time, in order."""
+    """Return the stop of a dwell; profiles: all candidates, in order."""
     inside = _inside(profiles, station)
     first, last = steady_span(station.start, station.end, config)
     begin, end = (bisect_left(inside, first, key=_stamp), bisect_right(inside, last, key=_stamp))
@@ -86,12 +87,12 @@ def stop_of(station: Dwell, profiles: Sequence[AnyProfile], config: Config) -> S
 
 
 def _held(seen: Seen, config: Config) -> Seen:
-    """Return what is in memory; a function of the module, so that a stop can be pickled."""
+    """Return messages that are in memory; a module function, so that a stop can be pickled."""
     return seen
 
 
 def needed(stop: Stop, config: Config) -> Stop:
-    """Return a stop with no more than what its sample is made of, to be judged elsewhere."""
+    """Return a stop reduced to the messages of its sample, to be processed elsewhere."""
     seen = stop.load(config)
     if config.sampling.moving:
         return Stop(stop.began, partial(_held, seen))
@@ -101,7 +102,7 @@ def needed(stop: Stop, config: Config) -> Stop:
 
 
 def _inside(profiles: Sequence[AnyProfile], station: Dwell) -> Sequence[AnyProfile]:
-    """Return the profiles that were surely taken during a station; thousands are looked at."""
+    """Return the profiles surely taken during a dwell; thousands are tested."""
     begin = bisect_left(profiles, station.start, key=_stamp)
     end = bisect_right(profiles, station.end, key=_stamp)
     while begin < end and not _surely_inside(profiles[begin], station):
@@ -112,7 +113,7 @@ def _inside(profiles: Sequence[AnyProfile], station: Dwell) -> Sequence[AnyProfi
 
 
 def _surely_inside(profile: AnyProfile, station: Dwell) -> bool:
-    """Tell whether a profile was taken during a station, also where only about its stamp."""
+    """Return whether a profile was surely taken during a dwell, given its duration."""
     if not isinstance(profile, RawProfile):
         return True
     before, after = profile.reach
@@ -120,13 +121,13 @@ def _surely_inside(profile: AnyProfile, station: Dwell) -> bool:
 
 
 def steady_span(start: int, end: int, config: Config) -> tuple[int, int]:
-    """Return the first and last stamp of a stop at which nothing swings any more."""
+    """Return the first and last stamp of a stop without vibration."""
     settle = round(config.sampling.settle_time * NS)
     return start + settle, end - settle
 
 
 def _kept(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
-    """Return those of a part of a stop that are kept: 40 a second, 150 at most."""
+    """Return a part of the profiles of a stop: 40 per second, at most 150."""
     length = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
     return evenly(profiles, min(150, max(least, 1 + round(40 * length))))
 
@@ -140,7 +141,7 @@ def sample_of(stop: Stop, config: Config) -> Sample:
 
 
 def _sample(seen: Seen, profiles: Sequence[Profile], config: Config) -> Sample:
-    """Return the sample of what was seen at a stop; profiles: of when nothing swings any more."""
+    """Return the sample of the messages of a stop; profiles: of its time without vibration."""
     if not profiles:
         raise NoProfilesError((seen.poses[-1].stamp - seen.poses[0].stamp) / NS)
     used, combined = of_station(profiles, targets.method_for(config), config)
@@ -151,7 +152,7 @@ def _sample(seen: Seen, profiles: Sequence[Profile], config: Config) -> Sample:
 
 
 def _still(seen: Seen, config: Config) -> list[Profile]:
-    """Return the profiles of the time in which nothing swings any more; some may be unusable."""
+    """Return the profiles of the time without vibration; some may be unusable."""
     read = []
     for profile in _unread(seen, config):
         with suppress(UnusableMessageError):
@@ -160,13 +161,13 @@ def _still(seen: Seen, config: Config) -> list[Profile]:
 
 
 def _unread(seen: Seen, config: Config) -> list[AnyProfile]:
-    """Return the messages of the same."""
+    """Return the same as undecoded messages."""
     first, last = steady_span(seen.poses[0].stamp, seen.poses[-1].stamp, config)
     return evenly([p for p in seen.profiles if first <= p.stamp <= last], MOST_PROFILES)
 
 
 def beside(stop: Stop, config: Config) -> float:
-    """Return how far the profiles of a stop lie beside their plane (m), as its first tells."""
+    """Return the distance (m) of the first profile's points from the plane of profile.axes."""
     for profile in stop.load(config).profiles:
         with suppress(UnusableMessageError):
             return abs(profile.read(config.profile).beside)
@@ -178,7 +179,7 @@ def _stamp(profile: AnyProfile) -> int:
 
 
 def result_of(stop: Stop, config: Config) -> Sample | Reject:
-    """Return the sample of a stop, or why it gives none."""
+    """Return the sample of a stop, or the reject with the reason."""
     seen = stop.load(config)
     profiles = _still(seen, config)
     try:
@@ -191,7 +192,7 @@ def result_of(stop: Stop, config: Config) -> Sample | Reject:
 
 
 def judged(outcome: Outcome, config: Config) -> Outcome:
-    """Return what becomes of the same stop with another configuration."""
+    """Return the outcomes of the same stops with another configuration."""
     if outcome.refused:
         stamp = outcome.stop.load(config).poses[0].stamp
         return replace(outcome, result=Reject(stamp, outcome.refused))
@@ -199,7 +200,7 @@ def judged(outcome: Outcome, config: Config) -> Outcome:
 
 
 def duplicate_pose(sample: Sample, others: Iterable[Outcome], config: Config) -> str:
-    """Return of which other stop a sample only repeats the pose; empty if of none."""
+    """Return the stop whose pose a sample repeats, in words; empty if none."""
     limits = config.sampling
     for other in others:
         if other.sample:
@@ -211,6 +212,6 @@ def duplicate_pose(sample: Sample, others: Iterable[Outcome], config: Config) ->
 
 
 def pose_distance(sample: Sample, other: Sample) -> tuple[float, float]:
-    """Return how far the flange is from where it was at another sample (m, rad)."""
+    """Return the distance between the flange poses of two samples (m, rad)."""
     T = se3.inverse(other.T_base_flange) @ sample.T_base_flange
     return float(np.linalg.norm(T[:3, 3])), float(np.linalg.norm(se3.log_rotation(T[:3, :3])))

@@ -1,5 +1,5 @@
 """
-The time offset of profiles of a robot that moves: found from nothing, together with the rest.
+Finds the time offset of profiles of a moving robot from nothing, with the calibration.
 
 A profile of stamp t has the pose T(t + dt). The derivative of a condition by dt is that by the
 flange's pose times its twist, one more column. A robot may report its rotation later than its
@@ -19,7 +19,7 @@ from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
 from handeye_ros.estimation.search import relabelled
-from handeye_ros.estimation.solver import believed, graduated, Rows, System, White
+from handeye_ros.least_squares.solver import believed, graduated, Rows, System, White
 from handeye_ros.sampling.passes import Pairing, problem_of
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ CONVINCING = 4.0  # squared residual of the believed share, in variances, of a g
 @dataclass(frozen=True, eq=False)
 class Synchronised:
     """
-    Samples with the poses of one time offset, and an estimate near their solution.
+    Samples with the poses at one time offset, and an estimate near their solution.
 
     rejects: samples at whose time no poses tell where the flange was.
     """
@@ -43,7 +43,7 @@ class Synchronised:
 
 def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
     """
-    Return samples with the poses of the offset that explains those of a robot that moves.
+    Return samples of a moving robot with the poses at the most likely time offset.
 
     Of very many some are taken. Raises DataError where no estimate can be started.
     """
@@ -63,7 +63,7 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
 
 
 def _searched(problem: Problem, rng: np.random.Generator) -> _At:
-    """Return the best fit from several offsets, the most likely first, or one that convinces."""
+    """Return the best fit over several offsets, or the first convincing one."""
     best: _At | None = None
     for offset in sorted(np.arange(-10, 11, 2), key=abs):  # prior sigmas
         values = np.zeros(len(problem.pose_values))
@@ -79,9 +79,9 @@ def _searched(problem: Problem, rng: np.random.Generator) -> _At:
 
 
 def _refined(problem: Problem, start: Estimate) -> _At:
-    """Return where graduated non-convexity leads to from an estimate, the offset unknown too."""
+    """Return the result of graduated non-convexity from an estimate, with the offset unknown."""
     def refit(at: _At, weights: Array) -> _At:
-        system = System(_At.rows, _At.moved, at.blocks)
+        system = System(_At.rows, _At.retracted, at.blocks)
         at = system.reweighted(at, np.append(weights, 1.0))
         return labelled(at.problem, at.estimate)
 
@@ -94,7 +94,7 @@ def _refined(problem: Problem, start: Estimate) -> _At:
 
 @dataclass(frozen=True, eq=False)
 class _At:
-    """A problem with the labels that fit an estimate; offset and lag are its pose values."""
+    """A labelled problem at an estimate; offset and lag are its pose values."""
 
     problem: Problem
     estimate: Estimate
@@ -129,12 +129,12 @@ class _At:
 
     @property
     def blocks(self) -> NDArray[np.intp]:
-        """Return the block of each row: its sample, and one of the priors."""
+        """Return the block of each row: its sample, or the block of the priors."""
         stations = np.full(len(self.values), len(self.problem.poses))
         return np.append(self.problem.observations.station, stations)
 
     def rows(self) -> Rows:
-        """Return the residuals, the last those of the priors."""
+        """Return the residuals; the last ones are those of the priors."""
         return Rows(np.append(self.linear.residuals, self.values / self.prior_stds),
                     self._jacobian, lambda: self._whitened)
 
@@ -150,13 +150,13 @@ class _At:
         k = len(self.values)
         return np.concatenate([self.white(values[:-k]), values[-k:]])
 
-    def moved(self, step: Array) -> _At:
-        """Return the same moved by a step of all unknowns, offset and lag the last of them."""
+    def retracted(self, step: Array) -> _At:
+        """Return the problem after a step of all unknowns, offset and lag the last."""
         k = len(self.values)
         estimate = self.problem.retracted(self.estimate, step[:-k])
         return _At(self.problem.with_pose_values(self.values + step[-k:]), estimate)
 
 
 def evenly_chosen(n: int, most: int) -> NDArray[np.intp]:
-    """Return the indices of at most so many of n samples, evenly spread."""
+    """Return the indices of at most a number of n samples, evenly spaced."""
     return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.intp)

@@ -1,9 +1,9 @@
 """
-Point clouds as PLY and PCD files, written piece by piece at constant memory.
+Point clouds as PLY and PCD files, written in pieces with constant memory.
 
-The number of points stands in the header, before them: it is put in at the end, into room that
-was left for it. The kept libraries for these forms hold a whole cloud in memory; the tests read
-what is written here with them.
+The header states the number of points, which is known only at the end: the header reserves space
+for it. The common libraries for these formats hold a whole cloud in memory; the tests read the
+written files with them.
 """
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 Points: TypeAlias = NDArray[np.void]
 Header: TypeAlias = Callable[[int, 'np.dtype[Any]', str], str]
 
-DIGITS = 15  # room for the number of points
+DIGITS = 15  # reserved for the number of points
 PLY_TYPES = {'f4': 'float', 'f8': 'double', 'i1': 'char', 'u1': 'uchar', 'i2': 'short',
              'u2': 'ushort', 'i4': 'int', 'u4': 'uint'}
 PLY_ALIASES = {'float32': 'f4', 'float64': 'f8', 'int8': 'i1', 'uint8': 'u1', 'int16': 'i2',
@@ -35,7 +35,7 @@ def _kinds(dtype: np.dtype[Any]) -> list[tuple[str, str]]:
 
 
 def ply_header(count: int, dtype: np.dtype[Any], comment: str) -> str:
-    """Return the header of a PLY file of so many points, always of the same length."""
+    """Return the header of a PLY file for a number of points, always of the same length."""
     number = str(count)
     return '\n'.join([
         'ply', 'format binary_little_endian 1.0', f'comment {comment}',
@@ -45,7 +45,7 @@ def ply_header(count: int, dtype: np.dtype[Any], comment: str) -> str:
 
 
 def pcd_header(count: int, dtype: np.dtype[Any], comment: str) -> str:
-    """Return the header of a PCD file of so many points, always of the same length."""
+    """Return the header of a PCD file for a number of points, always of the same length."""
     names, kinds = zip(*_kinds(dtype), strict=True)
     room = '.' * 2 * (DIGITS - len(str(count)))
     return '\n'.join([
@@ -57,11 +57,11 @@ def pcd_header(count: int, dtype: np.dtype[Any], comment: str) -> str:
 
 
 FORMATS: dict[str, Header] = {'.ply': ply_header, '.pcd': pcd_header}
-"""The forms of a cloud that can be written, by the ending of the file."""
+"""The writable formats of a cloud by file extension."""
 
 
 class CloudWriter:
-    """Takes pieces of a cloud, all of the type of the first."""
+    """Writes pieces of a cloud, all of the type of the first."""
 
     def __init__(self, stream: BinaryIO, header: Header, comment: str) -> None:
         """Start with no points."""
@@ -78,7 +78,7 @@ class CloudWriter:
         self.count += len(points)
 
     def finish(self) -> None:
-        """Put the number of points in."""
+        """Write the number of points into the header."""
         if self._dtype is not None:
             self._stream.seek(0)
             self._put_header()
@@ -89,7 +89,7 @@ class CloudWriter:
 
 
 def header_of(path: Path) -> Header:
-    """Return how the header of a file is written; raises CloudFormatError."""
+    """Return the function that makes the header of a file; raises CloudFormatError."""
     header = FORMATS.get(path.suffix.lower())
     if header is None:
         raise CloudFormatError(path, list(FORMATS))
@@ -99,7 +99,7 @@ def header_of(path: Path) -> Header:
 @contextmanager
 def cloud_writer(path: Path, comment: str = '') -> Iterator[CloudWriter]:
     """
-    Give a writer of a cloud, which is there when the block has ended well, and not before.
+    Give a writer of a cloud file that appears only when the block ends without an error.
 
     Raises CloudFormatError, UnwritableError.
     """
@@ -119,7 +119,7 @@ def read_cloud(path: Path) -> Array:
     header_of(path)
     try:
         with path.open('rb') as stream:
-            head, lines = _header_lines(path, stream.read(LONGEST_HEADER))
+            header_size, lines = _header_lines(path, stream.read(LONGEST_HEADER))
     except OSError as error:
         raise CloudFileError(path, f'cannot be read: {error.strerror or error}') from error
     parse = _ply_layout if path.suffix.lower() == '.ply' else _pcd_layout
@@ -130,20 +130,20 @@ def read_cloud(path: Path) -> Array:
                              '(little-endian, not compressed) form') from error
     if not {'x', 'y', 'z'} <= set(dtype.names or ()):
         raise CloudFileError(path, 'its points have no fields x, y and z')
-    points = _body(path, head, dtype, count, binary)
+    points = _body(path, header_size, dtype, count, binary)
     return points[np.isfinite(points).all(axis=1)]
 
 
 def _header_lines(path: Path, start: bytes) -> tuple[int, list[list[str]]]:
     """Return the length of the header and the words of its lines."""
-    lines, place = [], 0
-    while (end := start.find(b'\n', place)) >= 0:
-        words = start[place:end].decode('latin-1').split()
-        place = end + 1
+    lines, position = [], 0
+    while (end := start.find(b'\n', position)) >= 0:
+        words = start[position:end].decode('latin-1').split()
+        position = end + 1
         if words and not words[0].startswith('#') and words[0] != 'comment':
             lines.append(words)
         if words[:1] in (['end_header'], ['DATA']):
-            return place, lines
+            return position, lines
     raise CloudFileError(path, 'has no header of a cloud')
 
 
@@ -175,17 +175,17 @@ def _pcd_layout(lines: list[list[str]]) -> tuple[bool, np.dtype[Any], int]:
     return values['DATA'][0] == 'binary', np.dtype(fields), int(values['POINTS'][0])
 
 
-def _body(path: Path, head: int, dtype: np.dtype[Any], count: int, binary: bool) -> Array:
-    """Return x, y and z (n, 3) of what stands behind the header."""
+def _body(path: Path, header_size: int, dtype: np.dtype[Any], count: int, binary: bool) -> Array:
+    """Return x, y and z (n, 3) from the data after the header."""
     if binary:
-        there = (path.stat().st_size - head) // dtype.itemsize
-        if there < count:
-            raise CloudFileError(path, f'is cut off: {there} of {count} points')
-        rows = np.memmap(path, dtype, 'r', head, (count,)) if count else np.empty(0, dtype)
+        available = (path.stat().st_size - header_size) // dtype.itemsize
+        if available < count:
+            raise CloudFileError(path, f'is cut off: {available} of {count} points')
+        rows = np.memmap(path, dtype, 'r', header_size, (count,)) if count else np.empty(0, dtype)
         return np.column_stack([rows[axis] for axis in 'xyz']).astype(np.float64)
     names = list(dtype.names or ())
     with path.open('rb') as stream:
-        stream.seek(head)
+        stream.seek(header_size)
         try:
             return np.loadtxt(stream, usecols=[names.index(a) for a in 'xyz'], max_rows=count,
                               ndmin=2).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""What scans and seams refuse."""
+"""Refusals of scans and seams."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -14,15 +14,15 @@ class CloudFileError(InputError):
 
 
 class CloudFormatError(InputError):
-    """A file whose name says no form of a cloud that is known."""
+    """A file name without a known extension of point clouds."""
 
-    def __init__(self, path: object, known: Sequence[str]) -> None:
+    def __init__(self, path: object, extensions: Sequence[str]) -> None:
         super().__init__(f'{path}: the file name must end with '
-                         f'{" or ".join(known)}')
+                         f'{" or ".join(extensions)}')
 
 
 class NoPosesAroundError(DataError):
-    """A scan of which no profile has a pose."""
+    """A scan without a pose for any profile."""
 
     def __init__(self, profiles: int, gap: float) -> None:
         super().__init__(f'none of the {profiles} profiles has a pose before and after it within '
@@ -31,7 +31,7 @@ class NoPosesAroundError(DataError):
 
 
 class EmptyScanError(DataError):
-    """A scan that no point is left of."""
+    """A scan without points after all limits."""
 
     def __init__(self, profiles: int, returns: int) -> None:
         super().__init__(f'no point is left of {profiles} profiles with {returns} returns: '
@@ -39,8 +39,8 @@ class EmptyScanError(DataError):
                             'the sensor saw nothing; check its range and exposure'))
 
 
-def place(point: Sequence[float]) -> str:
-    """Return where a point lies, for a person."""
+def position_text(point: Sequence[float]) -> str:
+    """Return the position of a point in words."""
     return 'x y z = ' + ' '.join(f'{v * 1e3:.0f}' for v in point) + ' mm'
 
 
@@ -55,49 +55,51 @@ class NoSeamError(DataError):
 
 
 class TooFewPointsError(DataError):
-    """A cloud of so few points that nothing can be seen in it."""
+    """A cloud with too few points."""
 
-    def __init__(self, count: int, least: int) -> None:
-        super().__init__(f'the cloud has {count} different points, fewer than {least}: scan more '
-                         'densely, or widen --box')
+    def __init__(self, count: int, minimum: int) -> None:
+        super().__init__(f'the cloud has {count} different points, fewer than {minimum}: scan '
+                         'more densely, or widen --box')
 
 
 class SeveralSeamsError(DataError):
-    """A cloud with more than one seam; places: (3,) of each."""
+    """A cloud with more than one seam; positions: (3,) of each."""
 
-    def __init__(self, lengths: Sequence[float], places: Sequence[Sequence[float]]) -> None:
-        listed = '; '.join(f'{mm(length)} long at {place(p)}'
-                           for length, p in zip(lengths, places, strict=True))
+    def __init__(self, lengths: Sequence[float], positions: Sequence[Sequence[float]]) -> None:
+        listed = '; '.join(f'{mm(length)} long at {position_text(position)}'
+                           for length, position in zip(lengths, positions, strict=True))
         super().__init__(f'{len(lengths)} seams ({listed}): cut one out with --box')
 
 
 class InterruptedSeamError(DataError):
-    """A seam that is not seen in one piece."""
+    """A seam that is visible only in parts."""
 
-    def __init__(self, size: float, at: Sequence[float]) -> None:
-        super().__init__(f'the seam is not seen for {mm(size)} at {place(at)}: scan there again, '
-                         'or cut one part out with --box')
+    def __init__(self, size: float, position: Sequence[float]) -> None:
+        super().__init__(f'the seam is not seen for {mm(size)} at {position_text(position)}: scan '
+                         'there again, or cut one part out with --box')
 
 
 class NoLineError(DataError):
     """Facing edges that do not form a line: a closed seam, a branch, a narrow strip."""
 
-    def __init__(self, width: float, at: Sequence[float]) -> None:
+    def __init__(self, width: float, position: Sequence[float]) -> None:
         super().__init__(f'what looks like a seam is not a single open line: it is {mm(width)} '
-                         f'wide at {place(at)} (closed, or branching?): cut a part out with --box')
+                         f'wide at {position_text(position)} (closed, or branching?): cut a part '
+                         'out with --box')
 
 
 class HiddenWallError(DataError):
-    """A step that may be a lap or a T, since its wall is not seen."""
+    """A step that may be a lap or a T joint, since its wall is hidden."""
 
-    def __init__(self, height: float, at: Sequence[float]) -> None:
-        super().__init__(f'a step of {mm(height)} at {place(at)} whose wall is not seen: too high '
-                         'for a lap, and the root of a T cannot be found without it: scan with '
-                         'the sensor leant by 30 to 45 degrees towards the wall')
+    def __init__(self, height: float, position: Sequence[float]) -> None:
+        super().__init__(
+            f'a step of {mm(height)} at {position_text(position)} whose wall is not seen: too '
+            'high for a lap, and the root of a T cannot be found without it: scan with the sensor '
+            'tilted by 30 to 45 degrees towards the wall')
 
 
 class UnclearSeamError(DataError):
-    """A seam whose sections do not agree; spread: of them, noise: of the points."""
+    """A seam with inconsistent sections; spread: of the sections, noise: of the points."""
 
     def __init__(self, spread: float, noise: float) -> None:
         super().__init__(f'the sections of the seam scatter by {mm(spread)}, and the points by '
@@ -106,11 +108,11 @@ class UnclearSeamError(DataError):
 
 
 class UncertainSeamError(DataError):
-    """A seam of which no frame is known well enough; std: 1 sigma of most."""
+    """A seam without a sufficiently certain frame; std: median 1 sigma."""
 
     def __init__(self, std: float) -> None:
-        super().__init__(f'the seam is known to {mm(std)} (1 sigma) only, '
-                         'which is too little for a path: scan more densely, or with less noise')
+        super().__init__(f'the position of the seam has a standard deviation of {mm(std)}, '
+                         'too much for a path: scan more densely, or with less noise')
 
 
 class TaughtPathError(InputError):
@@ -121,8 +123,8 @@ class TaughtPathError(InputError):
 
 
 class NeedsCalibrationError(InputError):
-    """A bag whose profiles cannot be put into the base."""
+    """A bag with profiles but without a calibration to map them to the base."""
 
     def __init__(self, path: object) -> None:
-        super().__init__(f'{path} is no .ply or .pcd file; to use it as a bag, say which '
-                         'calibration puts its profiles into the base: --calibration FILE')
+        super().__init__(f'{path} is no .ply or .pcd file; to use it as a bag, give the '
+                         'calibration of its sensor: --calibration FILE')

@@ -1,11 +1,10 @@
 """
 Profiles and poses to points in the robot's base: a scan.
 
-With eye_on_base the points are in the flange, which carries the workpiece past the sensor. The
-pose is that of a spline through the poses, at each profile's own stamp plus time_offset, with the
-rotation of so much later as the calibration found the robot to report it late; a profile outside
-of them or in a gap gives no points. Memory does not grow with the length of a recording, but for
-its poses.
+With eye_on_base the points are in the frame of the flange, which carries the workpiece past the
+sensor. The poses are interpolated by a spline at the stamp of each profile plus time_offset; the
+rotation is taken later by the rotation lag that the calibration estimated. A profile outside the
+poses or in a gap gives no points. Only the poses need memory that grows with the recording.
 """
 from __future__ import annotations
 
@@ -17,15 +16,15 @@ from handeye_ros import units
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
 from handeye_ros.frames import in_mount, target_frame, unit_vectors
-from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.scanning.cloud_files import Points
 from handeye_ros.scanning.errors import EmptyScanError, NoPosesAroundError
+from handeye_ros.streams.trajectory import Trajectory
 import numpy as np
 from numpy.typing import NDArray
 
 BATCH = 64  # profiles at once: the arrays stay in the cache
-SLOPE_REACH = 4  # returns to either side that tell the slope of the surface
-BITS = 22  # 4 million cubes are remembered, in 32 MB
+SLOPE_REACH = 4  # returns to either side for the slope of the surface
+BITS = 22  # a table of 4 million cubes, in 32 MB
 MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)  # of Fibonacci hashing
 HALF = 1 << 20  # cubes to either side of the origin along each axis
 
@@ -33,11 +32,12 @@ HALF = 1 << 20  # cubes to either side of the origin along each axis
 @dataclass(frozen=True)
 class ScanOptions:
     """
-    What is kept of a scan, and told of each point.
+    Which points a scan keeps, and their fields.
 
     nearest, farthest: range along the sensor's range axis (m). incidence: largest angle between
-    range axis and surface normal, as far as a profile shows it (rad). voxel: edge of the cubes
-    of which each keeps one point (m), 0: all are kept. std: whether each point tells its 1 sigma.
+    range axis and surface normal in the plane of the profile (rad). voxel: edge of the cubes of
+    which each keeps one point (m), 0: all are kept. std: whether points have a field of their 1
+    sigma.
     """
 
     nearest: float = -np.inf
@@ -48,7 +48,7 @@ class ScanOptions:
 
     @classmethod
     def of_texts(cls, limits: Sequence[str], degrees: float, voxel: str, std: bool) -> ScanOptions:
-        """Return the options as a command line gives them; raises BadValueError."""
+        """Return the options of a command line; raises BadValueError."""
         nearest, farthest = units.limits(limits, '--range', 10.0)
         edge = units.length(voxel, '--voxel', 0.1, 0.0)
         return cls(nearest, farthest, float(np.deg2rad(degrees)), edge, std)
@@ -56,7 +56,7 @@ class ScanOptions:
 
 @dataclass
 class ScanCount:
-    """What became of the profiles and of their returns."""
+    """Numbers of profiles and returns, and of those dropped."""
 
     profiles: int = 0
     without_pose: int = 0
@@ -66,23 +66,23 @@ class ScanCount:
 
     @property
     def points(self) -> int:
-        """Return the number of points that are left."""
+        """Return the number of points kept."""
         return self.returns - self.out_of_limits - self.thinned
 
 
 class Scanner:
-    """Makes points of profiles and poses, live and offline alike; count: what came of them."""
+    """Maps profiles to points in the base, live and offline; count: the numbers so far."""
 
     def __init__(self, calibration: Calibration, config: Config,
                  options: ScanOptions | None = None) -> None:
-        """Start with nothing seen."""
+        """Start without profiles."""
         self.calibration, self.config = calibration, config
         self.options = options or ScanOptions()
         self.count = ScanCount()
         self.lag = float(calibration.target.get(ROTATION_LAG, 0.0))  # s
-        self._intensity: bool | None = None  # whether the driver gives it
+        self._intensity: bool | None = None  # whether the driver publishes it
         self._variance = variance_polynomial(calibration, config.noise)
-        self._thinning = Thinning(self.options.voxel) if self.options.voxel > 0 else None
+        self._voxel_filter = VoxelFilter(self.options.voxel) if self.options.voxel > 0 else None
 
     @property
     def frame(self) -> str:
@@ -90,7 +90,7 @@ class Scanner:
         return target_frame(self.config)
 
     def scan(self, profiles: Iterable[Profile], track: Trajectory) -> Iterator[Points]:
-        """Yield the points of profiles, piece by piece."""
+        """Yield the points of profiles in pieces."""
         source = iter(profiles)
         while batch := list(islice(source, BATCH)):
             yield self.points(batch, track)
@@ -111,16 +111,16 @@ class Scanner:
         if self.options.std and used:
             variances = self._variance + pose_variances(
                 self.calibration.T_flange_sensor, track.std(stamps[flange.inside]))
-        parts = [self._of_profile(*each) for each in zip(used, T, variances, strict=True)]
-        cloud = np.concatenate([np.empty(0, self.dtype), *parts])
-        if self._thinning is None:
+        pieces = [self._of_profile(*item) for item in zip(used, T, variances, strict=True)]
+        cloud = np.concatenate([np.empty(0, self.dtype), *pieces])
+        if self._voxel_filter is None:
             return cloud
-        kept = self._thinning.new(np.stack([cloud['x'], cloud['y'], cloud['z']]))
-        self.count.thinned += len(cloud) - int(kept.sum())
-        return cloud[kept]
+        is_new = self._voxel_filter.new(np.stack([cloud['x'], cloud['y'], cloud['z']]))
+        self.count.thinned += len(cloud) - int(is_new.sum())
+        return cloud[is_new]
 
     def require_points(self) -> None:
-        """Refuse a scan without points; raises NoPosesAroundError or EmptyScanError."""
+        """Raise NoPosesAroundError or EmptyScanError for a scan without points."""
         count = self.count
         if count.points:
             return
@@ -136,8 +136,8 @@ class Scanner:
         return np.dtype([(name, '<f4') for name in names])
 
     def _of_profile(self, profile: Profile, T_base_sensor: Array, variance: Array) -> Points:
-        kept = self._kept(profile.points)
-        points = profile.points[kept]
+        keep = self._within_limits(profile.points)
+        points = profile.points[keep]
         axes = unit_vectors(profile.axes)
         R = T_base_sensor[:3, :3] @ axes
         in_base = points @ R.T + T_base_sensor[:3, 3]
@@ -145,50 +145,50 @@ class Scanner:
         cloud['x'], cloud['y'], cloud['z'] = in_base.T
         if self._intensity:
             cloud['intensity'] = (np.nan if profile.intensity is None
-                                  else profile.intensity[kept])
+                                  else profile.intensity[keep])
         if self.options.std:
             cloud['std'] = point_std(variance, points @ axes[[0, 2]].T)
         return cloud
 
-    def _kept(self, points: Array) -> NDArray[np.bool_]:
-        """Tell which points are returns within the limits."""
+    def _within_limits(self, points: Array) -> NDArray[np.bool_]:
+        """Return which points are returns within the limits."""
         x, z = points.T
-        seen = np.isfinite(x) & np.isfinite(z)
+        is_return = np.isfinite(x) & np.isfinite(z)
         options = self.options
-        kept = seen & (z >= options.nearest) & (z <= options.farthest)
+        keep = is_return & (z >= options.nearest) & (z <= options.farthest)
         if options.incidence < np.pi / 2:
-            rows = np.flatnonzero(kept)
-            kept[rows] = _incidence(x[rows], z[rows]) <= options.incidence
-        self.count.returns += int(seen.sum())
-        self.count.out_of_limits += int(seen.sum()) - int(kept.sum())
-        return np.asarray(kept)
+            rows = np.flatnonzero(keep)
+            keep[rows] = _incidence(x[rows], z[rows]) <= options.incidence
+        self.count.returns += int(is_return.sum())
+        self.count.out_of_limits += int(is_return.sum()) - int(keep.sum())
+        return np.asarray(keep)
 
 
 def _incidence(x: Array, z: Array) -> Array:
-    """Return the angle (n,) of the surface to the laser line, from neighbours (rad)."""
+    """Return the angle (n,) between surface and laser line, from neighbours (rad)."""
     if len(x) < 2:
         return np.zeros(len(x))
     index = np.arange(len(x))
-    before, after = np.maximum(index - SLOPE_REACH, 0), np.minimum(index + SLOPE_REACH,
-                                                                   len(x) - 1)
-    return np.asarray(np.arctan2(np.abs(z[after] - z[before]), np.abs(x[after] - x[before])))
+    first, last = np.maximum(index - SLOPE_REACH, 0), np.minimum(index + SLOPE_REACH,
+                                                                 len(x) - 1)
+    return np.asarray(np.arctan2(np.abs(z[last] - z[first]), np.abs(x[last] - x[first])))
 
 
-class Thinning:
+class VoxelFilter:
     """
-    Remembers cubes that held a point already.
+    Keeps the first point in each cube.
 
-    A table of fixed size: where a cloud has more cubes than it, a cube may be forgotten for
-    another, and then keeps a second point when the laser comes by again.
+    The table has a fixed size. In a cloud of more cubes an entry may be overwritten; its cube then
+    keeps a second point when the laser passes it again.
     """
 
     def __init__(self, edge: float) -> None:
-        """Start with all cubes empty; edge: of a cube (m)."""
+        """Start with empty cubes; edge: of a cube (m)."""
         self._edge = edge
         self._table = np.full(1 << BITS, np.iinfo(np.uint64).max, dtype=np.uint64)
 
     def new(self, points: Array) -> NDArray[np.bool_]:
-        """Tell which points (3, n) are the first of their cube."""
+        """Return which points (3, n) are the first in their cube."""
         cells = np.floor(points / self._edge).astype(np.int64) + HALF
         x, y, z = (cells & (2 * HALF - 1)).astype(np.uint64)
         key = (x << np.uint64(42)) | (y << np.uint64(21)) | z
@@ -209,7 +209,7 @@ def variance_polynomial(calibration: Calibration, noise: NoiseConfig) -> Array:
     """
     lever = _lever(calibration.T_flange_sensor)
     C = calibration.covariance
-    V = _turned(lever, C[3:, 3:])
+    V = _lever_variance(lever, C[3:, 3:])
     # E|dt + dr x l|^2 = tr(C_tt) + 2 l . E[dt x dr] + l' (tr(C_rr) I - C_rr) l
     twist = np.array([C[1, 5] - C[2, 4], C[2, 3] - C[0, 5], C[0, 4] - C[1, 3]])
     V[2] += twist @ lever
@@ -220,25 +220,25 @@ def variance_polynomial(calibration: Calibration, noise: NoiseConfig) -> Array:
 
 
 def pose_variances(T_flange_sensor: Array, std: Array) -> Array:
-    """Return the same (n, 3, 3) of poses with 1 sigma std (n, 2) of each axis (m, rad)."""
-    place = _lever(T_flange_sensor)
-    place[:, 2] += T_flange_sensor[:3, 3]
-    V = std[:, 1, None, None] ** 2 * _turned(place, np.eye(3))
+    """Return V (n, 3, 3) as variance_polynomial, for poses with std (n, 2) per axis (m, rad)."""
+    lever = _lever(T_flange_sensor)
+    lever[:, 2] += T_flange_sensor[:3, 3]
+    V = std[:, 1, None, None] ** 2 * _lever_variance(lever, np.eye(3))
     V[:, 2, 2] += 3 * std[:, 0] ** 2
     return np.asarray(V)
 
 
 def _lever(T: Array) -> Array:
-    """Return R s by (x, z, 1)."""
+    """Return the matrix (3, 3) that maps (x, z, 1) to the rotated sensor point R s."""
     return np.column_stack([T[:3, 0], T[:3, 2], np.zeros(3)])
 
 
-def _turned(lever: Array, C: Array) -> Array:
+def _lever_variance(lever: Array, C: Array) -> Array:
     return np.asarray(lever.T @ (np.trace(C) * np.eye(3) - C) @ lever)
 
 
 def point_std(V: Array, points: Array) -> Array:
-    """Return 1 sigma (n,) of points (n, 2) of the sensor plane, as the length of a vector."""
+    """Return 1 sigma (n,) of points (n, 2) of the sensor plane, as a length."""
     x, z = points.T
     square = (V[0, 0] * x + 2 * (V[0, 1] * z + V[0, 2])) * x + (
         V[1, 1] * z + 2 * V[1, 2]) * z + V[2, 2]

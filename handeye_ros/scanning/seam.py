@@ -1,19 +1,21 @@
 """
-A seam in a cloud, and the tool frames along it, after Wu 2017.
+A seam in a cloud, the tool frames along it, and a picture of both, after Wu 2017.
 
 The two edges are sampled in pairs, the centre line is midway between them (eq. 6) and a space
-curve is fitted to it (eq. 7). n is its tangent, o against the normals of the sheets, a = n x o
-(eq. 15). Beyond the paper: V and fillet seams follow their root; the normal is halfway between
-those of the two sheets, each fitted in its own section; o is made square to n, so that the frames
-are rotations.
+curve is fitted to it (eq. 7). n is its tangent, o is opposite to the normals of the sheets,
+a = n x o (eq. 15). Beyond the paper: V and fillet seams follow their root; the normal is the mean
+of those of the two sheets, each fitted in its own section; o is made orthogonal to n, so that the
+frames are rotations.
 """
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.output import figure, save
 from handeye_ros.published import wu2017
 from handeye_ros.scanning.curves import Curve, spline, through
 from handeye_ros.scanning.errors import TooFewPointsError, UncertainSeamError, UnclearSeamError
@@ -25,23 +27,24 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 WIDEST = 0.012  # m between the edges of a seam
-POINTS = 400_000  # of a cloud that are used, and
-FEWEST = 500  # that it must have
+POINTS = 400_000  # largest number of points of a cloud that are used
+FEWEST = 500  # smallest number
 SAMPLES_EACH = 1e-3  # m between the pairs of the centre line
-UNCERTAIN = 4e-5, np.deg2rad(0.4)  # 1 sigma of the place (m) and approach of an end frame, at most
-UNCLEAR = 10.0  # times the points' noise: what sections may scatter by; spacings likewise, 1
+UNCERTAIN = 4e-5, np.deg2rad(0.4)  # largest 1 sigma of position (m) and approach of an end frame
+UNCLEAR = 10.0  # largest scatter of the sections, in sigmas of the points, or one spacing
+DRAWN = 6000  # points of the cloud in a picture
+ARROW = 8e-3  # m in a picture
 
 
 @dataclass(frozen=True, eq=False)
 class Seam:
     """
-    A seam: its edges (k, 3) in pairs, its root (k, 3), its curve, and the cloud it was found in.
+    A seam: paired edges (k, 3), root (k, 3), its curve, and its cloud.
 
-    kind: v, butt, lap or fillet; line: which of centre, root, first and second edge the curve is;
-    normals: (k, 3), out of the part, halfway between those of the sheets; residuals: (k,) of the
-    sections nearest to each pair (m); noise: 1 sigma of the cloud; spacing: of its points;
-    others: seams of other kinds that were not taken. std: (k, 2) 1 sigma of the line and of the
-    approach (rad). Metres.
+    kind: v, butt, lap or fillet; line: the line of the curve: centre, root, first or second edge;
+    normals: (k, 3), out of the part, mean of those of the sheets; residuals: (k,) of the sections
+    nearest to each pair (m); noise: 1 sigma of the cloud; spacing: of its points; others: number
+    of seams of other kinds. std: (k, 2) 1 sigma of the line and of the approach (rad). Metres.
     """
 
     kind: str
@@ -78,8 +81,8 @@ def find_seam(points: Array, widest: float = WIDEST,
     """
     Return the only seam in a cloud (n, 3).
 
-    widest: largest distance between its edges (m); towards: the tool approaches this way rather
-    than the other (3,); line: see Seam; start: (3,) a place near the end where the seam begins.
+    widest: largest distance between its edges (m); towards: (3,) within 90 degrees of the approach
+    of the tool; line: see Seam; start: (3,) a point near the end where the seam begins.
     Raises NoSeamError, SeveralSeamsError, InterruptedSeamError, NoLineError, HiddenWallError,
     UnclearSeamError, TooFewPointsError.
     """
@@ -91,61 +94,105 @@ def find_seam(points: Array, widest: float = WIDEST,
     sheets = sheets_of(points, tree, spacing, up)
     rims = rims_of(points, tree, sheets, spacing)
     rough = course(rims, points, spacing, widest, up)
-    found = edges(points, tree, sheets, rims, rough, spacing)
+    sections = edges(points, tree, sheets, rims, rough, spacing)
     line = line if line != 'auto' else 'root' if rough.kind in ('v', 'fillet') else 'centre'
-    first, second, root, normals, residuals, std = _smoothed(found, line)
+    first, second, root, normals, residuals, std = _smoothed(sections, line)
     spread = float(np.sqrt((residuals ** 2).mean()))
-    if max(found.noise, spread) > max(UNCLEAR * sheets.noise, spacing):
-        raise UnclearSeamError(max(found.noise, spread), sheets.noise)
+    if max(sections.noise, spread) > max(UNCLEAR * sheets.noise, spacing):
+        raise UnclearSeamError(max(sections.noise, spread), sheets.noise)
     if start is not None and np.argmin(np.linalg.norm(root[[0, -1]] - start, axis=1)) == 1:
         first, second, root, normals, residuals, std = (
             v[::-1] for v in (second, first, root, normals, residuals, std))
     lines = {'first': first, 'second': second, 'root': root,
              'centre': wu2017.centre_line(first, second)}
     return Seam(rough.kind, line, first, second, root, normals, residuals,
-                through(lines[line]), points, found.noise, spacing, rough.others, std)
+                through(lines[line]), points, sections.noise, spacing, rough.others, std)
 
 
-def _smoothed(found: Edges, line: str) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Return both edges, root, normals (k, 3), residuals (k,) and std (k, 2), evenly spaced."""
-    normals = found.normals.sum(axis=1)
+def _smoothed(sections: Edges, line: str) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Return edges, root, normals (k, 3), residuals (k,) and std (k, 2), evenly spaced."""
+    normals = sections.normals.sum(axis=1)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    count = max(int((found.ends[1] - found.ends[0]) / SAMPLES_EACH), 8)
-    grid = np.linspace(*found.ends, count)
-    curves = {name: spline(found.at, values) for name, values in (
-        ('first', found.first), ('second', found.second), ('root', found.root),
-        ('centre', wu2017.centre_line(found.first, found.second)))}
+    count = max(int((sections.ends[1] - sections.ends[0]) / SAMPLES_EACH), 8)
+    grid = np.linspace(*sections.ends, count)
+    curves = {name: spline(sections.lengths, values) for name, values in (
+        ('first', sections.first), ('second', sections.second), ('root', sections.root),
+        ('centre', wu2017.centre_line(sections.first, sections.second)))}
     first, second, root, _ = (curve.position(grid) for curve in curves.values())
-    turning = spline(found.at, normals)  # not beyond the sections, where it is uncertain
-    normals = turning.position(np.clip(grid, found.at[0], found.at[-1]))
-    raw = np.array([np.interp(found.at, grid, column) for column in root.T]).T
-    away = np.linalg.norm(raw - found.root, axis=1)
-    shared = found.resolution[list(curves).index(line)]
-    std = np.column_stack([np.hypot(curves[line].std(grid), shared), turning.std(grid)])
-    return first, second, root, normals, np.interp(grid, found.at, away), std
+    turning = spline(sections.lengths, normals)  # not beyond the sections, where it is uncertain
+    normals = turning.position(np.clip(grid, sections.lengths[0], sections.lengths[-1]))
+    raw = np.array([np.interp(sections.lengths, grid, column) for column in root.T]).T
+    distance = np.linalg.norm(raw - sections.root, axis=1)
+    resolution = sections.resolution[list(curves).index(line)]
+    std = np.column_stack([np.hypot(curves[line].std(grid), resolution), turning.std(grid)])
+    return first, second, root, normals, np.interp(grid, sections.lengths, distance), std
 
 
 def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, -1.0),
                 travel: float = 0.0, work: float = 0.0) -> ToolFrames:
     """
-    Return frames along the seam, the last one at its end, less what is too uncertain at the ends.
+    Return frames along the seam up to its end, without uncertain frames at the ends.
 
-    pitch: distance between them (m); towards: the approach points this way rather than the other
-    (3,). travel: the tool leans back against the advance by so much, about a; work: it leans to
-    the side, about n (rad). Raises UncertainSeamError.
+    pitch: distance between them (m); towards: (3,) within 90 degrees of the approach. travel:
+    travel angle, a tilt against the advance, about a; work: work angle, a tilt to the side, about
+    n (rad). Raises UncertainSeamError.
     """
-    own = np.linspace(0.0, seam.curve.length, len(seam.normals))
-    certain = own[(seam.std <= UNCERTAIN).all(axis=1)]
+    positions = np.linspace(0.0, seam.curve.length, len(seam.normals))
+    certain = positions[(seam.std <= UNCERTAIN).all(axis=1)]
     if not len(certain):
         raise UncertainSeamError(float(np.median(seam.std[:, 0])))
     lengths = np.append(np.arange(certain[0], certain[-1] - 0.01 * pitch, pitch), certain[-1])
-    lean = Rotation.from_euler('xz', [work, travel]).as_matrix()
+    tilt = Rotation.from_euler('xz', [work, travel]).as_matrix()
     frames = []
     for length, t in zip(lengths, seam.curve.by_length(lengths), strict=True):
-        place, n = seam.curve.position(t), seam.curve.advance(t)
-        o = -np.array([np.interp(length, own, column) for column in seam.normals.T])
+        p, n = seam.curve.position(t), seam.curve.advance(t)
+        o = -np.array([np.interp(length, positions, column) for column in seam.normals.T])
         o = o if o @ np.asarray(towards) >= 0 else -o
-        square = o - (o @ n) * n
-        T = wu2017.tool_frame(n, square / np.linalg.norm(square), place)
-        frames.append(se3.transform(T[:3, :3] @ lean, place))
+        orthogonal = o - (o @ n) * n
+        T = wu2017.tool_frame(n, orthogonal / np.linalg.norm(orthogonal), p)
+        frames.append(se3.transform(T[:3, :3] @ tilt, p))
     return ToolFrames(lengths, np.array(frames))
+
+
+def draw_seam(seam: Seam, frames: ToolFrames, path: Path) -> None:
+    """
+    Write a seam from two sides: cloud, edges, centre line and tool frames.
+
+    Raises NoMatplotlibError, UnwritableError.
+    """
+    drawing, axes = figure(2, 1)
+    centre = seam.curve.sampled(200)[1]
+    R, origin = _view(centre, frames)
+    cloud = seam.points[::max(len(seam.points) // DRAWN, 1)]
+    names = ('along the seam', 'across', 'along the approach')
+    for ax, (i, j) in zip(axes, ((0, 1), (0, 2)), strict=True):
+        def plot_points(points: Array, style: str, label: str, *, size: float = 1.0,
+                        ax: object = ax, i: int = i, j: int = j) -> None:
+            p = (points - origin) @ R * 1e3
+            ax.plot(p[:, i], p[:, j], style, label=label, markersize=size,  # type: ignore
+                    linewidth=1.2)
+        plot_points(cloud, '.', 'cloud', size=0.6)
+        plot_points(seam.first, '-', 'first edge')
+        plot_points(seam.second, '-', 'second edge')
+        plot_points(centre, 'k-', f'centre ({seam.curve.kind})')
+        starts = (frames.T_base_tool[:, :3, 3] - origin) @ R * 1e3
+        arrows = frames.T_base_tool[:, :3, 1] @ R * ARROW * 1e3
+        ax.quiver(starts[:, i] - arrows[:, i], starts[:, j] - arrows[:, j], arrows[:, i],
+                  arrows[:, j], angles='xy', scale_units='xy', scale=1, width=2e-3,
+                  color='tab:red', label='approach')
+        ax.set_xlabel(f'{names[i]} [mm]')
+        ax.set_ylabel(f'{names[j]} [mm]')
+        ax.set_aspect('equal')
+    axes[1].invert_yaxis()  # the tool comes from above
+    axes[0].legend(loc='upper right', fontsize=7, ncols=5)
+    save(drawing, path)
+
+
+def _view(centre: Array, frames: ToolFrames) -> tuple[Array, Array]:
+    """Return the axes (3, 3) and origin of the view: along, across, approach."""
+    along = centre[-1] - centre[0]
+    approach = frames.T_base_tool[:, :3, 1].mean(axis=0)
+    along = along / np.linalg.norm(along)
+    across = np.cross(approach, along)
+    across /= np.linalg.norm(across)
+    return np.column_stack([along, across, np.cross(along, across)]), centre.mean(axis=0)

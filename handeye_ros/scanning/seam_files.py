@@ -1,9 +1,9 @@
 """
-What is written of a seam: CSV, YAML, robot programs, and its distances from a taught path.
+Files of a seam: CSV, YAML, robot programs; distances from a taught path.
 
 A program of KUKA (KRL), ABB (RAPID) or Universal Robots (URScript) moves a tool along the frames,
-in the robot's base: its z axis into the part, x along the seam. Tool and work object are those
-that the cell has set; positions only, no process.
+in the robot's base: its z axis into the part, x along the seam. The cell defines tool and work
+object; the program holds the motion only, not the welding process.
 """
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ import yaml
 FORMAT = 'handeye_ros/seam/1'
 NAMES = {'v': 'V seam', 'butt': 'butt seam', 'lap': 'lap seam', 'fillet': 'fillet seam'}
 COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', 'residual', 'std')
-NEARBY = 0.01  # m along the seam whose sections tell the residual at a frame
+NEARBY = 0.01  # m along the seam: sections within it give the residual at a frame
 SPEED = 0.01  # m/s, of a program
-BLEND = 5e-4  # m from a frame where the robot may leave the line
-OVERLAP = 0.45  # of the distance to the next frame: what a blend may reach
-ACCELERATION = 0.5  # m/s^2, which URScript wants to know
-WITHIN = 1e-3  # m: the share of a taught path that is nearer is reported
+BLEND = 5e-4  # m: largest blend radius
+OVERLAP = 0.45  # largest blend radius, relative to the distance to the next frame
+ACCELERATION = 0.5  # m/s^2, needed by URScript
+WITHIN = 1e-3  # m: the reported fraction of a taught path is nearer than this
 
 
 @dataclass(frozen=True)
 class Taught:
-    """Distances of a taught path's points from the seam's centre line (m)."""
+    """Distances of the points of a taught path from the seam's centre line (m)."""
 
     count: int
     mean: float
@@ -46,7 +46,7 @@ class Taught:
 
 def against_taught(seam: Seam, taught: Array) -> Taught:
     """
-    Return how far taught points (n, 3) lie from the centre line, square to it.
+    Return the distances of taught points (n, 3) from the centre line, orthogonal to it.
 
     Points beyond its ends are not compared.
     """
@@ -58,9 +58,10 @@ def against_taught(seam: Seam, taught: Array) -> Taught:
     beside = (index > 0) & (index < len(t) - 1) | (np.abs(along) < WITHIN)
     if not beside.any():
         beside[:] = True
-    away = np.linalg.norm(offset - along[:, None] * tangent, axis=1)[beside]
-    return Taught(int(beside.sum()), float(away.mean()), float(np.sqrt((away ** 2).mean())),
-                  float(away.max()), float((away <= WITHIN).mean()))
+    distance = np.linalg.norm(offset - along[:, None] * tangent, axis=1)[beside]
+    return Taught(int(beside.sum()), float(distance.mean()),
+                  float(np.sqrt((distance ** 2).mean())), float(distance.max()),
+                  float((distance <= WITHIN).mean()))
 
 
 def read_taught(path: Path) -> Array:
@@ -80,22 +81,23 @@ def read_taught(path: Path) -> Array:
 
 def measures(seam: Seam, frames: ToolFrames) -> Array:
     """
-    Return (m, 4) at each frame: gap, mismatch, residual and 1 sigma of its place (m).
+    Return (m, 4) at each frame: gap, mismatch, residual and 1 sigma of its position (m).
 
     Gap and mismatch: distance between the edges along and across the sheets; residual: RMS
     distance of the sections nearby from the line.
     """
-    own = np.linspace(0.0, seam.curve.length, len(seam.normals))
+    positions = np.linspace(0.0, seam.curve.length, len(seam.normals))
     across = seam.second - seam.first
     mismatch = (across * seam.normals).sum(axis=1)
-    way = np.gradient(seam.root, axis=0)
-    way /= np.linalg.norm(way, axis=1)[:, None]
-    aside = across - mismatch[:, None] * seam.normals - (across * way).sum(axis=1)[:, None] * way
-    near = np.abs(own - frames.lengths[:, None]) <= NEARBY
-    residual = np.sqrt((near * seam.residuals ** 2).sum(axis=1) / near.sum(axis=1))
-    return np.column_stack([*(np.interp(frames.lengths, own, v) for v in (
-        np.linalg.norm(aside, axis=1), np.abs(mismatch))), residual, np.interp(
-            frames.lengths, own, seam.std[:, 0])])
+    tangent = np.gradient(seam.root, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    along_sheets = across - mismatch[:, None] * seam.normals
+    along_sheets -= (across * tangent).sum(axis=1)[:, None] * tangent
+    nearby = np.abs(positions - frames.lengths[:, None]) <= NEARBY
+    residual = np.sqrt((nearby * seam.residuals ** 2).sum(axis=1) / nearby.sum(axis=1))
+    return np.column_stack([*(np.interp(frames.lengths, positions, v) for v in (
+        np.linalg.norm(along_sheets, axis=1), np.abs(mismatch))), residual, np.interp(
+            frames.lengths, positions, seam.std[:, 0])])
 
 
 def csv_text(seam: Seam, frames: ToolFrames) -> str:
@@ -108,7 +110,7 @@ def csv_text(seam: Seam, frames: ToolFrames) -> str:
 
 def values(seam: Seam, frames: ToolFrames, frame_id: str, taught: Taught | None
            ) -> dict[str, Any]:
-    """Return what is reported of a seam as plain values."""
+    """Return a seam as plain values."""
     content: dict[str, Any] = {
         'format': FORMAT, 'frame': frame_id, 'kind': seam.kind, 'line': seam.line,
         'curve': seam.curve.kind, 'length': seam.curve.length, 'noise': seam.noise,
@@ -153,8 +155,8 @@ def krl(frames: ToolFrames, frame_id: str) -> str:
     poses = _poses(frames)
     for k, (p, R) in enumerate(poses):
         names = zip('XYZABC', [*p, *R.as_euler('ZYX', degrees=True)], strict=True)
-        place = ','.join(f'{name} {value:.4f}' for name, value in names)
-        lines.append(f'LIN {{{place}}}' + ('' if k in (0, len(poses) - 1) else ' C_DIS'))
+        position = ','.join(f'{name} {value:.4f}' for name, value in names)
+        lines.append(f'LIN {{{position}}}' + ('' if k in (0, len(poses) - 1) else ' C_DIS'))
     return '\n'.join([*lines, 'END', ''])
 
 
@@ -163,9 +165,9 @@ def rapid(frames: ToolFrames, frame_id: str) -> str:
     outer = '[0,0,0,0],[9E+09,9E+09,9E+09,9E+09,9E+09,9E+09]'
     poses, lines, moves = _poses(frames), [], []
     for k, (p, R) in enumerate(poses):
-        place = ','.join(f'{v:.4f}' for v in p)
+        position = ','.join(f'{v:.4f}' for v in p)
         turn = ','.join(f'{v:.8f}' for v in R.as_quat()[[3, 0, 1, 2]])
-        lines.append(f'  CONST robtarget seam{k}:=[[{place}],[{turn}],{outer}];')
+        lines.append(f'  CONST robtarget seam{k}:=[[{position}],[{turn}],{outer}];')
         zone = 'fine' if k in (0, len(poses) - 1) else 'z0'
         moves.append(f'    MoveL seam{k},v{1e3 * SPEED:g},{zone},tool;')
     return '\n'.join([
@@ -182,11 +184,11 @@ def urscript(frames: ToolFrames, frame_id: str) -> str:
     poses = _poses(frames)
     gaps = np.diff(frames.lengths, prepend=-np.inf, append=np.inf)
     for k, (p, R) in enumerate(poses):
-        place = ', '.join(f'{v:.7f}' for v in [*(1e-3 * p), *R.as_rotvec()])
+        position = ', '.join(f'{v:.7f}' for v in [*(1e-3 * p), *R.as_rotvec()])
         # blends that overlap are skipped with their frames
         reach = min(BLEND, OVERLAP * min(gaps[k:k + 2]))
         blend = '' if k in (0, len(poses) - 1) else f', r={reach:.6f}'
-        lines.append(f'  movel(p[{place}], a={ACCELERATION:g}, v={SPEED:g}{blend})')
+        lines.append(f'  movel(p[{position}], a={ACCELERATION:g}, v={SPEED:g}{blend})')
     return '\n'.join([*lines, 'end', ''])
 
 
@@ -195,7 +197,7 @@ PROGRAMS: dict[str, tuple[str, Callable[[ToolFrames, str], str]]] = {
 
 
 def sentences(seam: Seam, frames: ToolFrames, taught: Taught | None) -> list[str]:
-    """Return what is reported of a seam, for a person."""
+    """Return the sentences on a seam."""
     gap, mismatch, _, std = 1e3 * measures(seam, frames).T
     begins, ends = frames.lengths[0], seam.curve.length - frames.lengths[-1]
     lines = [f'{NAMES[seam.kind]} of {seam.curve.length * 1e3:.1f} mm, path along its '

@@ -1,10 +1,10 @@
 """
-The two edges of a seam, section by section across its rough course.
+The two edges of a seam, by sections across its rough course.
 
-On each side a polynomial is laid through the section of the sheet, which ends where it most likely
-does (see seam_sheets). The foot of a lap lies on the lower sheet under the rim, whether the wall
-hides it or not; the root of a fillet is where the sheets meet, that of a V midway between its
-lower edges.
+On each side a polynomial is fitted to the section of the sheet; the edge is its most likely end
+(seam_sheets.end_of). The foot of a lap lies on the lower sheet under the rim, even where the wall
+hides it. The root of a fillet is the intersection of the sheets; that of a V is midway between
+its lower edges.
 """
 from __future__ import annotations
 
@@ -21,31 +21,30 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-WIDTH = 24.0  # spacings of sheet beside the seam that are looked at, at least
-NARROWEST = 6e-3  # m of the same
-MARGIN = 2.5  # spacings beside the seam where no end can lie
-BEYOND = 2e-3  # m before the rough edge where the sheet may end
-TOLERANCE = 4.0  # sigmas of what lies on the sheet
-WIDEST_LINE = 12.0  # spacings across the rough course
-MISSING = 5e-3  # m of an edge that may be missing
-WINDOW = 5e-3  # m along the seam whose pairs tell the rough edges
-OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may go on
-ROOT_GAP = 0.5  # spacings between the lower edges of a V on average: more is a root gap, else
-MET = 4.0  # spacings that they may be apart in a section, and meet
+WIDTH = 24.0  # spacings: width of a sheet's section, at least
+NARROWEST = 6e-3  # m: the same
+MARGIN = 2.5  # spacings: the sheet ends within this distance of the rough edge
+BEYOND = 2e-3  # m: largest distance of the end from the rough edge
+TOLERANCE = 4.0  # sigmas of points on the sheet
+WIDEST_LINE = 12.0  # spacings: largest width of the rough course
+MISSING = 5e-3  # m: largest missing part of an edge
+WINDOW = 5e-3  # m along the seam: pairs within it give the rough edges
+OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may continue
+ROOT_GAP = 0.5  # spacings: a larger mean distance of the lower edges of a V is a root gap
+MET = 4.0  # spacings: else they meet in a section if they are nearer
 
 
 @dataclass(frozen=True, eq=False)
 class Edges:
     """
-    The two edges of a seam, section by section.
+    The two edges of a seam, by sections.
 
-    at: (k,) lengths along the rough course; first, second, root: (k, 3); normals: (k, 2, 3) of
-    the sheets there, out of the part; noise: 1 sigma about the sheets (m); ends: the lengths
-    where the seam begins and ends. resolution: (4,) 1 sigma of first, second, root and centre
-    that all sections share (m).
+    lengths: (k,) along the rough course; first, second, root: (k, 3); normals: (k, 2, 3) of the
+    sheets, out of the part; noise: 1 sigma about the sheets (m); ends: lengths of start and end of
+    the seam. resolution: (4,) common 1 sigma of first, second, root and centre (m).
     """
 
-    at: Array
+    lengths: Array
     first: Array
     second: Array
     root: Array
@@ -58,10 +57,10 @@ class Edges:
 @dataclass(frozen=True, eq=False)
 class _Side:
     """
-    A sheet in a section: its end (3,), its way out there (3,), its mean normal (3,).
+    A sheet in a section: its end (3,), outward direction (3,), mean normal (3,).
 
-    noise: 1 sigma about it; span: how far it reaches along the seam; resolution: 1 sigma of the
-    end from the distance between columns that follow the seam (m).
+    noise: 1 sigma about it; span: its extent along the seam; resolution: 1 sigma of the end from
+    the distance between columns that follow the seam (m).
     """
 
     end: Array
@@ -74,18 +73,18 @@ class _Side:
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """The rough course: its curve, and per pair t (k,), the place there (k, 3), its two rims."""
+    """The rough course: its curve, and for each pair t (k,), its point (k, 3) and two rims."""
 
     curve: Curve
     t: Array
-    at: Array
+    points: Array
     rims: tuple[NDArray[np.intp], NDArray[np.intp]]
 
     def position(self, t: float) -> tuple[Array, Array]:
-        """Return the place and way at t, also a little beyond the ends."""
-        inside = float(np.clip(t, self.curve.first, self.curve.last))
-        way = self.curve.advance(inside)
-        return self.curve.position(inside) + (t - inside) * way, way
+        """Return position and tangent at t, extrapolated a little beyond the ends."""
+        clipped = float(np.clip(t, self.curve.first, self.curve.last))
+        tangent = self.curve.advance(clipped)
+        return self.curve.position(clipped) + (t - clipped) * tangent, tangent
 
 
 def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Course,
@@ -98,16 +97,16 @@ def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Cours
     line = _line(rims, rough, spacing)
     step = max(1e-3, 3 * spacing)
     first, last = line.curve.first - OVERHANG, line.curve.last + OVERHANG
-    at = np.arange(first + 0.5 * step, last, step)
+    lengths = np.arange(first + 0.5 * step, last, step)
     degree = 1 if rough.kind in ('v', 'fillet') else 2
     sections: list[tuple[float, _Side, _Side]] = []
-    for t in at:
+    for t in lengths:
         a, b = (_side(points, tree, sheets, rims, line, side, t, step, spacing, degree)
                 for side in (0, 1))
         if a is not None and b is not None:
             sections.append((float(t), a, b))
-    whole = np.isin(at, [t for t, _, _ in sections])
-    _require_whole(whole, [line.position(float(t))[0].tolist() for t in at], step)
+    has_section = np.isin(lengths, [t for t, _, _ in sections])
+    _require_whole(has_section, [line.position(float(t))[0].tolist() for t in lengths], step)
     (t0, a0, b0), (t1, a1, b1) = sections[0], sections[-1]
     filled = [(t, a, b) for t, a, b in sections
               if min(np.ptp(a.span), np.ptp(b.span)) > 0.5 * step - spacing]
@@ -117,50 +116,51 @@ def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Cours
     joint = partial(_joint, rough.kind, meeting.get(rough.kind, 0.0))
     rows = np.array([joint(a, b) for _, a, b in filled])
     return Edges(np.array([t for t, _, _ in filled]), rows[:, 0], rows[:, 1], rows[:, 2],
-                 rows[:, 3:], float(np.median([s.noise for _, *both in filled for s in both])),
+                 rows[:, 3:], float(np.median([s.noise for _, *sides in filled for s in sides])),
                  (t0 + max(a0.span[0], b0.span[0]), t1 + min(a1.span[1], b1.span[1])),
-                 np.median([_shared(joint, a, b) for _, a, b in filled], axis=0))
+                 np.median([_resolution(joint, a, b) for _, a, b in filled], axis=0))
 
 
 def _line(rims: Rims, rough: Course, spacing: float) -> _Line:
-    """Return a smooth curve along the rough course, and the pairs in order across it."""
+    """Return a smooth curve along the rough course, and the pairs in its order."""
     t = arc_length(averaged(rough.middle))
     t, index = np.unique(t, return_index=True)
     points, pairs = rough.middle[index], rough.pairs[index]
     curve = spline(t, points)
-    at = curve.position(t)
-    away = np.linalg.norm(at - points, axis=1)
-    widest = float(np.quantile(away, 0.95))
+    on_curve = curve.position(t)
+    distance = np.linalg.norm(on_curve - points, axis=1)
+    widest = float(np.quantile(distance, 0.95))
     if widest > WIDEST_LINE * spacing:
-        raise NoLineError(2 * widest, points[int(np.argmax(away))])
+        raise NoLineError(2 * widest, points[int(np.argmax(distance))])
     i, j = pairs.T
-    up = (-rims.outlook[i] - rims.outlook[j] if rough.kind in ('v', 'fillet')
+    up = (-rims.outward[i] - rims.outward[j] if rough.kind in ('v', 'fillet')
           else rims.normals[i] + rims.normals[j])
     across = np.cross(up, curve.advance(t))
-    turned = ((rims.outlook[i] - rims.outlook[j]) * across).sum(axis=1) < 0
-    return _Line(curve, t, at, (np.where(turned, j, i), np.where(turned, i, j)))
+    turned = ((rims.outward[i] - rims.outward[j]) * across).sum(axis=1) < 0
+    return _Line(curve, t, on_curve, (np.where(turned, j, i), np.where(turned, i, j)))
 
 
 def _side(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, line: _Line, side: int,
           t: float, step: float, spacing: float, degree: int) -> _Side | None:
     """Return one sheet in the section at t."""
-    near = np.abs(line.t - np.clip(t, line.t[0], line.t[-1])) <= WINDOW
-    own, other = line.rims[side][near], line.rims[1 - side][near]
-    if not len(own):
+    window = np.abs(line.t - np.clip(t, line.t[0], line.t[-1])) <= WINDOW
+    rows_of_side, rows_of_other = line.rims[side][window], line.rims[1 - side][window]
+    if not len(rows_of_side):
         return None
-    place, way = line.position(t)
-    inwards, upright = _axes(rims, own, other, way)
-    off = np.median(rims.points[own] - line.at[near], axis=0)
-    start = place + off - (off @ way) * way  # the two of a pair need not lie abreast
+    position, tangent = line.position(t)
+    inwards, upright = _axes(rims, rows_of_side, rows_of_other, tangent)
+    offset = np.median(rims.points[rows_of_side] - line.points[window], axis=0)
+    # the points of a pair may be displaced along the seam
+    start = position + offset - (offset @ tangent) * tangent
     width = max(WIDTH * spacing, NARROWEST)
     rows = np.array(tree.query_ball_point(start + 0.5 * width * inwards, 0.8 * width), dtype=int)
-    labels, counts = np.unique(rims.label[own], return_counts=True)
-    rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(own)])]
-    along, b, height = ((points[rows] - start) @ np.column_stack([way, inwards, upright])).T
+    labels, counts = np.unique(rims.label[rows_of_side], return_counts=True)
+    rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(rows_of_side)])]
+    along, b, height = ((points[rows] - start) @ np.column_stack([tangent, inwards, upright])).T
     limit = BEYOND
-    if np.isin(labels, rims.label[other]).any():  # one sheet on both sides
-        apart = np.median((rims.points[own] - rims.points[other]) @ inwards)
-        limit = min(0.5 * abs(float(apart)), BEYOND)
+    if np.isin(labels, rims.label[rows_of_other]).any():  # one sheet on both sides
+        separation = np.median((rims.points[rows_of_side] - rims.points[rows_of_other]) @ inwards)
+        limit = min(0.5 * abs(float(separation)), BEYOND)
     resolution = column_resolution(b, spacing, MARGIN)
     slab = (np.abs(along) <= step / 2) & (b <= width) & (b >= -limit)
     along, b, height = along[slab], b[slab], height[slab]
@@ -181,24 +181,24 @@ def _side(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, line: _Line,
                  (float(along[on_sheet].min()), float(along[on_sheet].max())), resolution)
 
 
-def _axes(rims: Rims, own: NDArray[np.intp], other: NDArray[np.intp], way: Array
-          ) -> tuple[Array, Array]:
-    """Return the ways into a sheet and out of its surface (3,), square to the seam's."""
-    inwards = -rims.outlook[own].mean(axis=0)
-    inwards -= (inwards @ way) * way
+def _axes(rims: Rims, rows_of_side: NDArray[np.intp], rows_of_other: NDArray[np.intp],
+          tangent: Array) -> tuple[Array, Array]:
+    """Return the directions into a sheet and out of its surface (3,), orthogonal to the seam."""
+    inwards = -rims.outward[rows_of_side].mean(axis=0)
+    inwards -= (inwards @ tangent) * tangent
     inwards /= np.linalg.norm(inwards)
-    upright = np.cross(way, inwards)
-    towards = upright @ rims.outlook[other].mean(axis=0)
+    upright = np.cross(tangent, inwards)
+    towards = upright @ rims.outward[rows_of_other].mean(axis=0)
     if abs(towards) > 0.5:  # of a corner: the other sheet ends on this one
         return inwards, -np.sign(towards) * upright
-    return inwards, upright if upright @ rims.normals[own].mean(axis=0) >= 0 else -upright
+    return inwards, upright if upright @ rims.normals[rows_of_side].mean(axis=0) >= 0 else -upright
 
 
 def _joint(kind: str, meeting: float, a: _Side, b: _Side) -> Array:
     """
     Return the two edges, the root and the two normals (5, 3) of a section.
 
-    meeting: edges of a corner that are nearer are where the sheets meet (m).
+    meeting: edges of a corner that are nearer to each other meet (m).
     """
     first, second, root = a.end, b.end, 0.5 * (a.end + b.end)
     if kind == 'lap':
@@ -209,12 +209,12 @@ def _joint(kind: str, meeting: float, a: _Side, b: _Side) -> Array:
             ((upper.end - lower.end) @ across) / (lower.outwards @ across))
         first, second = (first, root) if upper is a else (root, second)
     elif np.linalg.norm(first - second) < meeting:
-        ways = np.column_stack([a.outwards, -b.outwards])
-        root = a.end + a.outwards * np.linalg.lstsq(ways, b.end - a.end, rcond=None)[0][0]
+        directions = np.column_stack([a.outwards, -b.outwards])
+        root = a.end + a.outwards * np.linalg.lstsq(directions, b.end - a.end, rcond=None)[0][0]
     return np.array([first, second, root, a.normal, b.normal])
 
 
-def _shared(joint: Callable[[_Side, _Side], Array], a: _Side, b: _Side) -> Array:
+def _resolution(joint: Callable[[_Side, _Side], Array], a: _Side, b: _Side) -> Array:
     """Return the resolution (4,) of first, second, root and centre of a section (m)."""
     further = [replace(side, end=side.end + side.resolution * side.outwards) for side in (a, b)]
     change = np.stack([joint(further[0], b), joint(a, further[1])]) - joint(a, b)
@@ -222,13 +222,14 @@ def _shared(joint: Callable[[_Side, _Side], Array], a: _Side, b: _Side) -> Array
     return np.asarray(np.sqrt((lines ** 2).sum(axis=(0, 2))))
 
 
-def _require_whole(whole: NDArray[np.bool_], places: list[list[float]], step: float) -> None:
-    """Refuse a seam of which too much is missing between its ends."""
-    rows = np.flatnonzero(whole)
+def _require_whole(has_section: NDArray[np.bool_], positions: list[list[float]], step: float
+                   ) -> None:
+    """Raise for a seam with large missing parts."""
+    rows = np.flatnonzero(has_section)
     if not len(rows):
-        raise InterruptedSeamError(len(whole) * step, places[len(places) // 2])
+        raise InterruptedSeamError(len(has_section) * step, positions[len(positions) // 2])
     gaps = np.diff(rows) - 1
     worst = int(np.argmax(gaps)) if len(gaps) else 0
     if len(gaps) and gaps[worst] * step > MISSING:
         raise InterruptedSeamError(float(gaps[worst] * step),
-                                   places[int(rows[worst] + gaps[worst] // 2 + 1)])
+                                   positions[int(rows[worst] + gaps[worst] // 2 + 1)])

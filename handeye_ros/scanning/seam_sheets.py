@@ -1,10 +1,10 @@
 """
-The smooth sheets of a cloud, and where they end.
+Smooth sheets of a cloud, and their borders.
 
-Points whose neighbours lie in a plane are joined to those beside them with the same plane; points
-near a rim or a corner belong to the sheet whose plane they lie in. A point of a sheet whose
-neighbours on that sheet leave a wide angle free lies on its edge, and looks out there. What lies
-below a rim, or stands on it, is another sheet and hides no edge.
+Points whose neighbours lie in a plane are joined to neighbours in the same plane; points near a
+rim or a corner belong to the sheet in whose plane they lie. A point lies on the edge of its sheet
+where its neighbours on that sheet leave a wide angle free; the middle of this angle is its outward
+direction. A surface below a rim or on it is another sheet and hides no edge.
 """
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ from scipy.spatial import cKDTree
 from scipy.special import log_ndtr
 
 FEWEST = 12  # points of a side of a section
-SHORT = 0.365  # of 1 / q: what the likeliest end falls short by on average, of few points
-INNER = 15.0  # spacings beside the seam up to which the distance of columns is measured
-FREQUENCIES = np.linspace(0.5, 5.0, 226)  # of columns, in one spacing
-IRREGULAR, REGULAR = 0.15, 0.35  # share of a period in random points at most; in columns at least
+SHORT = 0.365  # mean bias of the most likely end for few points, times the density
+INNER = 15.0  # spacings beside the seam within which the distance of columns is measured
+FREQUENCIES = np.linspace(0.5, 5.0, 226)  # of columns, per spacing
+IRREGULAR, REGULAR = 0.15, 0.35  # largest periodicity of random points; smallest of columns
 NEIGHBOURS = 32
-REACH = 3.5  # of the neighbourhood that tells a plane and an edge, in spacings
+REACH = 3.5  # spacings: radius of the neighbourhood of a point
 LINKED = 10  # neighbours, near and far, that are compared with a point
-FLAT = 1.35  # times the usual thickness of a neighbourhood: no plane
-SAME_PLANE = 4.0  # sigmas from a sheet; neighbours that are joined may differ by 1.5 times that
+FLAT = 1.35  # times the median thickness of a neighbourhood: a thicker one is no plane
+SAME_PLANE = 4.0  # sigmas from a sheet; 1.5 times that between joined neighbours
 SAME_NORMAL = 0.98  # cosine of the angle between neighbouring normals of a sheet
 SMALLEST = 60  # points of a sheet
-THINNEST = 0.25  # spacings across a sheet, as a standard deviation: less is a single profile
+THINNEST = 0.25  # spacings: smallest standard deviation across a sheet; less is a single profile
 FREE_ANGLE = 2.2  # rad without neighbours: an edge
 CHUNK = 20_000
 
 
 def sheet_through(b: Array, height: Array, margin: float, degree: int
                   ) -> tuple[Array, float] | None:
-    """Return the polynomial through the sheet at b > margin, and the scatter about it."""
-    kept: NDArray[np.bool_] = np.asarray(b > margin)
-    if kept.sum() < FEWEST or np.ptp(b[kept]) < margin:
+    """Return the polynomial through the sheet at b > margin, and the residual scatter."""
+    beside: NDArray[np.bool_] = np.asarray(b > margin)
+    if beside.sum() < FEWEST or np.ptp(b[beside]) < margin:
         return None
     sheet, noise = np.zeros(3), np.inf
     for cut in (np.inf, 3.0, 3.0):
-        apart = np.abs(height - np.polyval(sheet, b))
-        used = kept & (apart <= cut * noise)
+        distance = np.abs(height - np.polyval(sheet, b))
+        used = beside & (distance <= cut * noise)
         if used.sum() < FEWEST:
             return None
         sheet = np.polyfit(b[used], height[used], degree)
@@ -56,7 +56,11 @@ def sheet_through(b: Array, height: Array, margin: float, degree: int
 
 
 def end_of(b: Array, noise: float, density: float) -> float:
-    """Return the likeliest end of points b (n,) spread evenly below it; see the module."""
+    """
+    Return the most likely end of points b (n,), uniform below it with a density (1/m).
+
+    noise: 1 sigma of the points along b (m).
+    """
     def excess(end: float) -> float:
         scaled = (end - b) / noise
         ratio = np.exp(-0.5 * scaled ** 2 - log_ndtr(scaled)) / np.sqrt(2 * np.pi)
@@ -71,11 +75,11 @@ def end_of(b: Array, noise: float, density: float) -> float:
 
 def column_resolution(b: Array, spacing: float, margin: float) -> float:
     """
-    Return 1 sigma (m) of an end that lies anywhere between two columns.
+    Return 1 sigma (m) of an end anywhere between two columns.
 
     b: (n,) across the seam from its edge, of the points of many profiles (m); those within margin
-    spacings are left out. If the columns follow the seam, their distance is a period of b; else an
-    end lies at another place between columns in each profile.
+    spacings are left out. If the columns follow the seam, their distance is a period of b; else
+    the position of the end between columns differs from profile to profile.
     """
     inner = b[(b > margin * spacing) & (b < INNER * spacing)] / spacing
     if len(inner) < FEWEST:
@@ -84,8 +88,8 @@ def column_resolution(b: Array, spacing: float, margin: float) -> float:
     first = int(np.argmax(periodic > 0.8 * periodic.max()))
     while first + 1 < len(periodic) and periodic[first + 1] > periodic[first]:
         first += 1
-    share = np.clip((periodic[first] - IRREGULAR) / (REGULAR - IRREGULAR), 0.0, 1.0)
-    return float(share * spacing / FREQUENCIES[first] / np.sqrt(12))
+    regularity = np.clip((periodic[first] - IRREGULAR) / (REGULAR - IRREGULAR), 0.0, 1.0)
+    return float(regularity * spacing / FREQUENCIES[first] / np.sqrt(12))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,80 +108,83 @@ class Sheets:
 
 @dataclass(frozen=True, eq=False)
 class Rims:
-    """Points (k, 3) on the edges of sheets, their outlooks, normals (k, 3) and labels (k,)."""
+    """Points (k, 3) on borders of sheets, outward directions, normals (k, 3) and labels (k,)."""
 
     points: Array
-    outlook: Array
+    outward: Array
     normals: Array
     label: NDArray[np.intp]
 
 
 def sheets_of(points: Array, tree: cKDTree, spacing: float, up: Array) -> Sheets:
-    """Return the sheets of points (n, 3); up: (3,) the side of them that is seen."""
+    """Return the sheets of points (n, 3); up: (3,) the side that is visible."""
     normals, thickness = np.zeros_like(points), np.full(len(points), np.inf)
     linked = np.zeros((len(points), LINKED), dtype=np.int32)
-    for part, near, there, offset in _neighbours(tree, points, spacing):
-        count = np.maximum(there.sum(axis=1), 1)
-        centred = (offset - (offset.sum(axis=1) / count[:, None])[:, None]) * there[..., None]
+    for block, neighbours, valid, offset in _neighbours(tree, points, spacing):
+        count = np.maximum(valid.sum(axis=1), 1)
+        centred = (offset - (offset.sum(axis=1) / count[:, None])[:, None]) * valid[..., None]
         values, axes = np.linalg.eigh(np.swapaxes(centred, 1, 2) @ centred)
-        normals[part] = axes[:, :, 0] * np.where(axes[:, :, 0] @ up < 0, -1.0, 1.0)[:, None]
-        thickness[part] = np.where(count >= 6, np.sqrt(
+        normals[block] = axes[:, :, 0] * np.where(axes[:, :, 0] @ up < 0, -1.0, 1.0)[:, None]
+        thickness[block] = np.where(count >= 6, np.sqrt(
             np.maximum(values[:, 0], 0.0) / np.maximum(count - 3, 1)), np.inf)
-        linked[part] = near[:, 1:3 * LINKED:3]
+        linked[block] = neighbours[:, 1:3 * LINKED:3]
     noise = max(float(np.median(thickness)), 1e-2 * spacing)
     flat = thickness <= FLAT * noise
     label = _joined(points, normals, linked, flat, 1.5 * SAME_PLANE * noise)
-    _take_rest(points, label, normals, 2 * REACH * spacing, SAME_PLANE * noise)
-    # one displaced profile is a band that is not flat, and must not divide a sheet
+    _assign_unlabelled(points, label, normals, 2 * REACH * spacing, SAME_PLANE * noise)
+    # one displaced profile makes a band that is not flat, but does not divide a sheet
     label = _joined(points, normals, linked, label >= 0, 1.5 * SAME_PLANE * noise)
-    return Sheets(_without_lines(points, label, THINNEST * spacing), normals, noise)
+    return Sheets(_without_single_profiles(points, label, THINNEST * spacing), normals, noise)
 
 
-def _without_lines(points: Array, label: NDArray[np.intp], thinnest: float) -> NDArray[np.intp]:
+def _without_single_profiles(points: Array, label: NDArray[np.intp], thinnest: float
+                             ) -> NDArray[np.intp]:
     """
-    Return the labels (n,) less those of sheets that are narrower: single profiles.
+    Return the labels (n,) without narrow sheets, which are single profiles.
 
-    A face seen at a low angle is rows of points that are far from each other.
+    A face at a grazing angle is rows of points that are far from each other.
     """
-    kept, own = np.flatnonzero(label >= 0), label.copy()
-    names, sheet = np.unique(label[kept], return_inverse=True)
+    rows, result = np.flatnonzero(label >= 0), label.copy()
+    labels, sheet = np.unique(label[rows], return_inverse=True)
     size = np.bincount(sheet)
-    mean = np.stack([np.bincount(sheet, column) for column in points[kept].T], axis=1)
-    offset = points[kept] - (mean / size[:, None])[sheet]
+    mean = np.stack([np.bincount(sheet, column) for column in points[rows].T], axis=1)
+    offset = points[rows] - (mean / size[:, None])[sheet]
     spread = np.array([[np.bincount(sheet, offset[:, i] * offset[:, j]) / size
                         for j in range(3)] for i in range(3)])
     middle = np.linalg.eigvalsh(np.moveaxis(spread, 2, 0))[:, 1]
-    own[np.isin(label, names[middle < thinnest ** 2])] = -1
-    return own
+    result[np.isin(label, labels[middle < thinnest ** 2])] = -1
+    return result
 
 
-def _take_rest(points: Array, label: NDArray[np.intp], normals: Array, reach: float, thick: float
-               ) -> None:
-    """Give points without a label that, and the normal, of the nearest sheet they lie in."""
-    sheet, rest = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
-    if not len(sheet) or not len(rest):
+def _assign_unlabelled(points: Array, label: NDArray[np.intp], normals: Array, reach: float,
+                       tolerance: float) -> None:
+    """Write the label and normal of the nearest fitting sheet to points without a label."""
+    sheet, unassigned = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
+    if not len(sheet) or not len(unassigned):
         return
-    distance, near = cKDTree(points[sheet]).query(points[rest], 8, distance_upper_bound=reach)
-    near = sheet[np.minimum(near, len(sheet) - 1)]
-    off = np.abs(((points[rest][:, None] - points[near]) * normals[near]).sum(axis=2))
-    fits = np.isfinite(distance) & (off < thick)
-    owner = near[np.arange(len(rest)), np.argmax(fits, axis=1)]
-    taken = fits.any(axis=1)
-    label[rest[taken]], normals[rest[taken]] = label[owner[taken]], normals[owner[taken]]
+    distance, neighbours = cKDTree(points[sheet]).query(points[unassigned], 8,
+                                                        distance_upper_bound=reach)
+    neighbours = sheet[np.minimum(neighbours, len(sheet) - 1)]
+    offset = points[unassigned][:, None] - points[neighbours]
+    to_plane = np.abs((offset * normals[neighbours]).sum(axis=2))
+    fits = np.isfinite(distance) & (to_plane < tolerance)
+    assigned = fits.any(axis=1)
+    owner = neighbours[np.arange(len(unassigned)), np.argmax(fits, axis=1)][assigned]
+    label[unassigned[assigned]], normals[unassigned[assigned]] = label[owner], normals[owner]
 
 
 def _joined(points: Array, normals: Array, linked: NDArray[np.int32], flat: NDArray[np.bool_],
-            thick: float) -> NDArray[np.intp]:
-    """Return labels (n,) of flat points that are joined, -1 of others and of small sheets."""
+            tolerance: float) -> NDArray[np.intp]:
+    """Return labels (n,) of connected flat points, -1 for others and for small sheets."""
     i = np.repeat(np.arange(len(points), dtype=np.int32), LINKED)
     j = linked.ravel()
-    both = flat[i] & flat[j] & (i != j)
-    i, j = i[both], j[both]
-    way = points[j] - points[i]
-    same = np.abs((normals[i] * normals[j]).sum(axis=1)) > SAME_NORMAL
-    same &= np.abs((way * normals[i]).sum(axis=1)) < thick
-    same &= np.abs((way * normals[j]).sum(axis=1)) < thick
-    graph = coo_matrix((np.ones(int(same.sum()), dtype=bool), (i[same], j[same])),
+    both_flat = flat[i] & flat[j] & (i != j)
+    i, j = i[both_flat], j[both_flat]
+    offset = points[j] - points[i]
+    one_sheet = np.abs((normals[i] * normals[j]).sum(axis=1)) > SAME_NORMAL
+    one_sheet &= np.abs((offset * normals[i]).sum(axis=1)) < tolerance
+    one_sheet &= np.abs((offset * normals[j]).sum(axis=1)) < tolerance
+    graph = coo_matrix((np.ones(int(one_sheet.sum()), dtype=bool), (i[one_sheet], j[one_sheet])),
                        shape=(len(points), len(points)))
     label = connected_components(graph, directed=False)[1].astype(np.intp)
     size = np.bincount(label[flat], minlength=len(points) + 1)
@@ -185,43 +192,44 @@ def _joined(points: Array, normals: Array, linked: NDArray[np.int32], flat: NDAr
 
 
 def rims_of(points: Array, tree: cKDTree, sheets: Sheets, spacing: float) -> Rims:
-    """Return the points on the edges of the sheets, one in each cube of two spacings."""
-    free, outlook = np.zeros(len(points)), np.zeros_like(points)
-    for part, near, there, offset in _neighbours(tree, points, spacing):
-        n = sheets.normals[part]
-        own = there & (sheets.label[near] == sheets.label[part][:, None])
+    """Return the points on the borders of the sheets, one per cube of two spacings."""
+    free_angle, outward = np.zeros(len(points)), np.zeros_like(points)
+    for block, neighbours, valid, offset in _neighbours(tree, points, spacing):
+        n = sheets.normals[block]
+        same_sheet = valid & (sheets.label[neighbours] == sheets.label[block][:, None])
         first = np.cross(n, np.where(np.abs(n[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]]))
         first /= np.maximum(np.linalg.norm(first, axis=1), 1e-12)[:, None]
         second = np.cross(n, first)
-        free[part], middle = _free_angle(np.arctan2(
-            np.einsum('nij,nj->ni', offset, second), np.einsum('nij,nj->ni', offset, first)), own)
-        outlook[part] = np.cos(middle)[:, None] * first + np.sin(middle)[:, None] * second
-    rows = np.flatnonzero((free > FREE_ANGLE) & (sheets.label >= 0))
+        free_angle[block], middle = _free_angle(np.arctan2(
+            np.einsum('nij,nj->ni', offset, second),
+            np.einsum('nij,nj->ni', offset, first)), same_sheet)
+        outward[block] = np.cos(middle)[:, None] * first + np.sin(middle)[:, None] * second
+    rows = np.flatnonzero((free_angle > FREE_ANGLE) & (sheets.label >= 0))
     cell = np.column_stack([np.floor(points[rows] / (2 * spacing)), sheets.label[rows]])
     rows = rows[np.sort(np.unique(cell, axis=0, return_index=True)[1])]
-    return Rims(points[rows], outlook[rows], sheets.normals[rows], sheets.label[rows])
+    return Rims(points[rows], outward[rows], sheets.normals[rows], sheets.label[rows])
 
 
-def _free_angle(angle: Array, there: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the widest angle (n,) between the directions (n, k) that are there; its middle."""
-    angle = np.sort(np.where(there, angle, np.inf), axis=1)
+def _free_angle(angle: Array, valid: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the widest angle (n,) between the valid directions (n, k), and its middle."""
+    angle = np.sort(np.where(valid, angle, np.inf), axis=1)
     angle = np.where(np.isfinite(angle), angle, angle[:, :1] + 2 * np.pi)
     angle = np.where(np.isfinite(angle), angle, 0.0)  # alone
     gaps = np.diff(angle, axis=1, append=angle[:, :1] + 2 * np.pi)
     widest = np.argmax(gaps, axis=1)
-    each = np.arange(len(angle))
-    free = gaps[each, widest]
-    return (np.where(there.sum(axis=1) >= 6, free, 0.0),
-            angle[each, widest] + free / 2)
+    rows = np.arange(len(angle))
+    free = gaps[rows, widest]
+    return (np.where(valid.sum(axis=1) >= 6, free, 0.0),
+            angle[rows, widest] + free / 2)
 
 
 def _neighbours(tree: cKDTree, points: Array, spacing: float
                 ) -> Iterator[tuple[slice, NDArray[np.intp], NDArray[np.bool_], Array]]:
-    """Yield slices of points, their neighbours' rows (m, k), which are there, their offsets."""
+    """Yield slices of points, rows (m, k) of their neighbours, which are valid, their offsets."""
     for start in range(0, len(points), CHUNK):
-        part = slice(start, start + CHUNK)
-        distance, near = tree.query(points[part], NEIGHBOURS + 1,
-                                    distance_upper_bound=REACH * spacing)
-        there = np.isfinite(distance[:, 1:])
-        near = np.where(there, near[:, 1:], near[:, :1])
-        yield part, near, there, points[near] - points[part][:, None]
+        block = slice(start, start + CHUNK)
+        distance, neighbours = tree.query(points[block], NEIGHBOURS + 1,
+                                          distance_upper_bound=REACH * spacing)
+        valid = np.isfinite(distance[:, 1:])
+        neighbours = np.where(valid, neighbours[:, 1:], neighbours[:, :1])
+        yield block, neighbours, valid, points[neighbours] - points[block][:, None]

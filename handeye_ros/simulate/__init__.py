@@ -1,9 +1,8 @@
 """
 Simulated recordings with known truth, without ROS.
 
-`simulate` renders profiles and poses; `simulate_samples` makes the features directly;
-`FAULTS` are cells with the faults of real ones;
-`FILE_SCENES` make files of measured values.
+`simulate` renders profiles and poses; `simulate_samples` makes the features directly; `FAULTS`
+are cells with the faults of real ones; `FILE_SCENES` make files of measured values.
 """
 from handeye_ros.simulate.cell import Station, Truth
 from handeye_ros.simulate.measured import FILE_SCENES, Measured
@@ -13,8 +12,7 @@ from handeye_ros.simulate.scenarios import FAULTS, SCENARIOS
 from handeye_ros.simulate.stations import settings
 
 OFFERED = (
-    'arm', 'gauges', 'measuring.MEASURING_CELL', 'measuring.MeasuringCell',
-    'measuring.measuring_cell', 'preform.Preform', 'preform.preform_cloud', 'scenario.RobotModel',
+    'arm', 'gauges', 'measuring', 'measuring.MEASURING_CELL', 'scenario.RobotModel',
 )
 
 __all__ = ['FAULTS', 'FILE_SCENES', 'Measured', 'SCENARIOS', 'Scenario', 'Simulated', 'Station',

@@ -1,8 +1,8 @@
 """
-A six-axis arm with a spherical wrist, whose joints and links are not what its controller thinks.
+A six-axis arm with a spherical wrist, with errors unknown to its controller.
 
-T_base_flange = Rz(q1) Tz(D1) Ry(q2) Tz(A2) Ry(q3) Tz(D4) Rz(q4) Ry(q5) Rz(q6) Tz(D6).
-And the errors of convention with which poses of a robot are published.
+T_base_flange = Rz(q1) Tz(D1) Ry(q2) Tz(A2) Ry(q3) Tz(D4) Rz(q4) Ry(q5) Rz(q6) Tz(D6). Also
+convention errors of published poses.
 """
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from scipy.spatial.transform import Rotation
 
 D1, A2, D4, D6 = 0.45, 0.75, 0.75, 0.10  # m: shoulder, upper arm, forearm, flange
 AXES = 'zyyzyz'
-ENDLESS = (4, 6)  # joints that turn without end
+ENDLESS = (4, 6)  # continuous joints
 LENGTHS = (D1, A2, D4, 0.0, 0.0, D6)  # m, along z, after each joint
 
 
 @dataclass(frozen=True, eq=False)
 class ArmErrors:
     """
-    What the controller does not know.
+    Errors of joints and links, unknown to the controller.
 
     links: (6, 6) perturbation after each link; offsets: (6,) of the joints (rad); eccentricity,
-    phases: (6,) amplitude (rad) and phase of an error that goes round with the joint.
+    phases: (6,) amplitude (rad) and phase of an error that is periodic in the joint angle.
     """
 
     links: Array
@@ -58,7 +58,7 @@ def forward(joints: Array, errors: ArmErrors | None = None) -> Array:
 
 
 def urdf() -> str:
-    """Return the URDF of the arm as its controller knows it."""
+    """Return the URDF of the nominal arm."""
     heights = (0.0, *LENGTHS[:-1])
     links = ''.join(f'  <link name="{name}"/>\n' for name in (
         'base', *(f'link_{k}' for k in range(1, 7)), 'flange'))
@@ -96,7 +96,7 @@ def inverse(T: Array) -> Array:
 
 
 def reported_error(T: Array, errors: ArmErrors) -> Array:
-    """Return what the controller adds (n, 6) to the true flange poses (n, 4, 4)."""
+    """Return the errors (n, 6) of the reported poses relative to the true ones (n, 4, 4)."""
     joints = inverse(T)
     nominal, real = forward(joints), forward(joints, errors)
     turn = se3.log_rotation(nominal[:, :3, :3] @ np.swapaxes(real[:, :3, :3], 1, 2))
@@ -111,31 +111,18 @@ def _inverted(translation: Array, quaternion: Array) -> tuple[Array, Array]:
     return T[:, :3, 3], se3.quaternion(T)
 
 
-def _wxyz(translation: Array, quaternion: Array) -> tuple[Array, Array]:
-    return translation, np.roll(quaternion, 1, axis=1)
-
-
-def _millimetres(translation: Array, quaternion: Array) -> tuple[Array, Array]:
-    return translation * 1e3, quaternion
-
-
 def _euler(quaternion: Array, read_as: str, factor: float) -> Array:
     angles = Rotation.from_quat(quaternion).as_euler('xyz') * factor
     return np.asarray(Rotation.from_euler(read_as, angles).as_quat())
 
 
-def _degrees(translation: Array, quaternion: Array) -> tuple[Array, Array]:
-    return translation, _euler(quaternion, 'xyz', 180 / np.pi)
-
-
-def _intrinsic(translation: Array, quaternion: Array) -> tuple[Array, Array]:
-    return translation, _euler(quaternion, 'XYZ', 1.0)
-
-
 CONVENTION_ERRORS: dict[str, PoseMap] = {
     'inverted': _inverted,  # base in flange for flange in base
-    'wxyz': _wxyz,  # quaternions sent as w x y z
-    'millimetres': _millimetres,  # positions in mm
-    'degrees': _degrees,  # roll, pitch, yaw in degrees taken for radians
-    'intrinsic': _intrinsic,  # fixed-axes roll, pitch, yaw taken for moving-axes angles
+    # quaternions sent as w x y z
+    'wxyz': lambda translation, quaternion: (translation, np.roll(quaternion, 1, axis=1)),
+    'millimetres': lambda translation, quaternion: (translation * 1e3, quaternion),
+    # roll, pitch, yaw in degrees taken for radians; of fixed axes taken for those of moving axes
+    'degrees': lambda translation, quaternion: (
+        translation, _euler(quaternion, 'xyz', 180 / np.pi)),
+    'intrinsic': lambda translation, quaternion: (translation, _euler(quaternion, 'XYZ', 1.0)),
 }

@@ -1,4 +1,4 @@
-"""The robot cell: where the sensor and the target really are, and what the robot says."""
+"""The robot cell: true transforms of sensor and target, and the poses that the robot reports."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -17,12 +17,11 @@ from scipy.spatial.transform import Rotation
 @dataclass(frozen=True, eq=False)
 class Station:
     """
-    Where the robot stood, and what is true there.
+    A station of the robot with its true values.
 
-    start, end: stamps of standing still (0, 0 where nothing is streamed). label: the edge that
-    the line crosses ('p', 'q', 'p2', 'q2'), or 'sphere'. point: (2,) true edge point, or
-    centre of the arc, along the line and range in the standard sensor frame.
-    T_base_flange, T_base_flange_reported: (4, 4).
+    start, end: stamps of the stop (0, 0 without streams). label: the edge that the line crosses
+    ('p', 'q', 'p2', 'q2'), or 'sphere'. point: (2,) true edge point, or centre of the arc, along
+    the line and range in the standard sensor frame. T_base_flange, T_base_flange_reported: (4, 4).
     """
 
     start: int
@@ -36,13 +35,12 @@ class Station:
 @dataclass(frozen=True, eq=False)
 class Truth:
     """
-    What a calibration should find; (4, 4) transforms.
+    The true values of a calibration; (4, 4) transforms.
 
-    T_flange_sensor: where the robot's or the sensor's own error is, the transform that serves best
-    over the volume of the stops and the field of view.
-    With eye_on_base, T_flange_sensor is the sensor's pose in the base and T_base_target the
-    target's pose in the flange. The sensor frame is the published one (Scenario.layout).
-    time_offset: to be added to the profiles' stamps (s), of a sweep.
+    T_flange_sensor: with errors of robot or sensor, the best-fit transform over the volume of the
+    stops and the field of view. With eye_on_base it is the sensor's pose in the base, and
+    T_base_target the target's pose in the flange. The sensor frame is the published one
+    (Scenario.layout). time_offset: to be added to the profiles' stamps (s), of a sweep.
     """
 
     T_flange_sensor: Array
@@ -57,8 +55,8 @@ class Cell:
     The unknowns and the poses at n stations; standard sensor frame.
 
     T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base);
-    T_world_target: the target in the base, or in the flange. T_base_flange, its reported
-    twin: (n, 4, 4). T_mount_best: what serves best with the reported poses. arm: its errors.
+    T_world_target: the target in the base, or in the flange. T_base_flange and the reported poses:
+    (n, 4, 4). T_mount_best: best-fit transform with the reported poses. arm: its errors.
     """
 
     T_mount_sensor: Array
@@ -76,15 +74,15 @@ class Cell:
 
 def draw(scenario: Scenario, stops: Stops, anywhere: Stops, rng: np.random.Generator) -> Cell:
     """
-    Draw a cell in which the sensor gets to the stops, and the robot's errors.
+    Draw a cell in which the sensor reaches the stops, and the robot's errors.
 
-    anywhere: many stops, over which a transform is to serve.
+    anywhere: many stops, for the best-fit transform.
     """
     T_near = _sensor_on_flange(scenario, rng)
     T_far = _target_in_base(rng)
     T_sensor_target = se3.inverse(stops.T_target_sensor)
     if scenario.calibration_type == 'eye_on_base':
-        # the target in the hand, the sensor where a target would stand
+        # the target on the flange, the sensor in place of the target
         T_true = T_far @ T_sensor_target @ se3.inverse(T_near)
         T_mount_sensor, T_world_target = T_far, T_near
     else:
@@ -95,8 +93,8 @@ def draw(scenario: Scenario, stops: Stops, anywhere: Stops, rng: np.random.Gener
     if scenario.robot.geometry:
         errors = arm.draw(scenario.robot.geometry, rng)
         reported = perturbed(reported, arm.reported_error(T_true, errors))
-        more = T_far @ anywhere.T_target_sensor @ se3.inverse(T_near)
-        best = _best_mount(more, arm.reported_error(more, errors), T_mount_sensor, scenario)
+        T_many = T_far @ anywhere.T_target_sensor @ se3.inverse(T_near)
+        best = _best_mount(T_many, arm.reported_error(T_many, errors), T_mount_sensor, scenario)
     reported[:, :3, 3] *= 1 + scenario.robot.scale
     reported = _bumped(reported, scenario.bumped, rng)
     return Cell(T_mount_sensor, T_world_target, T_true, reported, best, errors)
@@ -108,32 +106,30 @@ def _sensor_on_flange(scenario: Scenario, rng: np.random.Generator) -> Array:
     if scenario.robot.geometry:  # an arm whose flange must look down
         turn = Rotation.from_euler('ZY', rng.uniform([-np.pi, -0.4], [np.pi, 0.4]))
         return se3.transform(turn.as_matrix(), translation)
-    return se3.transform(_any_rotation(rng), translation)
+    turn = Rotation.from_quat(rng.normal(size=4))
+    return se3.transform(turn.as_matrix(), translation)
 
 
 def _best_mount(T: Array, error: Array, X: Array, scenario: Scenario) -> Array:
     """
-    Return the mount (4, 4) that serves best with poses T (n, 4, 4) reported with an error (n, 6).
+    Return the best-fit mount (4, 4) for poses T (n, 4, 4) reported with errors (n, 6).
 
-    Points of the field of view are mapped most nearly to where they are, but for a motion of
-    all of them, which is the target's.
+    It maps points of the field of view with the smallest errors, except for a common motion of all
+    points, which is that of the target.
     """
     (near, far), w = scenario.sensor.range, scenario.sensor.half_width
     field = np.array([[x * z, 0.0, z] for z in (near, far) for x in (-w, 0.0, w)])
     lever = field @ X[:3, :3].T
     a, R = T[:, None, :3, 3], T[:, :3, :3]
-    off = se3.apply(T, lever + X[:3, 3])
-    shift = error[:, None, :3] + np.cross(error[:, None, 3:], off - a)
+    points = se3.apply(T, lever + X[:3, 3])
+    shift = error[:, None, :3] + np.cross(error[:, None, 3:], points - a)
     by_turn = -np.einsum('nij,kjl->nkil', R, se3.skew(lever))
     by_shift = np.broadcast_to(R[:, None], by_turn.shape)
-    by_target = np.concatenate([np.broadcast_to(-np.eye(3), by_turn.shape), se3.skew(off)], axis=3)
+    by_target = np.concatenate([np.broadcast_to(-np.eye(3), by_turn.shape), se3.skew(points)],
+                               axis=3)
     A = np.concatenate([by_shift, by_turn, by_target], axis=3).reshape(-1, 12)
     step = np.linalg.lstsq(A, -shift.reshape(-1), rcond=1e-9)[0]
     return se3.perturb(X, step[:6])
-
-
-def _any_rotation(rng: np.random.Generator) -> Array:
-    return np.asarray(Rotation.from_quat(rng.normal(size=4)).as_matrix())
 
 
 def _target_in_base(rng: np.random.Generator) -> Array:
@@ -149,7 +145,7 @@ def perturbed(T: Array, error: Array) -> Array:
 
 
 def robot_error(robot: RobotModel, T: Array, rng: np.random.Generator) -> Array:
-    """Return the error (n, 6) of the reported poses at T (n, 4, 4): drawn anew, plus smooth."""
+    """Return the errors (n, 6) of the reported poses at T (n, 4, 4): random plus smooth."""
     scale = np.repeat(robot.repeatability, 3)
     return np.asarray(rng.normal(size=(len(T), 6)) * scale + _systematic(robot, T, rng))
 
@@ -158,14 +154,14 @@ def _systematic(robot: RobotModel, T: Array, rng: np.random.Generator) -> Array:
     """Return six sinusoids over position (0.3 m) and orientation (0.5 rad): (n, 6)."""
     mean = se3.mean_pose(T)
     turned = se3.log_rotation(T[:, :3, :3] @ mean[:3, :3].T)
-    place = np.concatenate([T[:, :3, 3] / 0.3, turned / 0.5], axis=1)
+    scaled = np.concatenate([T[:, :3, 3] / 0.3, turned / 0.5], axis=1)
     wave, phase = rng.normal(size=(6, 6)) / np.sqrt(2), rng.uniform(0, 2 * np.pi, 6)
     amplitude = np.repeat(robot.systematic, 3) * np.sqrt(2 / 3)  # RMS of the vector of three
-    return np.asarray(amplitude * np.sin(place @ wave.T + phase))
+    return np.asarray(amplitude * np.sin(scaled @ wave.T + phase))
 
 
 def _bumped(T: Array, count: int, rng: np.random.Generator) -> Array:
-    """Return poses of which count are off by 1-3 mm and 0.1-0.3 degrees."""
+    """Return poses, count of them with errors of 1-3 mm and 0.1-0.3 degrees."""
     error = np.zeros((len(T), 6))
     size = np.repeat(rng.uniform([1e-3, 2e-3], [3e-3, 5e-3], (count, 2)), 3, axis=1)
     direction = rng.normal(size=(count, 2, 3))
@@ -175,17 +171,17 @@ def _bumped(T: Array, count: int, rng: np.random.Generator) -> Array:
 
 
 def visit_order(scenario: Scenario, n: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Return the order in which n stops are visited, all as often as the programme is run."""
-    once = rng.permutation(n) if scenario.shuffled else np.arange(n)
-    return np.tile(once, scenario.repeats)
+    """Return the order of n stops; all are visited once per run of the programme."""
+    programme = rng.permutation(n) if scenario.shuffled else np.arange(n)
+    return np.tile(programme, scenario.repeats)
 
 
 def truth(scenario: Scenario, cell: Cell, stops: Stops, spans: NDArray[np.int64],
-          bent: Distortion | None = None) -> Truth:
+          distortion: Distortion | None = None) -> Truth:
     """
-    Return what is true, stop after stop.
+    Return the true values, stop by stop.
 
-    spans (n, 2): stamps of standing still; bent: the sensor's own error.
+    spans (n, 2): stamps of the stops; distortion: of the sensor.
     """
     T_standard_sensor = FRAMES[scenario.layout.frame].T_standard_sensor
     stations = tuple(
@@ -193,5 +189,5 @@ def truth(scenario: Scenario, cell: Cell, stops: Stops, spans: NDArray[np.int64]
         for span, label, point, T, T_reported in zip(
             spans, stops.labels, stops.points, cell.T_base_flange, cell.T_base_flange_reported,
             strict=True))
-    T_mount_sensor = cell.T_mount_best @ (bent.T_true_reported if bent else np.eye(4))
+    T_mount_sensor = cell.T_mount_best @ (distortion.T_true_reported if distortion else np.eye(4))
     return Truth(T_mount_sensor @ T_standard_sensor, cell.T_world_target, stations)

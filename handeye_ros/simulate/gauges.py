@@ -1,9 +1,9 @@
 """
-What a calibrated robot measures for its verification, with known truth.
+Simulated measurements of artefacts for verifications, with known truth.
 
-Every routine has an artefact; its stations are those of the simulated targets, drawn for each of
-its bags, with the sensor and the robot the same throughout. They are given as samples, or as
-recordings of rendered profiles: `take` is stations (of this file) or measuring.rendered.
+Every routine has an artefact; its stations are those of the simulated targets, drawn for each bag,
+with one sensor and robot. They are samples, or recordings of rendered profiles: `take` is stations
+(in this file) or measuring.rendered.
 """
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 from handeye_ros import se3
 from handeye_ros.data import Array, EdgePoint, FaceLine, Sample
 from handeye_ros.simulate import cell as cells
-from handeye_ros.simulate.measuring import Gauge, Pass, scan_gauge, somewhere
+from handeye_ros.simulate.measuring import draw_pose, Gauge, Pass, scan_gauge
 from handeye_ros.simulate.scenario import (
     PlateTarget,
     RobotModel,
@@ -31,7 +31,7 @@ from scipy.spatial.transform import Rotation
 TILT = np.deg2rad(40)  # of the sensor over faces
 PLAIN = SensorModel(columns=320, rate=5.0, rim_bias=0.0, mixed=0.0, lost=0.0, lost_at_edge=0.0,
                     outliers=0.0)
-AIM = 5e-5  # m: how exactly the laser is put to a point
+AIM = 5e-5  # m: 1 sigma of the aim of the laser at a point
 INTO_CORNER = np.array([[1, 1, 0], [1, -1, 0], [0, 0, -2 ** 0.5]]).T / 2 ** 0.5  # T_target_sensor
 
 Mounted: TypeAlias = tuple[Array, Array]
@@ -43,7 +43,7 @@ Take: TypeAlias = Callable[[Scenario, Array, Array, Stops, np.random.Generator],
 @dataclass(frozen=True, eq=False)
 class Measured:
     """
-    The samples of each bag, T_flange_sensor (4, 4), and what is true of the artefact.
+    The samples of each bag, T_flange_sensor (4, 4), and the true values of the artefact.
 
     lengths: of the ball bar, heights of the steps, or pitch and height of the teeth; reference:
     the true point (3,) in the base; passes: recordings, where there are no samples.
@@ -57,14 +57,14 @@ class Measured:
 
 
 def sensor_on_flange(rng: np.random.Generator) -> Array:
-    """Draw where the sensor sits (4, 4)."""
+    """Draw the pose of the sensor on the flange (4, 4)."""
     return se3.transform(Rotation.random(random_state=rng).as_matrix(),
                          rng.uniform(-0.12, 0.12, 3))
 
 
 def stations(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
              rng: np.random.Generator) -> tuple[Sample, ...]:
-    """Return the samples of stops at a target that stands there."""
+    """Return the samples of stops at a fixed target."""
     features = SCENES[scenario.scene].features(scenario, stops, rng)
     T = T_base_target @ stops.T_target_sensor @ se3.inverse(T_flange_sensor)
     reported = cells.perturbed(T, cells.robot_error(scenario.robot, T, rng))
@@ -72,18 +72,18 @@ def stations(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, s
                  for k, (T_k, f) in enumerate(zip(reported, features, strict=True)))
 
 
-def measured(taken: Sequence[Taken], T_flange_sensor: Array, lengths: tuple[float, ...] = (),
+def measured(bags: Sequence[Taken], T_flange_sensor: Array, lengths: tuple[float, ...] = (),
              reference: tuple[float, ...] = ()) -> Measured:
-    """Return what was taken, samples or recordings."""
-    return Measured(tuple(t for t in taken if not isinstance(t, Pass)), T_flange_sensor, lengths,
-                    reference, tuple(t for t in taken if isinstance(t, Pass)))
+    """Return the samples, or recordings."""
+    return Measured(tuple(bag for bag in bags if not isinstance(bag, Pass)), T_flange_sensor,
+                    lengths, reference, tuple(bag for bag in bags if isinstance(bag, Pass)))
 
 
 def cell_of(name: str, rng: np.random.Generator, count: int, mounted: Mounted | None,
             **changes: Any) -> tuple[Scenario, Array, Array]:
-    """Return scenario, T_flange_sensor and T_base_target, which are drawn where not given."""
+    """Return scenario, T_flange_sensor and T_base_target, drawn if not given."""
     scenario = replace(SCENARIOS[name], stations=(count, 0), **{'robot': RobotModel()} | changes)
-    return scenario, *(mounted or (sensor_on_flange(rng), somewhere(rng)))
+    return scenario, *(mounted or (sensor_on_flange(rng), draw_pose(rng)))
 
 
 def line(rng: np.random.Generator, count: int = 14, take: Take = stations,
@@ -96,12 +96,12 @@ def line(rng: np.random.Generator, count: int = 14, take: Take = stations,
 def planes(rng: np.random.Generator, poses: Array, lengths: tuple[float, ...] = (),
            count: int = 20, take: Take = stations, mounted: Mounted | None = None,
            **changes: Any) -> Measured:
-    """Return planes at poses (k, 4, 4) in the artefact, each in a bag."""
+    """Return planes at poses (k, 4, 4) in the artefact, one bag each."""
     face = PlateTarget((0.2, 0.15), table=None, clutter=None)
     scenario, X, T = cell_of('plane', rng, count, mounted, **{
         'target': face, 'tilt': TILT} | changes)
-    return measured([take(scenario, X, T @ place, SCENES['plane'].stops(scenario, rng), rng)
-                     for place in poses], X, lengths)
+    return measured([take(scenario, X, T @ pose, SCENES['plane'].stops(scenario, rng), rng)
+                     for pose in poses], X, lengths)
 
 
 def plane(rng: np.random.Generator, **values: Any) -> Measured:
@@ -111,7 +111,7 @@ def plane(rng: np.random.Generator, **values: Any) -> Measured:
 
 def step_block(rng: np.random.Generator, heights: tuple[float, ...] = (0.025, 0.05, 0.1),
                **values: Any) -> Measured:
-    """Return parallel faces above each other, square to x, y or z of the base."""
+    """Return parallel faces at several heights, orthogonal to x, y or z of the base."""
     poses = np.repeat(np.eye(4)[None], 1 + len(heights), axis=0)
     poses[1:, 2, 3] = heights
     turn = np.eye(4)
@@ -145,13 +145,13 @@ def ball_bar(rng: np.random.Generator, balls: int = 2, length: float = 0.2, radi
     """Return balls in a row (one: a sphere)."""
     ball = SphereTarget(radius, table=None, clutter=False)
     scenario, X, T = cell_of('sphere', rng, count, mounted, target=ball, **changes)
-    taken = []
+    bags = []
     for k in range(balls):
-        place = np.eye(4)
-        place[0, 3] = k * length
+        T_ball = np.eye(4)
+        T_ball[0, 3] = k * length
         stops = SCENES['sphere'].stops(scenario, rng)
-        taken.append(take(scenario, X, T @ place, stops, rng))
-    return measured(taken, X, (length,) * (balls - 1))
+        bags.append(take(scenario, X, T @ T_ball, stops, rng))
+    return measured(bags, X, (length,) * (balls - 1))
 
 
 def sphere(rng: np.random.Generator, **values: Any) -> Measured:
@@ -161,7 +161,7 @@ def sphere(rng: np.random.Generator, **values: Any) -> Measured:
 
 def at_corner(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
               rng: np.random.Generator) -> tuple[Sample, ...]:
-    """Return the samples of stops whose edge point is the corner of a plate, like stations()."""
+    """Return the samples of stops with the corner of a plate as edge point, like stations()."""
     truth = T_base_target @ stops.T_target_sensor @ se3.inverse(T_flange_sensor)
     reported = cells.perturbed(truth, cells.robot_error(scenario.robot, truth, rng))
     std = scenario.sensor.noise / np.sqrt(scenario.profiles_per_stop)
@@ -177,21 +177,21 @@ def at_corner(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, 
 def fixed_point(rng: np.random.Generator, count: int = 12, aim: float = AIM,
                 take: Take = at_corner, mounted: Mounted | None = None, **changes: Any
                 ) -> Measured:
-    """Return the corner of a plate, which the laser is put to with some error, over the face."""
+    """Return the corner of a plate, to which the laser is aimed with some error."""
     scenario, X, T = cell_of('line', rng, count, mounted, target=PlateTarget(clutter=None),
                              **changes)
     points = SCENES['line'].stops(scenario, rng).points
     R = INTO_CORNER @ tilts(scenario, rng, (count,))
-    off = aim * rng.normal(size=(count, 3))
-    place = off - (R @ lift(points)[:, :, None])[:, :, 0]
-    stops = Stops(se3.transform(R, place), ('p',) * count, points)
+    aim_error = aim * rng.normal(size=(count, 3))
+    position = aim_error - (R @ lift(points)[:, :, None])[:, :, 0]
+    stops = Stops(se3.transform(R, position), ('p',) * count, points)
     return measured([take(scenario, X, T, stops, rng)], X, reference=tuple(
         map(float, T[:3, 3])))
 
 
 def tooth(rng: np.random.Generator, sensor: SensorModel = PLAIN, robot: RobotModel | None = None
           ) -> Measured:
-    """Return a gauge of teeth, scanned; sensor: without other faults than noise if not given."""
+    """Return a scanned gauge of teeth; sensor: by default without faults other than noise."""
     gauge, X = Gauge(), sensor_on_flange(rng)
-    passes = scan_gauge(gauge, X, somewhere(rng), sensor, robot or RobotModel(), rng)
+    passes = scan_gauge(gauge, X, draw_pose(rng), sensor, robot or RobotModel(), rng)
     return Measured((), X, (gauge.pitch, gauge.height), passes=passes)

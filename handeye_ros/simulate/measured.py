@@ -1,5 +1,5 @@
 """
-Files of measured values, as instruments other than a profiler at its stops write them.
+Simulated files of measured values from other instruments than a profiler.
 
 The tracker is the cell of Jing 2020: a P1 R2 P3 arm, a laser tracker, a ball and a block. Frame of
 the target: the ball's centre, axes along the block's edges; its ridge runs along y.
@@ -28,13 +28,13 @@ RIDGE = 0.0145  # the block's ridge is at x = z = RIDGE
 BLOCK: Box = Box((-0.05, 0.03, -0.05), (RIDGE, 0.10, RIDGE))
 SENSOR = SensorModel(columns=640, rate=10.0, noise=3.7e-5)
 TRACKER_NOISE = 2e-5
-REPORTED = 1e-6  # noise of the readings of P3 (m)
+REPORTED = 1e-6  # 1 sigma of the readings of P3 (m)
 
 
 @dataclass(frozen=True, eq=False)
 class TrackerCell:
     """
-    What the instruments see, and what is true.
+    Measurements of the instruments, and the true values.
 
     reflector: points (n, 3) in the tracker by kind; h0, h1: heights of the reflector; q3_first,
     q30: readings of P3 at the first pose and where the flange is taken. Metres.
@@ -58,7 +58,7 @@ def arm(turn: float, q3: float) -> Array:
 
 def simulate_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
                      noise: float = TRACKER_NOISE, reported: float = REPORTED) -> TrackerCell:
-    """Return a session; noise, reported: of the tracker and P3, 1 sigma of each axis (m)."""
+    """Return a session; noise, reported: of the tracker and P3, 1 sigma per axis (m)."""
     turn = Rotation.from_euler('xyz', [90, 0, 0] + rng.uniform(-1.5, 1.5, 3), degrees=True)
     X = se3.transform(turn.as_matrix(), rng.uniform([0.04, -0.13, 0.03], [0.07, -0.09, 0.06]))
     T_base_target = arm(SWEEP_ANGLE, 0.0) @ X @ _sensor_to_target(rng)
@@ -77,7 +77,7 @@ def _stamps(count: int) -> NDArray[np.int64]:
 
 
 def _sensor_to_target(rng: np.random.Generator) -> Array:
-    """Return T_sensor_target (4, 4) at q3 = 0: 45 degrees to both faces, but for some tilt."""
+    """Return T_sensor_target (4, 4) at q3 = 0: 45 degrees to both faces, with some tilt."""
     nominal = np.array([[-1.0, 0, 1], [0, 2 ** 0.5, 0], [-1, 0, -1]]) / 2 ** 0.5
     tilt = Rotation.from_euler('xyz', rng.uniform(-8, 8, 3), degrees=True).as_matrix()
     return se3.transform(tilt @ nominal, np.array([0.0, 0.0, 0.184]))
@@ -92,12 +92,12 @@ def _profiles(T_target_sensor: Array, sensor: SensorModel, rng: np.random.Genera
 
 
 def _reflector(T_base_target: Array, rng: np.random.Generator) -> dict[str, Array]:
-    """Return the true points of the reflector in the tracker."""
+    """Return the true positions of the reflector in the tracker's frame."""
     T_tracker_base = se3.transform(Rotation.from_euler('xyz', [3, -4, 50], degrees=True
                                                        ).as_matrix(), np.array([3.0, 1.7, -0.6]))
-    held = np.array([[0.02, H0 + H1, 0.25]])
-    arc = [se3.apply(arm(turn, 0.0), held)[0] for turn in np.linspace(-1.0, 1.0, 40)]
-    line = [se3.apply(arm(SWEEP_ANGLE, q), held)[0] for q in np.linspace(-0.1, 0.1, 30)]
+    reflector = np.array([[0.02, H0 + H1, 0.25]])
+    arc = [se3.apply(arm(turn, 0.0), reflector)[0] for turn in np.linspace(-1.0, 1.0, 40)]
+    line = [se3.apply(arm(SWEEP_ANGLE, q), reflector)[0] for q in np.linspace(-0.1, 0.1, 30)]
     along, down = rng.uniform([0.035, -0.04], [0.095, RIDGE - 0.003], (2, 40, 2)).transpose(
         2, 0, 1)
     top = np.full(40, RIDGE)
@@ -115,11 +115,11 @@ SMALL = replace(SENSOR, columns=320, resolution=2.0**-20)  # compresses well
 @dataclass(frozen=True, eq=False)
 class Measured:
     """
-    Files, and what is true of them.
+    Files, with their true values.
 
-    tables: their texts by name; T_flange_sensor: (4, 4), of the camera in the base where it
-    stands there; noise: 1 sigma each, in SI units; settings: the configuration, by dotted key,
-    that reads them; profiles, poses: of the bag beside the tables, if there is one.
+    tables: their texts by name; T_flange_sensor: (4, 4), of the camera in the base with
+    eye_on_base; noise: 1 sigma each, in SI units; settings: the configuration by dotted key;
+    profiles, poses: of the bag beside the tables, if there is one.
     """
 
     tables: Mapping[str, str]
@@ -131,7 +131,7 @@ class Measured:
 
 
 def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> Measured:
-    """Return the tip of a tool at some places, seen from beside the robot, half a metre away."""
+    """Return the tip of a tool at several positions, 0.5 m from a camera beside the robot."""
     R = Rotation.random(random_state=rng).as_matrix()
     middle, reach = np.array([0.6, 0.1, 0.3]), np.array([0.0, 0.0, 0.5])
     X = se3.transform(R, middle - R @ reach)
@@ -146,7 +146,7 @@ def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> Me
 def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float = 1.0,
              count: int = 12, tilts: Sequence[float] = (30.0, 30.0, 60.0)) -> Measured:
     """
-    Return poses of the robot, and of a target that a camera sees.
+    Return poses of the robot, and of a target seen by a camera.
 
     noise: a factor; tilts: the largest about each axis of the camera (degrees).
     """
@@ -158,19 +158,19 @@ def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float =
     T_fixed_mount = Z @ se3.inverse(views) @ se3.inverse(X)
     poses = se3.inverse(T_fixed_mount) if eye_on_base else T_fixed_mount
     robot, target = (3e-5 * noise, 1e-4 * noise), (1e-4 * noise, 1e-3 * noise)
-    both = [_columns(_disturbed(T, sigma, rng))
-            for T, sigma in ((poses, robot), (views, target))]
+    disturbed = [_columns(_disturbed(T, sigma, rng))
+                 for T, sigma in ((poses, robot), (views, target))]
     header = [f'{name}_{column}' for name in ('flange', 'target')
               for column in ('x [mm]', 'y [mm]', 'z [mm]', *QUATERNION)]
     names = ('robot_translation', 'robot_rotation', 'target_translation', 'target_rotation')
-    return Measured({'poses.csv': csv_text(header, np.hstack(both))}, X,
+    return Measured({'poses.csv': csv_text(header, np.hstack(disturbed))}, X,
                     dict(zip(names, (*robot, *target), strict=True)),
                     {'target.type': 'hand_eye', 'calibration_type': (
                         'eye_on_base' if eye_on_base else 'eye_in_hand')})
 
 
 def _views(rng: np.random.Generator, count: int, tilts: Sequence[float]) -> Array:
-    """Return poses (n, 4, 4) of a target that faces the camera, but for tilts (degrees)."""
+    """Return poses (n, 4, 4) of a target that faces the camera, with tilts (degrees)."""
     turns = Rotation.from_euler('xyz', rng.uniform(-1, 1, (count, 3)) * tilts, degrees=True)
     return se3.transform(turns.as_matrix() @ np.diag([1.0, -1.0, -1.0]),
                          rng.uniform([-0.05, -0.05, 0.2], [0.05, 0.05, 0.3], (count, 3)))
@@ -181,7 +181,7 @@ def _columns(T: Array) -> Array:
 
 
 def _disturbed(T: Array, sigma: tuple[float, float], rng: np.random.Generator) -> Array:
-    """Return poses (n, 4, 4) with noise, 1 sigma of each axis (m, rad)."""
+    """Return poses (n, 4, 4) with noise, 1 sigma per axis (m, rad)."""
     shift, turn = rng.normal(size=(2, len(T), 3)) * np.array(sigma)[:, None, None]
     return se3.transform(se3.exp_rotation(turn) @ T[:, :3, :3], T[:, :3, 3] + shift)
 
@@ -189,7 +189,7 @@ def _disturbed(T: Array, sigma: tuple[float, float], rng: np.random.Generator) -
 def laser_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
                   noise: float = TRACKER_NOISE, reported: float = REPORTED
                   ) -> Measured:
-    """Return a bag of the sweep over ball and block, and the reflector's points beside it."""
+    """Return a bag of the sweep over ball and block, and the reflector's positions."""
     cell = simulate_tracker(rng, sensor, noise, reported)
     rows = [[kind, *_numbers(point)] for kind, points in cell.reflector.items()
             for point in 1e3 * points]
@@ -219,4 +219,4 @@ FILE_SCENES: dict[str, Callable[[np.random.Generator], Measured]] = {
     'tracker': laser_tracker,
     'small_tracker': partial(laser_tracker, sensor=SMALL),
 }
-"""What can be simulated for the targets that are solved from files, by name."""
+"""Simulations for the targets that are solved from files, by name."""

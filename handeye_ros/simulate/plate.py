@@ -1,4 +1,4 @@
-"""The plate, and a plane without an edge in sight: stops, features, solids."""
+"""The plate, and a plane without a visible edge: stops, features, solids."""
 from __future__ import annotations
 
 import math
@@ -10,6 +10,8 @@ from handeye_ros.simulate.solids import Box, slab, Solid, table
 from handeye_ros.simulate.stations import fan, lift, MOTIONS, Stops, strata, tilts
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+FACING = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # of the sensor; line along the edge's y
 
 
 def edge_frames(target: PlateTarget) -> dict[str, Array]:
@@ -30,7 +32,7 @@ def edge_lengths(target: PlateTarget) -> dict[str, float]:
 
 
 def stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
-    """Draw stops whose laser line crosses an edge well inside the field of view."""
+    """Draw stops whose laser line crosses an edge inside the field of view."""
     target, counts = scenario.target, scenario.stations
     assert isinstance(target, PlateTarget)
     labels = ['p'] * counts[0] + ['q'] * counts[1]
@@ -39,58 +41,57 @@ def stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
     near, far = scenario.sensor.range
     depth, width = far - near, 0.5 * scenario.sensor.half_width * near
     low, high = [0.0, -width, near + 0.22 * depth], [1.0, width, far - 0.22 * depth]
-    place = np.concatenate([strata(rng, n, np.array(low), np.array(high)) for n in counts])
+    drawn = np.concatenate([strata(rng, n, np.array(low), np.array(high)) for n in counts])
     R_nominal = _plate_orientations(scenario, labels)
     R = R_nominal @ tilts(scenario, rng, counts)
-    crossing = _crossings(target, labels, place[:, 0])
-    points = place[:, 1:]
+    crossing = _crossings(target, labels, drawn[:, 0])
+    points = drawn[:, 1:]
     T = se3.transform(R, crossing - (R @ lift(points)[:, :, None])[:, :, 0])
     return Stops(T, tuple(labels), points)
 
 
 def _plate_orientations(scenario: Scenario, labels: list[str]) -> Array:
     """Return (n, 3, 3) R_target_sensor: facing the plate, the line across the label's edge."""
-    facing = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # line along the edge frame's y
     if MOTIONS[scenario.motion].shared:
-        diagonal = Rotation.from_rotvec([0, 0, -math.pi / 4]).as_matrix() @ facing
+        diagonal = Rotation.from_rotvec([0, 0, -math.pi / 4]).as_matrix() @ FACING
         return np.repeat(diagonal[None], len(labels), axis=0)
     frames = edge_frames(PlateTarget())
-    across = {label: frame[:3, :3] @ facing for label, frame in frames.items()}
+    across = {label: frame[:3, :3] @ FACING for label, frame in frames.items()}
     # the opposite edge is crossed outwards, so that the robot need not turn around
     across |= {'p2': across['p'], 'q2': across['q']}
     return np.array([across[label] for label in labels])
 
 
-def _crossings(target: PlateTarget, labels: list[str], share: Array) -> Array:
+def _crossings(target: PlateTarget, labels: list[str], fraction: Array) -> Array:
     """Return (n, 3) points on the labels' edges, far enough from their corners."""
     frames, lengths, margin = edge_frames(target), edge_lengths(target), 0.03
-    along = margin + share * (np.array([lengths[k] for k in labels]) - 2 * margin)
+    along = margin + fraction * (np.array([lengths[k] for k in labels]) - 2 * margin)
     T = np.array([frames[k] for k in labels])
     return np.asarray(T[:, :3, 3] + T[:, :3, 0] * along[:, None])
 
 
 def features(
-        scenario: Scenario, at: Stops,
+        scenario: Scenario, drawn: Stops,
         rng: np.random.Generator) -> list[tuple[Feature, ...]]:
     """Return (FaceLine, EdgePoint) of each stop, with the noise of all its profiles."""
     sensor, count = scenario.sensor, scenario.profiles_per_stop
     assert isinstance(scenario.target, PlateTarget)
-    inwards = face_directions(at.T_target_sensor, at.labels)
-    length = visible_lengths(sensor, scenario.target, at, inwards)
-    ends = at.points + length[:, None] * inwards
-    columns = np.abs(fan(ends) - fan(at.points)) / (2 * sensor.half_width) * sensor.columns
+    inwards = face_directions(drawn.T_target_sensor, drawn.labels)
+    length = visible_lengths(sensor, scenario.target, drawn, inwards)
+    ends = drawn.points + length[:, None] * inwards
+    columns = np.abs(fan(ends) - fan(drawn.points)) / (2 * sensor.half_width) * sensor.columns
     spread = length / np.sqrt(12)
     std = sensor.noise * np.abs(inwards[:, 0]) / np.sqrt(columns * count)
     std_along = length / columns / np.sqrt(12)
     e = rng.normal(size=(3, len(length))) * np.stack([std, std, std_along])
     normals = inwards[:, ::-1] * [-1, 1]
-    centre = at.points + (length / 2)[:, None] * inwards + e[0][:, None] * normals
-    seen = inwards + (e[1] / spread)[:, None] * normals
-    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
-    edge = centre - (length / 2 + e[2])[:, None] * seen
+    centre = drawn.points + (length / 2)[:, None] * inwards + e[0][:, None] * normals
+    directions = inwards + (e[1] / spread)[:, None] * normals
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    edge = centre - (length / 2 + e[2])[:, None] * directions
     std_across = std * np.sqrt(1 + (length / 2 / spread)**2)
-    return [(FaceLine(centre[k], seen[k], float(spread[k]), float(std[k])),
-             EdgePoint(edge[k], -seen[k], float(std_along[k]), float(std_across[k])))
+    return [(FaceLine(centre[k], directions[k], float(spread[k]), float(std[k])),
+             EdgePoint(edge[k], -directions[k], float(std_along[k]), float(std_across[k])))
             for k in range(len(length))]
 
 
@@ -107,21 +108,21 @@ def face_directions(T_target_sensor: Array, labels: tuple[str, ...]) -> Array:
 
 
 def visible_lengths(
-        sensor: SensorModel, target: PlateTarget, at: Stops, inwards: Array) -> Array:
+        sensor: SensorModel, target: PlateTarget, drawn: Stops, inwards: Array) -> Array:
     """Return (n,) lengths of the face in the field of view, from the edge on."""
     w, (near, far) = sensor.half_width, sensor.range
     view = np.array([[1, -w, 0], [-1, -w, 0], [0, -1, -near], [0, 1, far]])
-    rise, room = inwards @ view[:, :2].T, view[:, 2] - at.points @ view[:, :2].T
-    start = se3.apply(at.T_target_sensor, lift(at.points)[:, None])[:, 0, :2]
-    course = (at.T_target_sensor[:, :3, :3] @ lift(inwards)[:, :, None])[:, :2, 0]
-    rise = np.concatenate([rise, course, -course], axis=1)
+    rise, room = inwards @ view[:, :2].T, view[:, 2] - drawn.points @ view[:, :2].T
+    start = se3.apply(drawn.T_target_sensor, lift(drawn.points)[:, None])[:, 0, :2]
+    in_face = (drawn.T_target_sensor[:, :3, :3] @ lift(inwards)[:, :, None])[:, :2, 0]
+    rise = np.concatenate([rise, in_face, -in_face], axis=1)
     room = np.concatenate([room, np.array(target.size) - start, start], axis=1)
     outwards = rise > 1e-6
     return np.asarray((np.where(outwards, room, np.inf) / np.where(outwards, rise, 1)).min(axis=1))
 
 
 def solids(scenario: Scenario) -> tuple[Solid, ...]:
-    """Return table, plate and, with clutter, a block beside each of the edges p and q."""
+    """Return table, plate and, with clutter, a block at each of the edges p and q."""
     target = scenario.target
     assert isinstance(target, PlateTarget)
     if scenario.empty:
@@ -136,34 +137,31 @@ def solids(scenario: Scenario) -> tuple[Solid, ...]:
             Box((-far, -0.005, bottom), (-near, width, target.clutter)))
 
 
-FACING = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
-
-
 def plane_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
-    """Draw stops that look at points in the middle third of the plate."""
+    """Draw stops with the sensor aimed at the middle third of the plate."""
     target, n = scenario.target, sum(scenario.stations)
     assert isinstance(target, PlateTarget)
     near, far = scenario.sensor.range
     depth, width = far - near, 0.3 * scenario.sensor.half_width * near
     low = np.array([1 / 3, 1 / 3, -width, near + 0.3 * depth])
     high = np.array([2 / 3, 2 / 3, width, far - 0.3 * depth])
-    place = strata(rng, n, low, high)
+    drawn = strata(rng, n, low, high)
     R = FACING @ tilts(scenario, rng, (n,))
-    spots = np.column_stack([place[:, :2] * target.size, np.zeros(n)])
-    points = place[:, 2:]
+    spots = np.column_stack([drawn[:, :2] * target.size, np.zeros(n)])
+    points = drawn[:, 2:]
     T = se3.transform(R, spots - (R @ lift(points)[:, :, None])[:, :, 0])
     return Stops(T, ('plane',) * n, points)
 
 
-def plane_features(scenario: Scenario, at: Stops,
+def plane_features(scenario: Scenario, drawn: Stops,
                    rng: np.random.Generator) -> list[tuple[Feature, ...]]:
     """Return the FaceLine of each stop, with the noise of all its profiles."""
     return [(_face_line(scenario, T, point, rng),)
-            for T, point in zip(at.T_target_sensor, at.points, strict=True)]
+            for T, point in zip(drawn.T_target_sensor, drawn.points, strict=True)]
 
 
 def _face_line(scenario: Scenario, T: Array, point: Array, rng: np.random.Generator) -> FaceLine:
-    """Return the line through what is in the field of view, as if it were sampled evenly."""
+    """Return the line through the visible part of a face, sampled evenly."""
     sensor = scenario.sensor
     normal = T[2, [0, 2]] * np.sign(T[2, 2]) / np.linalg.norm(T[2, [0, 2]])
     along, distance = np.array([normal[1], -normal[0]]), normal @ point

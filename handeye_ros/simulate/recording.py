@@ -1,4 +1,4 @@
-"""Profiles and poses of a whole recording; or its samples, made directly."""
+"""Profiles and poses of a whole recording, or its samples directly."""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -15,8 +15,8 @@ from handeye_ros.simulate.scenario import Scenario, Sweep
 from handeye_ros.simulate.scenes import anywhere, SCENES
 from handeye_ros.simulate.solids import relief
 from handeye_ros.simulate.stations import (
-    between,
     FRAMES,
+    interpolated,
     published,
     stamped_poses,
     stamps,
@@ -29,7 +29,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 CHILD_FRAME = 'laser'
-INSTANTS = 5  # of one exposure that are rendered
+INSTANTS = 5  # rendered per exposure
 
 Way = Callable[[Array], Array]
 """The poses (n, 4, 4) of the sensor in the target at times (n,)."""
@@ -37,7 +37,7 @@ Way = Callable[[Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """A simulated recording and what is true; profiles and poses in the order of their stamps."""
+    """A simulated recording with its truth; profiles and poses in the order of their stamps."""
 
     scenario: Scenario
     profiles: tuple[Profile, ...]
@@ -45,7 +45,7 @@ class Simulated:
     truth: Truth
 
     def joints(self) -> list[tuple[int, Array]]:
-        """Return stamps and joint values of the arm at the poses, none of a robot without one."""
+        """Return stamps and joint values of the arm at the poses, empty without an arm."""
         if not self.scenario.robot.geometry:
             return []
         T = se3.from_quaternion(np.array([pose.translation for pose in self.poses]),
@@ -55,52 +55,52 @@ class Simulated:
 
 
 def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulated:
-    """Return a recording: the robot goes from stop to stop while everything streams."""
+    """Return a recording of a robot that moves from stop to stop."""
     scene = SCENES[scenario.scene]
     stops = scene.stops(scenario, rng)
     stops = stops.ordered(cells.visit_order(scenario, len(stops.labels), rng))
     cell = cells.draw(scenario, stops, anywhere(scenario), rng)
-    bent = sensors.draw_distortion(scenario.sensor, rng)
+    distortion = sensors.draw_distortion(scenario.sensor, rng)
     if scenario.sweep:
-        return _swept(scenario, cell, stops, bent, rng)
+        return _swept(scenario, cell, stops, distortion, rng)
     line = Timeline(len(stops.labels), scenario.robot.dwell, scenario.robot.move)
-    truth = cells.truth(scenario, cell, stops, line.spans(), bent)
-    profiles = _profiles(scenario, cell, line, bent, rng)
+    truth = cells.truth(scenario, cell, stops, line.spans(), distortion)
+    profiles = _profiles(scenario, cell, line, distortion, rng)
     return Simulated(scenario, profiles, _poses(scenario, cell, line, rng), truth)
 
 
 def _swept(scenario: Scenario, cell: cells.Cell, stops: Stops,
-           bent: sensors.Distortion | None, rng: np.random.Generator) -> Simulated:
-    """Return the recording of a robot that does not stop."""
+           distortion: sensors.Distortion | None, rng: np.random.Generator) -> Simulated:
+    """Return the recording of a sweep."""
     assert scenario.sweep is not None
     sensor, unstamped = scenario.sensor, np.zeros((len(stops.labels), 2), dtype=np.int64)
-    along = _way(scenario, stops.T_target_sensor)
+    along = _path(scenario, stops.T_target_sensor)
     times = np.arange(0.5 / sensor.rate, _sweep_duration(scenario), 1 / sensor.rate)
     instants = _exposed(scenario, times)
     z, angle = _cast(scenario, along(instants.ravel()), rng)
     z, angle = (values.reshape(*instants.shape, -1).mean(axis=1) for values in (z, angle))
     stamped = times + sensor.delay + rng.normal(size=len(times)) * scenario.sweep.stamp_jitter
-    profiles = _measured(scenario, z, angle, np.maximum.accumulate(stamped), bent, rng)
+    profiles = _measured(scenario, z, angle, np.maximum.accumulate(stamped), distortion, rng)
     poses = _swept_poses(scenario, cell, along, rng)
-    truth = cells.truth(scenario, cell, stops, unstamped, bent)
+    truth = cells.truth(scenario, cell, stops, unstamped, distortion)
     return Simulated(scenario, profiles, poses, replace(truth, time_offset=-sensor.delay))
 
 
-def _way(scenario: Scenario, T_target_sensor: Array) -> Way:
-    """Return the way through sensor poses (k, 4, 4), a knot each; it rests where told."""
+def _path(scenario: Scenario, T_target_sensor: Array) -> Way:
+    """Return the path through sensor poses (k, 4, 4), a knot each."""
     sweep = _sweep(scenario)
     knots = np.arange(len(T_target_sensor)) * sweep.knot
     position = CubicSpline(knots, T_target_sensor[:, :3, 3], bc_type='natural')
     rotation = RotationSpline(knots, Rotation.from_matrix(T_target_sensor[:, :3, :3].copy()))
 
     def poses(times: Array) -> Array:
-        at = np.clip(times, knots[0], knots[-1])
-        return se3.transform(rotation(at).as_matrix(), position(at))
+        clipped = np.clip(times, knots[0], knots[-1])
+        return se3.transform(rotation(clipped).as_matrix(), position(clipped))
     return poses
 
 
 def _sweep_duration(scenario: Scenario) -> float:
-    """Return how long a sweep takes (s)."""
+    """Return the duration of a sweep (s)."""
     return (sum(scenario.stations) - 1) * _sweep(scenario).knot
 
 
@@ -112,7 +112,7 @@ def _flange(cell: cells.Cell, T_target_sensor: Array, calibration_type: str) -> 
 
 def _swept_poses(scenario: Scenario, cell: cells.Cell, along: Way, rng: np.random.Generator
                  ) -> tuple[TimedPose, ...]:
-    """Return the poses that the robot streams on its way."""
+    """Return the poses that the robot publishes along its path."""
     robot, sweep = scenario.robot, _sweep(scenario)
     times = np.arange(0.0, _sweep_duration(scenario), 1 / robot.rate)
     times = times[~_missing(times, sweep)]
@@ -124,12 +124,12 @@ def _swept_poses(scenario: Scenario, cell: cells.Cell, along: Way, rng: np.rando
     if cell.arm:
         T = cells.perturbed(T, arm.reported_error(T, cell.arm))
     step = sweep.resolution
-    place = np.round(T[:, :3, 3] / step) * step if step else T[:, :3, 3]
-    return stamped_poses(stamps(stamped), place, se3.quaternion(T))
+    position = np.round(T[:, :3, 3] / step) * step if step else T[:, :3, 3]
+    return stamped_poses(stamps(stamped), position, se3.quaternion(T))
 
 
 def _missing(times: Array, sweep: Sweep) -> NDArray[np.bool_]:
-    """Return at which times (n,) no pose comes: in each of the gaps, evenly spread."""
+    """Return at which times (n,) poses are missing: in each of the gaps, evenly spaced."""
     begins = (np.arange(sweep.gaps) + 0.5) * (times[-1] / max(sweep.gaps, 1))
     return np.asarray(((times >= begins[:, None]) & (times < begins[:, None] + sweep.gap)
                        ).any(axis=0))
@@ -144,10 +144,10 @@ def _drift(times: Array, sweep: Sweep, rng: np.random.Generator) -> Array:
 
 
 def _exposed(scenario: Scenario, times: Array) -> Array:
-    """Return the instants (n, k) that profiles of the times (n,) average over."""
+    """Return the instants (n, k) that profiles at times (n,) average over."""
     exposure = _sweep(scenario).exposure
-    each = np.linspace(-0.5, 0.5, INSTANTS) * exposure if exposure else np.zeros(1)
-    return np.asarray(times[:, None] + each)
+    offsets = np.linspace(-0.5, 0.5, INSTANTS) * exposure if exposure else np.zeros(1)
+    return np.asarray(times[:, None] + offsets)
 
 
 def _sweep(scenario: Scenario) -> Sweep:
@@ -159,7 +159,7 @@ def _poses(scenario: Scenario, cell: cells.Cell, line: Timeline,
            rng: np.random.Generator) -> tuple[TimedPose, ...]:
     robot = scenario.robot
     times = np.arange(0, line.duration, 1 / robot.rate)
-    T = between(cell.T_base_flange_reported, *line.place(times))
+    T = interpolated(cell.T_base_flange_reported, *line.progress(times))
     T = cells.perturbed(T, rng.normal(size=(len(T), 6)) * robot.jitter)
     translation, quaternion = T[:, :3, 3], se3.quaternion(T)
     for name in scenario.convention_errors:
@@ -168,47 +168,47 @@ def _poses(scenario: Scenario, cell: cells.Cell, line: Timeline,
 
 
 def _profiles(scenario: Scenario, cell: cells.Cell, line: Timeline,
-              bent: sensors.Distortion | None, rng: np.random.Generator
+              distortion: sensors.Distortion | None, rng: np.random.Generator
               ) -> tuple[Profile, ...]:
     sensor = scenario.sensor
     times = np.arange(0.5 / sensor.rate, line.duration, 1 / sensor.rate)
-    times = times[_kept(scenario, line, times)]
+    times = times[_recorded(scenario, line, times)]
     z, angle = _exact(scenario, cell, line, times, rng)
-    return _measured(scenario, z, angle, times + sensor.delay, bent, rng)
+    return _measured(scenario, z, angle, times + sensor.delay, distortion, rng)
 
 
 def _measured(scenario: Scenario, z: Array, angle: Array, times: Array,
-              bent: sensors.Distortion | None, rng: np.random.Generator
+              distortion: sensors.Distortion | None, rng: np.random.Generator
               ) -> tuple[Profile, ...]:
     """Return profiles of exact ranges and incidences (m, n), stamped with times (m,)."""
     sensor, frame = scenario.sensor, FRAMES[scenario.layout.frame]
-    ranges = sensors.measure(sensor, z, angle, rng, bent)
-    points = published(frame, sensors.plane_points(sensor, ranges, bent))
+    ranges = sensors.measure(sensor, z, angle, rng, distortion)
+    points = published(frame, sensors.plane_points(sensor, ranges, distortion))
     mark = scenario.layout.no_return
     return tuple(Profile(int(stamp), CHILD_FRAME, _marked(p, mark), frame.axes)
                  for stamp, p in zip(stamps(times), points, strict=True))
 
 
-def _kept(scenario: Scenario, line: Timeline, times: Array) -> Array:
-    """Return which profiles are recorded: while moving, only every nth."""
-    _, share = line.place(times)
-    return np.asarray((share == 0) | (np.arange(len(times)) % scenario.sensor.thinning == 0))
+def _recorded(scenario: Scenario, line: Timeline, times: Array) -> Array:
+    """Return which profiles are recorded: during motion only every nth."""
+    _, fraction = line.progress(times)
+    return np.asarray((fraction == 0) | (np.arange(len(times)) % scenario.sensor.thinning == 0))
 
 
 def _exact(scenario: Scenario, cell: cells.Cell, line: Timeline,
            times: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """
-    Return ranges and incidences (m, n) at the times; each stop is cast only once.
+    Return exact ranges and incidences (m, n) at the times; each stop is rendered once.
 
-    What stays while the robot stands is in the ranges already.
+    The ranges include errors that are constant during a stop.
     """
-    station, share = line.place(times)
-    pose = np.stack([station, share], axis=1)
-    different, which = np.unique(pose, axis=0, return_inverse=True)
-    T = between(cell.T_base_flange, different[:, 0].astype(np.int64), different[:, 1])
+    station, fraction = line.progress(times)
+    pose = np.stack([station, fraction], axis=1)
+    different, row = np.unique(pose, axis=0, return_inverse=True)
+    T = interpolated(cell.T_base_flange, different[:, 0].astype(np.int64), different[:, 1])
     z, angle = _cast(scenario, cell.T_target_sensor(T, scenario.calibration_type), rng)
-    which = which.reshape(-1)  # numpy 2.0 alone returns it as a column
-    return z[which], angle[which]
+    row = row.reshape(-1)  # numpy 2.0 alone returns it as a column
+    return z[row], angle[row]
 
 
 def _cast(scenario: Scenario, T_target_sensor: Array, rng: np.random.Generator
@@ -223,23 +223,22 @@ def _cast(scenario: Scenario, T_target_sensor: Array, rng: np.random.Generator
 
 
 def _marked(points: Array, no_return: str) -> Array:
-    """Return points (n, 2) with those without a return as the driver marks them."""
-    lost = np.isnan(points).any(axis=1)
+    """Return points (n, 2) with missing returns in the form of the driver."""
+    missing = np.isnan(points).any(axis=1)
     if no_return == 'omit':
-        return points[~lost]
+        return points[~missing]
     points = points.copy()
-    points[lost] = np.inf if no_return == 'inf' else np.nan
+    points[missing] = np.inf if no_return == 'inf' else np.nan
     return points
 
 
 def simulate_samples(
         scenario: Scenario, rng: np.random.Generator) -> tuple[tuple[Sample, ...], Truth]:
     """
-    Return the samples of a recording and what is true.
+    Return the samples of a recording, and their truth.
 
-    Each feature has exactly the noise that it states (white sensor noise of all profiles of a
-    stop, averaged), each pose the robot's error. Standard sensor frame; convention errors are
-    not applied.
+    Each feature has exactly its stated noise (white sensor noise, averaged over the profiles of a
+    stop), each pose the robot's error. Standard sensor frame; without convention errors.
     """
     scenario = replace(scenario, layout=replace(scenario.layout, frame='standard'))
     scene = SCENES[scenario.scene]

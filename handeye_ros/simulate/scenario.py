@@ -11,24 +11,23 @@ from typing import Any
 @dataclass(frozen=True)
 class SensorModel:
     """
-    A laser profiler: a fan of light from the origin of the sensor frame, seen by a camera.
+    A laser profiler: a fan of light from the origin of the sensor frame, and a camera.
 
     The field of view is a trapezoid: range (min, max) of z, and |x| <= half_width * z.
     sampling: 'fan': columns regular in the angle's tangent; 'x': parallel light, regular in x;
-    'fan_x': a fan that the driver resamples, regular in x. camera: (y, z) of the camera's
-    pinhole; it looks from beside the light plane, so a step can hide a point from it.
-    max_incidence: beyond it no light comes back; rim_bias: how much too far points just before
-    it are.
+    'fan_x': a fan that the driver resamples, regular in x. camera: (y, z) of the camera's pinhole,
+    outside the light plane: a step can hide a point from it. max_incidence: beyond it there is no
+    return; rim_bias: range error just before it.
     noise: 1 sigma of one range; resolution: step of the numbers, 0: none; distortion: RMS of a
-    smooth error over the field of view, drawn once; scale, shear: what the driver's numbers are
-    stretched by about the middle of the field, and x by the range.
-    speckle: 1 sigma of an error that stays while the robot stands, correlated over
-    speckle_columns. spot: 1 sigma of the width of the light along the line; what is lower than
-    the target's face is ground times as bright. smoothing: columns of the driver's mean filter.
-    mixed, lost, lost_at_edge, outliers: shares of the points at steps that lie between the
-    levels, of lost points, of those within a few columns of a step, of gross outliers;
-    reflections: share of the profiles with a false piece of line. delay: of the stamps, which
-    are those of receipt. thinning: while the robot moves, only every nth profile is recorded.
+    smooth error over the field of view, drawn once; scale, shear: relative errors of the
+    coordinates about the middle of the field, and of x by the range.
+    speckle: 1 sigma of an error that is constant during a stop, correlated over speckle_columns.
+    spot: 1 sigma of the width of the light along the line; surfaces below the target's face are
+    ground times as bright. smoothing: columns of the driver's mean filter.
+    mixed, lost, lost_at_edge, outliers: fractions of points at steps that lie between the levels,
+    of lost points, of lost points within a few columns of a step, of gross outliers; reflections:
+    fraction of the profiles with a false piece of line. delay: of the stamps, which are those of
+    receipt. thinning: while the robot moves, only every nth profile is recorded.
     """
 
     columns: int = 1280
@@ -66,7 +65,7 @@ class RobotModel:
     repeatability: (translation, rotation), 1 sigma of each axis, drawn once per station.
     systematic: (translation, rotation), RMS of the vectors of an error that varies smoothly over
     the workspace. geometry: 1 sigma of the errors of joints and links (m, and rad of 1 m) of a
-    six-axis arm, 0: no arm. scale: by how much positions are reported too long.
+    six-axis arm, 0: no arm. scale: relative error of reported positions.
     jitter: 1 sigma of each streamed pose (m and rad). dwell and move: duration of a stop and
     of a motion.
     """
@@ -86,14 +85,13 @@ class PlateTarget:
     """
     A plate with its corner in the origin, its face z = 0, 0 <= x <= size[0], 0 <= y <= size[1].
 
-    Edge p is y = 0, edge q is x = 0; the face looks along +z. table: depth of the table below
-    the face, None: nothing there. clutter: height above the face (negative: below) of the top of a
-    block beside each of these edges, None: no blocks; clutter_gap, clutter_width: how far from
-    the edge it begins, and how wide it is. edge_angle: between p and q where they
-    meet; rendered profiles, unlike samples made directly, are always of a square plate.
-    rounding: radius of the edges of the face; bevel: legs of their chamfer. bow: how much
-    higher the middle of the face is than its corners; waves: RMS of its waves. Only profiles
-    show these four.
+    Edge p is y = 0, edge q is x = 0; the face looks along +z. table: depth of the table below the
+    face, None: no table. clutter: height above the face (negative: below) of the top of a block
+    beside each of these edges, None: no blocks; clutter_gap, clutter_width: its distance from the
+    edge, and its width. edge_angle: between p and q; rendered profiles, unlike direct samples, are
+    always of a square plate. Only in rendered profiles: rounding: radius of the edges of the face;
+    bevel: legs of their chamfer; bow: height of the middle of the face above its corners; waves:
+    RMS of its waves.
     """
 
     size: tuple[float, float] = (0.20, 0.15)
@@ -128,7 +126,7 @@ class WedgeTarget:
     """
     A block whose edge is the x axis, its faces z = 0 (y > 0) and y = 0 (z < 0).
 
-    concave: an angle seen from within instead, its faces z = 0 (y > 0) and y = 0 (z > 0).
+    concave: the inside of an angle instead, its faces z = 0 (y > 0) and y = 0 (z > 0).
     """
 
     length: float = 0.15
@@ -139,7 +137,7 @@ class WedgeTarget:
 @dataclass(frozen=True)
 class Layout:
     """
-    The frame and the form that the driver publishes in.
+    The frame and the message layout of the driver.
 
     frame: 'standard' (x along the line, z the range), or one of the others of
     layout.FRAMES. no_return: 'nan', 'inf', or 'omit' for points that are left out.
@@ -152,12 +150,12 @@ class Layout:
 @dataclass(frozen=True)
 class Sweep:
     """
-    A way through all stops without stopping, a knot of a smooth curve at each; seconds.
+    A path through all stops without stopping, a knot of a smooth curve at each; seconds.
 
-    exposure: that one profile averages over; rotation_lag: by which the reported rotation is
-    late. stamp_jitter, pose_jitter: 1 sigma of the stamps. gaps: how many times no pose comes for
-    a time gap. resolution: to which positions are rounded (m), 0: not. drift: RMS of the vectors
-    of an error (translation, rotation) of the poses that varies smoothly over drift_time.
+    exposure: averaging time of one profile; rotation_lag: delay of the reported rotation.
+    stamp_jitter, pose_jitter: 1 sigma of the stamps. gaps: number of gaps in the poses, each of
+    duration gap. resolution: rounding of positions (m), 0: none. drift: RMS of the vectors of an
+    error (translation, rotation) of the poses that varies smoothly over drift_time.
     """
 
     knot: float = 1.6
@@ -172,23 +170,20 @@ class Sweep:
     drift_time: float = 1.0
 
 
-# Fields that a description leaves out: they do not change what the sensor sees.
+# Fields that a description leaves out: they do not change the profiles.
 NOT_DESCRIBED = ('name', 'scene', 'sensor.rate', 'sensor.delay', 'sensor.thinning',
                  'robot.rate', 'robot.dwell', 'robot.move')
 
 
-def _short(number: re.Match[str]) -> str:
-    return f'{float(number[0]):.4g}'
-
-
-def _differences(one: Any, other: Any, prefix: str) -> Iterator[tuple[str, Any]]:
+def _differences(first: Any, second: Any, prefix: str) -> Iterator[tuple[str, Any]]:
     """Yield the dotted names of the fields that differ, and their values in the first."""
-    for item in fields(one):
-        a, b = getattr(one, item.name), getattr(other, item.name)
+    for item in fields(first):
+        a, b = getattr(first, item.name), getattr(second, item.name)
         if is_dataclass(a) and type(a) is type(b):
             yield from _differences(a, b, f'{prefix}{item.name}.')
         elif a != b:
-            yield f'{prefix}{item.name}', re.sub(r'\d+\.\d{5,}', _short, str(a))
+            yield f'{prefix}{item.name}', re.sub(
+                r'\d+\.\d{5,}', lambda number: f'{float(number[0]):.4g}', str(a))
 
 
 @dataclass(frozen=True)
@@ -196,16 +191,14 @@ class Scenario:
     """
     All parameters of a recording.
 
-    scene: key of scenes.SCENES. stations: how many at each edge (plate), or in all (sphere:
-    the sum). motion: key of stations.MOTIONS. tilt: largest tilt about each sensor axis.
-    shuffled: the order of the stations is random. bumped: number of stations whose reported
-    pose is grossly wrong. wrong_edges: number of stations at an edge of the plate that is
-    neither p nor q. empty: there is no target. convention_errors: keys of CONVENTION_ERRORS,
-    applied in order.
-    repeats: how often the programme of stops is run. lever: smallest and largest distance of
-    the sensor from what it is mounted on. stated: settings, by dotted key, that are wrong.
-    sweep: how the robot moves where it does not stop; each streamed pose then has an error of
-    the robot's repeatability of its own.
+    scene: key of scenes.SCENES. stations: number at each edge (plate), or in total (sphere: the
+    sum). motion: key of stations.MOTIONS. tilt: largest tilt about each sensor axis. shuffled: the
+    order of the stations is random. bumped: number of stations whose reported pose is grossly
+    wrong. wrong_edges: number of stations at an edge of the plate that is neither p nor q. empty:
+    there is no target. convention_errors: keys of CONVENTION_ERRORS, applied in order.
+    repeats: number of runs of the programme of stops. lever: smallest and largest distance of the
+    sensor from its mount. stated: wrong settings, by dotted key. sweep: the motion without stops;
+    the repeatability is then drawn for each streamed pose.
     """
 
     name: str = 'plate'
@@ -230,7 +223,7 @@ class Scenario:
 
     @property
     def description(self) -> str:
-        """Say what it shows, and what is other than in a plain recording of it."""
+        """Return the scene and the differences from a plain recording."""
         plain = Scenario(target=type(self.target)())
         values = [f'{key} {value}' for key, value in _differences(self, plain, '')
                   if key not in NOT_DESCRIBED]
@@ -238,5 +231,5 @@ class Scenario:
 
     @property
     def profiles_per_stop(self) -> int:
-        """How many profiles are recorded while the robot stands still."""
+        """Return the number of profiles recorded during a stop."""
         return max(1, int(self.robot.dwell * self.sensor.rate))

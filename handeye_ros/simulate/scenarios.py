@@ -1,8 +1,8 @@
 """
-The ready-made recordings, and cells with the faults of real ones, by name.
+The predefined recordings, and cells with the faults of real ones, by name.
 
-What the name of a cell with a fault says is all that is wrong; the settings do not know of it.
-Few profiles: these are quick to render.
+A cell with a fault has only the fault in its name; the settings do not state it. Cells with faults
+have few profiles, for fast rendering.
 """
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WIDE = SensorModel(range=(0.14, 0.27), half_width=0.27, max_incidence=1.15)
 
 
 def bases(plate: Scenario, wide: SensorModel) -> tuple[Scenario, ...]:
-    """Return a scenario of each target: plate as given, sphere, line, plane and wedge."""
+    """Return a scenario for each target: plate as given, sphere, line, plane and wedge."""
     one_group = replace(plate, stations=(14, 0))
     return (plate,
             replace(one_group, name='sphere', scene='sphere', target=SphereTarget(), sensor=wide,
@@ -63,9 +63,10 @@ SMALL_SPHERE = replace(SPHERE, name='small_sphere', robot=SMALL_PLATE.robot,
 
 
 def _swept(base: Scenario, name: str, columns: int = 640, rate: float = 50.0,
-           poses: float = 250.0, **more: Any) -> Scenario:
-    """Return a sweep over a target in place of stops, its profiles stamped 20 ms early."""
-    sensor = replace(base.sensor, columns=columns, rate=rate, delay=-0.02, rim_bias=0.0, **more)
+           poses: float = 250.0, **sensor_values: Any) -> Scenario:
+    """Return a sweep over a target in place of stops, with profiles stamped 20 ms early."""
+    sensor = replace(base.sensor, columns=columns, rate=rate, delay=-0.02, rim_bias=0.0,
+                     **sensor_values)
     return replace(base, name=name, stations=(10, 10) if base.scene == 'plate' else (20, 0),
                    tilt=min(math.radians(24), base.tilt), sensor=sensor, sweep=Sweep(),
                    robot=replace(base.robot, rate=poses))
@@ -97,7 +98,7 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     # arms whose joint values are recorded
     replace(PLATE, name='arm_plate', robot=ARM, stations=(20, 20), tilt=math.radians(40)),
     replace(SPHERE, name='arm_sphere', robot=ARM, stations=(40, 0)),
-    # what cannot carry an answer, or only in part
+    # recordings without an answer, or with warnings
     replace(PLATE, name='one_orientation', motion='one_orientation'),
     replace(PLATE, name='one_orientation_per_edge', motion='one_orientation_per_edge'),
     replace(PLATE, name='tilt_only', motion='tilt_only'),
@@ -147,11 +148,6 @@ def _robot(name: str, base: Scenario = BASELINE, stated: Any = (), **values: Any
     return replace(base, name=name, robot=replace(base.robot, **values), stated=tuple(stated))
 
 
-def _off_centre(name: str, base: Scenario) -> Scenario:
-    sensor = OFF_CENTRE if base.scene != 'sphere' else replace(OFF_CENTRE, max_incidence=1.15)
-    return replace(base, name=name, sensor=sensor, layout=Layout('off_centre'), lever=(0.5, 2.0))
-
-
 def _targets() -> Iterator[Scenario]:
     for radius in (0.3, 0.5, 1.0):
         yield _target(f'rounded {radius} mm', rounding=radius * MM)
@@ -163,8 +159,8 @@ def _targets() -> Iterator[Scenario]:
     for bow in (0.05, 0.1):
         yield _target(f'bowed {bow} mm', bow=bow * MM)
     yield _target('wavy 10 um', waves=10 * UM)
-    for what, height in (('lower', -3 * MM), ('higher', 3 * MM)):
-        yield _target(f'neighbour {what}, 3 mm', clutter=height, clutter_gap=3 * MM,
+    for word, height in (('lower', -3 * MM), ('higher', 3 * MM)):
+        yield _target(f'neighbour {word}, 3 mm', clutter=height, clutter_gap=3 * MM,
                       clutter_width=0.06)
     for gap in (8, 16):
         yield _target(f'neighbour 1 mm higher, {gap} mm', clutter=1 * MM, clutter_gap=gap * MM)
@@ -172,8 +168,8 @@ def _targets() -> Iterator[Scenario]:
 
 def _sensors() -> Iterator[Scenario]:
     yield _with_sensor('smoothed over 9 columns', smoothing=9, outliers=0.001)
-    for what, ground in (('bright', 4.0), ('dark', 0.25)):
-        yield _with_sensor(f'blurred, {what} ground', spot=0.2 * MM, ground=ground)
+    for word, ground in (('bright', 4.0), ('dark', 0.25)):
+        yield _with_sensor(f'blurred, {word} ground', spot=0.2 * MM, ground=ground)
     for size in (0.01, 0.02, 0.05):
         yield _with_sensor(f'distorted {size} mm', distortion=size * MM)
     for base in BASELINES[1:]:
@@ -186,7 +182,9 @@ def _sensors() -> Iterator[Scenario]:
         yield _with_sensor(f'{base.scene}, frozen speckle 20 um', base, stated, noise=4 * UM,
                            speckle=20 * UM)
     for base in BASELINES:
-        yield _off_centre(f'{base.scene}, wide off-centre', base)
+        sensor = OFF_CENTRE if base.scene != 'sphere' else replace(OFF_CENTRE, max_incidence=1.15)
+        yield replace(base, name=f'{base.scene}, wide off-centre', sensor=sensor,
+                      layout=Layout('off_centre'), lever=(0.5, 2.0))
 
 
 def _robots() -> Iterator[Scenario]:
@@ -206,8 +204,8 @@ def _robots() -> Iterator[Scenario]:
     errors: dict[str, dict[str, Any]] = {
         '': {}, ', smooth 0.15 mm': {'systematic': (0.15 * MM, 0.15 * MM / 0.3)},
         ', joints 0.1 mm': {'geometry': 0.1 * MM}}
-    for what, values in errors.items():
-        yield replace(_robot(f'6 poses x 4{what}', **values), stations=(3, 3), repeats=4)
+    for word, values in errors.items():
+        yield replace(_robot(f'6 poses x 4{word}', **values), stations=(3, 3), repeats=4)
     for scale in (0.05, 0.1, 0.2):
         yield _robot(f'robot scale {scale} %', scale=scale / 100)
 

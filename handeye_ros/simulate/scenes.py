@@ -1,4 +1,4 @@
-"""The targets that can be simulated: stops at each, its features, its solids."""
+"""The targets of the simulator: stops, features, solids."""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from handeye_ros.simulate.solids import Ball, Box, Solid, table
 from handeye_ros.simulate.stations import fan, lift, Stops, strata, tilts
 import numpy as np
 
-ARC_POINTS = 12  # mean points that stand for an arc
+ARC_POINTS = 12  # mean points that represent an arc
 
 
 def sphere_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
@@ -32,24 +32,24 @@ def sphere_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
 
 
 def sphere_features(
-        scenario: Scenario, at: Stops,
+        scenario: Scenario, drawn: Stops,
         rng: np.random.Generator) -> list[tuple[Feature, ...]]:
     """Return the Arc of each stop: points between the rims and within the field of view."""
     assert isinstance(scenario.target, SphereTarget)
-    y = (at.T_target_sensor[:, :3, 1] * at.T_target_sensor[:, :3, 3]).sum(axis=1)
+    y = (drawn.T_target_sensor[:, :3, 1] * drawn.T_target_sensor[:, :3, 3]).sum(axis=1)
     radii = np.sqrt(scenario.target.radius**2 - y**2)
     return [(_arc(scenario, centre, float(radius), rng),)
-            for centre, radius in zip(at.points, radii, strict=True)]
+            for centre, radius in zip(drawn.points, radii, strict=True)]
 
 
 def _arc(scenario: Scenario, centre: Array, radius: float, rng: np.random.Generator) -> Arc:
-    """Return an arc; its normal points lie on the circle but for their stated noise."""
+    """Return an arc; its mean points are on the circle except for their stated noise."""
     sensor = scenario.sensor
     sine = _visible(sensor, centre, radius)
     width = len(sine) // ARC_POINTS
     bins = [sine[k:k + width] for k in range(0, len(sine) - width + 1, width)]
-    middle = np.array([part.mean() for part in bins])
-    size = np.array([len(part) for part in bins])
+    middle = np.array([group.mean() for group in bins])
+    size = np.array([len(group) for group in bins])
     std = sensor.noise * np.sqrt((1 - middle**2) / (size * scenario.profiles_per_stop))
     points = _on_circle(centre, radius, middle, rng.normal(size=len(std)) * std)
     noise = rng.normal(size=len(sine)) * sensor.noise * np.sqrt(1 - sine**2)
@@ -62,7 +62,7 @@ def _on_circle(centre: Array, radius: float, sine: Array, outwards: Array) -> Ar
 
 
 def _visible(sensor: SensorModel, centre: Array, radius: float) -> Array:
-    """Return the sines of the normals' angles to the range axis, of the columns on the ball."""
+    """Return the sines of the angles between normals and range axis, for columns on the ball."""
     rim = np.sin(sensor.max_incidence)
     pitch = 2 * sensor.half_width * (centre[1] - radius) / sensor.columns
     sine = np.arange(-rim, rim, pitch / radius)
@@ -87,7 +87,7 @@ WALL = 0.02  # thickness of the legs of an angle (m)
 
 
 def facing(target: WedgeTarget) -> Array:
-    """Return R_target_sensor (3, 3) of a sensor that sees both faces alike, its line across."""
+    """Return R_target_sensor (3, 3) of a sensor facing both faces equally, its line across."""
     half, side = math.sqrt(0.5), -1.0 if target.concave else 1.0
     line, light = np.array([0, half, side * half]), np.array([0, side * half, -half])
     return np.column_stack([line, np.cross(light, line), light])
@@ -101,22 +101,22 @@ def wedge_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
     depth, width = far - near, 0.35 * scenario.sensor.half_width * near
     low = np.array([MARGIN, -width, near + 0.3 * depth])
     high = np.array([target.length - MARGIN, width, far - 0.3 * depth])
-    place = strata(rng, n, low, high)
+    drawn = strata(rng, n, low, high)
     R = facing(target) @ tilts(scenario, rng, (n,))
-    spots = np.column_stack([place[:, 0], np.zeros((n, 2))])
-    points = place[:, 1:]
+    spots = np.column_stack([drawn[:, 0], np.zeros((n, 2))])
+    points = drawn[:, 1:]
     T = se3.transform(R, spots - (R @ lift(points)[:, :, None])[:, :, 0])
     return Stops(T, ('wedge',) * n, points)
 
 
 def wedge_features(
-        scenario: Scenario, at: Stops,
+        scenario: Scenario, drawn: Stops,
         rng: np.random.Generator) -> list[tuple[Feature, ...]]:
-    """Return the two FaceLines of each stop, left one first, with the noise of all profiles."""
+    """Return the two FaceLines of each stop, left one first, with the noise of its profiles."""
     target = scenario.target
     assert isinstance(target, WedgeTarget)
     lines = [[_line(scenario, point, along, rng) for along in _directions(target, T)]
-             for T, point in zip(at.T_target_sensor, at.points, strict=True)]
+             for T, point in zip(drawn.T_target_sensor, drawn.points, strict=True)]
     return [(a, b) if a.centre[0] < b.centre[0] else (b, a) for a, b in lines]
 
 
@@ -168,10 +168,10 @@ MANY = 100  # stops at each edge
 @dataclass(frozen=True)
 class Scene:
     """
-    What the simulator must know of a target.
+    A target of the simulator.
 
-    stops: draws the sensor poses; solids: what stands there, in the target frame; features:
-    what each stop would give, with its noise.
+    stops: draws the sensor poses; solids: target and surroundings, in the target frame; features:
+    of each stop, with noise.
     """
 
     stops: Callable[[Scenario, np.random.Generator], Stops]
@@ -189,7 +189,7 @@ SCENES = {
 
 
 def anywhere(scenario: Scenario) -> Stops:
-    """Return many stops such as the scenario's own."""
+    """Return many stops drawn like the scenario's own."""
     first, second = scenario.stations
-    many = replace(scenario, stations=(MANY * (first > 0), MANY * (second > 0)), wrong_edges=0)
-    return SCENES[scenario.scene].stops(many, np.random.default_rng(0))
+    enlarged = replace(scenario, stations=(MANY * (first > 0), MANY * (second > 0)), wrong_edges=0)
+    return SCENES[scenario.scene].stops(enlarged, np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""The profiler: light cast on the scene, what the camera makes of it, and its own errors."""
+"""The profiler: rendering of the scene, camera effects, and the sensor's own errors."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -28,8 +28,8 @@ def render(sensor: SensorModel, solids: tuple[Solid, ...], T: Array,
     """
     Return exact ranges and angles of incidence (m, n) of the columns, NaN without a return.
 
-    T: (m, 4, 4) T_target_sensor; the solids are in the target frame. relief: by how much they
-    are raised where a ray meets z = 0, None: not at all.
+    T: (m, 4, 4) T_target_sensor; the solids are in the target frame. relief: heights that are
+    added to the solids at the intersection of a ray with z = 0, None: none.
     """
     parts = [_render(sensor, solids, T[k:k + CHUNK], relief) for k in range(0, len(T), CHUNK)]
     ranges, angles = zip(*parts, strict=True)
@@ -39,34 +39,34 @@ def render(sensor: SensorModel, solids: tuple[Solid, ...], T: Array,
 def _render(sensor: SensorModel, solids: tuple[Solid, ...], T: Array, relief: Relief | None
             ) -> tuple[Array, Array]:
     origin, direction = columns(sensor)
-    place = T[:, :3, 3].T[:, :, None]
-    o = np.einsum('mij,jn->imn', T[:, :3, :3], origin) + place
+    origin_of_light = T[:, :3, 3].T[:, :, None]
+    o = np.einsum('mij,jn->imn', T[:, :3, :3], origin) + origin_of_light
     d = np.einsum('mij,jn->imn', T[:, :3, :3], direction)
     raised = _raised(relief, o, d) if relief else 0.0
-    o[2] -= raised  # as if it were the solids that are raised, for each ray apart
+    o[2] -= raised  # lower the ray instead of raising the solids, for each ray separately
     z, cosine = cast(solids, o, d)
     angle = np.arccos(np.clip(cosine, 0, 1))
     near, far = sensor.range
     x = origin[0] + direction[0] * np.where(np.isfinite(z), z, 0)
-    seen = (z > near) & (z < far) & (np.abs(x) <= sensor.half_width * z * (1 + 1e-12))
-    seen &= angle < sensor.max_incidence
+    visible = (z > near) & (z < far) & (np.abs(x) <= sensor.half_width * z * (1 + 1e-12))
+    visible &= angle < sensor.max_incidence
     eye = T[:, :3, :3] @ [0.0, *sensor.camera] + T[:, :3, 3]
-    points = o + d * np.where(seen, z, near)
+    points = o + d * np.where(visible, z, near)
     for light in (eye, T[:, :3, 3]) if sensor.sampling == 'fan_x' else (eye,):
-        place = light.T[:, :, None] - np.array([0.0, 0.0, 1.0])[:, None, None] * raised
-        seen &= ~hidden(solids, points, place)
-    return np.where(seen, z, np.nan), np.where(seen, angle, np.nan)
+        origin_of_light = light.T[:, :, None] - np.array([0.0, 0.0, 1.0])[:, None, None] * raised
+        visible &= ~hidden(solids, points, origin_of_light)
+    return np.where(visible, z, np.nan), np.where(visible, angle, np.nan)
 
 
 def _raised(relief: Relief, o: Array, d: Array) -> Array:
     """Return the height (m, n) of the relief where rays (3, m, n) meet z = 0."""
-    at = -o[2] / np.where(np.abs(d[2]) > 1e-6, d[2], 1e-6)
-    return relief.heights(o[0] + at * d[0], o[1] + at * d[1])
+    parameter = -o[2] / np.where(np.abs(d[2]) > 1e-6, d[2], 1e-6)
+    return relief.heights(o[0] + parameter * d[0], o[1] + parameter * d[1])
 
 
 def measure(sensor: SensorModel, z: Array, angle: Array, rng: np.random.Generator,
             distortion: Distortion | None = None) -> Array:
-    """Return ranges (m, n) as the sensor reports them, from exact ones and their incidence."""
+    """Return reported ranges (m, n) from exact ones and their incidence."""
     rim = (angle / sensor.max_incidence)**8
     noise = sensor.noise * (1 + 4 * rim) * rng.normal(size=z.shape)
     exact = z + distortion.ranges(z) if distortion else z
@@ -80,41 +80,42 @@ def steps(sensor: SensorModel, z: Array) -> Array:
     """Return (m, n - 1), true where the range jumps or the light ends between two columns."""
     pitch = 2 * sensor.half_width * sensor.range[1] / sensor.columns
     jump = np.abs(np.diff(z, axis=1)) > max(3e-4, 6 * pitch)
-    seen = np.isfinite(z)
-    return np.asarray(jump | (seen[:, 1:] != seen[:, :-1]))
+    visible = np.isfinite(z)
+    return np.asarray(jump | (visible[:, 1:] != visible[:, :-1]))
 
 
 def _mixed(sensor: SensorModel, z: Array, measured: Array, rng: np.random.Generator) -> Array:
-    """Put a point at some of the steps anywhere between the two levels."""
-    row, left = np.nonzero(steps(sensor, z))
-    at = left + rng.integers(0, 2, len(left))
-    share = rng.random(len(left))
-    level = measured[row, left] * share + measured[row, left + 1] * (1 - share)
-    use = np.isfinite(level) & (rng.random(len(left)) < sensor.mixed)
-    measured[row[use], at[use]] = level[use]
+    """Move a point between the two levels at some of the steps."""
+    row, column_before = np.nonzero(steps(sensor, z))
+    column = column_before + rng.integers(0, 2, len(column_before))
+    fraction = rng.random(len(column_before))
+    level = (measured[row, column_before] * fraction
+             + measured[row, column_before + 1] * (1 - fraction))
+    use = np.isfinite(level) & (rng.random(len(column_before)) < sensor.mixed)
+    measured[row[use], column[use]] = level[use]
     return measured
 
 
 def _lost(sensor: SensorModel, z: Array, measured: Array, rng: np.random.Generator) -> Array:
-    row, left = np.nonzero(steps(sensor, z))
-    chance = np.full(z.shape, sensor.lost)
+    row, column = np.nonzero(steps(sensor, z))
+    probability = np.full(z.shape, sensor.lost)
     for shift in range(1 - EDGE_COLUMNS, EDGE_COLUMNS + 1):
-        chance[row, np.clip(left + shift, 0, z.shape[1] - 1)] = sensor.lost_at_edge
-    return np.where(rng.random(z.shape) < chance, np.nan, measured)
+        probability[row, np.clip(column + shift, 0, z.shape[1] - 1)] = sensor.lost_at_edge
+    return np.where(rng.random(z.shape) < probability, np.nan, measured)
 
 
 def _outliers(sensor: SensorModel, measured: Array, rng: np.random.Generator) -> Array:
-    """Throw some points off by up to 5 mm, and show some where there is nothing."""
-    chance = np.where(np.isfinite(measured), sensor.outliers, sensor.outliers / 5)
-    row, at = np.nonzero(rng.random(measured.shape) < chance)
-    wrong = measured[row, at] + rng.uniform(-5e-3, 5e-3, len(row))
+    """Displace some points by up to 5 mm, and add some false returns."""
+    probability = np.where(np.isfinite(measured), sensor.outliers, sensor.outliers / 5)
+    row, column = np.nonzero(rng.random(measured.shape) < probability)
+    wrong = measured[row, column] + rng.uniform(-5e-3, 5e-3, len(row))
     anywhere = rng.uniform(*sensor.range, len(row))
-    measured[row, at] = np.clip(np.where(np.isfinite(wrong), wrong, anywhere), *sensor.range)
+    measured[row, column] = np.clip(np.where(np.isfinite(wrong), wrong, anywhere), *sensor.range)
     return measured
 
 
 def _reflections(sensor: SensorModel, measured: Array, rng: np.random.Generator) -> Array:
-    """Show a short piece of some profiles 3-8 mm too near."""
+    """Move a short piece of some profiles 3-8 mm nearer."""
     width = max(3, sensor.columns // 40)
     for row in np.nonzero(rng.random(len(measured)) < sensor.reflections)[0]:
         start = rng.integers(0, sensor.columns - width)
@@ -135,17 +136,17 @@ def plane_points(sensor: SensorModel, ranges: Array, distortion: Distortion | No
     return points
 
 
-GROUND = -2e-4  # height over the target's face (m) below which another surface is seen
+GROUND = -2e-4  # m over the target's face: lower points are on another surface
 WIDEST = 2.5  # sigmas of a spot
-FAINT = 0.15  # share of a spot on one surface, times its brightness, that no camera sees
+FAINT = 0.15  # smallest visible fraction of a spot on one surface, times its brightness
 
 
 def blurred(sensor: SensorModel, z: Array, T: Array) -> Array:
     """
-    Return ranges (m, n) as a spot of some width shows them.
+    Return ranges (m, n) for a spot of finite width.
 
-    T: (m, 4, 4) T_target_sensor. The camera takes the brighter of two surfaces under one spot,
-    and of that the middle of what is lit.
+    T: (m, 4, 4) T_target_sensor. The camera measures the brighter of two surfaces under one spot,
+    at the middle of its lit part.
     """
     if not sensor.spot:
         return z
@@ -155,15 +156,15 @@ def blurred(sensor: SensorModel, z: Array, T: Array) -> Array:
     reach = int(np.ceil(WIDEST * sensor.spot / pitch))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * pitch / sensor.spot)**2)
     kernel /= kernel.sum()
-    seen = np.isfinite(z)
+    visible = np.isfinite(z)
     best, result = np.full(z.shape, FAINT), np.full(z.shape, np.nan)
-    for on, bright in ((seen & (height > GROUND), 1.0), (seen & ~(height > GROUND),
-                                                         sensor.ground)):
-        share = convolve1d(on.astype(float), kernel, mode='constant')
-        total = convolve1d(np.where(on, z, 0.0), kernel, mode='constant')
-        wins = bright * share > best
-        result[wins] = total[wins] / share[wins]
-        best = np.where(wins, bright * share, best)
+    for lit, bright in ((visible & (height > GROUND), 1.0), (visible & ~(height > GROUND),
+                                                             sensor.ground)):
+        fraction = convolve1d(lit.astype(float), kernel, mode='constant')
+        total = convolve1d(np.where(lit, z, 0.0), kernel, mode='constant')
+        wins = bright * fraction > best
+        result[wins] = total[wins] / fraction[wins]
+        best = np.where(wins, bright * fraction, best)
     return result
 
 
@@ -175,14 +176,14 @@ def speckle(sensor: SensorModel, shape: tuple[int, ...], rng: np.random.Generato
 
 
 def smoothed(sensor: SensorModel, z: Array) -> Array:
-    """Return ranges (m, n) after the mean filter of the driver; what was lost stays lost."""
+    """Return ranges (m, n) after the mean filter of the driver; missing returns stay missing."""
     if sensor.smoothing < 2:
         return z
-    seen = np.isfinite(z)
+    visible = np.isfinite(z)
     kernel = np.ones(sensor.smoothing)
-    total = convolve1d(np.where(seen, z, 0.0), kernel, axis=1, mode='constant')
-    count = convolve1d(seen.astype(float), kernel, axis=1, mode='constant')
-    return np.where(seen, total / np.maximum(count, 1), np.nan)
+    total = convolve1d(np.where(visible, z, 0.0), kernel, axis=1, mode='constant')
+    count = convolve1d(visible.astype(float), kernel, axis=1, mode='constant')
+    return np.where(visible, total / np.maximum(count, 1), np.nan)
 
 
 GRID = 21  # points along each side of the field
@@ -190,13 +191,13 @@ GRID = 21  # points along each side of the field
 
 @dataclass(frozen=True, eq=False)
 class Distortion:
-    """Errors of the range: weights (16,) of polynomials of third order; and affine ones."""
+    """Errors of the range: weights (16,) of polynomials of third order; and affine errors."""
 
     sensor: SensorModel
     weights: Array
 
     def ranges(self, z: Array) -> Array:
-        """Return how much too long (m, n) ranges are reported, one row for each profile."""
+        """Return the range errors (m, n), one row for each profile."""
         near, far = self.sensor.range
         x = np.linspace(-1, 1, z.shape[1])
         depth = (z - (near + far) / 2) / ((far - near) / 2)
@@ -206,29 +207,29 @@ class Distortion:
     def points(self, points: Array) -> Array:
         """Return (..., 2) of the standard sensor plane stretched and sheared."""
         middle = np.array([0.0, sum(self.sensor.range) / 2])
-        off = points - middle
-        stretched = off * (1 + self.sensor.scale)
-        stretched[..., 0] += self.sensor.shear * off[..., 1]
+        offset = points - middle
+        stretched = offset * (1 + self.sensor.scale)
+        stretched[..., 0] += self.sensor.shear * offset[..., 1]
         return np.asarray(stretched + middle)
 
     @property
     def T_true_reported(self) -> Array:
-        """Return the motion (4, 4) that serves reported points of the field best."""
+        """Return the motion (4, 4) that best maps reported points of the field to true ones."""
         z = np.linspace(*self.sensor.range, GRID)[:, None]
         across = np.linspace(-1, 1, GRID) * self.sensor.half_width
         true = np.stack([across * z, np.broadcast_to(z, (GRID, GRID))], axis=-1)
-        bent = z + self.ranges(np.broadcast_to(z, (GRID, GRID)))
-        x = true[..., 0] if self.sensor.sampling != 'fan' else across * bent
-        error = (self.points(np.stack([x, bent], axis=-1)) - true).reshape(-1, 2)
+        distorted = z + self.ranges(np.broadcast_to(z, (GRID, GRID)))
+        x = true[..., 0] if self.sensor.sampling != 'fan' else across * distorted
+        error = (self.points(np.stack([x, distorted], axis=-1)) - true).reshape(-1, 2)
         x, z = true.reshape(-1, 2).T
-        one, none = np.ones(len(x)), np.zeros(len(x))
-        A = np.concatenate([np.column_stack([one, none, z]), np.column_stack([none, one, -x])])
+        ones, zeros = np.ones(len(x)), np.zeros(len(x))
+        A = np.concatenate([np.column_stack([ones, zeros, z]), np.column_stack([zeros, ones, -x])])
         shift_x, shift_z, turn = np.linalg.lstsq(A, -error.T.ravel(), rcond=None)[0]
         return se3.perturb(np.eye(4), np.array([shift_x, 0, shift_z, 0, turn, 0]))
 
 
 def draw_distortion(sensor: SensorModel, rng: np.random.Generator) -> Distortion | None:
-    """Return the distortion of a sensor, None for one that has none."""
+    """Return the distortion of a sensor, None without one."""
     if not (sensor.distortion or sensor.scale or sensor.shear):
         return None
     weights = np.zeros(16)

@@ -1,4 +1,4 @@
-"""What light meets: boxes, balls, rods, and the plate as it really is."""
+"""Solids for ray casting: boxes, balls, rods, and plates with their defects."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Ball:
 
 @dataclass(frozen=True, eq=False)
 class Convex:
-    """All points p with normals (k, 3) @ p <= offsets (k,); the normals of unit length."""
+    """All points p with normals (k, 3) @ p <= offsets (k,); normals of unit length."""
 
     normals: Array
     offsets: Array
@@ -55,10 +55,9 @@ def table(depth: float | None) -> tuple[Solid, ...]:
 
 def crossings(solid: Solid, origin: Array, direction: Array) -> tuple[Array, Array, Array]:
     """
-    Return where rays enter and leave a solid, and how squarely they enter.
+    Return the parameters where rays enter and leave a solid, and the cosine of incidence, (m, n).
 
-    origin, direction: (3, m, n), broadcast. Returns enter, leave, cosine (m, n): the parameters
-    of the ray (inf, -inf: missed) and the cosine of the angle of incidence.
+    origin, direction: (3, m, n), broadcast. The parameters are inf and -inf for missed solids.
     """
     if isinstance(solid, Box):
         return _box_crossings(solid, origin, direction)
@@ -104,20 +103,20 @@ def _convex_crossings(solid: Convex, origin: Array, direction: Array
         rate = np.einsum('i,imn->mn', normal, direction)
         room = offset - np.einsum('i,imn->mn', normal, origin)
         with np.errstate(divide='ignore', invalid='ignore'):
-            at = room / rate
-        inwards = (rate < 0) & (at > enter)
-        enter = np.where(inwards, at, enter)
+            parameter = room / rate
+        inwards = (rate < 0) & (parameter > enter)
+        enter = np.where(inwards, parameter, enter)
         cosine = np.where(inwards, -rate / length, cosine)
-        leave = np.where((rate > 0) & (at < leave), at, leave)
+        leave = np.where((rate > 0) & (parameter < leave), parameter, leave)
         leave = np.where((rate == 0) & (room < 0), -np.inf, leave)
     missed = enter > leave
     return np.where(missed, np.inf, enter), np.where(missed, -np.inf, leave), cosine
 
 
 def _rod_crossings(rod: Rod, origin: Array, direction: Array) -> tuple[Array, Array, Array]:
-    others = [axis for axis in range(3) if axis != rod.axis]
-    d = direction[others]
-    o = origin[others] - np.reshape(rod.centre, (2, 1, 1))
+    axes = [axis for axis in range(3) if axis != rod.axis]
+    d = direction[axes]
+    o = origin[axes] - np.reshape(rod.centre, (2, 1, 1))
     square = np.maximum((d**2).sum(axis=0), 1e-300)
     middle = -(o * d).sum(axis=0) / square
     room = middle**2 - ((o**2).sum(axis=0) - rod.radius**2) / square
@@ -132,7 +131,7 @@ def _rod_crossings(rod: Rod, origin: Array, direction: Array) -> tuple[Array, Ar
 
 
 def cast(solids: tuple[Solid, ...], origin: Array, direction: Array) -> tuple[Array, Array]:
-    """Return the parameter of the first point on any solid (inf: none), and its cosine."""
+    """Return the parameter of the first point on any solid (inf: none), and its incidence."""
     shape = np.broadcast_shapes(origin.shape, direction.shape)[1:]
     nearest, squareness = np.full(shape, np.inf), np.zeros(shape)
     for solid in solids:
@@ -144,7 +143,7 @@ def cast(solids: tuple[Solid, ...], origin: Array, direction: Array) -> tuple[Ar
 
 
 def hidden(solids: tuple[Solid, ...], points: Array, eye: Array) -> NDArray[np.bool_]:
-    """Return (m, n), true where a solid stands between points and eye, both (3, m, n)."""
+    """Return (m, n), true where a solid is between points and eye, both (3, m, n)."""
     covered = np.zeros(np.broadcast_shapes(points.shape, eye.shape)[1:], dtype=bool)
     for solid in solids:
         enter, leave, _ = crossings(solid, points, eye - points)
@@ -152,12 +151,12 @@ def hidden(solids: tuple[Solid, ...], points: Array, eye: Array) -> NDArray[np.b
     return covered
 
 
-WAVES = 12  # that a wavy face is made of
+WAVES = 12  # of a wavy face
 WAVELENGTH = (0.015, 0.060)  # m
 
 
 def slab(target: PlateTarget) -> tuple[Solid, ...]:
-    """Return the solids that make up a flat plate, the edges of its face as they are."""
+    """Return the solids of a flat plate, with the given shape of its edges."""
     (length, width), bottom = target.size, -target.thickness
     if target.rounding:
         return _rounded(target)
@@ -201,7 +200,7 @@ class Relief:
     amplitude: float
 
     def heights(self, x: Array, y: Array) -> Array:
-        """Return the height at places of the face, the nearest of it for others."""
+        """Return the height at positions on the face, at its border for those outside."""
         length, width = self.target.size
         x, y = np.clip(x, 0.0, length), np.clip(y, 0.0, width)
         u, v = 2 * x / length - 1, 2 * y / width - 1

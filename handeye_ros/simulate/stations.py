@@ -1,8 +1,4 @@
-"""
-The sensor's frame as published, and where and when the robot stops.
-
-Poses of the sensor at the stops, stamps, and poses between the stops.
-"""
+"""The published sensor frame, and the stops of the robot: poses, stamps, motions between."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -22,11 +18,11 @@ STAMP = np.int64
 @dataclass(frozen=True)
 class Motion:
     """
-    How the orientations of the stations differ.
+    The variation of orientations between stations.
 
-    shared: both edges are crossed with one nominal orientation, at 45 degrees to each.
-    axes: which tilts (about the sensor's x, y, z) differ from station to station; the others
-    are drawn once, or are zero when level. per_edge: drawn once for each edge.
+    shared: both edges are crossed with one nominal orientation, at 45 degrees to each. axes: which
+    tilts (about the sensor's x, y, z) vary; the others are drawn once, or are zero when level.
+    per_edge: drawn once for each edge.
     """
 
     shared: bool = False
@@ -47,7 +43,7 @@ MOTIONS = {
 @dataclass(frozen=True, eq=False)
 class Stops:
     """
-    The sensor at n stations.
+    Poses of the sensor at n stations.
 
     T_target_sensor: (n, 4, 4), standard sensor frame; labels: n; points: (n, 2) true edge point
     or centre of the arc in the sensor plane.
@@ -64,19 +60,19 @@ class Stops:
 
 
 def strata(rng: np.random.Generator, n: int, low: Array, high: Array) -> Array:
-    """Return (n, k) values spread evenly from low to high (k,), each column in its own order."""
+    """Return (n, k) stratified values from low to high (k,), each column shuffled."""
     order = rng.permuted(np.tile(np.arange(n), (len(low), 1)), axis=1).T
     return np.asarray(low + (order + rng.random(order.shape)) / n * (high - low))
 
 
 def tilts(scenario: Scenario, rng: np.random.Generator, counts: tuple[int, ...]) -> Array:
-    """Return (n, 3, 3) rotations of the sensor about its own axes, group after group."""
+    """Return (n, 3, 3) rotations of the sensor about its own axes, group by group."""
     motion = MOTIONS[scenario.motion]
     limit = np.full(3, scenario.tilt)
-    once = rng.uniform(-limit, limit, (len(counts), 3)) * (not motion.level)
+    constant = rng.uniform(-limit, limit, (len(counts), 3)) * (not motion.level)
     if not motion.per_edge:
-        once[:] = once[0]
-    groups = [np.where(motion.axes, strata(rng, n, -limit, limit), once[k])
+        constant[:] = constant[0]
+    groups = [np.where(motion.axes, strata(rng, n, -limit, limit), constant[k])
               for k, n in enumerate(counts)]
     angles = np.concatenate(groups)
     return np.asarray(Rotation.from_euler('xyz', angles).as_matrix())
@@ -88,13 +84,13 @@ def fan(points: Array) -> Array:
 
 
 def lift(points: Array) -> Array:
-    """Return points (..., 2) of the standard sensor plane in three dimensions."""
+    """Return points (..., 2) of the standard sensor plane as 3D points."""
     return np.stack([points[..., 0], np.zeros(points.shape[:-1]), points[..., 1]], axis=-1)
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """A stop of dwell at each of n stations, and a motion between each two; seconds."""
+    """A stop of duration dwell at each of n stations, and a motion between each two; seconds."""
 
     stations: int
     dwell: float
@@ -102,21 +98,21 @@ class Timeline:
 
     @property
     def duration(self) -> float:
-        """From the arrival at the first station to the departure from the last."""
+        """Return the time from arrival at the first to departure from the last station."""
         return self.stations * self.dwell + (self.stations - 1) * self.move
 
     def spans(self) -> NDArray[STAMP]:
-        """Return (n, 2) stamps of standing still."""
+        """Return the (n, 2) stamps of the stops."""
         starts = np.arange(self.stations) * (self.dwell + self.move)
         return stamps(np.stack([starts, starts + self.dwell], axis=1))
 
-    def place(self, times: Array) -> tuple[NDArray[STAMP], Array]:
-        """Return the station (k,) last stood at, and the share (k,) of the way to the next."""
+    def progress(self, times: Array) -> tuple[NDArray[STAMP], Array]:
+        """Return the last station (k,), and the fraction (k,) of the path to the next."""
         period = self.dwell + self.move
         station = np.minimum((times / period).astype(np.int64), self.stations - 1)
         s = np.clip((times - station * period - self.dwell) / self.move, 0.0, 1.0)
         s = np.where(station == self.stations - 1, 0.0, s)
-        return station, s**3 * (10 - 15 * s + 6 * s**2)  # starts and stops without a jerk
+        return station, s**3 * (10 - 15 * s + 6 * s**2)  # smooth at start and end
 
 
 def stamps(times: Array) -> NDArray[STAMP]:
@@ -124,24 +120,25 @@ def stamps(times: Array) -> NDArray[STAMP]:
     return START + np.round(times * 1e9).astype(np.int64)
 
 
-def stamped_poses(at: NDArray[STAMP], position: Array, quaternion: Array) -> tuple[TimedPose, ...]:
-    """Return poses as a robot streams them, of positions (n, 3) and quaternions (n, 4)."""
+def stamped_poses(stamps: NDArray[STAMP], position: Array, quaternion: Array
+                  ) -> tuple[TimedPose, ...]:
+    """Return the streamed poses of positions (n, 3) and quaternions (n, 4)."""
     return tuple(TimedPose(int(stamp), t, q) for stamp, t, q in zip(
-        at, position, quaternion, strict=True))
+        stamps, position, quaternion, strict=True))
 
 
-def stamped_profiles(at: NDArray[STAMP], points: Array) -> tuple[Profile, ...]:
-    """Return profiles of points (n, columns, 2) as a sensor streams them."""
-    return tuple(Profile(int(stamp), 'laser', p) for stamp, p in zip(at, points, strict=True))
+def stamped_profiles(stamps: NDArray[STAMP], points: Array) -> tuple[Profile, ...]:
+    """Return the streamed profiles of points (n, columns, 2)."""
+    return tuple(Profile(int(stamp), 'laser', p) for stamp, p in zip(stamps, points, strict=True))
 
 
-def between(T: Array, station: NDArray[STAMP], share: Array) -> Array:
-    """Return poses (k, 4, 4) at a share of the way from a station of T (n, 4, 4) to the next."""
+def interpolated(T: Array, station: NDArray[STAMP], fraction: Array) -> Array:
+    """Return poses (k, 4, 4) at a fraction of the path from a station (of n) to the next."""
     start, end = T[station], T[np.minimum(station + 1, len(T) - 1)]
     R = start[:, :3, :3]
     turn = se3.log_rotation(np.swapaxes(R, 1, 2) @ end[:, :3, :3])
-    t = start[:, :3, 3] + share[:, None] * (end[:, :3, 3] - start[:, :3, 3])
-    return se3.transform(R @ se3.exp_rotation(share[:, None] * turn), t)
+    t = start[:, :3, 3] + fraction[:, None] * (end[:, :3, 3] - start[:, :3, 3])
+    return se3.transform(R @ se3.exp_rotation(fraction[:, None] * turn), t)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,8 +147,8 @@ class Frame:
     A published frame.
 
     T_standard_sensor: (4, 4) pose of the published frame in the standard one (x along the laser
-    line, z the range, y = 0). axes: of the published frame, along the line and range.
-    range_sign: -1 where the published range falls with the distance.
+    line, z the range, y = 0). axes: of the published frame, along the line and range. range_sign:
+    -1 if the published range decreases with the distance.
     """
 
     T_standard_sensor: Array
@@ -184,7 +181,7 @@ def published(frame: Frame, points: Array) -> Array:
 
 
 def settings(scenario: Scenario) -> dict[str, Any]:
-    """Return the configuration, by dotted key, that reads the recordings of a scenario."""
+    """Return the configuration by dotted key for the recordings of a scenario."""
     frame, target = FRAMES[scenario.layout.frame], scenario.target
     values: dict[str, Any] = {
         'calibration_type': scenario.calibration_type, 'target.type': scenario.scene,

@@ -1,4 +1,4 @@
-"""The estimators, one file for each target."""
+"""The target models, one file each."""
 from __future__ import annotations
 
 from handeye_ros.config import Config

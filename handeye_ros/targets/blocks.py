@@ -1,4 +1,4 @@
-"""Nuisance parameters that targets share: where faces end, shapes of edges, flatness."""
+"""Nuisance parameters common to targets: set-back of faces, shapes of edges, flatness."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
@@ -18,7 +18,7 @@ STEEPNESS = np.array([8, 16, 32])  # powers of the least cosine over that of a p
 
 
 def of_faces_and_edges(first: Linear) -> Blocks:
-    """Return the blocks of where faces end, of the shape of edges, and of how flat faces are."""
+    """Return the blocks of set-backs, edge shapes, and flatness of faces."""
     every = [source(first) for source in (setbacks, edge_shapes, flatness, grazing)]
 
     def at(linear: Linear) -> Iterator[ParameterBlock]:
@@ -28,7 +28,7 @@ def of_faces_and_edges(first: Linear) -> Blocks:
 
 
 def setbacks(first: Linear) -> Blocks:
-    """Return by how much the faces end short of each edge, for each way in which they end."""
+    """Return the blocks of the set-back of faces from their edges, one per kind of end."""
     std = first.problem.config.target.setback_std
     obs = edges_of(first.problem.observations)
     ends, kinds = ends_of(obs), first.problem.method.kinds
@@ -48,7 +48,7 @@ def setbacks(first: Linear) -> Blocks:
 
 
 def edge_shapes(first: Linear) -> Blocks:
-    """Return by how much the rounding or bevel of each edge is not as the profiles show it."""
+    """Return the blocks of the deviation of edge shapes from those seen in profiles."""
     obs = edges_of(first.problem.observations)
     ends = ends_of(obs)
     of_kind = {kind: np.any([rows for (k, _), rows in ends.parts.items() if k == kind], axis=0)
@@ -64,7 +64,7 @@ def edge_shapes(first: Linear) -> Blocks:
 
 
 def flatness(first: Linear) -> Blocks:
-    """Return how faces are bowed: polynomials over each, by their degree."""
+    """Return the blocks of bowed faces: polynomials over each face, by degree."""
     problem, std = first.problem, first.problem.config.noise.flatness
     if not std:
         return _none
@@ -79,7 +79,7 @@ def flatness(first: Linear) -> Blocks:
 
 
 def grazing(first: Linear) -> Blocks:
-    """Return by how much a face seems too near or too far where the light hardly comes back."""
+    """Return the block of the range error of faces seen at grazing incidence."""
     problem, std = first.problem, first.problem.config.noise.distortion
     faces = [i for i, name in enumerate(problem.method.kinds) if name.startswith('face')]
     on_face, points = np.isin(problem.observations.kind, faces), problem.observations.points
@@ -102,7 +102,7 @@ def _none(linear: Linear) -> Iterable[ParameterBlock]:
 
 
 def setback_of_each(linear: Linear) -> Array:
-    """Return the derivatives (m, 1) by a set-back of each edge point of its own, in sigmas."""
+    """Return the derivatives (m, 1) by independent set-backs of edge points, in sigmas."""
     return out_of_face(linear)[:, None] * linear.problem.config.target.setback_std
 
 

@@ -1,4 +1,4 @@
-"""What the targets share: ends of faces, collecting observations, linear search for a start."""
+"""Common to the targets: ends of faces, collecting observations, linear search for a start."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
@@ -57,13 +57,13 @@ class Ends:
 
 
 def out_of_face(linear: Linear) -> Array:
-    """Return derivatives (m,) of residuals by moves of edge points out of their faces."""
+    """Return derivatives (m,) of residuals by moves of edge points outwards from their faces."""
     outward = edges_of(linear.problem.observations).outward
     return np.asarray((linear.by_point * outward).sum(axis=1))
 
 
 def edges_of(obs: Observations) -> EdgeObservations:
-    """Return observations as such of edge points, of which there may be none."""
+    """Return the observations with edge points, possibly none."""
     if isinstance(obs, EdgeObservations):
         return obs
     none = np.zeros(len(obs))
@@ -84,7 +84,7 @@ def ends_of(obs: EdgeObservations) -> Ends:
 
 @dataclass
 class ObservationRows:
-    """Collects the conditions of a method, station by station, a few of one feature at a time."""
+    """Collects the conditions of a method, feature by feature."""
 
     points: list[Array] = field(default_factory=list)
     noise: list[Array] = field(default_factory=list)
@@ -94,7 +94,7 @@ class ObservationRows:
 
     def add(self, station: int, point: Array, kind: int, noise: Array, source: int,
             edge: EdgePoint | None = None) -> None:
-        """Append one condition; see Observations. edge: that the point is."""
+        """Append one condition; see Observations. edge: whether the point is on an edge."""
         self.add_points(station, point[None], kind, noise[None], source, edge)
 
     def add_points(self, station: int, points: Array, kind: int, noise: Array, source: int = 0,
@@ -107,7 +107,7 @@ class ObservationRows:
         self.shape.append(edge.shape_std if edge else 0.0)
 
     def observations(self) -> EdgeObservations:
-        """Return what was collected; each point of a feature has an error of its own."""
+        """Return the observations collected; each point of a feature has its own error."""
         count = [len(points) for points in self.points]
         first = np.repeat(np.cumsum(count, dtype=np.intp) - count, count)
         numbers = np.array(self.numbers, dtype=np.intp).reshape(-1, 4).T
@@ -122,7 +122,7 @@ class ObservationRows:
 
 def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int,
              kind: int = FACE) -> None:
-    """Append the normal points of a face line, its two decorrelated points where it has none."""
+    """Append the normal points of a face line, or two decorrelated points where it has none."""
     across = np.array([-line.direction[1], line.direction[0]])
     points, std = line.points, line.points_std
     if not len(points):
@@ -135,7 +135,7 @@ def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int,
 
 def collect(samples: Sequence[Sample],
             add: Callable[[ObservationRows, int, Feature, int], None]) -> EdgeObservations:
-    """Return the conditions that add(rows, station, feature, source) appends for each feature."""
+    """Return the observations of all features; add(rows, station, feature, source) appends one."""
     rows = ObservationRows()
     for station, sample in enumerate(samples):
         for i, feature in enumerate(sample.features):
@@ -151,14 +151,14 @@ def edge_noise(edge: EdgePoint) -> Array:
 
 
 def some_of(problem: Problem, rng: np.random.Generator) -> Problem:
-    """Return the problem with as many of its stations as a start is looked for with."""
+    """Return the problem with at most the number of stations used to search for a start."""
     return problem.subset(some_stations(len(problem.poses), GUESS_STATIONS, rng))
 
 
 def nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: Array
                   ) -> NDArray[np.bool_]:
     """
-    Return which observations (m,) are of the first of the nearest pieces of their station.
+    Return which observations (m,) belong to the nearest piece of their station.
 
     piece: (m,) the number of each one's; squares: (m,) its squared distance from the target.
     """
@@ -172,12 +172,12 @@ def nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: 
 
 
 def some_stations(count: int, most: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Return at most so many of count stations, ascending."""
+    """Return at most `most` of count stations, ascending."""
     return np.sort(rng.permutation(count)[:most])
 
 
 def hemisphere(count: int) -> Array:
-    """Return unit vectors (count, 3), spread evenly over half a sphere (Fibonacci)."""
+    """Return unit vectors (count, 3), evenly distributed over half a sphere (Fibonacci)."""
     i = np.arange(count) + 0.5
     z, turn = i / count, i * np.pi * (3 - 5 ** 0.5)
     r = np.sqrt(1 - z * z)
@@ -186,7 +186,7 @@ def hemisphere(count: int) -> Array:
 
 def best_linear(products: Array, rows: int, count: int) -> tuple[NDArray[np.intp], Array]:
     """
-    Return which of k linear systems fit best, best first, and all their solutions (k, u).
+    Return the indices of the best of k linear systems, in order, and all solutions (k, u).
 
     products: (k, u + 1, u + 1) of each two columns of A and b of systems A x = b of so many
     rows. The first six unknowns are r1 and r3 of the sensor: systems with small residuals and

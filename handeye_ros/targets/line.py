@@ -42,7 +42,7 @@ from handeye_ros.targets.common import (
     ObservationRows,
     some_of,
 )
-from handeye_ros.targets.line_ends import other_choices, same_kind, same_side
+from handeye_ros.targets.starts import other_choices, same_kind, same_side
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,7 +58,7 @@ SAME_FACE = 0.25  # rad that faces of two stations may be turned against each ot
 
 
 def observe(samples: Sequence[Sample]) -> Observations:
-    """Return the conditions of face lines and edge points; which take part is found later."""
+    """Return the conditions of face lines and edge points; labels are assigned later."""
     return collect(samples, _add)
 
 
@@ -81,7 +81,7 @@ def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) 
 
 
 def retract(target: Array, delta: Array) -> Array:
-    """Return lines (..., 16) moved: along their y and z, turned about their x, y and z."""
+    """Return lines (..., 16) after a step: along their y and z, about their x, y and z."""
     T = target.reshape(*target.shape[:-1], 4, 4)
     step = np.concatenate([np.einsum('...ij,...j->...i', T[..., :3, 1:3], delta[..., :2]),
                            np.einsum('...ij,...j->...i', T[..., :3, :3], delta[..., 2:])],
@@ -90,14 +90,14 @@ def retract(target: Array, delta: Array) -> Array:
 
 
 def free(config: Config) -> NDArray[np.bool_]:
-    """Return which parameters are unknown: the turn about the line only with the face."""
+    """Return which parameters are unknown; the turn about the line only with a face."""
     return np.array([True, True, config.target.use_face, True, True])
 
 
 def relabel(observations: Observations, p: Array, target: Array, config: Config
             ) -> Observations:
     """
-    Return the observations without what takes no part.
+    Return the observations labelled, unused ones marked.
 
     Of several edge points of one station only the nearest to the line is on it. A station that
     shows another face, as the edge of a block has two, takes part with its edge point alone.
@@ -115,7 +115,7 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
 
 
 def _turns(observations: Observations, p: Array, target: Array) -> Array:
-    """Return at which angle (n,) about the line, from its y, the face of each station lies."""
+    """Return the angle (n,) of the face of each station about the line, from its y."""
     T, face = target.reshape(4, 4), observations.kind == FACE
     local = ((p[face] - T[:3, 3]) @ T[:3, :3])[:, 1:]
     y, z = (np.bincount(observations.station[face], values, observations.station.max() + 1)
@@ -125,7 +125,7 @@ def _turns(observations: Observations, p: Array, target: Array) -> Array:
 
 def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     """
-    Yield estimates from nothing, best first: every direction of the line is tried.
+    Yield starts, best first, from a sweep of the direction of the line.
 
     Where several ends of a face are in sight it is not told which of them is the edge: the same
     kind in all stations first, or the same side; only when none of these will do, other ways to
@@ -142,7 +142,7 @@ def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
 
 
 def _nearness(problem: Problem, estimate: Estimate) -> float:
-    """Return the distance from the line that the nearest edge points of most stations keep."""
+    """Return the distance from the line of the nearest edge points of most stations."""
     edge = problem.observations.select(problem.observations.kind == EDGE_Y)
     away = _away(edge.in_base(problem.poses, estimate.X), estimate.target)
     nearest = np.full(len(problem.poses), np.inf)
@@ -151,14 +151,14 @@ def _nearness(problem: Problem, estimate: Estimate) -> float:
 
 
 def _away(p: Array, target: Array) -> Array:
-    """Return the distances (m,) of points (m, 3) in base from the line."""
+    """Return the distances (m,) from the line of points (m, 3) in base."""
     T = target.reshape(4, 4)
     return np.asarray(np.linalg.norm(((p - T[:3, 3]) @ T[:3, :3])[:, 1:], axis=1))
 
 
 def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:
     """
-    Return the best of the linear solutions over a sweep of the line's direction.
+    Return the best linear solutions over a sweep of the direction of the line.
 
     finer: so many times the usual number. For a known direction d, (I - d d') (R (x r1 + z r3
     + t) + a - c) = 0 is linear in r1, r3, t and the two coordinates of c across d.
@@ -180,7 +180,7 @@ def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:
 
 
 def _frames(x: Array) -> Array:
-    """Return rotations (k, 3, 3) with the given unit vectors (k, 3) as their x."""
+    """Return rotations (k, 3, 3) with given unit vectors (k, 3) as x axes."""
     helper = np.where(np.abs(x[:, :1]) < 0.6, [[1.0, 0, 0]], [[0, 1.0, 0]])
     z = se3.cross(x, helper)
     z /= np.linalg.norm(z, axis=1, keepdims=True)
@@ -193,7 +193,7 @@ def _estimate(x: Array, R: Array, a_mean: Array) -> Estimate:
 
 
 def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
-    """Return the estimate with the target's z turned to the normal of the face most seen."""
+    """Return the estimate with the target's z along the normal of the most frequent face."""
     T = estimate.target.reshape(4, 4)
     p = problem.points_in_base(estimate.X)
     angle = 2 * _turns(problem.observations, p, estimate.target)

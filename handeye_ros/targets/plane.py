@@ -1,5 +1,5 @@
 """
-A plane: a straight piece of each profile lies in it, whether or not its edge is in sight.
+A plane: one straight piece of each profile lies on it; its border is not used.
 
 Where other surfaces are in view too, the same one is chosen in all stations: that of each which
 fits the plane.
@@ -73,7 +73,7 @@ def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) 
 
 
 def retract(target: Array, delta: Array) -> Array:
-    """Return planes (..., 16) moved: along their normals, and turned about their x and y."""
+    """Return planes (..., 16) after a step: along their normals, about their x and y."""
     T = target.reshape(*target.shape[:-1], 4, 4)
     step = np.concatenate([delta[..., :1] * T[..., :3, 2],
                            np.einsum('...ij,...j->...i', T[..., :3, :2], delta[..., 1:])], axis=-1)
@@ -87,7 +87,7 @@ def free(config: Config) -> NDArray[np.bool_]:
 
 def relabel(observations: Observations, p: Array, target: Array, config: Config
             ) -> Observations:
-    """Return the observations with one surface of each station, the longest that is near."""
+    """Return the observations with one surface per station: the longest of those near."""
     surface = observations.source // SOURCES
     if not surface.any():
         return observations
@@ -98,7 +98,7 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
 
 def one_surface(problem: Problem) -> list[Problem]:
     """
-    Return the problem with one surface of each station: the nearest, longest, or farthest.
+    Return problems with one surface per station: the nearest, longest, or farthest.
 
     Only the problem itself where no station shows several.
     """
@@ -122,7 +122,7 @@ def one_surface(problem: Problem) -> list[Problem]:
 
 
 def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-    """Yield estimates from nothing, best first; from a finer sweep when these do not do."""
+    """Yield starts, best first; a finer sweep follows if these do not fit."""
     problem = some_of(replace(whole, method=PLANE), rng)
     found: list[Estimate] = []
     for finer, more in ((1, CROWD), (1, NORMALS // CANDIDATES)) if whole.few else SWEEPS:
@@ -137,7 +137,7 @@ def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
 
 
 def _typical_distance(problem: Problem, estimate: Estimate) -> float:
-    """Return the distance from the plane (m) that the nearest surface of most stations keeps."""
+    """Return the distance (m) from the plane of the nearest surface of most stations."""
     p = problem.points_in_base(estimate.X)
     labelled = relabel(problem.observations, p, estimate.target, problem.config)
     used = labelled.kind != UNUSED
@@ -149,7 +149,7 @@ def _typical_distance(problem: Problem, estimate: Estimate) -> float:
 
 def linear_candidates(problem: Problem, finer: int = 1, more: int = 1) -> list[Estimate]:
     """
-    Return the best of the linear solutions over a sweep of plane normals.
+    Return the best linear solutions over a sweep of plane normals.
 
     finer: so many times the usual number of normals; more: the same of solutions. For a known
     normal n, n . (R (x r1 + z r3 + t) + a) = d is linear in r1, r3, t, d.

@@ -1,5 +1,5 @@
 """
-A plate: two straight edges that meet in a corner, and the face between them.
+A plate: two straight edges with a common corner, and the face between them.
 
 Frame of the target: corner at the origin, edge p along x, edge q along y (turned by the edge
 angle when that is free), face z = 0. Unknown beside X: the target's pose and, on demand, the
@@ -30,7 +30,7 @@ from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.blocks import FACES_AND_EDGES
 from handeye_ros.targets.common import add_face, collect, edge_noise, FACE, ObservationRows
 from handeye_ros.targets.plane import guess as plane_guess
-from handeye_ros.targets.two_lines import turned, two_lines
+from handeye_ros.targets.starts import turned, two_lines
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,7 +46,7 @@ BELIEVED_SHARE = 0.3  # of the edge points that are surely on an edge of ours
 
 
 def observe(samples: Sequence[Sample]) -> Observations:
-    """Return the conditions of face lines and edge points; which edge is found later."""
+    """Return the conditions of face lines and edge points; labels are assigned later."""
     return collect(samples, _add)
 
 
@@ -78,7 +78,7 @@ def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) 
 
 
 def retract(target: Array, delta: Array) -> Array:
-    """Return the target's state moved by delta (9,)."""
+    """Return the target after a step delta (9,)."""
     T = se3.perturb(target[:16].reshape(4, 4), delta[:6])
     return np.append(T.ravel(), target[16:] + delta[6:])
 
@@ -96,14 +96,14 @@ def tolerances(config: Config) -> Array:
 
 
 def state(T_base_target: Array, config: Config) -> Array:
-    """Return what describes a plate as configured at a pose (4, 4): (19,) values."""
+    """Return the values (19,) that describe a plate as configured, at a pose (4, 4)."""
     return np.concatenate([T_base_target.ravel(), config.target.size or (0.0, 0.0), [np.pi / 2]])
 
 
 def relabel(observations: Observations, p: Array, target: Array, config: Config
             ) -> Observations:
     """
-    Return the edge points given to the edge that they are nearest to.
+    Return the observations with each edge point assigned to the nearest edge.
 
     Only an edge that the face lies on the right side of, crossed steeply enough, can be it. One
     far from all is not used: where a face leaves the sensor's range, say, it ends too.
@@ -122,7 +122,7 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
 
 def _edge_points(observations: Observations, p: Array, target: Array
                  ) -> tuple[NDArray[np.intp], Array]:
-    """Return the rows (k,) of edge points, and the ways (k, 2) out of the face there."""
+    """Return the rows (k,) of edge points, and the directions (k, 2) outwards from the face."""
     rows = np.flatnonzero(observations.kind != FACE)
     T = target[:16].reshape(4, 4)
     flat = ((p - T[:3, 3]) @ T[:3, :3])[:, :2]
@@ -132,13 +132,13 @@ def _edge_points(observations: Observations, p: Array, target: Array
 
 
 def _gate(distance: Array) -> float:
-    """Return how far from its edge an edge point may be, of the distances (m,) of all."""
+    """Return the largest accepted distance of an edge point, from the distances (m,) of all."""
     believed = np.quantile(distance, BELIEVED_SHARE, method='lower') if len(distance) else 0.0
     return max(SMALLEST_GATE, GATE * float(believed))
 
 
 def guess(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-    """Return estimates from nothing: the plane first, then the two edges in it."""
+    """Yield starts: first the plane, then the two edges in it."""
     faces = problem.observations.select(problem.observations.kind == FACE)
     for plane in plane_guess(replace(problem, observations=faces), rng):
         estimate = _with_edges(problem, plane, rng)
@@ -161,7 +161,7 @@ def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> 
 
 
 def _turned_around_corner(estimate: Estimate) -> Estimate:
-    """Return the estimate with the same corner, taken for the one at the end of edge p."""
+    """Return the estimate with its corner taken for that at the other end of edge p."""
     T, length = estimate.target[:16].reshape(4, 4), estimate.target[SIZE][0]
     turned = se3.transform(np.array([[0, 1.0, 0], [-1.0, 0, 0], [0, 0, 1.0]]),
                            np.array([0.0, length, 0.0]))
@@ -178,7 +178,7 @@ def _facing_sensor(problem: Problem, plane: Estimate) -> Array:
 
 
 def _face_centres(observations: Observations, flat: Array, rows: NDArray[np.intp]) -> Array:
-    """Return the middle of the face line (k, 2) seen in the same station as each row."""
+    """Return the centre (k, 2) of the face line in the station of each row."""
     face = observations.kind == FACE
     count = np.bincount(observations.station[face], minlength=observations.station[-1] + 1)
     total = np.zeros((len(count), 2))
@@ -187,7 +187,7 @@ def _face_centres(observations: Observations, flat: Array, rows: NDArray[np.intp
 
 
 def _oriented(points: Array, inward: Array, corner: Array, turn: float) -> Array:
-    """Return T_plane_target, of the four possible that with the face where x, y > 0."""
+    """Return T_plane_target, of four candidates the one with the face at x, y > 0."""
     best, best_votes = np.eye(4), -1
     for quarter in range(4):
         R = turned(turn + quarter * np.pi / 2)
@@ -204,7 +204,7 @@ def _oriented(points: Array, inward: Array, corner: Array, turn: float) -> Array
 
 
 def relax(config: Config) -> Config | None:
-    """Return the configuration with the edge angle unknown, None where it is."""
+    """Return the configuration with a free edge angle, None if it is free already."""
     if config.target.edge_angle_free:
         return None
     return replace(config, target=replace(config.target, edge_angle_free=True))
@@ -217,7 +217,7 @@ def configured(config: Config) -> Array:
 
 def elsewhere(observations: Observations, p: Array, target: Array, config: Config) -> str:
     """
-    Return how far from the opposite edge those lie that are none of the plate's.
+    Return the distance from the opposite edge of the edge points on no edge of the plate.
 
     observations, p: all that their stations show; where several agree, it is another edge.
     """

@@ -1,5 +1,5 @@
 """
-A sphere: every point of every arc has the distance of the radius from one centre.
+A sphere: all points of all arcs are at the radius from one centre.
 
 Unknown beside X: the centre in the base frame and, on demand, the radius. Neither the side of
 the sensor plane that the centre lies on nor any other sign is asked for.
@@ -54,7 +54,7 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
 
 
 def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
-    """Return the distance from the sphere's surface of points p (..., m, 3) in base."""
+    """Return the distances from the sphere of points p (..., m, 3) in base."""
     outward = p - target[..., None, :3]
     x, y, z = outward[..., 0], outward[..., 1], outward[..., 2]
     distance = np.sqrt(x * x + y * y + z * z)
@@ -65,12 +65,12 @@ def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) 
 
 
 def retract(target: Array, delta: Array) -> Array:
-    """Return centre and radius (..., 4) moved by delta."""
+    """Return centres and radii (..., 4) after a step delta."""
     return target + delta
 
 
 def free(config: Config) -> NDArray[np.bool_]:
-    """Return that the centre is unknown, and the radius when it is not given."""
+    """Return which parameters are unknown: the centre, and the radius if it is not given."""
     return np.array([True, True, True, config.target.radius <= 0])
 
 
@@ -81,7 +81,7 @@ def tolerances(config: Config) -> Array:
 
 def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     """
-    Yield estimates from nothing, best first: every rotation is tried, and refined.
+    Yield starts, best first, from a sweep of rotations of the sensor.
 
     For a given rotation the centre's projections onto the sensor plane are linear in the
     remaining unknowns, whatever the side of the plane that the centre lies on.
@@ -93,7 +93,7 @@ def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
 
 
 def _fewer(observations: Observations) -> Observations:
-    """Return every third point of long arcs, which tell as well where to start."""
+    """Return the problem with every third point of long arcs, enough for a start."""
     station = observations.station
     place = np.arange(len(station)) - np.searchsorted(station, station)
     short = np.bincount(station)[station] < LONG
@@ -128,7 +128,7 @@ def _candidates(problem: Problem, radius: float, finer: int) -> list[Estimate]:
 def _centres(R_sensor: Array, R: Array, a: Array, circles: Array
              ) -> tuple[Array, Array, Array, Array]:
     """
-    Return for k rotations of the sensor what the circles (n, 3) in it say of the rest.
+    Return the linear solutions from circles (n, 3) for k rotations of the sensor.
 
     R (n, 3, 3), a (n, 3): of the poses, about their middle. The centre in base (k, 3), the
     position of the sensor (k, 3), that across its plane 0, the RMS (k,) of what remains in the
@@ -157,7 +157,7 @@ def _centres(R_sensor: Array, R: Array, a: Array, circles: Array
 
 
 def _outer(a: Array, b: Array) -> Array:
-    """Return the products (k, 9) of each two components of vectors (k, 3)."""
+    """Return the products (k, 9) of all pairs of components of vectors (k, 3)."""
     return np.asarray((a[:, :, None] * b[:, None]).reshape(-1, 9))
 
 
@@ -173,7 +173,7 @@ def _side(y: Array, height: Array) -> tuple[Array, Array]:
 
 @cache
 def rotations(count: int) -> Array:
-    """Return (count, 3, 3) rotations spread evenly (super-Fibonacci spiral)."""
+    """Return (count, 3, 3) rotations, evenly distributed (super-Fibonacci spiral)."""
     s = np.arange(count) + 0.5
     r, big_r = np.sqrt(s / count), np.sqrt(1 - s / count)
     alpha, beta = 2 * np.pi * s / 2 ** 0.5, 2 * np.pi * s / 1.533751168755204288118041
@@ -184,14 +184,14 @@ def rotations(count: int) -> Array:
 
 def arc_points(sample: Sample, points: Array, kind: NDArray[np.intp]
                ) -> tuple[Array, NDArray[np.intp]]:
-    """Return all points of the arcs of a sample, which its normal points stand for."""
+    """Return all raw points of the arcs of a sample."""
     arcs = [f.raw for f in sample.features if isinstance(f, Arc)]
     points = np.concatenate(arcs) if len(arcs) > 1 else arcs[0]
     return points, np.zeros(len(points), dtype=np.intp)
 
 
 def relax(config: Config) -> Config | None:
-    """Return the configuration with the radius unknown, None where it is."""
+    """Return the configuration with a free radius, None if it is free already."""
     if config.target.radius <= 0:
         return None
     return replace(config, target=replace(config.target, radius=0.0))

@@ -1,5 +1,5 @@
 """
-The edge of a block, or a groove: two faces that meet, both in every profile.
+The edge of a block, or a groove: two faces, both visible in every profile.
 
 Frame of the target: x along the edge, the origin a point of it; each face goes through the edge
 and is turned about it by an angle. Unknown beside X: the edge as a line (4) and the turn of each
@@ -72,7 +72,7 @@ def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) 
 
 
 def retract(target: Array, delta: Array) -> Array:
-    """Return targets (..., 18) moved: along and about their y and z, turn, and angle."""
+    """Return targets (..., 18) after a step: along and about y and z, turn, and angle."""
     T = target[..., :16].reshape(*target.shape[:-1], 4, 4)
     across = T[..., :3, 1:3]
     step = np.concatenate([np.einsum('...ij,...j->...i', across, delta[..., :2]),
@@ -89,7 +89,7 @@ def free(config: Config) -> NDArray[np.bool_]:
 
 def relabel(observations: Observations, p: Array, target: Array, config: Config
             ) -> Observations:
-    """Return two lines of each station, those that fit, given to the faces as they fit better."""
+    """Return two lines per station, the best fitting ones, assigned to the two faces."""
     kind, pair = observations.kind, _pair(observations)
     group = observations.station * (int(pair.max()) + 1) + pair
     as_is, swapped = (conditions(p, k, target, config).g ** 2 for k in (kind, 1 - kind))
@@ -100,13 +100,13 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
 
 
 def _pair(observations: Observations) -> NDArray[np.intp]:
-    """Return to which two lines of its station each observation (m,) belongs."""
+    """Return for each observation (m,) the pair of lines that it belongs to."""
     return observations.source // (len(KINDS) * SOURCES)
 
 
 def one_corner(problem: Problem) -> list[Problem]:
     """
-    Return problems with one pair of lines of each station: its convex, concave, or first one.
+    Return problems with one pair of lines per station: the convex, concave, or first one.
 
     A block and the table that it stands on make a groove, where the faces meet on the other side.
     """
@@ -129,7 +129,7 @@ def one_corner(problem: Problem) -> list[Problem]:
 
 
 def guess(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-    """Yield estimates from nothing; where several edges are in sight, of each choice in turn."""
+    """Yield starts; where several edges are visible, from each choice in turn."""
     choices = [_guess(part) for part in one_corner(some_of(problem, rng))]
     while choices:
         for choice in tuple(choices):
@@ -141,7 +141,7 @@ def guess(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
 
 def _guess(problem: Problem) -> Iterator[Estimate]:
     """
-    Yield estimates from two lines of each station.
+    Yield starts from two lines per station.
 
     Their crossings lie on one straight edge, whatever the labels; and where the labels are right
     by chance, the left lines lie in one plane and so do the right ones.
@@ -160,7 +160,7 @@ def _guess(problem: Problem) -> Iterator[Estimate]:
 
 
 def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
-    """Return where the starts lead, each with the labels that it makes, best first."""
+    """Return the estimates reached from the starts, with their labels, best first."""
     alike: dict[bytes, tuple[Problem, list[Estimate]]] = {}  # starts that make the same labels
     for start in starts:
         p = problem.observations.in_base(problem.poses, start.X)
@@ -186,7 +186,7 @@ def crossings(observations: Observations) -> Observations:
 
 
 def _fitted(points: Array) -> tuple[Array, Array]:
-    """Return a point of the line through points (k, 2), and its direction."""
+    """Return a point and the direction of the line fitted to points (k, 2)."""
     centre = points.mean(axis=0)
     return centre, np.linalg.svd(points - centre)[2][0]
 
@@ -199,7 +199,7 @@ def _edge_in(corners: Observations, poses: Array, face: Estimate) -> Estimate:
 
 
 def _with_faces(problem: Problem, edge: Estimate) -> Estimate:
-    """Return the estimate with the two turns that put the faces into the points."""
+    """Return the estimate with the turns of both faces fitted to the points."""
     T = edge.target.reshape(4, 4).copy()
     T[:3, :3] = se3.nearest_rotation(T[:3, :3])
     obs = problem.observations
@@ -210,7 +210,7 @@ def _with_faces(problem: Problem, edge: Estimate) -> Estimate:
 
 
 def _two_directions(angle: Array, weight: Array) -> tuple[float, float]:
-    """Return the two directions (rad) about which angles (m,) gather most closely."""
+    """Return the two most frequent directions (rad) of angles (m,)."""
     best, least = (0.0, np.pi / 2), np.inf
     for parting in np.linspace(0.0, np.pi, SWEEP, endpoint=False):
         side = np.sin(angle - parting) > 0

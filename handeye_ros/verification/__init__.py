@@ -1,14 +1,10 @@
-"""
-Whether a calibration holds.
-
-Routines on known artefacts, checks of its own target, and the trend of several.
-"""
+"""Verification of a calibration: routines on known artefacts, and checks on its own target."""
 
 OFFERED = (
-    'charts', 'check', 'check.Check', 'errors.NoAnswerError', 'errors.NoTrendError',
-    'errors.NotStartedError', 'errors.NothingToCheckError', 'errors.NothingToVerifyError',
-    'errors.UnusableStopError', 'plan', 'routines.ROUTINES', 'routines.Routine', 'routines.TEETH',
-    'routines.routine_of', 'session.VerificationSession', 'shapes.Seen',
-    'tooth_gauge.seen_in_pass', 'trend', 'verification', 'verification.Verification',
-    'verify.seen_in', 'verify.settings_for', 'verify.verify',
+    'check', 'check.Check', 'check.FORMAT', 'errors.NoAnswerError', 'errors.NotStartedError',
+    'errors.NothingToCheckError', 'errors.NothingToVerifyError', 'errors.UnusableStopError',
+    'plan', 'routines.ROUTINES', 'routines.Routine', 'routines.TEETH', 'routines.routine_of',
+    'session.VerificationSession', 'shapes.StationSet', 'tooth_gauge.stations_of_pass',
+    'verification', 'verification.Verification', 'verification.time_of', 'verify.stations_of',
+    'verify.settings_for', 'verify.verify',
 )

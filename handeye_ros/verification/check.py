@@ -1,9 +1,10 @@
 """
-Whether a calibration still holds: a short recording of the target it was made with.
+Whether a calibration still holds, by a short recording of its target.
 
-What the recording shows is compared with what the calibration expects there (see causes). The
-sentence names the cause, or those that the stops cannot tell apart with their odds and the two
-stops that would; where nothing changed, it says what change would have shown.
+The recording is compared with what the calibration predicts for it (see causes). The sentence
+names the cause. If the stops do not distinguish several causes, it names these, their odds, and
+two further stops that would distinguish them. If nothing changed, it states the smallest change
+that the check would have detected.
 """
 from __future__ import annotations
 
@@ -29,10 +30,10 @@ from handeye_ros.verification.causes import (
     EVIDENCE,
     smallest_moves,
 )
-from handeye_ros.verification.clock import compared
 from handeye_ros.verification.errors import NoCheckError, TooFewSeenError
-from handeye_ros.verification.fixed_fit import by_calibration, points_in_base
-from handeye_ros.verification.shapes import Seen
+from handeye_ros.verification.fixed_fit import by_calibration
+from handeye_ros.verification.samples import compared
+from handeye_ros.verification.shapes import StationSet
 import numpy as np
 
 FORMAT = 'handeye_ros/check/2'
@@ -47,16 +48,17 @@ TURNS = np.deg2rad([[0, 0, 90], [0, 0, 180], [0, 0, -90], [25, 0, 0], [-25, 0, 0
 @dataclass(frozen=True)
 class Check:
     """
-    What a recording says of a calibration.
+    Result of a check.
 
     verdict: unchanged, or the causes: target (it, or the robot's base, moved), sensor, robot
-    (its poses err otherwise), with "or" between those that the stops cannot tell apart. evidence:
-    how many times as likely the recording is with a change as without. odds: probability of each
-    cause if something changed. target_moved (m), target_turned (rad): likeliest, were it the
-    target; sensor_moved, sensor_turned: the same of the sensor in the flange; points_off: by how
-    much points would then be off at most, and its std (m). target_shows, sensor_shows: from which
-    shifts on it would have shown, along their axes (in the base, in the flange), m; nan: none
-    would. rms: of the residuals (m). time_offset_changed: of a sweep, and its 1 sigma (s).
+    (its pose errors changed), with "or" between those that the stops do not distinguish.
+    evidence: how many times as likely the recording is with a change as without. odds: probability
+    of each cause if something changed. target_moved (m), target_turned (rad): the most likely move
+    if the target is the cause; sensor_moved, sensor_turned: the same for the sensor in the flange;
+    points_off: the largest error of points in this case, and its std (m). target_shows,
+    sensor_shows: smallest detectable shifts along their axes (in the base, in the flange), m; nan:
+    not detectable. rms: of the residuals (m). time_offset_changed: of a sweep, and its 1 sigma
+    (s).
     """
 
     stamp: int
@@ -84,7 +86,7 @@ class Check:
 def check(samples: Sequence[Sample], calibration: Calibration, config: Config, reason: str = ''
           ) -> Check:
     """
-    Return what the samples of a recording say of a calibration made with the same target.
+    Return the check of a calibration by samples of the same target.
 
     reason: why other stations gave no sample. Raises NoCheckError, TooFewSeenError.
     """
@@ -94,11 +96,13 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
         raise NoCheckError(calibration.method, list(METHODS))
     if len(samples) < LEAST_STATIONS:
         raise TooFewSeenError(len(samples), LEAST_STATIONS, reason)
-    it, left_out = agreeing(_comparison(samples, calibration, method, joint, config))
-    if len(np.unique(it.seen.observations.station)) < LEAST_STATIONS:
-        raise TooFewSeenError(len(np.unique(it.seen.observations.station)), LEAST_STATIONS, reason)
-    nothing, found = causes(it)
-    return _judged(it, nothing, found, samples[0].stamp, [k + 1 for k in left_out])
+    comparison, left_out = agreeing(_comparison(samples, calibration, method, joint, config))
+    count = len(np.unique(comparison.stations.observations.station))
+    if count < LEAST_STATIONS:
+        raise TooFewSeenError(count, LEAST_STATIONS, reason)
+    unchanged, explanations = causes(comparison)
+    return _result(comparison, unchanged, explanations, samples[0].stamp,
+                   [k + 1 for k in left_out])
 
 
 def _comparison(samples: Sequence[Sample], calibration: Calibration, method: Method,
@@ -110,74 +114,76 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, method: Met
         scale = math.sqrt(max(float(joint['variance_factor']), 1.0))
     except (KeyError, TypeError, ValueError) as error:
         raise NoCheckError(calibration.method, list(METHODS)) from error
-    seen = Seen(mounted(samples, config), method.features.observe(samples))
-    return Comparison(method, seen, calibration.T_flange_sensor @ sensor_axes(config), state,
+    stations = StationSet(mounted(samples, config), method.features.observe(samples))
+    return Comparison(method, stations, calibration.T_flange_sensor @ sensor_axes(config), state,
                       covariance, config, scale).labelled()
 
 
-def _judged(it: Comparison, nothing: float, found: Sequence[Cause], stamp: int,
+def _result(comparison: Comparison, unchanged: float, explanations: Sequence[Cause], stamp: int,
             left_out: list[int]) -> Check:
-    likelihood = np.array([cause.likelihood for cause in found])
-    evidence = float(np.logaddexp.reduce(likelihood) - np.log(len(found)) - nothing)
+    likelihood = np.array([cause.likelihood for cause in explanations])
+    evidence = float(np.logaddexp.reduce(likelihood) - np.log(len(explanations)) - unchanged)
     odds = np.exp(likelihood - np.logaddexp.reduce(likelihood))
     order = np.argsort(-odds)
-    few = order[:int(np.searchsorted(np.cumsum(odds[order]), SURE)) + 1]
-    named = [found[k] for k in few]
-    axes, shows = zip(*(smallest_moves(it, name) for name in ('target', 'sensor')), strict=True)
-    target, sensor = found[:2]
+    likeliest = order[:int(np.searchsorted(np.cumsum(odds[order]), SURE)) + 1]
+    named = [explanations[k] for k in likeliest]
+    axes, detectable = zip(*(smallest_moves(comparison, name) for name in ('target', 'sensor')),
+                           strict=True)
+    target, sensor = explanations[:2]
     if evidence < math.log(EVIDENCE):
-        verdict, sentence = 'unchanged', _unchanged(axes, shows)
+        verdict, sentence = 'unchanged', _unchanged(axes, detectable)
     else:
         verdict = ' or '.join(cause.name for cause in named)
-        sentence = '; or '.join(_said(it, cause) for cause in named)
+        sentence = '; or '.join(_cause_sentence(comparison, cause) for cause in named)
         if len(named) > 1:
-            chances = ', '.join(f'{CAUSES[k]} {odds[k]:.0%}' for k in few)
-            sentence = f'these stops cannot decide ({chances}): {sentence}. {_deciding(it, named)}'
-    p, kind = points_in_base(it.seen, it.X), it.seen.observations.kind
+            text = ', '.join(f'{CAUSES[k]} {odds[k]:.0%}' for k in likeliest)
+            sentence = (f'these stops cannot decide ({text}): {sentence}. '
+                        f'{_deciding(comparison, named)}')
     if left_out:
         sentence += f'. Left out, as they contradict the others: stops {left_out}'
-    g = it.method.geometry.conditions(p, kind, it.state, it.config).g
-    return Check(stamp, verdict, sentence, len(np.unique(it.seen.observations.station)),
-                 float(np.sqrt((g ** 2).mean())), math.exp(min(evidence, 700.0)),
+    g = comparison.conditions(comparison.points).g
+    count = len(np.unique(comparison.stations.observations.station))
+    return Check(stamp, verdict, sentence, count, float(np.sqrt((g ** 2).mean())),
+                 math.exp(min(evidence, 700.0)),
                  dict(zip(CAUSES, map(float, odds), strict=True)), *_size(target), *_size(sensor),
                  sensor.displacement, sensor.displacement_std,
-                 _finite(shows[0]), axes[0].tolist(), _finite(shows[1]), axes[1].tolist(),
-                 left_out)
+                 _finite(detectable[0]), axes[0].tolist(), _finite(detectable[1]),
+                 axes[1].tolist(), left_out)
 
 
-def _finite(shows: Array) -> list[float]:
-    return [float(v) if v < UNSEEN else math.nan for v in shows]
+def _finite(detectable: Array) -> list[float]:
+    return [float(v) if v < UNSEEN else math.nan for v in detectable]
 
 
 def _size(cause: Cause) -> tuple[float, float]:
     return float(np.linalg.norm(cause.move[:3])), float(np.linalg.norm(cause.move[3:]))
 
 
-def _said(it: Comparison, cause: Cause) -> str:
-    moved, turned = _size(cause)
+def _cause_sentence(comparison: Comparison, cause: Cause) -> str:
+    shift, rotation = _size(cause)
     off = f'{mm(cause.displacement)} ± {mm(2 * cause.displacement_std)}'
     if cause.name == 'target':
         return (f'the target, or the base of the robot, moved by up to {off} where it was seen, '
-                f'and turned by {math.degrees(turned):.3f} degrees; the calibration holds')
+                f'and turned by {math.degrees(rotation):.3f} degrees; the calibration holds')
     if cause.name == 'sensor':
-        return (f'the sensor moved on the flange by {mm(moved)} and {math.degrees(turned):.3f} '
+        return (f'the sensor moved on the flange by {mm(shift)} and {math.degrees(rotation):.3f} '
                 f'degrees: points are off by up to {off}; calibrate again')
     return ('the poses of the robot err otherwise than before (mastering, a joint, wear), or '
             'repeat worse than noise.robot_* says: check the robot before the sensor')
 
 
-def _unchanged(axes: Sequence[Array], shows: Sequence[Array]) -> str:
-    """Return what would have shown, and what could not have."""
-    moves = list(zip(shows[0], axes[0], strict=True))
-    seen = [f'{mm(size)} along {_axis(axis)}' for size, axis in moves if size < UNSEEN]
-    lost = [_axis(axis) for size, axis in moves if size >= UNSEEN]
-    sensor = shows[1][-1]
+def _unchanged(axes: Sequence[Array], detectable: Sequence[Array]) -> str:
+    """Return which changes were detectable, and which were not."""
+    moves = list(zip(detectable[0], axes[0], strict=True))
+    visible = [f'{mm(size)} along {_axis(axis)}' for size, axis in moves if size < UNSEEN]
+    invisible = [_axis(axis) for size, axis in moves if size >= UNSEEN]
+    sensor = detectable[1][-1]
     text = ('the calibration holds, and the target is where it was. Shifts of the target would '
-            f'have shown from {", ".join(seen)} of the base on')
-    text += f'; a slide along {" or ".join(lost)} cannot be seen' if lost else ''
+            f'have shown from {", ".join(visible)} of the base on')
+    text += f'; a slide along {" or ".join(invisible)} cannot be seen' if invisible else ''
     return text + ('; those of the sensor ' + (
         f'from {mm(sensor)} on in every direction' if sensor < UNSEEN else
-        f'from {mm(shows[1][0])} on, but none along {_axis(axes[1][-1])} of the flange'))
+        f'from {mm(detectable[1][0])} on, but none along {_axis(axes[1][-1])} of the flange'))
 
 
 def _axis(axis: Array) -> str:
@@ -187,26 +193,27 @@ def _axis(axis: Array) -> str:
     return '(' + ' '.join(f'{v:.2f}' for v in axis) + ')'
 
 
-def _deciding(it: Comparison, named: Sequence[Cause]) -> str:
-    """Return which two further stops tell two causes apart best, in words."""
+def _deciding(comparison: Comparison, named: Sequence[Cause]) -> str:
+    """Return in words two further stops that best distinguish two causes."""
     moves = {cause.name: cause.move for cause in named}
     if not {'target', 'sensor'} <= moves.keys():
         return ('Repeat the recording with the sensor turned by 90 degrees about its z at two of '
                 'the stops: an error of the robot differs there, a move does not')
-    seen, obs = it.seen, it.seen.observations
+    stations, obs = comparison.stations, comparison.stations.observations
     rows = [int(np.flatnonzero(obs.station == s)[0]) for s in np.unique(obs.station)]
-    p, centre = points_in_base(seen, it.X), points_in_base(seen, it.X).mean(axis=0)
-    by_p = it.method.geometry.conditions(p, obs.kind, it.state, it.config).dg_dp
-    lever = by_calibration(seen, it.X)
+    p = comparison.points
+    by_p = comparison.conditions(p).dg_dp
+    lever = by_calibration(stations, comparison.X)
     best: dict[int, tuple[float, Array]] = {}
     for row, turn in product(rows, TURNS):
-        R = seen.poses[obs.station[row], :3, :3] @ it.X[:3, :3]
-        turned = R @ se3.exp_rotation(turn) @ R.T  # about the point that is seen
-        by_sensor = -(turned @ lever[row]) @ moves['sensor']
-        by_target = moves['target'][:3] + np.cross(moves['target'][3:], p[row] - centre)
-        apart = abs(float(by_p[row] @ (by_sensor + by_target)))
-        if apart > best.get(row, (0.0, turn))[0]:
-            best[row] = (apart, turn)
+        R = stations.poses[obs.station[row], :3, :3] @ comparison.X[:3, :3]
+        rotation = R @ se3.exp_rotation(turn) @ R.T  # about the point that is seen
+        by_sensor = -(rotation @ lever[row]) @ moves['sensor']
+        by_target = moves['target'][:3] + np.cross(moves['target'][3:],
+                                                   p[row] - p.mean(axis=0))
+        separation = abs(float(by_p[row] @ (by_sensor + by_target)))
+        if separation > best.get(row, (0.0, turn))[0]:
+            best[row] = (separation, turn)
     stops = sorted(best, key=lambda row: -best[row][0])[:2]
     return 'Two more stops would decide it: ' + ' and '.join(
         f'stop {int(obs.station[row]) + 1} again with the sensor turned by '
@@ -214,29 +221,30 @@ def _deciding(it: Comparison, named: Sequence[Cause]) -> str:
         f'{"xyz"[int(np.argmax(np.abs(best[row][1])))]}' for row in stops)
 
 
-def with_offset(found: Check, now: TimeOffset, calibration: Calibration) -> Check:
-    """Return a check with what a sweep says of the time offset."""
-    before = calibration.time_offset
-    if before is None:
-        return found
-    change, std = now.value - before.value, math.hypot(now.std, before.std)
-    found = replace(found, time_offset_changed=change, time_offset_changed_std=std)
-    changed, said = compared(now, before)
+def with_offset(result: Check, offset: TimeOffset, calibration: Calibration) -> Check:
+    """Return a check with the time offset of a sweep."""
+    previous = calibration.time_offset
+    if previous is None:
+        return result
+    change, std = offset.value - previous.value, math.hypot(offset.std, previous.std)
+    result = replace(result, time_offset_changed=change, time_offset_changed_std=std)
+    changed, sentence = compared(offset, previous)
     if not changed:
-        return replace(found, sentence=f'{found.sentence}. {said[0].upper()}{said[1:]}')
-    if found.verdict == 'unchanged':
-        return replace(found, verdict='clock', sentence=f'{said}. Apart from it {found.sentence}')
-    return replace(found, verdict=f'{found.verdict} and clock',
-                   sentence=f'{found.sentence}; {said}')
+        return replace(result, sentence=f'{result.sentence}. {sentence[0].upper()}{sentence[1:]}')
+    if result.verdict == 'unchanged':
+        return replace(result, verdict='clock',
+                       sentence=f'{sentence}. Apart from it {result.sentence}')
+    return replace(result, verdict=f'{result.verdict} and clock',
+                   sentence=f'{result.sentence}; {sentence}')
 
 
 def some_of_sweep(samples: Sequence[Sample]) -> list[Sample]:
-    """Return some of the samples of a sweep, evenly spread, as if the robot had stopped there."""
-    every = -(-len(samples) // KEPT)
-    return [replace(sample, motion=None) for sample in samples[every // 2::every]]
+    """Return some samples of a sweep, evenly spaced, as samples of stops."""
+    step = -(-len(samples) // KEPT)
+    return [replace(sample, motion=None) for sample in samples[step // 2::step]]
 
 
 def values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str, Any]:
     """Return checks, each with the name of its recording, as plain values."""
     return {'format': FORMAT, 'against': against,
-            'checks': [{'input': name, **asdict(found)} for name, found in checks]}
+            'checks': [{'input': name, **asdict(result)} for name, result in checks]}

@@ -1,5 +1,5 @@
 """
-Pass, fail or undecided: the rule that a verification is decided by.
+The decision rule of a verification: pass, fail or undecided.
 
 ISO 14253-1 with the expanded uncertainty U = k u of the measurement here (sensor, robot, nominal
 value): pass where |deviation| + U <= tolerance, fail where |deviation| - U > tolerance. The
@@ -14,28 +14,28 @@ import math
 from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array
 from handeye_ros.errors import mm
-from handeye_ros.estimation.outliers import chi2_sf
-from handeye_ros.results.verified import shown
+from handeye_ros.least_squares.outliers import chi2_sf
+from handeye_ros.results.verified import formatted
 from handeye_ros.verification.fixed_fit import FixedFit
 from handeye_ros.verification.verification import K, Quantity, StationResult
 import numpy as np
 import scipy.linalg
 
-SENSITIVE = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % where false alarms are 5 %
+SENSITIVE = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % if false alarms are 5 %
 NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
-SIGNIFICANT = 0.01  # p of what is no chance
-INCONSISTENT = 1e-3  # p of points that disagree
-FOREIGN = 1e-6  # p of points that no error of the calibration explains
-LARGE = 0.01  # m: a tolerance that is questioned
+SIGNIFICANT = 0.01  # level of the tests of a calibration error
+INCONSISTENT = 1e-3  # level of the test that the points agree
+FOREIGN = 1e-6  # below this p no error of the calibration explains the points
+LARGE = 0.01  # m: a larger tolerance gets a note
 
 
 @dataclass(frozen=True)
 class Sensitivity:
     """
-    The smallest error of the calibration that shows, in the direction that shows least.
+    The smallest detectable error of the calibration, in the least sensitive direction.
 
-    size: root mean square displacement of the points (m); estimate: the same of what was found in
-    this direction; direction: in words.
+    size: root mean square displacement of the points (m); estimate: that of the estimated error
+    in this direction; direction: in words.
     """
 
     size: float
@@ -48,18 +48,18 @@ class Sensitivity:
         return self.size / SENSITIVE
 
 
-def sensitivity(found: FixedFit) -> Sensitivity:
-    """Return which error of the calibration would just show, in the worst direction."""
-    shift = found.shift + 1e-12 * np.trace(found.shift) * np.eye(6)
-    power, directions = scipy.linalg.eigh(found.information, shift)
+def sensitivity(fit: FixedFit) -> Sensitivity:
+    """Return the smallest detectable error of the calibration in the worst direction."""
+    shift = fit.shift + 1e-12 * np.trace(fit.shift) * np.eye(6)
+    power, directions = scipy.linalg.eigh(fit.information, shift)
     worst = directions[:, 0]  # displaces the points by 1 m RMS
-    moved = np.linalg.norm(worst[:3])
-    turned = np.sqrt(max(worst[3:] @ found.shift[3:, 3:] @ worst[3:], 0.0))
-    what, axis = (('position along', worst[:3]) if moved >= turned else
-                  ('rotation about', worst[3:]))
+    shift_size = np.linalg.norm(worst[:3])
+    rotation_size = np.sqrt(max(worst[3:] @ fit.shift[3:, 3:] @ worst[3:], 0.0))
+    motion, axis = (('position along', worst[:3]) if shift_size >= rotation_size else
+                    ('rotation about', worst[3:]))
     return Sensitivity(float(SENSITIVE / np.sqrt(max(power[0], 1e-12))),
-                       abs(float(worst @ shift @ found.error)),
-                       f'{what} {_axis(axis)} of the flange')
+                       abs(float(worst @ shift @ fit.error)),
+                       f'{motion} {_axis(axis)} of the flange')
 
 
 def _axis(direction: Array) -> str:
@@ -68,12 +68,12 @@ def _axis(direction: Array) -> str:
     return ' and '.join([', '.join(names[:-1]), names[-1]] if names[1:] else names)
 
 
-def decide(found: FixedFit, weakest: Sensitivity, quantities: Sequence[Quantity],
+def decide(fit: FixedFit, weakest: Sensitivity, quantities: Sequence[Quantity],
            stations: Sequence[StationResult], limits: VerifyConfig
            ) -> tuple[str, tuple[str, ...]]:
-    """Return the verdict (pass, fail, undecided or insensitive), and the reasons as sentences."""
-    notes = _notes(found, stations, limits)
-    failed = [*_failed(quantities, stations, limits), *_implied(found, limits)]
+    """Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences."""
+    notes = _notes(fit, stations, limits)
+    failed = [*_failed(quantities, stations, limits), *_implied(fit, limits)]
     if failed:
         return 'fail', (*failed, *notes)
     used = sum(station.used for station in stations)
@@ -83,14 +83,14 @@ def decide(found: FixedFit, weakest: Sensitivity, quantities: Sequence[Quantity]
             f'an error of the calibration would show only from {mm(weakest.size)} on '
             f'({weakest.direction}), and the tolerance is {mm(limits.tolerance)}: turn the sensor '
             'more between the stops' + _or_measure(more, used, ', or'), *notes)
-    unsure = _unsure(quantities, limits, used) + _suggested(found, weakest, limits)
-    return ('undecided', (*unsure, *notes)) if unsure else ('pass', notes)
+    undecided = _unsure(quantities, limits, used) + _suggested(fit, weakest, limits)
+    return ('undecided', (*undecided, *notes)) if undecided else ('pass', notes)
 
 
-def _suggested(found: FixedFit, weakest: Sensitivity, limits: VerifyConfig) -> list[str]:
-    """Return a sentence where the points show an error that may exceed the tolerance."""
+def _suggested(fit: FixedFit, weakest: Sensitivity, limits: VerifyConfig) -> list[str]:
+    """Return a sentence if the points indicate an error that may exceed the tolerance."""
     for size, std, is_seen in (
-            (found.implied, found.implied_std, found.p_no_error < SIGNIFICANT),
+            (fit.implied, fit.implied_std, fit.p_no_error < SIGNIFICANT),
             (weakest.estimate, weakest.std, weakest.estimate > NORMAL_95 * weakest.std)):
         if is_seen and size + ONE_SIDED_95 * std > limits.tolerance:
             return [f'the points suggest an error of the calibration of {mm(size)} ± '
@@ -101,63 +101,65 @@ def _suggested(found: FixedFit, weakest: Sensitivity, limits: VerifyConfig) -> l
 
 def _failed(quantities: Sequence[Quantity], stations: Sequence[StationResult],
             limits: VerifyConfig) -> list[str]:
-    failed = [f'{q.name} is off by {shown(q.error, q.unit)} ± {shown(q.expanded, q.unit)} '
+    failed = [f'{q.name} is off by {formatted(q.error, q.unit)} ± {formatted(q.expanded, q.unit)} '
               f'(k = {K:g})' for q in quantities
               if q.error is not None and abs(q.error) - q.expanded > _tolerance(q, limits)]
-    far = [s for s in stations if s.used and K * s.std <= limits.tolerance
-           and s.distance - K * s.std > limits.tolerance]
-    if far:
-        worst = max(far, key=lambda s: s.distance)
-        failed.append(f'points of {len(far)} of {len(stations)} stops lie up to '
+    outside = [s for s in stations if s.used and K * s.std <= limits.tolerance
+               and s.distance - K * s.std > limits.tolerance]
+    if outside:
+        worst = max(outside, key=lambda s: s.distance)
+        failed.append(f'points of {len(outside)} of {len(stations)} stops lie up to '
                       f'{mm(worst.distance)} from the fit (the worst: {worst.name})')
     return failed
 
 
-def _implied(found: FixedFit, limits: VerifyConfig) -> list[str]:
-    """Return a sentence when the points show that the calibration is off by more."""
-    if found.p_no_error > SIGNIFICANT or _other_size(found) or (
-            found.implied - ONE_SIDED_95 * found.implied_std <= limits.tolerance):
+def _implied(fit: FixedFit, limits: VerifyConfig) -> list[str]:
+    """Return a sentence if the points indicate a larger error of the calibration."""
+    if fit.p_no_error > SIGNIFICANT or _other_size(fit) or (
+            fit.implied - ONE_SIDED_95 * fit.implied_std <= limits.tolerance):
         return []
-    return [f'the pattern of the distances matches a calibration error of {mm(found.implied)} ± '
-            f'{mm(K * found.implied_std)} (k = {K:g}) at the points']
+    return [f'the pattern of the distances matches a calibration error of {mm(fit.implied)} ± '
+            f'{mm(K * fit.implied_std)} (k = {K:g}) at the points']
 
 
-def _other_size(found: FixedFit) -> bool:
-    """Tell whether the shape fits, but no error of the calibration explains its size too."""
-    return found.p_error < FOREIGN < found.p
+def _other_size(fit: FixedFit) -> bool:
+    """Return whether the shape fits, and no error of the calibration explains its size."""
+    return fit.p_error < FOREIGN < fit.p
 
 
 def _unsure(quantities: Sequence[Quantity], limits: VerifyConfig, used: int) -> list[str]:
-    unsure = []
+    sentences = []
     for q in quantities:
-        left = None if q.error is None else _tolerance(q, limits) - abs(q.error)
-        if left is None or q.expanded <= left:
+        margin = None if q.error is None else _tolerance(q, limits) - abs(q.error)
+        if margin is None or q.expanded <= margin:
             continue
-        more = math.ceil(used * (q.expanded / left) ** 2) if left > 0 else 0
-        unsure.append(
-            f'{q.name} is off by {shown(q.error, q.unit)}, its uncertainty is '
-            f'{shown(q.expanded, q.unit)} (k = {K:g}), and together they exceed the tolerance '
-            f'of {shown(_tolerance(q, limits), q.unit)}'
+        more = math.ceil(used * (q.expanded / margin) ** 2) if margin > 0 else 0
+        sentences.append(
+            f'{q.name} is off by {formatted(q.error, q.unit)}, its uncertainty is '
+            f'{formatted(q.expanded, q.unit)} (k = {K:g}), and together they exceed the tolerance '
+            f'of {formatted(_tolerance(q, limits), q.unit)}'
             + _or_measure(more, used, ':'))
-    return unsure
+    return sentences
 
 
-def _or_measure(more: int, used: int, before: str) -> str:
-    """Return the advice to measure at more stops, nothing where nobody would."""
-    return f'{before} measure at about {more} stops like these' if 0 < more < 100 * used else ''
+def _or_measure(stops: int, used: int, conjunction: str) -> str:
+    """Return the advice to measure at so many stops, '' if these would not help."""
+    if not 0 < stops < 100 * used:
+        return ''
+    return f'{conjunction} measure at about {stops} stops like these'
 
 
-def _notes(found: FixedFit, stations: Sequence[StationResult], limits: VerifyConfig
+def _notes(fit: FixedFit, stations: Sequence[StationResult], limits: VerifyConfig
            ) -> tuple[str, ...]:
     notes = [f'{s.name} is left out: {s.reason}' for s in stations if not s.used]
-    if found.p < INCONSISTENT:
+    if fit.p < INCONSISTENT:
         notes.append(f'the points disagree by more than calibration, noise.sensor and '
-                     f'noise.robot_* explain (p = {found.p:.1g}): the calibration is worse than '
+                     f'noise.robot_* explain (p = {fit.p:.1g}): the calibration is worse than '
                      'it claims, the artefact moved, or the noise is set too small')
-    if _other_size(found):
+    if _other_size(fit):
         notes.append('the points fit the shape, and no error of the calibration explains these '
                      'deviations: check the nominal values (--radius, --length)')
-    claim = claim_p(found)
+    claim = claim_p(fit)
     if claim < SIGNIFICANT:
         notes.append(f'the deviations are larger than the calibration claims (p = {claim:.1g})')
     if limits.tolerance > LARGE:
@@ -166,9 +168,9 @@ def _notes(found: FixedFit, stations: Sequence[StationResult], limits: VerifyCon
     return tuple(notes)
 
 
-def claim_p(found: FixedFit) -> float:
-    """Return how often deviations are as large with the calibration's claimed covariance."""
-    return float(chi2_sf(found.region, found.freedom)) if found.freedom else 1.0
+def claim_p(fit: FixedFit) -> float:
+    """Return the p-value of the deviations under the calibration's stated covariance."""
+    return float(chi2_sf(fit.region, fit.freedom)) if fit.freedom else 1.0
 
 
 def _tolerance(q: Quantity, limits: VerifyConfig) -> float:

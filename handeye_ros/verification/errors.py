@@ -1,4 +1,4 @@
-"""What verifications and checks refuse."""
+"""Refusals of verifications and checks."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -7,38 +7,38 @@ from handeye_ros.errors import DataError, InputError, mm
 
 
 def any_of(counts: Sequence[int]) -> str:
-    """Return which counts are right, for a person."""
+    """Return the valid counts in words."""
     if len(counts) > 3:
         return f'{counts[0]} to {counts[-1]}'
     return ' or '.join(map(str, sorted(counts)))
 
 
 class WrongCountError(InputError):
-    """A routine that was not given what it needs; what: bags, or lengths."""
+    """A routine with a wrong number of bags or lengths (items)."""
 
-    def __init__(self, routine: str, what: str, given: int, needed: str) -> None:
-        super().__init__(f'{routine} needs {needed} {what}, and got {given}')
+    def __init__(self, routine: str, items: str, count: int, needed: str) -> None:
+        super().__init__(f'{routine} needs {needed} {items}, and got {count}')
 
 
 class NoPlanError(InputError):
-    """A routine whose stops are not planned."""
+    """A routine without a plan of stops."""
 
-    def __init__(self, routine: str, known: Sequence[str]) -> None:
-        super().__init__(f'stops are planned for {", ".join(known)}, not for "{routine}": see '
+    def __init__(self, routine: str, routines: Sequence[str]) -> None:
+        super().__init__(f'stops are planned for {", ".join(routines)}, not for "{routine}": see '
                          'docs/measure.md for its passes')
 
 
 class TooFewSeenError(DataError):
     """Too few stations for a verification."""
 
-    def __init__(self, stations: int, least: int, reason: str) -> None:
-        super().__init__(f'{stations} usable stations, fewer than {least}'
+    def __init__(self, stations: int, minimum: int, reason: str) -> None:
+        super().__init__(f'{stations} usable stations, fewer than {minimum}'
                          + (f' (of the others: {reason})' if reason else '')
                          + ': measure more, with the sensor turned differently at each')
 
 
 class SameRecordingError(InputError):
-    """Two recordings of a verification that hold the same stops; their numbers, from 1."""
+    """Two recordings of a verification with the same stops; their numbers, from 1."""
 
     def __init__(self, first: int, second: int) -> None:
         super().__init__(f'recordings {first} and {second} hold the same stops (equal stamps): '
@@ -46,7 +46,7 @@ class SameRecordingError(InputError):
 
 
 class BadCovarianceError(InputError):
-    """A calibration whose covariance is none."""
+    """A calibration whose covariance is not positive semidefinite."""
 
     def __init__(self) -> None:
         super().__init__('the covariance of the calibration has a negative variance, so it is '
@@ -54,7 +54,7 @@ class BadCovarianceError(InputError):
 
 
 class NotTheArtefactError(DataError):
-    """Points that do not have the shape of the artefact, whatever the calibration."""
+    """Points that do not have the shape of the artefact for any calibration."""
 
     def __init__(self, routine: str, distance: float) -> None:
         super().__init__(
@@ -64,7 +64,7 @@ class NotTheArtefactError(DataError):
 
 
 class NoAnswerError(DataError):
-    """A verification that says neither pass nor fail."""
+    """A verification without a verdict."""
 
     def __init__(self, verdict: str, reasons: Sequence[str]) -> None:
         super().__init__(f'{verdict}: ' + '; '.join(reasons))
@@ -87,7 +87,7 @@ class NothingToVerifyError(DataError):
 
 
 class NotStartedError(DataError):
-    """The result of a verification that was not started."""
+    """A result was requested of a verification that was not started."""
 
     def __init__(self) -> None:
         super().__init__('no verification was started: call ~/verify_start, stop at several '
@@ -95,52 +95,43 @@ class NotStartedError(DataError):
 
 
 class UnusableStopError(DataError):
-    """A stop that a verification cannot use; reason: why."""
+    """A stop that a verification cannot use, with the reason."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(f'the stop does not count for the verification: {reason}')
 
 
 class TooLongPassError(DataError):
-    """A pass of which not all poses could be kept; most: of them."""
+    """A pass with more poses than can be stored."""
 
-    def __init__(self, most: int) -> None:
-        super().__init__(f'a pass has more than {most} poses, and not all are kept: set '
+    def __init__(self, limit: int) -> None:
+        super().__init__(f'a pass has more than {limit} poses, and not all are kept: set '
                          'verify.routine again to start over, and scan in shorter passes')
 
 
 class NoTeethError(DataError):
-    """Points that are not those of the gauge; share: of them that are; least: of one face."""
+    """Points not on the gauge; on_gauge, on_face: the fraction on it, and on its rarest faces."""
 
-    def __init__(self, pitch: float, height: float, share: float, least: float) -> None:
+    def __init__(self, pitch: float, height: float, on_gauge: float, on_face: float) -> None:
         super().__init__(
-            f'this is not the gauge: {share:.0%} of the points lie on teeth of pitch {mm(pitch)} '
-            f'and height {mm(height)}, and {least:.1%} on their flats or on their flanks. Give '
-            'both lengths (--length PITCH --length HEIGHT), and scan the gauge alone')
+            f'this is not the gauge: {on_gauge:.0%} of the points lie on teeth of pitch '
+            f'{mm(pitch)} and height {mm(height)}, and {on_face:.1%} on their flats or on their '
+            'flanks. Give both lengths (--length PITCH --length HEIGHT), and scan the gauge alone')
 
 
 class NoCheckError(InputError):
-    """A calibration that does not say what a check compares with."""
+    """A calibration file without the values that a check compares with."""
 
-    def __init__(self, method: str, known: Sequence[str]) -> None:
+    def __init__(self, method: str, methods: Sequence[str]) -> None:
         super().__init__(
             f'the calibration (method {method}) does not hold what a check compares with: the '
             'target with its covariance. Solve its recording again with this version, as one of '
-            f'{", ".join(known)}, or measure a known object with "handeye verify"')
+            f'{", ".join(methods)}, or measure a known object with "handeye verify"')
 
 
 class NothingToCheckError(InputError):
-    """A check without what it needs."""
+    """A check without recordings or without a calibration."""
 
     def __init__(self) -> None:
-        super().__init__('say what to check: "handeye check BAG... --against calibration.yaml", '
-                         'or --folder DIR for the trend of many calibrations')
-
-
-class NoTrendError(DataError):
-    """A folder with too few calibrations to compare."""
-
-    def __init__(self, folder: object, count: int) -> None:
-        super().__init__(f'{folder} holds {count} readable calibration.yaml, and no two files of '
-                         'the same verification or check: a trend needs two of a kind (one '
-                         'calibration with --against)')
+        super().__init__('nothing to check: give "handeye check BAG... --against '
+                         'calibration.yaml", or --folder DIR for the trend of many calibrations')

@@ -1,4 +1,4 @@
-"""What a verification would show, predicted before anything is measured, and stops for it."""
+"""Planned stops of a verification, and the smallest error that they would detect."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
@@ -10,17 +10,17 @@ from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import mm
 from handeye_ros.frames import sensor_axes
-from handeye_ros.results.verified import shown
+from handeye_ros.results.verified import formatted
 from handeye_ros.simulate import gauges, SCENARIOS
 from handeye_ros.simulate.scenario import RobotModel
 from handeye_ros.verification.errors import NoPlanError
 from handeye_ros.verification.routines import Routine
 from handeye_ros.verification.verification import K, Verification
-from handeye_ros.verification.verify import seen_in, settings_for, verify
+from handeye_ros.verification.verify import settings_for, stations_of, verify
 import numpy as np
 
 TRIES = 8  # sets of stops, of which the one that shows most is proposed
-HEIGHTS, BAR, RADIUS = (0.025, 0.05, 0.1), (0.2,), 0.02  # m: of artefacts that are not described
+HEIGHTS, BAR, RADIUS = (0.025, 0.05, 0.1), (0.2,), 0.02  # m: defaults of the artefacts
 TURNED_OVER = np.diag([-1.0, 1.0, -1.0, 1.0])
 HEADER = ('part', 'stop', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')
 
@@ -38,9 +38,9 @@ ARTEFACTS: dict[str, Callable[..., gauges.Measured]] = {
 @dataclass(frozen=True, eq=False)
 class Plan:
     """
-    Stops, and what they would show.
+    Stops with their predicted sensitivity.
 
-    expected: of a calibration without error; T_base_flange: (n, 4, 4) for each part.
+    expected: the result for a calibration without error; T_base_flange: (n, 4, 4) for each part.
     """
 
     expected: Verification
@@ -48,14 +48,14 @@ class Plan:
 
 
 def plan(routine: Routine, calibration: Calibration, config: Config,
-         place: Sequence[float], stops: int, turns: float,
+         position: Sequence[float], stops: int, turns: float,
          limits: tuple[float, float] = SCENARIOS['plane'].sensor.range) -> Plan:
     """
-    Return the best of some sets of stops, each simulated with the noise of the configuration.
+    Return the best of several sets of stops, simulated with the configured noise.
 
-    place: of the artefact in the base (3,), its face upwards; stops: at each part; turns: largest
-    about each axis of the sensor (rad); limits: nearest and farthest distance from the sensor (m).
-    Raises NoPlanError.
+    position: of the artefact in the base (3,), its face upwards; stops: number at each part;
+    turns: largest rotation about each axis of the sensor (rad); limits: nearest and farthest
+    distance from the sensor (m). Raises NoPlanError.
     """
     if routine.name not in ARTEFACTS:
         raise NoPlanError(routine.name, list(ARTEFACTS))
@@ -68,32 +68,34 @@ def plan(routine: Routine, calibration: Calibration, config: Config,
     if config.profile.range_sign < 0:  # its zero is taken to be in the middle of the range
         X = X @ TURNED_OVER @ se3.transform(np.eye(3), np.array([0, 0, -np.mean(limits)]))
     exact = replace(calibration, T_flange_sensor=X)
+    T_base_artefact = se3.transform(np.eye(3), np.array(position))
     cell: dict[str, Any] = {
-        'count': stops, 'tilt': turns, 'mounted': (X, se3.transform(np.eye(3), np.array(place))),
+        'count': stops, 'tilt': turns, 'mounted': (X, T_base_artefact),
         'sensor': replace(SCENARIOS['plane'].sensor, noise=config.noise.sensor, range=limits),
         'robot': RobotModel((config.noise.robot_translation, config.noise.robot_rotation))}
     plans = []
     for seed in range(TRIES):
-        made = ARTEFACTS[routine.name](np.random.default_rng(seed), nominal, **cell)
-        settings = settings_for(routine, standard, len(made.bags))
-        seen = [seen_in(routine, samples, exact, settings) for samples in made.bags]
-        plans.append(Plan(verify(routine, seen, exact, settings),
-                          tuple(np.array([s.T_base_flange for s in part]) for part in made.bags)))
-    best = min(plans, key=lambda one: one.expected.smallest_error)
+        simulated = ARTEFACTS[routine.name](np.random.default_rng(seed), nominal, **cell)
+        settings = settings_for(routine, standard, len(simulated.bags))
+        observed = [stations_of(routine, bag, exact, settings) for bag in simulated.bags]
+        plans.append(Plan(verify(routine, observed, exact, settings),
+                          tuple(np.array([s.T_base_flange for s in bag])
+                                for bag in simulated.bags)))
+    best = min(plans, key=lambda candidate: candidate.expected.smallest_error)
     if config.calibration_type == 'eye_on_base':
         return replace(best, T_base_flange=tuple(map(se3.inverse, best.T_base_flange)))
     return best
 
 
-def csv_text(found: Plan) -> str:
+def csv_text(best: Plan) -> str:
     """Return the stops as CSV: poses of the flange in the base, metres and quaternions."""
     return output.csv_text(HEADER, (
         (part, stop, *(f'{v:.6f}' for v in (*T[:3, 3], *se3.quaternion(T))))
-        for part, poses in enumerate(found.T_base_flange, 1) for stop, T in enumerate(poses, 1)))
+        for part, poses in enumerate(best.T_base_flange, 1) for stop, T in enumerate(poses, 1)))
 
 
 def sentences(best: Plan, others: Sequence[Plan]) -> Iterator[str]:
-    """Yield what stops would show, and how many would be needed, for a person."""
+    """Yield the predicted sensitivity, and the number of stops needed, in words."""
     expected, stops = best.expected, len(best.T_base_flange[0])
     parts = f' at each of {len(best.T_base_flange)} parts' if len(best.T_base_flange) > 1 else ''
     yield (f'with these {stops} stops{parts} an error of the calibration of '
@@ -101,7 +103,7 @@ def sentences(best: Plan, others: Sequence[Plan]) -> Iterator[str]:
            f'sensitive to the {expected.weakest_direction}')
     for q in expected.quantities:
         if q.nominal is not None:
-            yield f'{q.name}: U = {shown(q.expanded, q.unit)} (k = {K:g})'
+            yield f'{q.name}: U = {formatted(q.expanded, q.unit)} (k = {K:g})'
     counts = {len(p.T_base_flange[0]): p.expected.smallest_error for p in (best, *others)}
     yield 'stops: error that would show; ' + ', '.join(
         f'{n}: {mm(counts[n])}' for n in sorted(counts))

@@ -1,4 +1,4 @@
-"""The routines that verify a calibration, by name."""
+"""The verification routines, by name."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
@@ -16,25 +16,26 @@ from handeye_ros.targets import METHODS
 from handeye_ros.targets.common import edge_noise, ObservationRows
 from handeye_ros.verification import shapes, tooth_gauge
 from handeye_ros.verification.fixed_fit import FixedFit, points_in_base
-from handeye_ros.verification.shapes import BAGS, Kinds, Seen, Shape
+from handeye_ros.verification.shapes import BAGS, Kinds, Shape, StationSet
 from handeye_ros.verification.verification import Quantity
 import numpy as np
 
 TEETH = 'teeth'  # the target of a routine that takes points while the robot moves
-TRIALS = 300  # pairs of edge points that an edge is looked for with
+TRIALS = 300  # random pairs of edge points in the search for a common edge
 
 
 @dataclass(frozen=True)
 class Routine:
     """
-    A way to verify a calibration.
+    One way to verify a calibration.
 
     says: what it measures. target: the target.type whose features the stations give, or TEETH
-    where points are taken while the robot moves. bags: how many, least and most; lengths: how
-    many of verify.lengths there may be for so many bags. observe(samples, poses (n, 4, 4), X): the
-    conditions of one bag, where the robot stops; shape(seen, points (m, 3), nominal): what is
-    fitted, and what takes part. names(bags, values): name, unit and characteristic (see Quantity)
-    of each value; spread(seen, X, fit): what single stations show beside the fit.
+    where points are taken while the robot moves. bags: smallest and largest number; lengths: valid
+    numbers of verify.lengths for a number of bags. observe(samples, poses (n, 4, 4), X): the
+    conditions of one bag, where the robot stops; shape(stations, points (m, 3), nominal): the
+    stations that take part, and the shape to fit. names(bags, values): name, unit and
+    characteristic (see Quantity) of each value; spread(stations, X, fit): further quantities, from
+    single stations.
     """
 
     name: str
@@ -42,45 +43,45 @@ class Routine:
     target: str
     bags: tuple[int, int]
     observe: Callable[[Sequence[Sample], Array, Array], Observations]
-    shape: Callable[[Seen, Array, VerifyConfig], tuple[Seen, Shape]]
+    shape: Callable[[StationSet, Array, VerifyConfig], tuple[StationSet, Shape]]
     names: Callable[[int, int], Iterator[tuple[str, str, str]]]
     lengths: Callable[[int], tuple[int, ...]] = lambda bags: (0,)
-    spread: Callable[[Seen, Array, FixedFit], tuple[Quantity, ...]] = lambda seen, X, found: ()
+    spread: Callable[[StationSet, Array, FixedFit], tuple[Quantity, ...]] = lambda *_: ()
 
 
 def faces(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
-    """Return the normal points of each face line."""
+    """Return the normal points of all face lines."""
     return METHODS['plane'].features.observe(samples)
 
 
 def arcs(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
-    """Return the normal points of each arc."""
+    """Return the normal points of all arcs."""
     return METHODS['sphere'].features.observe(samples)
 
 
 def edge_points(samples: Sequence[Sample], poses: Array, X: Array, line: bool) -> Observations:
     """
-    Return the distances of one edge point of each station: the one at the common line or point.
+    Return the distances of one edge point per station, the one nearest a common line or point.
 
     line: two distances from a line, else three from a point.
     """
-    found = [(station, f) for station, sample in enumerate(samples)
+    edges = [(station, f) for station, sample in enumerate(samples)
              for f in sample.features if isinstance(f, EdgePoint)]
     rows = ObservationRows()
-    if found:
-        station = np.array([s for s, _ in found])
-        inside = np.array([f.point for _, f in found])
-        in_mount = inside @ X[:3, [0, 2]].T + X[:3, 3]
+    if edges:
+        station = np.array([s for s, _ in edges])
+        points = np.array([f.point for _, f in edges])
+        in_mount = points @ X[:3, [0, 2]].T + X[:3, 3]
         p = np.array([se3.apply(poses[s], m[None])[0]
                       for s, m in zip(station, in_mount, strict=True)])
         for k in _common(p, station, line):
-            for what in range(2 if line else 3):
-                rows.add(int(station[k]), inside[k], what, edge_noise(found[k][1]), 0)
+            for direction in range(2 if line else 3):
+                rows.add(int(station[k]), points[k], direction, edge_noise(edges[k][1]), 0)
     return rows.observations()
 
 
 def _common(p: Array, station: Array, line: bool) -> list[int]:
-    """Return for each station which point (k, 3) lies nearest to the best common line or point."""
+    """Return for each station the point (k, 3) nearest to the best common line or point."""
     rng = np.random.default_rng(0)
     best, chosen = np.inf, np.empty(0, dtype=int)
     for _ in range(TRIALS):
@@ -101,31 +102,31 @@ def _common(p: Array, station: Array, line: bool) -> list[int]:
     return [int(k) for k in chosen]
 
 
-def whole(shape: Callable[[Array, Kinds, VerifyConfig], Shape]
-          ) -> Callable[[Seen, Array, VerifyConfig], tuple[Seen, Shape]]:
-    """Return how a shape is fitted in which all observations take part."""
-    def fitted(seen: Seen, p: Array, nominal: VerifyConfig) -> tuple[Seen, Shape]:
-        return seen, shape(p, seen.observations.kind, nominal)
+def fit_all(shape: Callable[[Array, Kinds, VerifyConfig], Shape]
+            ) -> Callable[[StationSet, Array, VerifyConfig], tuple[StationSet, Shape]]:
+    """Return the fit of a shape to all observations."""
+    def fitted(stations: StationSet, p: Array, nominal: VerifyConfig) -> tuple[StationSet, Shape]:
+        return stations, shape(p, stations.observations.kind, nominal)
 
     return fitted
 
 
-def _points_spread(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
-    """Return 3 sigma of the points of the stations along x, y and z of the base."""
-    p, kind = points_in_base(seen, X), seen.observations.kind % BAGS
+def _point_scatter(stations: StationSet, X: Array, fit: FixedFit) -> tuple[Quantity, ...]:
+    """Return 3 sigma of the points along x, y and z of the base."""
+    p, kind = points_in_base(stations, X), stations.observations.kind % BAGS
     return tuple(_spread(f'3 sigma of the points along {axis}', 3 * float(
         p[kind == k, k].std(ddof=1)), int((kind == k).sum()) - 1) for k, axis in enumerate('xyz'))
 
 
-def _centres_spread(seen: Seen, X: Array) -> tuple[Quantity, ...]:
+def _centre_scatter(stations: StationSet, X: Array) -> tuple[Quantity, ...]:
     """
-    Return 1 sigma, each axis, of the centres of the arcs about that of their ball.
+    Return 1 sigma per axis of the centres of arcs about the centre of their ball.
 
-    An arc tells its centre in the light plane: two conditions of the centre of the ball.
+    An arc determines its centre in the light plane: two conditions on the centre of the ball.
     """
-    obs, poses = seen.observations, seen.poses
+    obs, poses = stations.observations, stations.poses
     bag = obs.kind // BAGS
-    sentences = []
+    quantities = []
     for k in range(int(bag.max()) + 1):
         rows, values = [], []
         for station in np.unique(obs.station[bag == k]):
@@ -135,48 +136,50 @@ def _centres_spread(seen: Seen, X: Array) -> tuple[Quantity, ...]:
             centre = fit_circle(obs.points[obs.station == station])[:2]
             values.append(centre + axes @ sensor[:3, 3])
         A, b = np.concatenate(rows), np.concatenate(values)
-        off = b - A @ np.linalg.lstsq(A, b, rcond=None)[0]
+        deviation = b - A @ np.linalg.lstsq(A, b, rcond=None)[0]
         freedom = max(len(b) - 3, 1)
-        sentences.append(_spread(f'scatter of the centre of ball {k + 1}, 1 sigma',
-                                 float(np.sqrt(off @ off / freedom)), freedom))
-    return tuple(sentences)
+        quantities.append(_spread(f'scatter of the centre of ball {k + 1}, 1 sigma',
+                                  float(np.sqrt(deviation @ deviation / freedom)), freedom))
+    return tuple(quantities)
 
 
-def _form(name: str, symbol: str, seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
-    """Return the form error of each face or ball: its highest point less its lowest."""
-    bag = seen.observations.kind // BAGS
-    parts = [found.distances[bag == k] for k in range(int(bag.max()) + 1)]
-    return tuple(_spread(f'{name} {k}, noise included', float(np.ptp(away)), len(away) - 1, symbol)
-                 for k, away in enumerate(parts, 1))
+def _form_error(name: str, symbol: str, stations: StationSet, X: Array, fit: FixedFit
+                ) -> tuple[Quantity, ...]:
+    """Return the form error of each face or ball: highest point less lowest point."""
+    bag = stations.observations.kind // BAGS
+    distances = [fit.distances[bag == k] for k in range(int(bag.max()) + 1)]
+    return tuple(_spread(f'{name} {k}, noise included', float(np.ptp(part)), len(part) - 1, symbol)
+                 for k, part in enumerate(distances, 1))
 
 
-def _balls_spread(seen: Seen, X: Array, found: FixedFit) -> tuple[Quantity, ...]:
-    """Return form error of each ball, and how its centre scatters from stop to stop."""
-    return (*_form('form error of ball', 'PF', seen, X, found), *_centres_spread(seen, X))
+def _ball_scatter(stations: StationSet, X: Array, fit: FixedFit) -> tuple[Quantity, ...]:
+    """Return the form error of each ball, and the scatter of its centre between stops."""
+    return (*_form_error('form error of ball', 'PF', stations, X, fit),
+            *_centre_scatter(stations, X))
 
 
 def _spread(name: str, value: float, freedom: int, symbol: str = '') -> Quantity:
-    """Return a spread with its own 1 sigma, as that of a normal scatter of so many freedoms."""
+    """Return a standard deviation with its own 1 sigma, for normal scatter."""
     return Quantity(name, value, value / math.sqrt(2 * max(freedom, 1)), 0.0,
                     characteristic=symbol)
 
 
 def _named(*names: tuple[str, str, str]) -> Callable[[int, int], Iterator[tuple[str, str, str]]]:
-    """Return the same name, unit and characteristic for each value, whatever was measured."""
+    """Return the same name, unit and characteristic for each value."""
     return lambda bags, values: iter(names)
 
 
 def _heights(bags: int, values: int) -> Iterator[tuple[str, str, str]]:
-    """Yield the names of the heights of blocks that have equally many faces each."""
+    """Yield the names of the heights of blocks with equally many faces each."""
     blocks = bags - values
     for k in range(values):
         block, face = divmod(k, values // blocks)
-        of = f' of block {block + 1}' if blocks > 1 else ''
-        yield f'height of face {face + 1} over face 0{of}', 'm', 'E'
+        suffix = f' of block {block + 1}' if blocks > 1 else ''
+        yield f'height of face {face + 1} over face 0{suffix}', 'm', 'E'
 
 
 def _blocks(bags: int) -> tuple[int, ...]:
-    """Return how many heights so many faces may have: of one block, two or three."""
+    """Return the possible numbers of heights for a number of faces: of one block, two or three."""
     return tuple(bags - n for n in (1, 2, 3) if bags % n == 0 and bags > n)
 
 
@@ -189,26 +192,27 @@ def _balls(bags: int, values: int) -> Iterator[tuple[str, str, str]]:
 
 ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
     Routine('line', 'distances of edge points from a straight edge', 'line', (1, 1),
-            partial(edge_points, line=True), whole(shapes.line), _named()),
+            partial(edge_points, line=True), fit_all(shapes.line), _named()),
     Routine('plane', 'distances of points from a flat face', 'plane', (1, 1), faces,
-            whole(shapes.free_planes), _named(), spread=partial(_form, 'flatness of face', 'F')),
+            fit_all(shapes.free_planes), _named(),
+            spread=partial(_form_error, 'flatness of face', 'F')),
     Routine('point', 'one point seen from everywhere: scatter, and bias of a touched one', 'line',
-            (1, 1), partial(edge_points, line=False), whole(shapes.point),
-            _named(('x', 'm', ''), ('y', 'm', ''), ('z', 'm', '')), spread=_points_spread),
-    Routine('sphere', 'radius of a ball', 'sphere', (1, 1), arcs, whole(shapes.spheres), _balls,
-            spread=_balls_spread),
-    Routine('ball_bar', 'distance of two balls', 'sphere', (2, 2), arcs, whole(shapes.spheres),
-            _balls, lambda bags: (bags - 1,), _balls_spread),
+            (1, 1), partial(edge_points, line=False), fit_all(shapes.point),
+            _named(('x', 'm', ''), ('y', 'm', ''), ('z', 'm', '')), spread=_point_scatter),
+    Routine('sphere', 'radius of a ball', 'sphere', (1, 1), arcs, fit_all(shapes.spheres), _balls,
+            spread=_ball_scatter),
+    Routine('ball_bar', 'distance of two balls', 'sphere', (2, 2), arcs, fit_all(shapes.spheres),
+            _balls, lambda bags: (bags - 1,), spread=_ball_scatter),
     Routine('step', 'heights of parallel faces over the first, of one block to three', 'plane',
-            (2, 12), faces, whole(shapes.parallel_planes), _heights, _blocks),
+            (2, 12), faces, fit_all(shapes.parallel_planes), _heights, _blocks),
     Routine('square', 'angle between two faces, and their flatness', 'plane', (2, 2), faces,
-            whole(shapes.free_planes), _named(('angle between the faces', 'rad', '')),
-            spread=partial(_form, 'flatness of face', 'F')),
+            fit_all(shapes.free_planes), _named(('angle between the faces', 'rad', '')),
+            spread=partial(_form_error, 'flatness of face', 'F')),
     Routine('tooth', 'pitch and height of a tooth gauge, scanned in passes', TEETH, (2, 20),
             faces, tooth_gauge.fitted, _named(('pitch', 'm', 'E'), ('height', 'm', 'E')),
             lambda bags: (2,)),
 )}
-"""What `handeye verify` knows."""
+"""The routines of `handeye verify`."""
 
 
 def routine_of(name: str) -> Routine:

@@ -1,5 +1,5 @@
 """
-A verification while the robot moves: stop by stop, one part (face, ball, pass) after the other.
+A running verification: stop by stop, one part (face, ball, pass) after the other.
 
 Knows no ROS and no threads.
 """
@@ -15,13 +15,13 @@ from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stops import result_of, Stop
-from handeye_ros.sampling.trajectory import track_of
+from handeye_ros.streams.trajectory import track_of
 from handeye_ros.verification.errors import NoRoutineError, TooLongPassError
 from handeye_ros.verification.routines import Routine, routine_of, TEETH
-from handeye_ros.verification.shapes import Seen
-from handeye_ros.verification.tooth_gauge import seen_in_pass
+from handeye_ros.verification.shapes import StationSet
+from handeye_ros.verification.tooth_gauge import stations_of_pass
 from handeye_ros.verification.verification import Verification
-from handeye_ros.verification.verify import parts_of, seen_in, settings_for, verify
+from handeye_ros.verification.verify import parts_of, settings_for, stations_of, verify
 
 MOST_PROFILES = 500  # of a pass that are kept, evenly spread
 MOST_POSES = 200_000  # of a pass
@@ -30,16 +30,17 @@ MOST_POSES = 200_000  # of a pass
 @dataclass(eq=False)
 class Part:
     """
-    What one face, ball or pass has shown so far.
+    The stops or points of one face, ball or pass.
 
-    stops: by when they began; profiles, poses: of a pass, every so manieth profile.
+    stops: by their start times; profiles, poses: of a pass; every step-th of the received
+    profiles is kept.
     """
 
     stops: dict[int, Sample | Reject] = field(default_factory=dict)
     profiles: list[AnyProfile] = field(default_factory=list)
     poses: list[TimedPose] = field(default_factory=list)
-    came: int = 0  # profiles, those that were not kept included
-    every: int = 1
+    received: int = 0
+    step: int = 1
 
     @property
     def samples(self) -> list[Sample]:
@@ -48,25 +49,25 @@ class Part:
 
     @property
     def is_empty(self) -> bool:
-        """Tell whether nothing usable has come."""
+        """Return whether nothing usable was received."""
         return not self.samples and not self.profiles
 
     def add_profile(self, profile: AnyProfile) -> None:
-        """Keep a profile of a pass, or not: what is kept stays spread evenly."""
-        if self.came % self.every == 0:
+        """Keep a profile of a pass, or drop it: those kept remain evenly spaced."""
+        if self.received % self.step == 0:
             self.profiles.append(profile)
-        self.came += 1
+        self.received += 1
         if len(self.profiles) > 2 * MOST_PROFILES:
-            self.profiles, self.every = self.profiles[::2], 2 * self.every
+            self.profiles, self.step = self.profiles[::2], 2 * self.step
 
     def add_poses(self, poses: Iterable[TimedPose]) -> None:
-        """Keep poses of a pass, as far as there is room; see TooLongPassError."""
+        """Keep poses of a pass, within the limit of TooLongPassError."""
         if len(self.poses) <= MOST_POSES:
             self.poses.extend(poses)
 
 
 class VerificationSession:
-    """A verification that goes on."""
+    """A verification in progress."""
 
     def __init__(self, config: Config) -> None:
         """Begin the first part; raises NoRoutineError, UnknownNameError, WrongCountError."""
@@ -79,31 +80,31 @@ class VerificationSession:
 
     @property
     def routine(self) -> Routine:
-        """Return what is measured; by its name, as its functions cannot be pickled."""
+        """Return the routine, by name: its functions cannot be pickled."""
         return routine_of(self._name)
 
     def copied(self) -> Self:
-        """Return another that holds what has been seen so far."""
-        other = copy(self)
-        other.parts = [replace(part, stops=dict(part.stops), profiles=list(part.profiles),
-                               poses=list(part.poses)) for part in self.parts]
-        return other
+        """Return an independent copy."""
+        duplicate = copy(self)
+        duplicate.parts = [replace(part, stops=dict(part.stops), profiles=list(part.profiles),
+                                   poses=list(part.poses)) for part in self.parts]
+        return duplicate
 
     @property
     def scans(self) -> bool:
-        """Tell whether points count that are seen while the robot moves, and no stops."""
+        """Return whether points of passes are measured, not stops."""
         return self.routine.target == TEETH
 
     @property
     def text(self) -> str:
-        """Return how far it is, in words."""
-        many = f', part {len(self.parts)}' if self._most > 1 else ''
-        if self._least == self._most and many:
-            many += f' of {self._most}'
+        """Return the progress in words."""
+        part_text = f', part {len(self.parts)}' if self._most > 1 else ''
+        if self._least == self._most and part_text:
+            part_text += f' of {self._most}'
         part = self.parts[-1]
-        seen = (f'{part.came} profiles' if self.scans else
-                f'{len(part.samples)} usable stops of {len(part.stops)}')
-        return f'{self.routine.name}{many}: {seen}'
+        counts = (f'{part.received} profiles' if self.scans else
+                  f'{len(part.samples)} usable stops of {len(part.stops)}')
+        return f'{self.routine.name}{part_text}: {counts}'
 
     def go_on(self) -> None:
         """Begin the next part, if there is one and this one is not empty."""
@@ -112,21 +113,21 @@ class VerificationSession:
 
     @property
     def is_full(self) -> bool:
-        """Tell whether the last part has begun and has shown something."""
+        """Return whether the last part has begun and is not empty."""
         return len(self.parts) >= self._most and not self.parts[-1].is_empty
 
     def add(self, stop: Stop, config: Config,
             judge: Callable[[Stop, Config], Sample | Reject] = result_of) -> Sample | Reject:
-        """Return what a stop is to the routine, which counts; judge: tells what it gives."""
-        found = judge(stop, self._settings(config))
-        self.parts[-1].stops[stop.began] = found
-        return found
+        """Add a stop; return its result for the routine. judge: evaluates the stop."""
+        result = judge(stop, self._settings(config))
+        self.parts[-1].stops[stop.began] = result
+        return result
 
     def result(self, calibration: Calibration, config: Config) -> Verification:
-        """Return what has been found; raises TooFewSeenError, WrongCountError and DataError."""
+        """Return the result; raises TooFewSeenError, WrongCountError and DataError."""
         settings = self._settings(config, len(self.parts))
         bags = [self._scanned(part, settings) if self.scans else
-                seen_in(self.routine, part.samples, calibration, settings)
+                stations_of(self.routine, part.samples, calibration, settings)
                 for part in self.parts]
         reason = next((s.reason for part in self.parts for s in part.stops.values()
                        if isinstance(s, Reject)), '')
@@ -135,7 +136,7 @@ class VerificationSession:
     def _settings(self, config: Config, parts: int = 0) -> Config:
         return settings_for(self.routine, config, parts or self._least)
 
-    def _scanned(self, part: Part, config: Config) -> Seen:
+    def _scanned(self, part: Part, config: Config) -> StationSet:
         if len(part.poses) > MOST_POSES:
             raise TooLongPassError(MOST_POSES)
         profiles: list[Profile] = []
@@ -144,4 +145,4 @@ class VerificationSession:
                 profiles.append(profile.read(config.profile))
         track = track_of(part.poses, config.sampling.max_pose_gap)
         # the stamps have time_offset in them
-        return seen_in_pass(profiles, track, replace(config, time_offset=0.0))
+        return stations_of_pass(profiles, track, replace(config, time_offset=0.0))

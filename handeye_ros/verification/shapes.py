@@ -1,4 +1,4 @@
-"""What the stops of a verification saw, and the shapes that are fitted to it."""
+"""Observations at the stops of a verification, and the shapes fitted to them."""
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
@@ -8,11 +8,11 @@ from typing import NamedTuple
 from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array
 from handeye_ros.estimation.model import Observations
-from handeye_ros.estimation.solver import Rows, System, White
+from handeye_ros.least_squares.solver import Rows, System, White
 import numpy as np
 from numpy.typing import NDArray
 
-BAGS = 10  # the kind of a condition is BAGS * the number of its bag + what it is of
+BAGS = 10  # the kind of a condition is BAGS * the number of its bag + its kind in the bag
 
 STEP = 1e-7  # of numeric derivatives (m, rad)
 
@@ -20,14 +20,14 @@ Kinds = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class StationSet:
     """
-    What the stations of one bag saw.
+    Observations of the stations of one bag.
 
-    poses: (n, 4, 4) of what carries the sensor in what carries the target; observations: points
-    of the sensor plane with their noise, kind: what they are of. groups: (n,) which poses share
-    their error, ascending; each has its own where there are none. stamps, bags: (n,) of the
-    poses; surface: what was taken of several in sight, in words.
+    poses: (n, 4, 4) of the mount of the sensor in that of the target; observations: points of the
+    sensor plane with their noise and kind. groups: (n,) ascending; poses of one group share their
+    error, None: each pose has its own. stamps, bags: (n,) of the poses; surface: the choice
+    between several surfaces in sight, in words.
     """
 
     poses: Array
@@ -38,25 +38,25 @@ class Seen:
     surface: str = ''
 
     def __post_init__(self) -> None:
-        """Take poses without stamps or bags for those of one bag."""
+        """Complete poses without stamps or bags as those of one bag."""
         for name in ('stamps', 'bags'):
             if len(getattr(self, name)) < len(self.poses):
                 object.__setattr__(self, name, np.zeros(len(self.poses), dtype=np.int64))
 
-    def without(self, groups: Collection[int]) -> Seen:
-        """Return what the other groups of poses saw."""
+    def without(self, groups: Collection[int]) -> StationSet:
+        """Return the observations of the other groups of poses."""
         obs = self.observations
-        left = np.isin(groups_of(self)[obs.station], list(groups), invert=True)
-        return replace(self, observations=obs.select(left)) if len(groups) else self
+        others = np.isin(groups_of(self)[obs.station], list(groups), invert=True)
+        return replace(self, observations=obs.select(others)) if len(groups) else self
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
     """
-    A shape with k unknowns, fitted to points of the base.
+    A shape with k unknowns, fitted to points in the base.
 
     start: (k,); distance(points (m, 3), kind (m,), q (k,)): signed distances (m,) from it;
-    values(q): what is read off it; nominals: the same as it should be, None where unknown.
+    values(q): the measured quantities; nominals: their nominal values, None where unknown.
     """
 
     start: Array
@@ -66,7 +66,7 @@ class Shape:
 
 
 def derivatives(function: Callable[[Array], Array], q: Array) -> Array:
-    """Return central differences (m, k): the derivatives of a function at q (k,)."""
+    """Return the central differences (m, k) of a function at q (k,)."""
     return np.stack([(function(q + d) - function(q - d)) / (2 * STEP)
                      for d in STEP * np.eye(len(q))], axis=1)
 
@@ -79,34 +79,34 @@ def by_point(shape: Shape, p: Array, kind: Kinds, q: Array) -> Array:
 
 def system_of(shape: Shape, p: Array, kind: Kinds,
               white: Callable[[Array], White] | None = None) -> System[Array]:
-    """Return what the solver makes small: the distances of points p (m, 3) from a shape."""
+    """Return the least-squares system of the distances of points p (m, 3) from a shape."""
     def rows(q: Array) -> Rows:
-        own = Rows(shape.distance(p, kind, q),
-                   lambda: derivatives(lambda at: shape.distance(p, kind, at), q))
-        return replace(own, white=lambda: white(q)) if white else own
+        residual_rows = Rows(shape.distance(p, kind, q),
+                             lambda: derivatives(lambda point: shape.distance(p, kind, point), q))
+        return replace(residual_rows, white=lambda: white(q)) if white else residual_rows
 
     return System(rows, np.add, np.zeros(len(p), dtype=np.intp))
 
 
-def groups_of(seen: Seen) -> NDArray[np.intp]:
-    """Return for each pose (n,) the group that shares its error."""
-    return np.arange(len(seen.poses)) if seen.groups is None else seen.groups
+def groups_of(stations: StationSet) -> NDArray[np.intp]:
+    """Return for each pose (n,) the group with a common error."""
+    return np.arange(len(stations.poses)) if stations.groups is None else stations.groups
 
 
-def stacked(seen: Sequence[Seen]) -> Seen:
-    """Return several bags as one, the number of the bag in the kind."""
-    first = np.cumsum([0, *(len(s.poses) for s in seen)])
-    groups = np.cumsum([0, *(1 + groups_of(s).max(initial=-1) for s in seen)])
-    obs = [s.observations for s in seen]
-    return Seen(np.concatenate([s.poses for s in seen]), Observations(
+def stacked(bags: Sequence[StationSet]) -> StationSet:
+    """Return several bags as one; the kind contains the number of the bag."""
+    first = np.cumsum([0, *(len(s.poses) for s in bags)])
+    groups = np.cumsum([0, *(1 + groups_of(s).max(initial=-1) for s in bags)])
+    obs = [s.observations for s in bags]
+    return StationSet(np.concatenate([s.poses for s in bags]), Observations(
         np.concatenate([o.station + n for o, n in zip(obs, first[:-1], strict=True)]),
         np.concatenate([o.points for o in obs]),
         np.concatenate([o.kind + BAGS * k for k, o in enumerate(obs)]),
         np.concatenate([o.noise for o in obs]), np.concatenate([o.source for o in obs])),
-        np.concatenate([groups_of(s) + n for s, n in zip(seen, groups[:-1], strict=True)]),
-        np.concatenate([s.stamps for s in seen]),
-        np.repeat(np.arange(len(seen)), [len(s.poses) for s in seen]),
-        '; '.join(f'recording {k}: {s.surface}' for k, s in enumerate(seen, 1) if s.surface))
+        np.concatenate([groups_of(s) + n for s, n in zip(bags, groups[:-1], strict=True)]),
+        np.concatenate([s.stamps for s in bags]),
+        np.repeat(np.arange(len(bags)), [len(s.poses) for s in bags]),
+        '; '.join(f'recording {k}: {s.surface}' for k, s in enumerate(bags, 1) if s.surface))
 
 
 def line(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
@@ -123,7 +123,7 @@ def line(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
 
 
 class Planes(NamedTuple):
-    """Start and distance of a Shape; normals (b, 3) and heights along them (b,) of unknowns."""
+    """Start and distances of a Shape; normals (b, 3) and heights along them (b,) from unknowns."""
 
     start: Array
     distance: Callable[[Array, Kinds, Array], Array]
@@ -131,26 +131,26 @@ class Planes(NamedTuple):
     heights: Callable[[Array], Array]
 
 
-def planes(p: Array, kind: Kinds, of: Kinds) -> Planes:
+def planes(p: Array, kind: Kinds, plane_set: Kinds) -> Planes:
     """
     Return a plane for each bag.
 
-    p: (m, 3); of: (b,) of which set of parallel planes each bag is. The unknowns are two tilts of
-    each set, and one height of each plane over the middle of its points.
+    p: (m, 3); plane_set: (b,) the set of parallel planes of each bag. The unknowns are two tilts
+    of each set, and one height of each plane over the middle of its points.
     """
-    bag, sets = kind // BAGS, int(of.max()) + 1
-    middles = np.array([p[bag == k].mean(axis=0) for k in range(len(of))])
+    bag, sets = kind // BAGS, int(plane_set.max()) + 1
+    middles = np.array([p[bag == k].mean(axis=0) for k in range(len(plane_set))])
     centred = p - middles[bag]
-    frames = np.array([np.linalg.svd(centred[of[bag] == k], full_matrices=False)[2].T
+    frames = np.array([np.linalg.svd(centred[plane_set[bag] == k], full_matrices=False)[2].T
                        for k in range(sets)])
     for k in range(sets):  # upwards from the first of a set to the last
-        reach = (middles[of == k] - middles[of == k][0]) @ frames[k][:, 2]
+        reach = (middles[plane_set == k] - middles[plane_set == k][0]) @ frames[k][:, 2]
         frames[k][:, 2] *= np.sign(reach[np.argmax(np.abs(reach))] or 1.0)
 
     def normals(q: Array) -> Array:
         tilt = q[:2 * sets].reshape(sets, 2)
         n = frames[:, :, 2] + np.einsum('kij,kj->ki', frames[:, :, :2], tilt)
-        return np.asarray((n / np.linalg.norm(n, axis=1)[:, None])[of])
+        return np.asarray((n / np.linalg.norm(n, axis=1)[:, None])[plane_set])
 
     def distance(p: Array, kind: Kinds, q: Array) -> Array:
         k = kind // BAGS
@@ -159,34 +159,35 @@ def planes(p: Array, kind: Kinds, of: Kinds) -> Planes:
     def heights(q: Array) -> Array:
         return np.asarray((middles * normals(q)).sum(axis=1) + q[2 * sets:])
 
-    return Planes(np.zeros(2 * sets + len(of)), distance, normals, heights)
+    return Planes(np.zeros(2 * sets + len(plane_set)), distance, normals, heights)
 
 
 def parallel_planes(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
     """Return blocks of parallel planes: heights over the first of each block."""
     bags = int((kind // BAGS).max()) + 1
-    of = np.arange(bags) // (bags // (bags - len(nominal.lengths)))
-    made = planes(p, kind, of)
-    first = np.searchsorted(of, of)
+    block = np.arange(bags) // (bags // (bags - len(nominal.lengths)))
+    fitted_planes = planes(p, kind, block)
+    first = np.searchsorted(block, block)
 
     def values(q: Array) -> Array:
-        height = made.heights(q)
+        height = fitted_planes.heights(q)
         return np.asarray((height - height[first])[first < np.arange(bags)])
 
-    return Shape(made.start, made.distance, values, tuple(nominal.lengths))
+    return Shape(fitted_planes.start, fitted_planes.distance, values, tuple(nominal.lengths))
 
 
 def free_planes(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
-    """Return planes that do not depend on each other: of two, the angle between them."""
-    of = np.arange(int((kind // BAGS).max()) + 1)
-    made = planes(p, kind, of)
+    """Return independent planes; of two, the angle between them is measured."""
+    plane_set = np.arange(int((kind // BAGS).max()) + 1)
+    fitted_planes = planes(p, kind, plane_set)
 
     def values(q: Array) -> Array:
-        n = made.normals(q)
+        n = fitted_planes.normals(q)
         return np.array([np.arctan2(np.linalg.norm(np.cross(n[0], n[1])), np.abs(n[0] @ n[1]))]
-                        if len(of) == 2 else [])
+                        if len(plane_set) == 2 else [])
 
-    return Shape(made.start, made.distance, values, (np.pi / 2,) * (len(of) == 2))
+    return Shape(fitted_planes.start, fitted_planes.distance, values,
+                 (np.pi / 2,) * (len(plane_set) == 2))
 
 
 def point(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
@@ -196,8 +197,8 @@ def point(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
     def distance(p: Array, kind: Kinds, q: Array) -> Array:
         return np.asarray(np.take_along_axis(p - middle - q, (kind % BAGS)[:, None], 1)[:, 0])
 
-    known = tuple(nominal.reference) or (None, None, None)
-    return Shape(np.zeros(3), distance, lambda q: np.asarray(middle + q), known)
+    nominals = tuple(nominal.reference) or (None, None, None)
+    return Shape(np.zeros(3), distance, lambda q: np.asarray(middle + q), nominals)
 
 
 def spheres(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
@@ -207,20 +208,20 @@ def spheres(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
     start = np.concatenate([sphere_through(p[bag == k]) for k in range(count)])
 
     def distance(p: Array, kind: Kinds, q: Array) -> Array:
-        of = q.reshape(count, 4)[kind // BAGS]
-        return np.asarray(np.linalg.norm(p - of[:, :3], axis=1) - of[:, 3])
+        balls = q.reshape(count, 4)[kind // BAGS]
+        return np.asarray(np.linalg.norm(p - balls[:, :3], axis=1) - balls[:, 3])
 
     def values(q: Array) -> Array:
-        of = q.reshape(count, 4)
-        apart = np.linalg.norm(of[1:, :3] - of[:-1, :3], axis=1)
-        return np.concatenate([of[:, 3], apart])
+        balls = q.reshape(count, 4)
+        spacings = np.linalg.norm(balls[1:, :3] - balls[:-1, :3], axis=1)
+        return np.concatenate([balls[:, 3], spacings])
 
-    known = (nominal.radius or None,) * count + tuple(nominal.lengths)
-    return Shape(start, distance, values, known)
+    nominals = (nominal.radius or None,) * count + tuple(nominal.lengths)
+    return Shape(start, distance, values, nominals)
 
 
 def sphere_through(p: Array) -> Array:
-    """Return centre and radius (4,) with the least squared (|p - c|^2 - r^2) of points (n, 3)."""
+    """Return centre and radius (4,) of the algebraic sphere fit to points (n, 3)."""
     middle = p.mean(axis=0)
     centred = p - middle
     A = np.column_stack([2 * centred, np.ones(len(p))])

@@ -1,5 +1,5 @@
 """
-A gauge of equal teeth in scanned points: where it lies, and which point is of which face.
+A gauge of equal teeth in scanned points: its position, and the face of each point.
 
 The direction of the row is that across which the heights agree best; the phase is that at which
 the nominal teeth fit best. Points near a corner, and points of no face, take no part.
@@ -14,28 +14,28 @@ from handeye_ros.config import Config, VerifyConfig
 from handeye_ros.data import Array, Profile
 from handeye_ros.estimation.model import Observations
 from handeye_ros.frames import in_mount
-from handeye_ros.sampling.trajectory import Trajectory
+from handeye_ros.streams.trajectory import Trajectory
 from handeye_ros.verification.errors import NoTeethError
-from handeye_ros.verification.shapes import BAGS, by_point, Kinds, Seen, Shape, system_of
+from handeye_ros.verification.shapes import BAGS, by_point, Kinds, Shape, StationSet, system_of
 import numpy as np
 from numpy.typing import NDArray
 
 TOP, VALLEY, RISING, FALLING = 0, 1, 2, 3
 PROFILES, POINTS = 12, 80  # of a pass that are used, and of each of them
-CORNER = 0.12  # of the height beside a corner that is not used
-FAR = 0.15  # of the height: a point further from all faces is of none
+CORNER = 0.12  # of the height: nearer to a corner no point is used
+FAR = 0.15  # of the height: a point further from all faces is on none
 BIN = 0.05  # of the pitch
 CUT = 4.0  # sigmas of the points of a face
-ROUNDING = 0.1  # of the sensor's noise: a smaller scatter is no reason to leave points out
-LEAST_SHARE = 0.2  # of the points that must be of the gauge
-LEAST_FACE = 0.01  # of the points that must be of tops and valleys, and of flanks
+ROUNDING = 0.1  # of the sensor's noise: the smallest scatter assumed when outliers are removed
+LEAST_SHARE = 0.2  # of the points must be on the gauge
+LEAST_FACE = 0.01  # of the points must be on tops and valleys, and on flanks
 ROUNDS = 6
 GRAZING = 0.05  # cosine of a face to the ray, at least
 
 
-def seen_in_pass(profiles: Sequence[Profile], track: Trajectory, config: Config) -> Seen:
+def stations_of_pass(profiles: Sequence[Profile], track: Trajectory, config: Config) -> StationSet:
     """
-    Return some points of the profiles of a pass, all with their own pose.
+    Return some points of the profiles of a pass, each with its own pose.
 
     The robot's error is taken to be one for the whole pass.
     """
@@ -56,12 +56,12 @@ def seen_in_pass(profiles: Sequence[Profile], track: Trajectory, config: Config)
     obs = Observations(np.concatenate([np.empty(0, np.intp), *station]).astype(np.intp),
                        np.concatenate([np.empty((0, 2)), *points]),
                        np.zeros(count, np.intp), L, np.arange(count))
-    return Seen(T[chosen], obs, np.zeros(len(chosen), dtype=np.intp))
+    return StationSet(T[chosen], obs, np.zeros(len(chosen), dtype=np.intp))
 
 
-def fitted(seen: Seen, p: Array, nominal: VerifyConfig) -> tuple[Seen, Shape]:
+def fitted(stations: StationSet, p: Array, nominal: VerifyConfig) -> tuple[StationSet, Shape]:
     """
-    Return the points (m, 3) that are of the gauge, with their faces, and its shape.
+    Return the points (m, 3) on the gauge, their faces, and the shape.
 
     Raises NoTeethError.
     """
@@ -71,84 +71,87 @@ def fitted(seen: Seen, p: Array, nominal: VerifyConfig) -> tuple[Seen, Shape]:
     q = np.zeros(9)
     q[8] = flank / height
     for _ in range(ROUNDS):
-        kind, tooth, kept = _faces(_local(p, frame, q), pitch, height, q)
-        if kept.mean() < LEAST_SHARE:
+        kind, tooth, on_gauge = _faces(_local(p, frame, q), pitch, height, q)
+        if on_gauge.mean() < LEAST_SHARE:
             break
-        shape = _shape(frame, pitch, height, tooth[kept], q)
-        q = system_of(shape, p[kept], kind[kept]).least_squares(q, iterations=1)
-    top, valley, *flanks = np.bincount(kind[kept], minlength=4) / len(p)
+        shape = _shape(frame, pitch, height, tooth[on_gauge], q)
+        q = system_of(shape, p[on_gauge], kind[on_gauge]).least_squares(q, iterations=1)
+    top, valley, *flanks = np.bincount(kind[on_gauge], minlength=4) / len(p)
     least = float(min(top + valley, sum(flanks)))
-    if kept.mean() < LEAST_SHARE or least < LEAST_FACE:
-        raise NoTeethError(pitch, height, float(kept.mean()), least)
-    obs = seen.observations
-    least = ROUNDING * float(np.median(obs.noise[kept, 1, 0]))
-    by_range = np.abs((by_point(shape, p[kept], kind[kept], q) * _rays(seen, p)[kept]).sum(axis=1))
-    kept, scale = _cleaned(shape.distance(p[kept], kind[kept], q), np.maximum(by_range, GRAZING),
-                           kept, np.stack([obs.kind // BAGS, kind, tooth], axis=1), least)
-    chosen = obs.select(kept)
+    if on_gauge.mean() < LEAST_SHARE or least < LEAST_FACE:
+        raise NoTeethError(pitch, height, float(on_gauge.mean()), least)
+    obs = stations.observations
+    least = ROUNDING * float(np.median(obs.noise[on_gauge, 1, 0]))
+    by_p = by_point(shape, p[on_gauge], kind[on_gauge], q)
+    by_range = np.abs((by_p * _rays(stations, p)[on_gauge]).sum(axis=1))
+    on_gauge, scale = _cleaned(
+        shape.distance(p[on_gauge], kind[on_gauge], q), np.maximum(by_range, GRAZING), on_gauge,
+        np.stack([obs.kind // BAGS, kind, tooth], axis=1), least)
+    chosen = obs.select(on_gauge)
     noise = np.zeros_like(chosen.noise)
     noise[:, 1, 0] = np.maximum(chosen.noise[:, 1, 0], scale)
-    chosen = replace(chosen, noise=noise, kind=kind[kept] + chosen.kind // BAGS * BAGS)
-    return replace(seen, observations=chosen), _shape(frame, pitch, height, tooth[kept], q)
+    chosen = replace(chosen, noise=noise, kind=kind[on_gauge] + chosen.kind // BAGS * BAGS)
+    return replace(stations, observations=chosen), _shape(frame, pitch, height, tooth[on_gauge], q)
 
 
-def _rays(seen: Seen, p: Array) -> Array:
-    """Return along which way (m, 3) each point p (m, 3) moves as its range grows."""
-    T, obs = seen.poses[seen.observations.station], seen.observations
+def _rays(stations: StationSet, p: Array) -> Array:
+    """Return the direction (m, 3) in which each point moves with increasing range."""
+    T, obs = stations.poses[stations.observations.station], stations.observations
     in_mount = np.einsum('mji,mj->mi', T[:, :3, :3], p - T[:, :3, 3])
     plane = np.linalg.lstsq(np.column_stack([obs.points, np.ones(len(p))]), in_mount,
                             rcond=None)[0]
     return np.asarray(T[:, :3, :3] @ plane[1])
 
 
-def _cleaned(distances: Array, by_range: Array, kept: NDArray[np.bool_], face: NDArray[np.intp],
-             least: float) -> tuple[NDArray[np.bool_], Array]:
+def _cleaned(distances: Array, by_range: Array, candidates: NDArray[np.bool_],
+             face: NDArray[np.intp], min_scatter: float) -> tuple[NDArray[np.bool_], Array]:
     """
-    Return which points (m,) are no outliers of their pass and face, and their range noise (k,).
+    Return which points (m,) are no outliers of their pass and face, and the noise (k,).
 
-    distances: of those that are kept so far, by_range: their derivatives; face: (m, 3) pass, kind
-    and tooth; least: scatter (m) that is always allowed. A sensor sees steep faces worse than it
-    states, so the noise is that which the points of a pass show about their own mean.
+    distances: of the candidates, by_range: their derivatives; face: (m, 3) pass, kind and tooth;
+    min_scatter: the smallest scatter assumed (m). A sensor measures steep faces worse than it
+    states, so the noise is the scatter of the points of a pass about their own mean.
     """
-    rows = np.flatnonzero(kept)
+    rows = np.flatnonzero(candidates)
     group = np.unique(face[rows], axis=0, return_inverse=True)[1]
     group = group.reshape(-1)  # numpy 2.0 alone returns it as a column
     good, noise = np.zeros(len(rows), dtype=bool), np.zeros(len(rows))
     for k in range(group.max() + 1):
-        of = np.flatnonzero(group == k)
-        off = distances[of] - np.median(distances[of])
-        near = np.abs(off) <= CUT * max(1.4826 * float(np.median(np.abs(off))), least)
-        count = int(near.sum())
+        members = np.flatnonzero(group == k)
+        deviation = distances[members] - np.median(distances[members])
+        scatter = max(1.4826 * float(np.median(np.abs(deviation))), min_scatter)
+        inliers = np.abs(deviation) <= CUT * scatter
+        count = int(inliers.sum())
         # about a mean and a slope of their own
-        scatter = off[near].std() * np.sqrt(count / max(count - 2, 1))
-        good[of[near]], noise[of] = True, scatter / np.median(by_range[of])
-    clean = np.zeros_like(kept)
+        scatter = deviation[inliers].std() * np.sqrt(count / max(count - 2, 1))
+        good[members[inliers]], noise[members] = True, scatter / np.median(by_range[members])
+    clean = np.zeros_like(candidates)
     clean[rows[good]] = True
     return clean, noise[good]
 
 
 def _local(p: Array, frame: Array, q: Array) -> Array:
-    """Return points in the gauge (m, 3), moved by the first five unknowns."""
-    moved = se3.apply(se3.inverse(frame), p)
-    return np.asarray(moved @ se3.exp_rotation(q[:3]).T + [q[3], 0.0, q[4]])
+    """Return points in the gauge's frame (m, 3), moved by the first five unknowns."""
+    in_frame = se3.apply(se3.inverse(frame), p)
+    return np.asarray(in_frame @ se3.exp_rotation(q[:3]).T + [q[3], 0.0, q[4]])
 
 
 def _shape(frame: Array, pitch: float, height: float, tooth: NDArray[np.intp], start: Array
            ) -> Shape:
     """
-    Return the teeth as a shape; tooth: (m,) which one a point of a flank belongs to.
+    Return the teeth as a shape; tooth: (m,) the tooth of each point on a flank.
 
-    Unknown: rotation, x and z of the gauge, what pitch and height have more than nominal, by how
-    much the flanks lie further out, and how far they lean (horizontal way per height).
+    Unknowns: rotation, x and z of the gauge, the deviations of pitch and height from nominal, the
+    outward offset of the flanks, and their slope (horizontal distance per height).
     """
     def distance(p: Array, kind: Kinds, q: Array) -> Array:
         x, _, z = _local(p, frame, q).T
-        what = kind % BAGS
-        side = np.where(what == RISING, -1.0, 1.0)
+        face = kind % BAGS
+        side = np.where(face == RISING, -1.0, 1.0)
         out = side * (x - (pitch + q[5]) * tooth) - (pitch / 4 + q[7])
         flank = (out + q[8] * (z - height / 2)) / np.hypot(1.0, q[8])
-        return np.asarray(np.where(what == TOP, z - height - q[6],
-                                   np.where(what == VALLEY, z, flank)))
+        return np.asarray(np.where(face == TOP, z - height - q[6],
+                                   np.where(face == VALLEY, z, flank)))
 
     return Shape(start, distance, lambda q: np.array([pitch + q[5], height + q[6]]),
                  (pitch, height))
@@ -156,25 +159,25 @@ def _shape(frame: Array, pitch: float, height: float, tooth: NDArray[np.intp], s
 
 def _faces(local: Array, pitch: float, height: float, q: Array
            ) -> tuple[Kinds, NDArray[np.intp], NDArray[np.bool_]]:
-    """Return face and tooth of each point, and which are clearly of one."""
+    """Return face and tooth of each point, and which points are clearly of one."""
     x, z = local[:, 0], local[:, 2]
     tooth = np.round(x / (pitch + q[5])).astype(np.intp)
     u = x - (pitch + q[5]) * tooth
-    lean, middle, margin = abs(q[8]), pitch / 4 + q[7], CORNER * height
+    slope, middle, margin = abs(q[8]), pitch / 4 + q[7], CORNER * height
     out = np.abs(u) - middle  # past the middle of the flank
-    reach = lean * height / 2
-    on_top, below = out < -reach - margin, out > reach + margin
+    reach = slope * height / 2
+    on_top, in_valley = out < -reach - margin, out > reach + margin
     on_flank = np.abs(z - height / 2) < height / 2 - margin
-    kind = np.where(on_top, TOP, np.where(below, VALLEY, np.where(u < 0, RISING, FALLING)))
-    away = np.where(on_top, z - height, np.where(below, z, out + lean * (z - height / 2)))
-    kept = (on_top | below | on_flank & (np.abs(out) < reach + margin)) & (
-        np.abs(away) < FAR * height)
-    return kind.astype(np.intp), tooth, kept
+    kind = np.where(on_top, TOP, np.where(in_valley, VALLEY, np.where(u < 0, RISING, FALLING)))
+    distance = np.where(on_top, z - height, np.where(in_valley, z, out + slope * (z - height / 2)))
+    on_face = (on_top | in_valley | on_flank & (np.abs(out) < reach + margin)) & (
+        np.abs(distance) < FAR * height)
+    return kind.astype(np.intp), tooth, on_face
 
 
 def _frame(p: Array, pitch: float, height: float, flank: float) -> Array:
     """
-    Return the gauge in the base (4, 4), roughly.
+    Return the approximate pose of the gauge in the base (4, 4).
 
     Which way it is up does not matter: teeth and gaps have the same pitch and height.
     """

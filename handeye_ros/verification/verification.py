@@ -1,4 +1,4 @@
-"""What a verification found: plain values, the table that tells them, and their YAML."""
+"""The result of a verification: values, table, and YAML."""
 from __future__ import annotations
 
 from dataclasses import asdict, astuple, dataclass, fields
@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from handeye_ros import __version__, output
-from handeye_ros.results.verified import COLUMNS, FORMAT, rows_of, shown, title_of
+from handeye_ros.results.verified import COLUMNS, FORMAT, formatted, rows_of, title_of
 from rich.table import Table
 import yaml
 
@@ -18,11 +18,11 @@ K = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
 @dataclass(frozen=True)
 class Quantity:
     """
-    A measured value beside its nominal one; metres, or radians where unit is rad.
+    A measured value with its nominal value; metres, or radians where unit is rad.
 
-    std: 1 sigma of the deviation by sensor and robot here, and by the nominal value; claimed: 1
-    sigma that the calibration's covariance makes of it. nominal: None where there is none.
-    characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see results/protocol.py).
+    std: 1 sigma of the deviation by sensor, robot and nominal value; claimed: 1 sigma by the
+    calibration's covariance. nominal: None where there is none.
+    characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see results/pages.py).
     """
 
     name: str
@@ -47,10 +47,10 @@ class Quantity:
 @dataclass(frozen=True)
 class StationResult:
     """
-    What one stop showed: its largest distance from the fit and 1 sigma of it (m).
+    Result of one stop: the largest distance from the fit, and its 1 sigma (m).
 
-    bag, number: which stop of which recording, from 1; stamp: ns; p: how often a good stop is
-    as far off, whatever the error of the calibration; reason: why it is not used.
+    bag, number: of recording and stop, from 1; stamp: ns; p: probability that a good stop is as
+    far off, whatever the error of the calibration; reason: why it is not used.
     """
 
     bag: int
@@ -64,7 +64,7 @@ class StationResult:
 
     @property
     def name(self) -> str:
-        """Return which stop it is."""
+        """Return the name of the stop."""
         return f'stop {self.number} of recording {self.bag}'
 
 
@@ -73,9 +73,8 @@ class Scatter:
     """
     Distances of the measured points from the fitted shape (m).
 
-    expected: below this RMS lie 95 % of verifications whose uncertainty is as stated (not a
-    number where there are very many points); p: the share
-    of them whose points disagree at least as much.
+    expected: 95 % quantile of the RMS if the uncertainties are as stated (nan for very many
+    points); p: probability that the points then disagree at least as much.
     """
 
     points: int
@@ -90,16 +89,16 @@ class Scatter:
 @dataclass(frozen=True)
 class Verification:
     """
-    The result of a routine.
+    Result of a routine.
 
     verdict: pass, fail, undecided (the uncertainty is too large for the tolerance), or
     insensitive (an error of the calibration as large as the tolerance would not have shown).
-    reasons: sentences. smallest_error: of the calibration that would have shown, in the direction
-    that shows least (m). region: squared distance of all values with a nominal from it, in units
-    of both covariances; freedom: how many they are; claim_p: how often it is as large where the
-    calibration's covariance is true. surface: what was taken of several in sight. says: what the
-    routine measures; recorded: when (ISO 8601; empty: unknown); certificate: U of the nominal
-    values (m); record: record.* of the configuration.
+    reasons: sentences. smallest_error: the smallest detectable error of the calibration, in the
+    least sensitive direction (m). region: squared distance of the values from their nominals, in
+    units of both covariances; freedom: number of values with a nominal; claim_p: probability of a
+    larger region if the calibration's covariance is true. surface: the choice between several in
+    sight. says: what the routine measures; recorded: when (ISO 8601; empty: unknown); certificate:
+    U of the nominal values (m); record: record.* of the configuration.
     """
 
     routine: str
@@ -126,55 +125,56 @@ class Verification:
 
 
 def time_of(stamp: int) -> str:
-    """Return a stamp (ns) as ISO 8601; empty where it is of no clock of the world."""
+    """Return a stamp (ns) as ISO 8601; empty if it is not of a wall clock."""
     if stamp < EARLIEST:
         return ''
     return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
 
 
-def values(found: Verification) -> dict[str, Any]:
+def values(verification: Verification) -> dict[str, Any]:
     """Return a verification as plain values, for YAML and for the report."""
-    content = {'format': FORMAT, 'version': __version__, **asdict(found)}
-    content['reasons'], content['inputs'] = list(found.reasons), list(found.inputs)
-    content['k'], content['record'] = K, dict(found.record)
-    content['quantities'] = [asdict(q) for q in found.quantities]
-    content['per_station'] = [asdict(s) for s in found.per_station]
+    content = {'format': FORMAT, 'version': __version__, **asdict(verification)}
+    content['reasons'], content['inputs'] = list(verification.reasons), list(verification.inputs)
+    content['k'], content['record'] = K, dict(verification.record)
+    content['quantities'] = [asdict(q) for q in verification.quantities]
+    content['per_station'] = [asdict(s) for s in verification.per_station]
     return content
 
 
-def yaml_text(found: Verification) -> str:
+def yaml_text(verification: Verification) -> str:
     """Return a verification as YAML."""
-    return yaml.safe_dump(values(found), sort_keys=False, width=100, default_flow_style=None)
+    return yaml.safe_dump(values(verification), sort_keys=False, width=100,
+                          default_flow_style=None)
 
 
-def stations_csv(found: Verification) -> str:
-    """Return what each stop showed as CSV, in metres."""
+def stations_csv(verification: Verification) -> str:
+    """Return the results of the stops as CSV, in metres."""
     return output.csv_text((field.name for field in fields(StationResult)),
-                           map(astuple, found.per_station))
+                           map(astuple, verification.per_station))
 
 
-def sentence(found: Verification) -> str:
+def sentence(verification: Verification) -> str:
     """Return a verification as one sentence: verdict, figures with units, reasons."""
-    content = [f'{q.name} {shown(q.value, q.unit)} ± {shown(q.expanded, q.unit)} (k = '
-               f'{K:g}; the calibration claims {shown(q.claimed, q.unit)}, 1 sigma)'
-               + ('' if q.nominal is None else f', nominal {shown(q.nominal, q.unit)}, off by '
-                  f'{shown(q.error, q.unit)}') for q in found.quantities]
-    s = found.scatter
-    content.append(f'distances from the fit: mean {shown(s.mean, "m")}, standard deviation '
-                   f'{shown(s.std, "m")}, maximum {shown(s.maximum, "m")}, '
-                   f'RMS {shown(s.rms, "m")}')
+    content = [f'{q.name} {formatted(q.value, q.unit)} ± {formatted(q.expanded, q.unit)} (k = '
+               f'{K:g}; the calibration claims {formatted(q.claimed, q.unit)}, 1 sigma)'
+               + ('' if q.nominal is None else f', nominal {formatted(q.nominal, q.unit)}, off by '
+                  f'{formatted(q.error, q.unit)}') for q in verification.quantities]
+    s = verification.scatter
+    content.append(f'distances from the fit: mean {formatted(s.mean, "m")}, standard deviation '
+                   f'{formatted(s.std, "m")}, maximum {formatted(s.maximum, "m")}, '
+                   f'RMS {formatted(s.rms, "m")}')
     if not math.isnan(s.expected):
-        content[-1] += f' (95 % of such RMS lie below {shown(s.expected, "m")})'
-    taken = [found.surface] if found.surface else []
-    return '; '.join((title_of(values(found)), *found.reasons, *taken, *content))
+        content[-1] += f' (95 % of such RMS lie below {formatted(s.expected, "m")})'
+    surface = [verification.surface] if verification.surface else []
+    return '; '.join((title_of(values(verification)), *verification.reasons, *surface, *content))
 
 
-def table(found: Verification) -> Table:
-    """Return what is reported of a verification."""
-    content = values(found)
-    made = Table(title=title_of(content), title_justify='left')
+def table(verification: Verification) -> Table:
+    """Return the table of a verification."""
+    content = values(verification)
+    result = Table(title=title_of(content), title_justify='left')
     for column in ('', *COLUMNS):
-        made.add_column(column, justify='left' if not column else 'right')
+        result.add_column(column, justify='left' if not column else 'right')
     for name, texts in rows_of(content):
-        made.add_row(name, *texts)
-    return made
+        result.add_row(name, *texts)
+    return result

@@ -6,10 +6,10 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.checks.errors import OneAxisError, OneOrientationError
 from handeye_ros.data import Array
+from handeye_ros.errors import TooFewError
 from handeye_ros.files import hand_eye_estimate, hand_eye_model
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.published import cn105021139a
-from handeye_ros.published.errors import TooFewError
 from handeye_ros.tables import TableError
 import numpy as np
 import pytest
@@ -92,6 +92,7 @@ def test_whoever_was_noisy_nearer_than_the_closed_form_and_near_the_noise_known(
     assert (ours < 1.15 * known).all()
 
 
+@pytest.mark.thorough
 def test_nearer_than_the_two_motions_of_the_patent() -> None:
     off = []
     for seed in range(50):

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.errors import TooFewError
 from handeye_ros.files import points
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.published import wu2017
-from handeye_ros.published.errors import TooFewError
 from handeye_ros.tables import TableError
 import numpy as np
 import pytest

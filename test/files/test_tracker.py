@@ -48,6 +48,7 @@ def test_the_truth_without_noise(skew: float) -> None:
     assert abs(found.skew) < 1e-9 and found.radius == pytest.approx(0.01905)
 
 
+@pytest.mark.thorough
 def test_nearer_than_the_published_chain_and_as_sure_as_it_says() -> None:
     ours, published, squares = [], [], []
     for seed in range(8):

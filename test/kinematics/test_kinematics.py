@@ -169,7 +169,7 @@ def test_another_elbow_and_wrist_at_once_is_another_configuration():
 
 REFUSED = {
     'another name': (lambda t: t.replace('joint_4', 'jiont_4'), 'no values of the joint joint_4'),
-    'radians': (lambda t: t.replace('degrees', 'rad'), 'degrees that are stated as radians'),
+    'radians': (lambda t: t.replace('degrees', 'rad'), 'degrees stated as radians'),
     'no unit': (lambda t: t.replace(' [mm]', '', 1), 'names no unit'),
     'few': (lambda t: '\n'.join(t.splitlines()[:8]), 'need at least'),
 }

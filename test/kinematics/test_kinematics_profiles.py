@@ -142,5 +142,5 @@ def test_residuals_of_profiles_have_their_derivatives(monkeypatch, name):
     root = rng.normal(size=(len(data), 1))
     J = data.linearised(state, root)[1]
     for k, step in enumerate(1e-6 * np.eye(J.shape[1])):
-        r = [data.linearised(data.moved(state, s * step), root)[0] for s in (1, -1)]
+        r = [data.linearised(data.retracted(state, s * step), root)[0] for s in (1, -1)]
         np.testing.assert_allclose(J[:, k], (r[0] - r[1]) / 2e-6, atol=1e-5)

@@ -35,6 +35,11 @@ def test_a_noisy_line_is_as_good_as_least_squares() -> None:
     assert (np.array(errors).std(axis=0) < 1.4 * best).all()
 
 
+def test_a_repeated_point_is_no_straight_piece_whatever_is_beside_it() -> None:
+    repeated = np.tile([0.0, 0.17], (100, 1))
+    assert not segments(np.concatenate([[[-0.01, 0.17]], repeated, [[0.01, 0.17]]]))
+
+
 @pytest.mark.parametrize('share', [0.1, 0.3])
 def test_gross_outliers_do_not_move_a_line(share: float) -> None:
     rng = np.random.default_rng(5)

@@ -3,8 +3,8 @@ from __future__ import annotations
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.errors import TooFewError
 from handeye_ros.published import fixed_point
-from handeye_ros.published.errors import TooFewError
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -4,8 +4,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros import se3
+from handeye_ros.errors import TooFewError
 from handeye_ros.published import jing2020
-from handeye_ros.published.errors import TooFewError
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

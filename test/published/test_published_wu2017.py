@@ -5,8 +5,8 @@ from math import comb
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.errors import SingularError, TooFewError
 from handeye_ros.published import wu2017
-from handeye_ros.published.errors import SingularError, TooFewError
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -3,8 +3,8 @@ from __future__ import annotations
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.errors import TooFewError
 from handeye_ros.published import zheng2018, zheng2018_features
-from handeye_ros.published.errors import TooFewError
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np

@@ -190,7 +190,7 @@ def test_a_shell_takes_the_script(tmp_path: Path) -> None:
 def test_all_is_saved_and_said_with_its_place(tmp_path: Path) -> None:
     saved = exports.save_all(ANY, tmp_path / 'a' / 'b', config.SAVE_FORMATS)
     assert sorted(saved.files) == sorted((tmp_path / 'a' / 'b').iterdir())
-    assert len(saved.files) == len(config.SAVE_FORMATS) and saved.former is None
+    assert len(saved.files) == len(config.SAVE_FORMATS) and saved.previous is None
     assert str(saved) == f'wrote {", ".join(map(str, saved.files))}'
     assert all(path.is_absolute() for path in saved.files)
     assert calibration_file.read_calibration(saved.files[0]).provenance['created']
@@ -207,24 +207,24 @@ def test_a_former_result_is_kept_whole(tmp_path: Path) -> None:
     (tmp_path / 'notes.txt').write_text('mine')
     moved = replace(ANY, T_flange_sensor=se3.inverse(ANY.T_flange_sensor))
     second = exports.save_all(moved, tmp_path, ['urdf'])
-    assert second.former and second.former.parent == tmp_path / 'history'
-    assert {path.name: path.read_text() for path in second.former.iterdir()} == texts
+    assert second.previous and second.previous.parent == tmp_path / 'history'
+    assert {path.name: path.read_text() for path in second.previous.iterdir()} == texts
     # what would tell of the former answer beside the new one is gone
     assert {path.name for path in tmp_path.iterdir()} == {
         'calibration.yaml', 'sensor.urdf.xacro', 'notes.txt', 'history'}
-    assert str(second).endswith(f'; the former result is kept in {second.former}')
+    assert str(second).endswith(f'; the previous result is kept in {second.previous}')
     third = exports.save_all(moved, tmp_path)
-    assert third.former and third.former != second.former
+    assert third.previous and third.previous != second.previous
     assert len(list((tmp_path / 'history').iterdir())) == 2
 
 
 def test_an_export_keeps_what_was_there(tmp_path: Path) -> None:
     file = tmp_path / 'mine.xml'
-    assert exports.export(ANY, 'urdf', file).former is None
+    assert exports.export(ANY, 'urdf', file).previous is None
     text = file.read_text()
-    assert exports.export(ANY, 'urdf', file).former is None  # the same again
+    assert exports.export(ANY, 'urdf', file).previous is None  # the same again
     saved = exports.export(ANY, 'matrix', file)
-    assert saved.former and (saved.former / 'mine.xml').read_text() == text
+    assert saved.previous and (saved.previous / 'mine.xml').read_text() == text
     assert file.read_text() == exports.FORMATS['matrix'].text(ANY)
 
 

@@ -26,7 +26,7 @@ def test_the_demo_leaves_the_calibration_and_tells_its_error(tmp_path: Path) -> 
     path.write_text('of another run')
     run = demo(bag, tmp_path)
     assert run.returncode == 0, run.stderr
-    assert f'wrote {path}; the former result is kept in {tmp_path}/history/' in run.stdout
+    assert f'wrote {path}; the previous result is kept in {tmp_path}/history/' in run.stdout
     (former,) = tmp_path.glob('history/*/calibration.yaml')
     assert former.read_text() == 'of another run'
     assert 'samples so far: ' in run.stdout

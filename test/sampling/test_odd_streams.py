@@ -13,10 +13,10 @@ from handeye_ros.sampling.errors import (
     PositionUnitError,
     SilentPosesError,
     SparsePosesError,
-    TwoFramesError,
 )
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import result_of
+from handeye_ros.streams.errors import TwoFramesError
 import numpy as np
 from profiles import drawn, step_up_to, with_lost
 import pytest

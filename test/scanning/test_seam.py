@@ -28,7 +28,7 @@ from handeye_ros.scanning.errors import (
 from handeye_ros.scanning.seam import find_seam, tool_frames
 from handeye_ros.scanning.seam_edges import spacing_of
 from handeye_ros.scanning.seam_sheets import sheets_of
-from handeye_ros.simulate.preform import Preform, preform_cloud
+from handeye_ros.simulate.measuring import Preform, preform_cloud
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
@@ -130,6 +130,7 @@ def test_single_profiles_of_a_face_seen_at_a_low_angle_are_no_sheets():
     assert (sheets.label[:len(plate)] >= 0).all()
 
 
+@pytest.mark.thorough
 def test_columns_at_the_same_places_in_all_profiles_limit_what_is_known_of_an_edge():
     errors, stds = [], []
     for width in (60.0, 60.6, 61.3, 62.0):
@@ -158,7 +159,7 @@ def test_a_displaced_profile_does_not_divide_a_sheet():
 def test_what_no_seam_can_be_made_of_is_refused_for_its_reason():
     hidden = joints.scanned(replace(joints.JOINTS['tee 12'], length=40.0),
                             np.random.default_rng(0))
-    with pytest.raises(HiddenWallError, match='a step of 12 mm .* leant'):
+    with pytest.raises(HiddenWallError, match='a step of 12 mm .* tilted'):
         find_seam(hidden.points)
     ragged = cloud_of(kind='butt', gap=4e-3).points
     line = np.linalg.svd(ragged - ragged.mean(axis=0), full_matrices=False)[2][0]

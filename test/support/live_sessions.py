@@ -7,14 +7,14 @@ from cells import recorded
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.sessions.store import Place
+from handeye_ros.ros.sessions.store import OutputFolders
 
 SPHERE = recorded('sphere')
 
 
 def fed(config: Config = SPHERE.config, recording=SPHERE) -> LiveSession:
     """Return a session that was given a recording in the order of its stamps."""
-    live = LiveSession(config, Place())
+    live = LiveSession(config, OutputFolders())
     feed(live, [*recording.poses, *recording.profiles])
     return live
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from command import assert_refused, handeye
 from handeye_ros import pipeline, se3
+from handeye_ros.batch import trend
+from handeye_ros.batch.errors import NoTrendError
 from handeye_ros.data import Calibration, Quality, SampleReport
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.ros.bags import bag_write
@@ -14,8 +16,7 @@ from handeye_ros.simulate import gauges, simulate
 from handeye_ros.simulate.scenario import RobotModel
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.verification import check as checking
-from handeye_ros.verification import trend
-from handeye_ros.verification.errors import NoCheckError, NoTrendError, TooFewSeenError
+from handeye_ros.verification.errors import NoCheckError, TooFewSeenError
 import numpy as np
 import pytest
 from rich.text import Text

@@ -11,7 +11,7 @@ from handeye_ros.verification.plan import csv_text, plan, sentences
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
 import pytest
-from test_verify import bench, result
+from verifications import bench, result
 
 PLACE = (0.7, 0.1, 0.2)
 CONFIG = Config(noise=bench.NOISE)

@@ -10,7 +10,7 @@ from handeye_ros.data import Calibration, Quality, TimeOffset
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.scenario import Sweep
 from handeye_ros.verification.routines import ROUTINES
-from handeye_ros.verification.verify import seen_in, settings_for, verify
+from handeye_ros.verification.verify import settings_for, stations_of, verify
 import numpy as np
 import pytest
 
@@ -33,7 +33,7 @@ def test_a_sweep_without_turns_tells_whether_the_offset_has_changed(
     config = settings_for(routine, config, 1)
     stamped = [replace(p, stamp=p.stamp + round(calibrated * 1e9)) for p in made.profiles]
     session = pipeline.gather(stamped, made.poses, config)
-    seen = seen_in(routine, session.samples, found, config)
+    seen = stations_of(routine, session.samples, found, config)
     change = float(re.search(r'by ([-+.\d]+) ms|was: ([-+.\d]+) ms', seen.surface).expand(
         r'\1\2'))
     assert abs(change - (0.020 - calibrated) * 1e3) < 0.2
@@ -54,7 +54,7 @@ def test_profiles_of_a_sweep_that_show_another_edge_do_not_refuse_it() -> None:
     routine = ROUTINES['line']
     config = settings_for(routine, config, 1)
     session = pipeline.gather(made.profiles, made.poses, config)
-    seen = seen_in(routine, session.samples, found, config)
+    seen = stations_of(routine, session.samples, found, config)
     assert 'set time_offset to -0.15' in seen.surface or '-0.149' in seen.surface, seen.surface
     assert 'profiles show another surface' in seen.surface
     assert verify(routine, [seen], found, config).verdict == 'pass'

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-import importlib.util
 from pathlib import Path
 import re
 
@@ -10,7 +9,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import FaceLine, Sample
 from handeye_ros.frames import sensor_axes
-from handeye_ros.results import protocol
+from handeye_ros.results import pages
 from handeye_ros.simulate import gauges
 from handeye_ros.simulate.scenario import PlateTarget
 from handeye_ros.simulate.scenarios import SCENARIOS
@@ -27,16 +26,13 @@ from handeye_ros.verification.errors import (
 from handeye_ros.verification.fixed_fit import points_in_base
 from handeye_ros.verification.routines import ROUTINES
 from handeye_ros.verification.shapes import BAGS, stacked
-from handeye_ros.verification.verify import seen_in, settings_for, verify
+from handeye_ros.verification.verify import settings_for, verify
 import numpy as np
 import pytest
+from verifications import bench, measured, result
 import yaml
 
 ROOT = Path(__file__).parents[2]
-spec = importlib.util.spec_from_file_location('bench_verify', ROOT / 'bench' / 'verify.py')
-bench = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(bench)
-
 SEEDS = 12
 
 
@@ -54,28 +50,13 @@ def test_the_truth_lies_in_the_stated_region_and_wrong_calibrations_fail(name):
     assert inside >= SEEDS - 3  # more than 3 of 12 outside a true 95 % region: p = 0.002
 
 
-def measured(name, seed=0, **values):
-    rng = np.random.default_rng(seed)
-    made = bench.SCENES[name](rng, **values)
-    return made, bench.calibration(made.T_flange_sensor, bench.covariance(rng))
-
-
-def result(name, made, found, config=None, **stated):
-    routine, config = ROUTINES[name], config or Config(noise=bench.NOISE)
-    config = replace(config, verify=replace(config.verify, **{
-        'lengths': made.lengths, 'radius': bench.RADIUS if 'ball' in name else 0.0,
-        'reference': made.reference, 'aim': gauges.AIM if name == 'point' else 0.0} | stated))
-    bags = [seen_in(routine, samples, found, config) for samples in made.bags]
-    return verify(routine, bags, found, config)
-
-
 def of_lengths(*lengths):
     return Config(noise=bench.NOISE, verify=VerifyConfig(lengths=lengths))
 
 
 def rendered_step(rng, width, height=0.025):
     """Return recordings of a surface plate, and of a narrow block on it beside which it shows."""
-    X, T = gauges.sensor_on_flange(rng), gauges.somewhere(rng)
+    X, T = gauges.sensor_on_flange(rng), gauges.draw_pose(rng)
     passes = []
     for size, table, z in (((0.2, 0.15), None, 0.0), ((0.03, width), height, height)):
         scenario = replace(SCENARIOS['plane'], stations=(20, 0), tilt=gauges.TILT,
@@ -147,7 +128,7 @@ def test_the_protocol_says_what_an_inspector_asks_for():
     config = with_values(Config(noise=bench.NOISE), {
         'record.operator': 'A. <Nother>', 'record.artefact_serial': 'KB-17'}, 'test')
     told = verification.values(result('ball_bar', made, found, config, certificate=2e-6))
-    page = protocol.html(yaml.safe_load(yaml.safe_dump(told)))
+    page = pages.protocol(yaml.safe_load(yaml.safe_dump(told)))
     rows = re.sub(r'<[^>]+>', ' ', page)
     for words in ('A. &lt;Nother&gt;', 'Artefact serial', 'KB-17', 'ISO 14253-1', '@media print'):
         assert words in page

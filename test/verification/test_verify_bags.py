@@ -7,7 +7,7 @@ from pathlib import Path
 
 from command import assert_refused, handeye
 from handeye_ros import se3
-from handeye_ros.cli.verbs import app
+from handeye_ros.cli import command
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Calibration, Quality
 from handeye_ros.results import verified
@@ -62,9 +62,9 @@ def verdicts(name: str, seed: int, folder: Path):
             file, 'plate', 'flange', 'laser', T, np.diag(bench.STD ** 2), {},
             Quality(0, 0, 0.0, 0.0, '', 0.0), (),
             {'config': flatten(Config(noise=bench.NOISE))}), folder / f'{file}.yaml')
-        run = CliRunner().invoke(app, ['verify', name, *map(str, bags), '--calibration',
-                                       str(folder / f'{file}.yaml'), '--out',
-                                       str(folder / 'told.yaml'), *options(name, made)])
+        run = CliRunner().invoke(command(), [
+            'verify', name, *map(str, bags), '--calibration', str(folder / f'{file}.yaml'),
+            '--out', str(folder / 'told.yaml'), *options(name, made)])
         assert run.exit_code == {'right': 0, 'wrong': 1}[file], (run.output, run.exception)
         yield yaml.safe_load((folder / 'told.yaml').read_text())
 
@@ -86,12 +86,13 @@ def test_the_report_shows_verifications(tmp_path: Path) -> None:
     found = verified.read(tmp_path / 'told.yaml')
     assert found.title == f'sphere: {told["verdict"].upper()}, {told["stations"]} stations'
     assert not found.good and found.sentences == tuple(told['reasons'])
-    run = CliRunner().invoke(app, ['report', str(tmp_path / 'right.yaml'), '--verification',
-                                   str(tmp_path / 'told.yaml'), '--out', str(tmp_path / 'r.html')])
+    run = CliRunner().invoke(command(), [
+        'report', str(tmp_path / 'right.yaml'), '--verification', str(tmp_path / 'told.yaml'),
+        '--out', str(tmp_path / 'r.html')])
     assert run.exit_code == 0, (run.output, run.exception)
     page = (tmp_path / 'r.html').read_text()
     assert found.title in page and dict(found.rows)['radius'][0] in page
-    run = CliRunner().invoke(app, ['report', str(tmp_path / 'told.yaml')])
+    run = CliRunner().invoke(command(), ['report', str(tmp_path / 'told.yaml')])
     assert run.exit_code == 0, (run.output, run.exception)
     assert 'ISO 14253-1' in (tmp_path / 'told.html').read_text()
     for text in ('format: handeye_ros/calibration/1', f'format: {verified.FORMAT}', '[1]', '{'):

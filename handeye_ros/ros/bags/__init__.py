@@ -1,7 +1,8 @@
 """
-Recordings: their storage, and ROS messages to profiles and poses.
+Recordings: their storage, and conversion of ROS messages to profiles and poses.
 
-Reads mcap and db3 in one pass, also cut off or damaged; writes bags as drivers do.
+Reads mcap and db3 in one pass, also truncated or damaged files; writes bags in the layouts of
+drivers.
 """
 
 OFFERED = (

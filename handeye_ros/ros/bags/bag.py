@@ -1,8 +1,8 @@
 """
-Profiles and poses out of a rosbag2 recording; writing one is in bag_write.py.
+Reads profiles and poses from a rosbag2 recording; bag_write.py writes them.
 
-The recording may be larger than the memory: it is gone through once, and what a station uses is
-read again from where it lies.
+The recording may be larger than the memory: it is read once, and the profiles of a station are
+read again from their positions in the file.
 """
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from handeye_ros.kinematics.model import Arm, Chain
 from handeye_ros.kinematics.samples import JointRecording
 from handeye_ros.kinematics.urdf import read_arm
 from handeye_ros.results.calibration_file import input_values
-from handeye_ros.results.report.evidence import config_of, Evidence, recording_of
+from handeye_ros.results.evidence import config_of, Evidence, recording_of
 from handeye_ros.ros.bags.contents import CLOUD, Contents, full_name, JOINTS, POSE
 from handeye_ros.ros.bags.poses import JointPoses, Poses, PoseTable
 from handeye_ros.ros.bags.profile_reader import returns_of
-from handeye_ros.ros.bags.storage import messages, pieces, Progress
+from handeye_ros.ros.bags.storage import block_groups, messages, Progress
 from handeye_ros.ros.bags.topic import Profiles, require_topic, Topic
 from handeye_ros.ros.bags.transforms import Tree
 from handeye_ros.ros.errors import AllMalformedError, MessageError
-from handeye_ros.sampling.errors import ClocksApartError, TwoFramesError
-from handeye_ros.sampling.stream import FEW, FEW_SHARE
+from handeye_ros.streams.errors import ClocksApartError, TwoFramesError
+from handeye_ros.streams.stream import FEW, FEW_SHARE
 
-MOST_MALFORMED = 0.5  # of the messages of a scan, which are left out
+MOST_MALFORMED = 0.5  # largest fraction of malformed messages in a scan
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
     """
-    What a bag holds for a calibration.
+    The contents of a bag for a calibration.
 
-    profiles, poses: in the order of their stamps. warnings: a sentence for each thing that was
-    lost or repaired. files: those that were read.
+    profiles, poses: in the order of their stamps. warnings: sentences on lost or repaired data.
+    files: those that were read.
     """
 
     profiles: tuple[RawProfile, ...]
@@ -51,7 +51,7 @@ class Recording:
 
     @cached_property
     def inputs(self) -> tuple[dict[str, str], ...]:
-        """Return path and sha256 of every file read, for the provenance of what comes of it."""
+        """Return path and sha256 of all files read, for the provenance of results."""
         return tuple(input_values(file) for file in self.files)
 
 
@@ -60,33 +60,35 @@ def read(path: Path, config: Config, progress: Progress = lambda share: None,
     """
     Return the profiles and flange poses in a rosbag2 folder or an .mcap or .db3 file.
 
-    A damaged file gives what can be read up to the damage, with a warning. progress: receives the
-    share of the bytes that were read. arm: the one whose poses are taken, at the joint values, as
-    with the key kinematics. Raises InputError when the bag or what is on its topics
-    cannot be read, and DataError when its stamps mix two runs, or profiles and poses share no
-    time.
+    A damaged file is read up to the damage, with a warning. progress: receives the fraction of the
+    bytes that were read. arm: gives the poses from the joint values, as with the key kinematics.
+    Raises InputError when the bag or its topics cannot be read, and DataError when its stamps mix
+    two runs, or profiles and poses do not overlap in time.
 
     """
     contents, source = Contents(), PoseSource(config, arm)
     clouds = Topic('profile_topic', config.profile_topic, CLOUD,
                    Profiles(config.profile))
-    _take_all(path, contents, (clouds, *source.topics), progress)
+    _read_topics(path, contents, (clouds, *source.topics), progress)
     profiles = tuple(clouds.items(path, contents))
     poses = source.poses(path, contents)
     if config.time_offset:
         offset = round(config.time_offset * 1e9)
         profiles = tuple(replace(p, stamp=p.stamp + offset) for p in profiles)
-    profiles = _of_one_frame(profiles, contents)
-    _check_clocks(profiles, poses)
+    profiles = _most_frequent_frame(profiles, contents)
+    gap = max(profiles[0].stamp - poses[-1].stamp, poses[0].stamp - profiles[-1].stamp)
+    if gap > 0:
+        raise ClocksApartError(gap * 1e-9)
     return Recording(profiles, poses, tuple(contents.warnings), tuple(contents.files))
 
 
-def _of_one_frame(profiles: tuple[RawProfile, ...], contents: Contents) -> tuple[RawProfile, ...]:
-    """Return the profiles of the frame of the most; TwoFramesError where others are no strays."""
+def _most_frequent_frame(profiles: tuple[RawProfile, ...], contents: Contents
+                         ) -> tuple[RawProfile, ...]:
+    """Return the profiles of the most frequent frame; TwoFramesError unless others are strays."""
     frames = Counter(profile.frame_id for profile in profiles)
-    (frame, count), *others = frames.most_common(2)
+    (frame, count), *other_frames = frames.most_common(2)
     strays = len(profiles) - count
-    if not others:
+    if not other_frames:
         return profiles
     if strays > max(FEW, FEW_SHARE * len(profiles)) or strays >= count:
         raise TwoFramesError('profile', *list(frames)[:2])
@@ -96,17 +98,17 @@ def _of_one_frame(profiles: tuple[RawProfile, ...], contents: Contents) -> tuple
 
 def read_poses(path: Path, config: Config, arm: Arm | None = None
                ) -> tuple[Sequence[TimedPose], Contents]:
-    """Return the flange poses of a bag alone, and what else it holds; see read."""
+    """Return only the flange poses of a bag, and its other contents; see read."""
     contents, source = Contents(), PoseSource(config, arm)
-    _take_all(path, contents, source.topics, lambda share: None)
+    _read_topics(path, contents, source.topics, lambda share: None)
     return source.poses(path, contents), contents
 
 
 class PoseSource:
-    """The topics that the flange poses come from."""
+    """The topics with the flange poses."""
 
     def __init__(self, config: Config, arm: Arm | None = None) -> None:
-        """Start with none; config: tells where they come from; arm: see read."""
+        """Start with none; config: names their source; arm: see read."""
         self._config = config
         self._tree = Tree()
         arm = read_arm(Path(config.kinematics)) if config.kinematics and arm is None else arm
@@ -127,25 +129,19 @@ class PoseSource:
         return poses
 
 
-def _take_all(path: Path, contents: Contents, topics: Sequence[Topic[Any]],
-              progress: Progress) -> None:
-    """Give every block of messages to its topic."""
-    # where a topic is named for two, the first takes its messages, and its type tells the second
-    takers = {topic.name: topic.take for topic in reversed(topics)}
-    for blocks in pieces(path, contents, takers, progress):
+def _read_topics(path: Path, contents: Contents, topics: Sequence[Topic[Any]],
+                 progress: Progress) -> None:
+    """Pass every block of messages to its topic."""
+    # if two settings name one topic, the first gets its messages; its type refuses the second
+    take_by_topic = {topic.name: topic.take for topic in reversed(topics)}
+    for blocks in block_groups(path, contents, take_by_topic, progress):
         for block in blocks:
-            takers[block.topic](block)
-
-
-def _check_clocks(profiles: Sequence[RawProfile], poses: Sequence[TimedPose]) -> None:
-    gap = max(profiles[0].stamp - poses[-1].stamp, poses[0].stamp - profiles[-1].stamp)
-    if gap > 0:
-        raise ClocksApartError(gap * 1e-9)
+            take_by_topic[block.topic](block)
 
 
 def read_with_joints(path: Path, config: Config, chain: Chain, progress: Progress
                      ) -> JointRecording:
-    """Return a bag with the poses that an arm has at its joint values; raises as read does."""
+    """Return a bag with the poses of an arm at its joint values; raises as read does."""
     recording = read(path, config, progress, Arm(chain))
     poses = recording.poses
     assert isinstance(poses, PoseTable) and poses.joints is not None
@@ -160,10 +156,10 @@ def read_with_joints(path: Path, config: Config, chain: Chain, progress: Progres
 @dataclass
 class Flow:
     """
-    The profiles of a bag, read when they are asked for, and its poses.
+    The poses of a bag, and its profiles, which are read on demand.
 
-    warnings: what was left out, complete when all was asked for. Raises InputError when asked
-    for what is not there.
+    warnings: on left out messages, complete after the last profile. Raises InputError for missing
+    topics.
     """
 
     path: Path
@@ -172,7 +168,7 @@ class Flow:
     warnings: list[str] = field(default_factory=list)
 
     def profiles(self) -> Iterator[Profile]:
-        """Yield the profiles in the order of recording: returns alone, with intensity."""
+        """Yield the profiles in the order of recording: only returns, with intensity."""
         topic = full_name(self.config.profile_topic)
         reasons: Counter[str] = Counter()
         count, contents = 0, Contents()
@@ -183,17 +179,17 @@ class Flow:
             except MessageError as error:
                 reasons[str(error)] += 1
         self.warnings += [w for w in contents.warnings if w not in self.warnings]
-        lost = reasons.total()
-        if lost and lost > MOST_MALFORMED * count:
-            raise AllMalformedError(topic, lost, count, reasons.most_common(1)[0][0])
-        if lost:
-            self.warnings.append(f'{lost} of {count} messages on {topic} were left out; the '
+        malformed = reasons.total()
+        if malformed and malformed > MOST_MALFORMED * count:
+            raise AllMalformedError(topic, malformed, count, reasons.most_common(1)[0][0])
+        if malformed:
+            self.warnings.append(f'{malformed} of {count} messages on {topic} were left out; the '
                                  f'most frequent reason: {reasons.most_common(1)[0][0]}')
 
 
 def flow(path: Path, config: Config) -> Flow:
     """
-    Return the stream of a bag, its poses read.
+    Return the stream of a bag with its poses.
 
     Raises BagError, NoTopicError, TopicTypeError, and what the reader of the poses raises.
     """
@@ -204,9 +200,9 @@ def flow(path: Path, config: Config) -> Flow:
 
 def evidence(calibration: Calibration, bag: Path | None) -> Evidence:
     """
-    Return what a recording shows; bag: None for the one that the calibration names.
+    Return the evidence of a recording; bag: None for the one named in the calibration.
 
-    Where there is none, its `missing` says why. Raises InputError for a bag that cannot be read.
+    Without a recording, `missing` gives the reason. Raises InputError for an unreadable bag.
     """
     config = config_of(calibration)
     if files.of(config):

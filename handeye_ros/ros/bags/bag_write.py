@@ -1,20 +1,24 @@
-"""Writes rosbag2 folders (mcap): profiles and poses as drivers send them, and paths."""
+"""Writes rosbag2 folders (mcap): profiles and poses as drivers publish them, and paths."""
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
+import shutil
+import tempfile
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, TimedPose
-from handeye_ros.results import folder, truth_file
+from handeye_ros.errors import BagError, UnwritableError
+from handeye_ros.results import truth_file
 from handeye_ros.ros.bags.contents import CLOUD, full_name, JOINTS, POSE, STRING
 from handeye_ros.ros.bags.messages import DATATYPES, to_cdr, typestore, UNITS
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
+OURS = ('metadata.yaml', 'truth.yaml')  # a folder with one of these may be replaced
 PATH, POSE_ARRAY = 'nav_msgs/msg/Path', 'geometry_msgs/msg/PoseArray'
 
 # The points of real drivers: dtypes with the fields x, y and z.
@@ -35,19 +39,19 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
           tables: Mapping[str, str] | None = None, layout: str = 'xyz', force: bool = False,
           joints: Sequence[tuple[int, Array]] = ()) -> None:
     """
-    Write a rosbag2 folder, with truth.yaml in it when the truth is given.
+    Write a rosbag2 folder, including truth.yaml if the truth is given.
 
     config: gives the topics and the unit of the coordinates; tables: texts of other files in the
     folder, by name; layout: a key of LAYOUTS. force: an existing bag is replaced. joints: stamps
-    and values of joint_1, joint_2, ... Raises BagError when there is something at path already,
-    UnwritableError when it cannot be made.
+    and values of joint_1, joint_2, ... Raises BagError if the path exists, UnwritableError if it
+    cannot be written.
 
     """
     texts = dict(tables or {})
     if truth is not None:
         texts[truth_file.NAME] = truth_file.text(truth)
-    folder.write(path, texts, lambda made: _write_messages(
-        made, profiles, poses, config or Config(), LAYOUTS[layout], joints), force)
+    write_folder(path, texts, lambda folder: _write_messages(
+        folder, profiles, poses, config or Config(), LAYOUTS[layout], joints), force)
 
 
 def _write_messages(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
@@ -78,7 +82,7 @@ def _write_bag(path: Path, kinds: Mapping[str, str], messages: Iterable[tuple[st
 
 
 def serialised(item: Profile | TimedPose, dtype: np.dtype[Any], unit: str) -> bytes:
-    """Return the message of a profile, its points laid out and in a unit, or of a pose."""
+    """Return the message of a profile, with layout and unit, or of a pose."""
     if isinstance(item, Profile):
         return to_cdr(_cloud(item, dtype, unit))
     return pose_cdr(item)
@@ -96,7 +100,7 @@ def string_cdr(text: str) -> bytes:
 
 
 def cloud_cdr(profile: Profile, config: Config) -> bytes:
-    """Return a profile as a serialised sensor_msgs/PointCloud2, with no digit lost."""
+    """Return a profile as a serialised sensor_msgs/PointCloud2 in double precision."""
     return serialised(profile, LAYOUTS['double'], config.profile.unit)
 
 
@@ -111,9 +115,9 @@ def _header(stamp: int, frame_id: str) -> Any:
 
 
 def joints_cdr(stamp: int, values: Array, names: Sequence[str] = ()) -> bytes:
-    """Return a JointState as it is serialised; names: joint_1, joint_2, ... if not given."""
-    names, none = names or [f'joint_{k}' for k in range(1, len(values) + 1)], np.zeros(0)
-    return to_cdr(_new(JOINTS, _header(stamp, ''), names, values, none, none))
+    """Return a serialised JointState; names: joint_1, joint_2, ... if not given."""
+    names, empty = names or [f'joint_{k}' for k in range(1, len(values) + 1)], np.zeros(0)
+    return to_cdr(_new(JOINTS, _header(stamp, ''), names, values, empty, empty))
 
 
 def _cloud(profile: Profile, dtype: np.dtype[Any], unit: str) -> Any:
@@ -140,12 +144,49 @@ def write_path(path: Path, T: Array, frame_id: str, stamp: int, name: str = 'sea
     """
     Write poses (n, 4, 4) on the topics NAME/path and NAME/poses.
 
-    stamp: of the messages (ns). Raises BagError when there is something at path, UnwritableError.
+    stamp: of the messages (ns). Raises BagError if the path exists, UnwritableError.
     """
     header = _header(stamp, frame_id)
     poses = [_pose(*pair) for pair in zip(T[:, :3, 3], se3.quaternion(T), strict=True)]
-    sent = {full_name(f'{name}/path'): _new(PATH, header, [_new(POSE, header, p) for p in poses]),
-            full_name(f'{name}/poses'): _new(POSE_ARRAY, header, poses)}
-    folder.write(path, {}, lambda made: _write_bag(
-        made, {topic: message.__msgtype__ for topic, message in sent.items()},
-        [(topic, stamp, to_cdr(message)) for topic, message in sent.items()], False), force)
+    stamped = [_new(POSE, header, pose) for pose in poses]
+    by_topic = {full_name(f'{name}/path'): _new(PATH, header, stamped),
+                full_name(f'{name}/poses'): _new(POSE_ARRAY, header, poses)}
+    write_folder(path, {}, lambda folder: _write_bag(
+        folder, {topic: message.__msgtype__ for topic, message in by_topic.items()},
+        [(topic, stamp, to_cdr(message)) for topic, message in by_topic.items()], False), force)
+
+
+def write_folder(path: Path, texts: Mapping[str, str],
+                 fill: Callable[[Path], None] = Path.mkdir, force: bool = False) -> None:
+    """
+    Write a folder of recordings or measured values, completely or not at all.
+
+    A hidden folder beside the final one is filled and then renamed. fill: makes the folder and its
+    files except texts, which are by file name. force: an existing recording is replaced. Raises
+    BagError if the path exists or is the current folder, UnwritableError if it cannot be written.
+    """
+    path = path.resolve()
+    try:
+        _check_free(path, force)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix='.', suffix='.tmp', dir=path.parent) as folder:
+            new_folder = Path(folder) / path.name
+            fill(new_folder)
+            for name, text in texts.items():
+                (new_folder / name).write_text(text, encoding='utf-8')
+            if path.exists():  # it is deleted with the temporary folder
+                shutil.move(path, Path(folder) / 'replaced')
+            new_folder.rename(path)
+    except OSError as error:
+        raise UnwritableError(path, error.strerror or str(error)) from error
+
+
+def _check_free(path: Path, force: bool) -> None:
+    free = not path.exists() or path.is_dir() and not any(path.iterdir())
+    if not (free or force):
+        raise BagError(path, 'is there already: choose another place, or replace it with --force')
+    if path == Path.cwd():  # a shell in it would lose its folder
+        raise BagError(path, 'is the current folder, which is not replaced: name one in it')
+    if not (free or any((path / name).is_file() for name in OURS)):
+        raise BagError(path, 'is there already and is no bag, so it is not replaced: choose '
+                             'another place')

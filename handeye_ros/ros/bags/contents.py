@@ -1,7 +1,7 @@
 """
-What a bag holds: its topics, and its messages in blocks.
+Contents of a bag: its topics, and its messages in blocks.
 
-Thousands of messages come a second: what is done once for a block costs little for each.
+There are thousands of messages per second of recording: work for a whole block is fast.
 """
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ TF = 'tf2_msgs/msg/TFMessage'
 STRING = 'std_msgs/msg/String'
 
 ZSTD = b'\x28\xb5\x2f\xfd'
-LARGEST = 1 << 28  # bytes of one record or message, packed or not: no recorder writes more
-BLOCK = 1 << 20  # bytes of single messages that are gathered to blocks
+LARGEST = 1 << 28  # bytes of one record or message, compressed or not: no recorder writes more
+BLOCK = 1 << 20  # bytes of single messages that become blocks
 
 
 class Raw(NamedTuple):
@@ -35,18 +35,18 @@ class Raw(NamedTuple):
 @dataclass
 class Contents:
     """
-    What a bag holds.
+    Topics and messages of a bag.
 
-    topics: the type by the name of each; messages: of the topics asked for, in the order of
-    recording, where they were asked for; warnings: what could not be read; files: what was read;
-    at: the byte of the present file that is being read.
+    topics: their types by name; messages: of the requested topics, in the order of recording, if
+    they were requested; warnings: on unreadable data; files: that were read; position: byte in the
+    current file.
     """
 
     topics: dict[str, str] = field(default_factory=dict)
     messages: list[Raw] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
-    at: int = 0
+    position: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +54,9 @@ class Block:
     """
     Messages of one topic, in the order of recording.
 
-    data: what they lie in, each from one of starts to the same of ends, as stored; log_times:
-    ns. reread: returns a message by its position in the file, so that it need not be kept; empty
-    where the file has changed.
+    data: holds them as stored, message i from starts[i] to ends[i]; log_times: ns. reread: returns
+    a message by its position in the file, so that it need not be kept; empty if the file has
+    changed.
     """
 
     topic: str
@@ -78,13 +78,13 @@ class Block:
 
 def block_of(topic: str, log_times: Sequence[int], messages: Sequence[bytes],
              positions: Sequence[Any], reread: Callable[[Any], bytes]) -> Block:
-    """Return messages as a block."""
+    """Return messages as one block."""
     ends = list(accumulate(map(len, messages)))
     return Block(topic, b''.join(messages), [0, *ends[:-1]], ends, log_times, positions, reread)
 
 
-class Gathered:
-    """Single messages, gathered to blocks."""
+class BlockBuilder:
+    """Collects single messages into blocks."""
 
     def __init__(self, reread: Callable[[Any], bytes]) -> None:
         """Start with none; reread: see Block."""
@@ -94,16 +94,16 @@ class Gathered:
 
     @property
     def is_full(self) -> bool:
-        """Return whether there are enough for blocks."""
+        """Return whether there are enough messages for blocks."""
         return self._bytes >= BLOCK
 
     def add(self, topic: str, log_time: int, data: bytes, position: Any) -> None:
-        """Take the next message."""
+        """Add the next message."""
         self._rows.setdefault(topic, []).append((log_time, data, position))
         self._bytes += len(data)
 
     def take_blocks(self) -> list[Block]:
-        """Return what was gathered, and start with none again."""
+        """Return the blocks and start again with none."""
         columns = {topic: list(zip(*rows, strict=True)) for topic, rows in self._rows.items()}
         self._rows, self._bytes = {}, 0
         return [block_of(topic, log_times, messages, positions, self._reread)
@@ -116,23 +116,23 @@ def full_name(topic: str) -> str:
 
 
 def message_of(data: bytes) -> bytes:
-    """Return a message, unpacked where the recorder packed each one; CDR starts with 0."""
+    """Return a message, decompressed if the recorder compressed each one; CDR starts with 0."""
     if data[:4] != ZSTD:
         return data
     try:
         return unpacked(data)
     except zstandard.ZstdError:
-        return b''  # which is no message of any type
+        return b''  # no message of any type
 
 
 def unpacked(data: bytes | memoryview) -> bytes:
-    """Return what was packed with zstd, also the beginning of it; never more than LARGEST."""
+    """Return decompressed zstd data, also if cut; never more than LARGEST."""
     with zstandard.ZstdDecompressor().stream_reader(data) as stream:
         return stream.read(LARGEST)
 
 
 def type_of(name: str, encoding: str) -> str:
-    """Return the type of a topic; a serialization that ROS does not use is part of it."""
+    """Return the type of a topic, with its serialization if ROS does not use it."""
     package, _, kind = name.partition('/')
     full = name if not kind or '/' in kind else f'{package}/msg/{kind}'
     return full if encoding == 'cdr' else f'{full} in {encoding}'

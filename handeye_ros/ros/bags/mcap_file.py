@@ -1,12 +1,12 @@
 """
-The messages of an .mcap file, in its order, as far as they can be read.
+Reads the messages of an .mcap file in file order, as far as they are readable.
 
-Records and chunks are framed here, by lengths alone: mcap.stream_reader makes objects of all of
-them and takes 2.3 times as long for the messages of a bag (104 ms against 46 ms for 31,800), and
-3.6 times as long for its chunks alone (24 ms against 7 ms). What describes the messages is read
-by mcap. A recording that was cut off (power, full disk) is read up to the cut, in a chunk too.
-No length that a file claims is believed: nothing larger than LARGEST is ever held. Source: the
-MCAP format specification (mcap.dev/spec).
+Records and chunks are framed here, by lengths alone: mcap.stream_reader makes an object of each
+and takes 2.3 times as long for the messages of a bag (104 ms against 46 ms for 31,800), and 3.6
+times as long for its chunks alone (24 ms against 7 ms). Schemas and channels are read by mcap. A
+truncated recording (power failure, full disk) is read up to its end, also within a chunk. Stated
+lengths are limited: nothing larger than LARGEST is held in memory. Source: the MCAP format
+specification (mcap.dev/spec).
 """
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ import zlib
 
 from handeye_ros.ros.bags.contents import (
     Block,
+    BlockBuilder,
     Contents,
     full_name,
-    Gathered,
     LARGEST,
     message_of,
     type_of,
@@ -42,24 +42,24 @@ CHUNK = struct.Struct('<QQQII')  # first and last time, size, crc, length of the
 SIZE = struct.Struct('<Q')
 MAGIC = 8  # bytes at either end
 READ = (Opcode.MESSAGE, Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL)
-CHUNKS = 4  # that are kept unpacked: profiles of a stop lie close together
+CHUNKS = 4  # decompressed chunks in memory: the profiles of a stop are close together
 
 Bytes: TypeAlias = bytes | memoryview
 Spans: TypeAlias = dict[str, tuple[list[int], list[int], list[int]]]  # starts, ends, log times
 
 
 class DamagedError(Exception):
-    """A record is not what it says it is."""
+    """An invalid record."""
 
 
 def frames(stream: BinaryIO) -> Iterator[tuple[int, bytes, bool, int]]:
     """
-    Yield the opcode and body of each record, whether it is whole, and where its body begins.
+    Yield opcode and body of each record, whether it is complete, and the position of its body.
 
     Opcode 0, and a length that no recorder writes, is damage.
     """
-    while len(head := stream.read(RECORD.size)) == RECORD.size:
-        opcode, length = RECORD.unpack(head)
+    while len(header := stream.read(RECORD.size)) == RECORD.size:
+        opcode, length = RECORD.unpack(header)
         position = stream.tell()
         if opcode == 0 or length > LARGEST:
             return
@@ -72,55 +72,55 @@ def frames(stream: BinaryIO) -> Iterator[tuple[int, bytes, bool, int]]:
 
 
 def chunk(body: bytes) -> tuple[Bytes, int, int]:
-    """Return the records of a chunk, or of its beginning, their size and crc; DamagedError."""
+    """Return the records of a chunk, which may be truncated, size and crc; DamagedError."""
     try:
         *_, size, crc, length = CHUNK.unpack_from(body)
         begin = CHUNK.size + length + SIZE.size
-        claimed, = SIZE.unpack_from(body, begin - SIZE.size)
-        data = memoryview(body)[begin:begin + claimed]
-        packing = body[CHUNK.size:CHUNK.size + length]
-        if packing == b'lz4':
+        stored_size, = SIZE.unpack_from(body, begin - SIZE.size)
+        data = memoryview(body)[begin:begin + stored_size]
+        compression = body[CHUNK.size:CHUNK.size + length]
+        if compression == b'lz4':
             decompressor = lz4.frame.LZ4FrameDecompressor()
             return bytes(decompressor.decompress(data, max_length=LARGEST)), size, crc
-        return {b'': lambda packed: packed, b'zstd': unpacked}[packing](data), size, crc
-    except Exception as error:  # damaged bytes lead decompressors to errors of all kinds
+        return {b'': lambda packed: packed, b'zstd': unpacked}[compression](data), size, crc
+    except Exception as error:  # damaged bytes cause all kinds of errors in decompressors
         raise DamagedError from error
 
 
 class McapFile:
     """Reads one .mcap file record by record."""
 
-    def __init__(self, path: Path, name: str, contents: Contents, wanted: set[str] | None
+    def __init__(self, path: Path, name: str, contents: Contents, topics: set[str] | None
                  ) -> None:
-        """name: for the warnings; wanted: the topics whose messages are given, None: all."""
+        """name: for the warnings; topics: the requested ones, None: all."""
         self._path = path
         self._name = name
         self._contents = contents
-        self._wanted = wanted
+        self._topics = topics
         self._schemas: dict[int, str] = {}
-        self._channels: dict[int, str] = {}  # those that are wanted
+        self._channels: dict[int, str] = {}  # of the requested topics
         self._bad_chunks = 0
         self._count = 0
         self._chunk = lru_cache(CHUNKS)(self._unpacked_at)
 
-    def pieces(self) -> Iterator[list[Block]]:
-        """Yield the messages in the order of recording: pieces with a block for each topic."""
-        complete, single = False, Gathered(self._at)
+    def block_groups(self) -> Iterator[list[Block]]:
+        """Yield the messages in recording order: lists with a block for each topic."""
+        complete, single = False, BlockBuilder(self._single_message)
         with suppress(DamagedError), self._path.open('rb') as stream:
             self._take_summary(stream)
             stream.seek(MAGIC)
-            for opcode, body, whole, position in frames(stream):
-                self._contents.at = position
+            for opcode, body, is_complete, position in frames(stream):
+                self._contents.position = position
                 complete |= opcode in (Opcode.DATA_END, Opcode.FOOTER)
                 if opcode == Opcode.FOOTER:
                     break
                 if opcode == Opcode.CHUNK or single.is_full:
                     yield single.take_blocks()
                 if opcode == Opcode.CHUNK:
-                    yield self._of_chunk(body, whole, position)
-                elif whole and opcode != Opcode.MESSAGE:
+                    yield self._chunk_blocks(body, is_complete, position)
+                elif is_complete and opcode != Opcode.MESSAGE:
                     self._take(opcode, body)
-                elif whole:
+                elif is_complete:
                     self._take_single(body, position, single)
         yield single.take_blocks()
         if self._bad_chunks:
@@ -131,38 +131,38 @@ class McapFile:
                                            f'{self._count} messages up to there')
 
     def _take_summary(self, stream: BinaryIO) -> None:
-        """Take the channels that the end of a whole file repeats, in case its chunks are not."""
-        with suppress(Exception):  # damaged bytes lead parsers to errors of all kinds
+        """Read the channels repeated at the end of a complete file, in case chunks lack them."""
+        with suppress(Exception):  # damaged bytes cause all kinds of errors in parsers
             if summary := SeekingReader(stream, record_size_limit=LARGEST).get_summary():
                 self._schemas |= {key: schema.name for key, schema in summary.schemas.items()}
                 for channel in summary.channels.values():
                     self._take_channel(channel)
 
-    def _of_chunk(self, body: bytes, whole: bool, position: int) -> list[Block]:
-        """Return the messages of a chunk, or of its beginning where the file is cut in it."""
+    def _chunk_blocks(self, body: bytes, is_complete: bool, position: int) -> list[Block]:
+        """Return the messages of a chunk, which may be truncated."""
         spans: Spans = {}
         data: Bytes = b''
         try:
             data, size, crc = chunk(body)
-            if whole and (len(data) != size or crc and crc != zlib.crc32(data)):
+            if is_complete and (len(data) != size or crc and crc != zlib.crc32(data)):
                 raise DamagedError
             self._find(data, spans)
         except DamagedError:
             self._bad_chunks += 1
-        reread = partial(self._in_chunk, position, len(body))
+        reread = partial(self._chunk_message, position, len(body))
         return [Block(topic, data, starts, ends, times, list(zip(starts, ends, strict=True)),
                       reread) for topic, (starts, ends, times) in spans.items()]
 
     def _find(self, data: Bytes, spans: Spans) -> None:
-        """Note starts, ends and log times of the messages in an unpacked chunk, by topic."""
+        """Collect starts, ends and log times of the messages in a decompressed chunk, by topic."""
         position, end, unpack, channels = 0, len(data), MESSAGE_RECORD.unpack_from, self._channels
-        head, skipped, message = RECORD.size, MESSAGE.size, int(Opcode.MESSAGE)
-        while position + head <= end:
-            if position + head + skipped <= end:
+        record_size, message_size, message = RECORD.size, MESSAGE.size, int(Opcode.MESSAGE)
+        while position + record_size <= end:
+            if position + record_size + message_size <= end:
                 opcode, length, channel, _, log_time, _ = unpack(data, position)
             else:
                 opcode, length = RECORD.unpack_from(data, position)
-            start = position + head
+            start = position + record_size
             position = start + length
             if opcode == 0:
                 return
@@ -171,17 +171,17 @@ class McapFile:
             if opcode != message:
                 self._take(opcode, bytes(data[start:position]))
                 continue
-            if length < skipped:
+            if length < message_size:
                 raise DamagedError
             self._count += 1
             if (topic := channels.get(channel)) is not None:
                 starts, ends, log_times = spans.setdefault(topic, ([], [], []))
-                starts.append(start + skipped)
+                starts.append(start + message_size)
                 ends.append(position)
                 log_times.append(log_time)
 
-    def _take_single(self, body: bytes, position: int, single: Gathered) -> None:
-        """Take a message that lies in no chunk."""
+    def _take_single(self, body: bytes, position: int, single: BlockBuilder) -> None:
+        """Read a message outside of chunks."""
         if len(body) < MESSAGE.size:
             raise DamagedError
         channel, _, log_time, _ = MESSAGE.unpack_from(body)
@@ -191,37 +191,37 @@ class McapFile:
                        (position + MESSAGE.size, len(body) - MESSAGE.size))
 
     def _take(self, opcode: int, body: bytes) -> None:
-        """Take a record that describes the messages."""
+        """Read a record that describes messages."""
         try:
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(ReadDataStream(io.BytesIO(body)))
                 self._schemas[schema.id] = schema.name
             elif opcode == Opcode.CHANNEL:
                 self._take_channel(Channel.read(ReadDataStream(io.BytesIO(body))))
-        except Exception as error:  # damaged bytes lead parsers to errors of all kinds
+        except Exception as error:  # damaged bytes cause all kinds of errors in parsers
             raise DamagedError from error
 
     def _take_channel(self, channel: Channel) -> None:
         topic = full_name(channel.topic)
         kind = self._schemas.get(channel.schema_id, 'of unknown type')
         self._contents.topics[topic] = type_of(kind, channel.message_encoding)
-        if self._wanted is None or topic in self._wanted:
+        if self._topics is None or topic in self._topics:
             self._channels[channel.id] = topic
         else:
             self._channels.pop(channel.id, None)
 
-    def _at(self, position: tuple[int, int]) -> bytes:
-        """Return a message that lies in no chunk."""
+    def _single_message(self, position: tuple[int, int]) -> bytes:
+        """Return a message outside of chunks."""
         return message_of(self._bytes(*position))
 
-    def _in_chunk(self, position: int, size: int, span: tuple[int, int]) -> bytes:
-        """Return a message by the body of its chunk in the file, and its span in that."""
+    def _chunk_message(self, position: int, size: int, span: tuple[int, int]) -> bytes:
+        """Return a message from the body of its chunk in the file, and its span there."""
         return message_of(bytes(self._chunk(position, size)[slice(*span)]))
 
     def _unpacked_at(self, position: int, size: int) -> Bytes:
         try:
             return chunk(self._bytes(position, size))[0]
-        except DamagedError:  # the file is another by now
+        except DamagedError:  # the file has changed
             return b''
 
     def _bytes(self, position: int, size: int) -> bytes:
@@ -229,5 +229,5 @@ class McapFile:
             with self._path.open('rb') as stream:
                 stream.seek(position)
                 return stream.read(size)
-        except OSError:  # nothing is no message of any type
-            return b''
+        except OSError:
+            return b''  # no message of any type

@@ -1,9 +1,8 @@
 """
-ROS messages to profiles and poses: the one home of message conversion.
+Converts ROS messages to profiles and poses.
 
-Nothing here imports ROS: the functions take the messages of rclpy and those that rosbags
-deserialises alike. What comes in may be malformed in any way; every such message raises
-MessageError and nothing else.
+Imports no ROS: the functions take the messages of rclpy as well as those of rosbags. Malformed
+messages of any kind raise MessageError and nothing else.
 """
 from __future__ import annotations
 
@@ -17,13 +16,13 @@ from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.ros.bags.contents import CLOUD, POSE
 from handeye_ros.ros.bags.points import (
-    along_the_line,
-    chosen,
-    middle,
+    has_unit,
+    median_of,
+    ordered_points,
     require_one_plane,
     require_unit,
     returns,
-    surely_of_unit,
+    valid_columns,
 )
 from handeye_ros.ros.errors import MessageError
 import numpy as np
@@ -32,26 +31,26 @@ from numpy.typing import NDArray
 # sensor_msgs/PointField: datatype -> numpy
 DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 
-INTENSITY = 'intensity'  # the field of it, where a driver gives it
+INTENSITY = 'intensity'  # its field, if the driver publishes it
 
 UNITS = {'m': 1.0, 'mm': 1e-3}
 
-LARGEST_POSITION = 1e6  # m; a robot in mm stays below, so that the solver can name that error
+LARGEST_POSITION = 1e6  # m; poses in mm stay below, so that the solver can report the wrong unit
 LENGTH_TOLERANCE = 1e-2  # of a quaternion's length
 
 
 @cache
 def typestore() -> Any:
-    """Return the types of messages of ROS 2 Jazzy; their import takes long."""
+    """Return the message types of ROS 2 Jazzy; the import is slow."""
     from rosbags.typesys import get_typestore, Stores
     return get_typestore(Stores.ROS2_JAZZY)
 
 
 def deserialised(data: bytes, kind: str) -> Any:
-    """Return a serialised message of a type, its arrays views of the bytes; MessageError."""
+    """Return a deserialised message, its arrays views of the bytes; MessageError."""
     try:
         return typestore().deserialize_cdr(memoryview(data), kind)
-    except Exception as error:  # damaged bytes lead the parser to errors of all kinds
+    except Exception as error:  # damaged bytes cause all kinds of errors in the parser
         raise MessageError(kind.rpartition('/')[2], f'damaged message: {error}') from error
 
 
@@ -61,7 +60,7 @@ def stamp_of(header: Any) -> int:
 
 
 def to_cdr(message: Any) -> bytes:
-    """Return a message of the typestore as it is serialised."""
+    """Return a serialised message of the typestore."""
     return bytes(typestore().serialize_cdr(message, message.__msgtype__))
 
 
@@ -81,34 +80,34 @@ def row_of(cloud: Any, index: int) -> Any:
 
 def profile_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
     """
-    Return the profile in a sensor_msgs/PointCloud2, in metres and in the order of the line.
+    Return the profile in a sensor_msgs/PointCloud2, in metres, ordered along the line.
 
-    A point with any value that is not finite, or that cannot be measured, is no return: NaN in
-    both columns; rows of the message follow each other. A cloud without points is a profile
+    A point with a value that is not finite, or that no sensor can measure, is no return: NaN in
+    both columns. The rows of the message are concatenated. A cloud without points is a profile
     without returns. Raises MessageError.
 
     """
     if int(msg.width) * int(msg.height) == 0:
         return _empty(msg, config)
-    points, good, seen = _points(msg, config)
-    return replace(_empty(msg, config), points=along_the_line(points, good, seen, _plane(config)),
-                   beside=middle(seen[:, 2]))
+    points, good, valid_points = _points(msg, config)
+    ordered = ordered_points(points, good, valid_points, _plane(config))
+    return replace(_empty(msg, config), points=ordered, beside=median_of(valid_points[:, 2]))
 
 
 def returns_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
     """
-    Return the returns alone of a sensor_msgs/PointCloud2, in the order of the message.
+    Return only the returns of a sensor_msgs/PointCloud2, in message order.
 
-    With the intensity where there is a field of that name. For what asks for points and not for
-    their order along the line, which is most of the work. Raises MessageError.
+    With the intensity if there is a field of that name. The order along the line, which takes most
+    of the time, is not determined. Raises MessageError.
 
     """
     if int(msg.width) * int(msg.height) == 0:
         return _empty(msg, config)
-    _, good, seen = _points(msg, config)
+    _, good, valid_points = _points(msg, config)
     intensity = (_column(msg, INTENSITY)[good]
                  if INTENSITY in {str(field.name) for field in msg.fields} else None)
-    return replace(_empty(msg, config), points=seen[:, :2], intensity=intensity)
+    return replace(_empty(msg, config), points=valid_points[:, :2], intensity=intensity)
 
 
 def _empty(msg: Any, config: ProfileConfig) -> Profile:
@@ -118,40 +117,41 @@ def _empty(msg: Any, config: ProfileConfig) -> Profile:
 
 def _points(msg: Any, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_], Array]:
     """
-    Return the points (n, 3) of a cloud in metres, which of them are returns (n,), and those.
+    Return the points (n, 3) of a cloud in metres, which are returns (n,), and the returns.
 
     Columns: along the line, range, across the plane. Raises MessageError.
     """
-    columns = np.stack((_column(msg, config.axes[0]), _ranges(msg, config), _beside(msg, config)))
+    columns = np.stack((_column(msg, config.axes[0]), _ranges(msg, config),
+                        _off_plane(msg, config)))
     points = (columns * UNITS[config.unit]).T
     good = returns(points)
-    seen = chosen(points, good)
-    if not surely_of_unit(points, seen):
+    valid_points = valid_columns(points, good)
+    if not has_unit(points, valid_points):
         require_unit(points, config.unit)
-    require_one_plane(seen, _plane(config))
-    return points, good, seen
+    require_one_plane(valid_points, _plane(config))
+    return points, good, valid_points
 
 
 def require_layout(msg: Any, config: ProfileConfig) -> None:
-    """Refuse a sensor_msgs/PointCloud2 whose points do not lie in its data (MessageError)."""
+    """Raise MessageError for a sensor_msgs/PointCloud2 whose points exceed its data."""
     if int(msg.width) * int(msg.height):
         for axis in config.axes:
             view_of(msg, axis[-1])
 
 
 def frame_name(frame_id: str) -> str:
-    """Return the name of a frame as tf2 has it, without the slash of ROS 1."""
-    return sys.intern(str(frame_id).removeprefix('/'))  # it comes thousands of times
+    """Return a frame name as in tf2, without the leading slash of ROS 1."""
+    return sys.intern(str(frame_id).removeprefix('/'))  # it is in thousands of messages
 
 
 def _plane(config: ProfileConfig) -> tuple[str, str, str]:
-    """Return the axes along the line, of the range and across the plane, without signs."""
+    """Return the axes along the line, of the range, and orthogonal to both, without signs."""
     along, across = (axis[-1] for axis in config.axes)
     return along, across, ({'x', 'y', 'z'} - {along, across}).pop()
 
 
-def _beside(msg: Any, config: ProfileConfig) -> Array:
-    """Return the coordinates across the sensor plane (n,), NaN where the message has none."""
+def _off_plane(msg: Any, config: ProfileConfig) -> Array:
+    """Return the coordinates orthogonal to the sensor plane (n,), NaN if missing."""
     try:
         return _column(msg, _plane(config)[2])
     except MessageError:
@@ -159,25 +159,25 @@ def _beside(msg: Any, config: ProfileConfig) -> Array:
 
 
 def _ranges(msg: Any, config: ProfileConfig) -> Array:
-    """Return the ranges of a cloud (n,), NaN where they are values that mean no return."""
+    """Return the ranges of a cloud (n,), NaN for values that mark missing returns."""
     name = config.axes[1]
     values = _column(msg, name)
     for value in config.invalid:
-        # as the driver has it: in its type, before the sign of the axis
+        # the value of the driver: in its type, before the sign of the axis
         invalid = np.isclose(values, -value if name[0] == '-' else value, rtol=1e-6, atol=0.0)
         values[invalid] = np.nan
     return values
 
 
 def _column(msg: Any, name: str) -> Array:
-    """Return a field of a cloud, such as a signed axis (n,), as float64 as it is sent."""
+    """Return a field of a cloud, such as a signed axis (n,), as float64, unscaled."""
     with np.errstate(invalid='ignore'):  # a signalling NaN is a NaN
         values = view_of(msg, name.removeprefix('-')).astype(np.float64).ravel()
     return -values if name[0] == '-' else values
 
 
 def view_of(msg: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
-    """Return a field of a cloud (height, width), as it lies in its data."""
+    """Return a field of a cloud (height, width) as a view of its data."""
     field = _field(msg, name)
     kind = DATATYPES.get(int(field.datatype))
     if kind is None:
@@ -207,7 +207,7 @@ def _field(msg: Any, name: str) -> Any:
 
 
 def _layout(msg: Any, height: int, width: int) -> tuple[int, int, Any]:
-    """Return the steps in bytes and the buffer, which is long enough for all points."""
+    """Return the steps in bytes and the buffer, extended to full length."""
     point_step, row_step = int(msg.point_step), int(msg.row_step)
     if height == 1 or row_step == 0:  # drivers often leave it unset
         row_step = width * point_step

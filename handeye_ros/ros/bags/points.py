@@ -1,8 +1,8 @@
 """
-The points of a cloud as a profile: in metres, in one plane, in the order of the laser line.
+Points of a cloud as a profile: metres, one plane, ordered along the laser line.
 
-Drivers send what they like; what can be put right is, and what cannot is refused with the
-setting that would.
+Drivers differ. Deviations are corrected where possible; else the message is refused, and the error
+names the setting to change.
 """
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from handeye_ros.sampling.profile_buffer import MOST_BACK
 import numpy as np
 from numpy.typing import NDArray
 
-# No line profiler measures so far (m): a coordinate beyond is no return, and when most
-# are, or with mm all lie nearer than NEAR, the unit is wrong.
+# No line profiler measures this far (m): a larger coordinate is no return. If most are larger, or
+# with mm all are smaller than NEAR, the unit is wrong.
 FAR = 10.0
 NEAR = 1e-3
 
-THICK = 2e-3  # m; points of one profile do not leave its plane by so much
-THIN = 0.01  # of the spread across the plane: an axis with less is the one across it
-SURE = 10  # so many returns do not follow each other by chance
-# of the steps between returns: fewer go back along the line, more along the range
+THICK = 2e-3  # m: largest distance of the points of a profile from its plane
+THIN = 0.01  # of the spread across the plane: an axis with less is orthogonal to it
+SURE = 10  # smallest number of returns for a decision on their order
+# fraction of backward steps between returns: at most along the line, at least along the range
 LINE_BACK, RANGE_BACK = 0.05, 0.1
 
 
 def require_unit(points: Array, unit: str) -> None:
-    """Refuse coordinates (n, k), in metres after unit, that no sensor gives (MessageError)."""
+    """Raise MessageError for coordinates (n, k), in metres after unit, beyond any sensor."""
     reach = np.maximum(np.abs(points[:, 0]), np.abs(points[:, 1]))
     finite = np.isfinite(reach)
-    far = finite & (reach > FAR)
-    if far.sum() > finite.sum() / 2:
-        raise MessageError('PointCloud2', f'coordinates reach {reach[far].max():.3g} m'
+    too_far = finite & (reach > FAR)
+    if too_far.sum() > finite.sum() / 2:
+        raise MessageError('PointCloud2', f'coordinates reach {reach[too_far].max():.3g} m'
                            + (': set profile.unit to mm' if unit == 'm' else
                               ', but profile.unit is m or mm'))
-    largest = reach[finite & ~far].max(initial=0.0)
+    largest = reach[finite & ~too_far].max(initial=0.0)
     if unit == 'mm' and 0.0 < largest < NEAR:
         raise MessageError('PointCloud2', f'no coordinate is larger than {largest * 1e3:.3g} mm: '
                            'set profile.unit to m')
@@ -41,32 +41,32 @@ def require_unit(points: Array, unit: str) -> None:
 
 def returns(points: Array) -> NDArray[np.bool_]:
     """
-    Tell which of the points (n, k) are returns, (n,).
+    Return which of the points (n, k) are returns, (n,).
 
-    None is one that is not finite, is too far, or lies in the origin itself, which drivers
-    give for want of a better number.
+    Points that are not finite, too far, or in the origin are none; drivers publish the origin for
+    missing returns.
     """
     x, z = points[:, 0], points[:, 1]  # numpy is slow along an axis of two
     with np.errstate(invalid='ignore'):
-        near = (np.abs(x) <= FAR) & (np.abs(z) <= FAR)
-    return np.asarray(near & ((x != 0) | (z != 0)))
+        in_range = (np.abs(x) <= FAR) & (np.abs(z) <= FAR)
+    return np.asarray(in_range & ((x != 0) | (z != 0)))
 
 
-def chosen(points: Array, good: NDArray[np.bool_]) -> Array:
-    """Return the good ones of points (n, k), whose columns lie one behind the other."""
+def valid_columns(points: Array, good: NDArray[np.bool_]) -> Array:
+    """Return the valid points (n, k) with each column contiguous in memory."""
     rows = np.flatnonzero(good)
     return points if len(rows) == len(points) else points.T.take(rows, axis=1).T
 
 
-def surely_of_unit(points: Array, seen: Array) -> bool:
-    """Return whether points (n, k), of which seen (m, k) are returns, leave no doubt of it."""
-    if not 2 * len(seen) > len(points):
+def has_unit(points: Array, valid_points: Array) -> bool:
+    """Return whether points (n, k) with returns valid_points (m, k) are surely in the unit."""
+    if not 2 * len(valid_points) > len(points):
         return False
-    return bool(max(seen[:, :2].max(), -seen[:, :2].min()) > NEAR)
+    return bool(max(valid_points[:, :2].max(), -valid_points[:, :2].min()) > NEAR)
 
 
-def middle(values: Array) -> float:
-    """Return the median of values (n,), 0 where there is none."""
+def median_of(values: Array) -> float:
+    """Return the median of values (n,), 0 without any."""
     if not len(values):
         return 0.0
     if values[0] == values[-1] and (values == values[0]).all():
@@ -76,7 +76,7 @@ def middle(values: Array) -> float:
 
 def require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     """
-    Refuse returns (n, 3) that do not lie in the plane of the first two axes (MessageError).
+    Raise MessageError for returns (n, 3) outside the plane of the first two axes.
 
     axes: the axes of the columns, without signs, as x z y.
     """
@@ -88,43 +88,40 @@ def require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     text = (f'the points do not lie in the plane of {axes[0]} and {axes[1]}: '
             f'their {axes[2]} spans {spread[2] * 1e3:.1f} mm')
     if min(spread[:2]) < THIN * spread[2]:
-        empty = int(np.argmin(spread[:2]))
-        left, right = sorted(((2, 1), (0, 2))[empty], key=lambda k: _back(np.diff(points[:, k])))
-        text += (f', their {axes[empty]} nothing: set profile.axes to '
-                 f'[{axes[left]}, {axes[right]}]')
+        flat = int(np.argmin(spread[:2]))
+        along, range_axis = sorted(((2, 1), (0, 2))[flat],
+                                   key=lambda k: _back(np.diff(points[:, k])))
+        text += (f', their {axes[flat]} nothing: set profile.axes to '
+                 f'[{axes[along]}, {axes[range_axis]}]')
     else:
         text += ('; a line profiler measures in one plane: let its driver publish single '
                  'profiles in its own frame')
     raise MessageError('PointCloud2', text)
 
 
-def along_the_line(points: Array, good: NDArray[np.bool_], seen: Array, axes: tuple[str, ...]
-                   ) -> Array:
+def ordered_points(points: Array, good: NDArray[np.bool_], valid_points: Array,
+                   axes: tuple[str, ...]) -> Array:
     """
-    Return the first two columns of points (n, k) in the order of the first.
+    Return the first two columns of points (n, k), ordered by the first.
 
-    A profile is a function of it. good: (n,) which are returns; seen: those. Where they are in
-    order, forwards or backwards, all stay as they are: the rows without a return are then where
-    they belong. Raises MessageError where the order shows that the axes are wrong. axes: those
-    of the columns, without signs.
+    good: (n,) which are returns; valid_points: the returns; axes: of the columns, without signs.
+    If the returns are in order, forwards or backwards, all points stay as they are: the rows
+    without a return are then in place. Raises MessageError if the order shows wrong axes.
     """
-    steps = seen[1:, 0] - seen[:-1, 0]
-    if not (_all_one_way(steps) or _one_way(steps, seen, axes)):
+    steps = valid_points[1:, 0] - valid_points[:-1, 0]
+    monotonic = len(steps) and (steps.min() > 0 or steps.max() < 0)
+    if not (monotonic or _one_way(steps, valid_points, axes)):
         return _sorted(points[:, :2])
-    kept = points[:, :2].copy(order='C')
-    if len(seen) < len(points):
-        kept[~good] = np.nan
-    return kept
+    ordered = points[:, :2].copy(order='C')
+    if len(valid_points) < len(points):
+        ordered[~good] = np.nan
+    return ordered
 
 
-def _all_one_way(steps: Array) -> bool:
-    return bool(len(steps) and (steps.min() > 0 or steps.max() < 0))
-
-
-def _one_way(steps: Array, seen: Array, axes: tuple[str, ...]) -> bool:
-    """Return whether steps between returns (n, 2) lead one way, but for a part of it."""
+def _one_way(steps: Array, valid_points: Array, axes: tuple[str, ...]) -> bool:
+    """Return whether steps between returns (n, 2) have one direction, except for a part."""
     if (len(steps) >= SURE and _back(steps) > RANGE_BACK
-            and _back(np.diff(seen[:, 1])) < LINE_BACK):
+            and _back(np.diff(valid_points[:, 1])) < LINE_BACK):
         raise MessageError('PointCloud2', f'the points follow each other along {axes[1]}, not '
                            f'along {axes[0]}: set profile.axes to [{axes[1]}, {axes[0]}]')
     forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()
@@ -132,17 +129,17 @@ def _one_way(steps: Array, seen: Array, axes: tuple[str, ...]) -> bool:
 
 
 def _sorted(points: Array) -> Array:
-    """Return points (n, 2) in the order of the first column, means where it is the same."""
+    """Return points (n, 2) ordered by the first column; points with equal values are averaged."""
     with np.errstate(invalid='ignore'):
-        placed = points[np.abs(points[:, 0]) <= FAR]
-    x, group = np.unique(placed[:, 0], return_inverse=True)
-    good = returns(placed)
+        in_range = points[np.abs(points[:, 0]) <= FAR]
+    x, group = np.unique(in_range[:, 0], return_inverse=True)
+    good = returns(in_range)
     count = np.bincount(group[good], minlength=len(x))
-    total = np.bincount(group[good], placed[good, 1], minlength=len(x))
+    total = np.bincount(group[good], in_range[good, 1], minlength=len(x))
     with np.errstate(invalid='ignore'):  # 0 / 0 where there is no return
         return np.column_stack([np.where(count > 0, x, np.nan), total / count])
 
 
 def _back(steps: Array) -> float:
-    """Return the share of steps that do not go the way of the most."""
+    """Return the share of steps against the direction of the majority."""
     return 1.0 - max(np.count_nonzero(steps > 0), np.count_nonzero(steps < 0)) / len(steps)

@@ -1,8 +1,8 @@
 """
-Flange poses of a topic of a bag, held as numbers, as reported or as an arm has at joint values.
+Flange poses of a topic of a bag as arrays: as reported, or of an arm at joint values.
 
-The poses of one robot are laid out alike, and those of a block are read at once: 26,500 of a bag
-take 27 ms so, and 270 ms where each is deserialised.
+The poses of one robot have the same layout, and those of a block are read at once: 26,500 of a bag
+take 27 ms, and 270 ms if each is deserialised.
 """
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from handeye_ros.ros.bags.messages import (
     pose_from_cdr,
     stamp_of,
 )
-from handeye_ros.ros.bags.topic import Added, one_by_one
+from handeye_ros.ros.bags.topic import Added, added_singly
 from handeye_ros.ros.errors import MessageError
 import numpy as np
 from numpy.typing import NDArray
 
-FRAME = 16  # where the characters of the frame_id lie in a serialised message
+FRAME = 16  # position of the frame_id's characters in a serialised message
 NUMBERS = 56  # bytes of a position and a quaternion
-PADDING = 3  # bytes behind a message at most
+PADDING = 3  # bytes after a message at most
 
 
 class PoseTable(Sequence[TimedPose]):
-    """Poses in rows of numbers: thousands a second take little of the memory so."""
+    """Poses in rows of numbers, with little memory for thousands per second."""
 
     def __init__(self, stamps: Sequence[int], rows: Array, frame: str,
                  joints: Array | None = None) -> None:
         """
         Keep the rows (n, 7) of position and quaternion x y z w; frame: the parent of all.
 
-        joints: the joint values (n, joints) that they follow from.
+        joints: the joint values (n, joints) of the poses.
         """
         self._stamps = array('q', stamps)
         self._rows = rows
@@ -49,7 +49,7 @@ class PoseTable(Sequence[TimedPose]):
         self.joints = joints
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of poses."""
         return len(self._stamps)
 
     @overload
@@ -71,7 +71,7 @@ class PoseTable(Sequence[TimedPose]):
 
 
 class Poses:
-    """Poses as they are reported; frames: the first two of their parents."""
+    """Reported poses; frames: the first two of their parents."""
 
     def __init__(self) -> None:
         """Start with none."""
@@ -79,8 +79,8 @@ class Poses:
         self.frames: list[str] = []
 
     def add(self, block: Block) -> Added:
-        """Take the next messages."""
-        stamps, rows, good, frame = _alike(block)
+        """Add the next messages."""
+        stamps, rows, good, frame = _read_alike(block)
         frames, reason = [frame] if good.any() else [], ''
         for index in np.flatnonzero(~good).tolist():
             try:
@@ -101,11 +101,11 @@ class Poses:
         return PoseTable(stamps, rows, self.frames[0])
 
 
-def _alike(block: Block) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_], str]:
+def _read_alike(block: Block) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_], str]:
     """
     Return stamps (n,), poses (n, 7), which of them (n,) are read, and their frame.
 
-    Those are read that are laid out as the first message, in the same frame, and are poses.
+    Only valid poses with the layout and frame of the first message are read.
     """
     starts, ends = np.array(block.starts), np.array(block.ends)
     data = np.frombuffer(block.data, np.uint8)
@@ -116,15 +116,16 @@ def _alike(block: Block) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_], s
         frame = pose_from_cdr(first).parent_frame
     except MessageError:
         return unread
-    end = FRAME + struct.unpack_from('<I', first, FRAME - 4)[0]
-    begin = end + (4 - end) % 8  # of the numbers: aligned, counted from behind the encapsulation
-    if first[:2] != b'\0\1' or len(first) > begin + NUMBERS + PADDING:
+    frame_end = FRAME + struct.unpack_from('<I', first, FRAME - 4)[0]
+    numbers_start = frame_end + (4 - frame_end) % 8  # aligned to 8 after the encapsulation header
+    if first[:2] != b'\0\1' or len(first) > numbers_start + NUMBERS + PADDING:
         return unread
     good = ends - starts == len(first)
     rows = data[np.where(good, starts, starts[0])[:, None] + np.arange(len(first))]
     good &= (rows[:, :2] == rows[0, :2]).all(axis=1)  # the encoding
-    good &= (rows[:, 12:end] == rows[0, 12:end]).all(axis=1)  # the frame_id
-    values = rows.view(np.dtype({'names': ['sec', 'nanosec', 'pose'], 'offsets': [4, 8, begin],
+    good &= (rows[:, 12:frame_end] == rows[0, 12:frame_end]).all(axis=1)  # the frame_id
+    values = rows.view(np.dtype({'names': ['sec', 'nanosec', 'pose'],
+                                 'offsets': [4, 8, numbers_start],
                                  'formats': ['<i4', '<u4', '(7,)<f8'], 'itemsize': len(first)}))
     stamps = values['sec'].astype(np.int64) * 1_000_000_000 + values['nanosec']
     poses, usable = _normalised(np.ascontiguousarray(values['pose'][:, 0]))
@@ -132,8 +133,8 @@ def _alike(block: Block) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_], s
 
 
 def _normalised(rows: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return poses with quaternions of unit length and qw >= 0, and which of them are poses."""
-    # as for a single one: numpy rounds otherwise
+    """Return poses with unit quaternions and qw >= 0, and which of them are valid."""
+    # math.hypot as for a single pose: numpy rounds differently
     norm = np.array(list(map(math.hypot, *rows[:, 3:].T.tolist())))
     farthest = np.abs(rows[:, :3]).max(axis=1)
     with np.errstate(all='ignore'):
@@ -144,7 +145,7 @@ def _normalised(rows: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 class JointPoses:
-    """Joint values, given as the poses of an arm; frames: that of its base."""
+    """Joint values as the poses of an arm; frames: that of its base."""
 
     def __init__(self, arm: Arm) -> None:
         """Start with none."""
@@ -152,13 +153,13 @@ class JointPoses:
         self.frames = [arm.chain.base]
 
     def add(self, block: Block) -> Added:
-        """Take the next messages."""
+        """Add the next messages."""
         def one(index: int) -> int:
             stamp, values = _joint_values(self._arm, block.message(index))
             self._rows.extend(values)
             return stamp
 
-        return one_by_one(block, one)
+        return added_singly(block, one)
 
     def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> PoseTable:
         """Return the poses in an order, with stamps."""

@@ -1,14 +1,14 @@
 """
-Profiles as they are received: enough is read of each to check it, of a few all.
+Profiles as received: every message is checked, and the points of only a few are read.
 
-A sensor sends thousands while the robot moves, and a station uses a few hundred: the points of
-the others are never needed. Whether its bytes make a cloud is checked of every message; what only
-the points themselves show (a wrong unit or axis) is checked of a few a second, and of all from
-one that cannot be used to the next one that can.
+A sensor publishes thousands of profiles while the robot moves, and a station uses a few hundred:
+the points of the others are never needed. The layout of every message is checked. The points
+(wrong unit or axis) are checked a few times per second; after an unusable message, in every
+message until the next usable one.
 
-Several profiles in one message: with a period the stamps of its rows are known. Without one it
-is only known that they were taken within the time from one message to the next: such a profile
-counts where the robot stood still during all of it.
+A message may hold several profiles. With a period, the stamps of its rows are known. Without one,
+they were taken at some time between two messages: such a profile counts if the robot stood still
+during all of this time.
 """
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ from handeye_ros.ros.bags.messages import (
 from handeye_ros.ros.errors import MessageError
 import numpy as np
 
-PROBE = 200_000_000  # ns of the stamps between two profiles that are read at once
-MOST_LAYOUTS = 1000  # that are remembered: one for each number of points
+PROBE = 200_000_000  # ns between two profiles whose points are checked
+MOST_LAYOUTS = 1000  # stored layouts: one for each number of points
 LONGEST_LAYOUT = 4000  # bytes of one
-OVERHEAD = 600  # bytes of what is held beside a message
+OVERHEAD = 600  # bytes of memory for a message, without its data
 
-SHARED = 0.5  # of the line that rows share which are profiles
+SHARED = 0.5  # smallest common fraction of the line in rows that are profiles
 FEWEST_COLUMNS = 10  # of rows that are compared
-# the fraction of the time of a message that lies before its stamp
+# the fraction of the time of a message before its stamp
 BEFORE = {'first': 0.0, 'middle': 0.5, 'last': 1.0}
 
-STAMPED = 12  # where the stamp of a serialised message ends
+STAMPED = 12  # end of the stamp in a serialised message
 STAMPS = (struct.Struct('>4xiI'), struct.Struct('<4xiI'))  # by the second byte of a message
 
 
 class Layout(NamedTuple):
-    """What clouds have in common that are alike but for stamp and data; size: of one at least."""
+    """Common description of clouds that differ in stamp and data only; size: minimum."""
 
     size: int
     frame: str
@@ -60,14 +60,14 @@ class Layout(NamedTuple):
 
 class ProfileReader:
     """
-    Takes the serialised clouds of one topic in the order in which they come.
+    Receives the serialised clouds of one topic in order.
 
-    Drivers describe the same all the time: 5,300 clouds of a bag take 54 ms so, and 154 ms where
-    each is deserialised.
+    The description of the data is the same in most messages: 5,300 clouds of a bag take 54 ms, and
+    154 ms if each is deserialised.
     """
 
     def __init__(self, config: ProfileConfig) -> None:
-        """Start with none; config: how the clouds are to be read."""
+        """Start with none; config: describes the clouds."""
         self.config = config
         self._layouts: dict[bytes, Layout] = {}  # by the bytes that describe the data
         self._data_start = STAMPED  # in the last message that was deserialised
@@ -76,9 +76,9 @@ class ProfileReader:
 
     def take(self, data: bytes, fetch: Callable[[], bytes] | None = None) -> RawProfile:
         """
-        Return the profile of a message, to be read where it is used.
+        Return the profile of a message, decoded on demand.
 
-        fetch: gives the message again; without it, it is kept. Raises MessageError.
+        fetch: returns the message again; without it the message is kept. Raises MessageError.
         """
         layout = self._layouts.get(data[:2] + data[STAMPED:self._data_start])
         if layout is None or len(data) < layout.size:
@@ -92,7 +92,7 @@ class ProfileReader:
         return profile
 
     def _read_layout(self, data: bytes) -> Layout:
-        """Return what a message describes; raises MessageError for what is no cloud."""
+        """Return the description of a message; raises MessageError unless it is a cloud."""
         cloud = deserialised(data, CLOUD)
         require_layout(cloud, self.config)
         size = len(to_cdr(cloud))
@@ -106,7 +106,7 @@ class ProfileReader:
         return layout
 
     def _probe(self, data: bytes, rows: int, stamp: int) -> None:
-        """Refuse points that cannot be those of a profile."""
+        """Raise for points that cannot belong to a profile."""
         self._trusted = False
         cloud = deserialised(data, CLOUD)
         points = profile_from_cloud(cloud if rows == 1 else row_of(cloud, 0), self.config).points
@@ -115,9 +115,9 @@ class ProfileReader:
 
 def rows_of(msg: Any, config: ProfileConfig) -> int:
     """
-    Return how many profiles the rows of a sensor_msgs/PointCloud2 are, 1 where they are points.
+    Return the number of profiles in a PointCloud2: its rows, or 1 if rows are single points.
 
-    Rows that run along the same part of the line are profiles. Raises MessageError.
+    Rows along the same part of the line are profiles. Raises MessageError.
 
     """
     height, width = int(msg.height), int(msg.width)
@@ -135,27 +135,27 @@ def rows_of(msg: Any, config: ProfileConfig) -> int:
 
 
 def _span(values: Array) -> tuple[float, float]:
-    """Return the smallest and the largest of the values that are finite, NaN without any."""
+    """Return the minimum and maximum of the finite values, NaN without any."""
     finite = values[np.isfinite(values)]
     return (float(finite.min()), float(finite.max())) if len(finite) else (np.nan, np.nan)
 
 
-def split(raw: RawProfile, before: int | None, config: ProfileConfig) -> list[RawProfile]:
+def split(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig) -> list[RawProfile]:
     """
     Return the profiles of a message, in the order of their stamps.
 
-    before: the stamp of the message before, None for the first; where there is no period the
-    first message is left out, as nobody knows how long it took.
+    previous_stamp: of the previous message, None for the first. Without a period the first message
+    is left out, as its duration is unknown.
     """
     if raw.rows == 1:
         return [raw]
-    part, reach, step = BEFORE[config.stamp], (0, 0), config.period * 1e9
+    fraction, reach, step = BEFORE[config.stamp], (0, 0), config.period * 1e9
     if not step:
-        if before is None or before >= raw.stamp:
+        if previous_stamp is None or previous_stamp >= raw.stamp:
             return []
-        took, step = raw.stamp - before, 1.0  # single nanoseconds keep their order
-        reach = (round(part * took), round((1.0 - part) * took))
-    first = raw.stamp - round(part * (raw.rows - 1) * step)
+        duration, step = raw.stamp - previous_stamp, 1.0  # single nanoseconds keep their order
+        reach = (round(fraction * duration), round((1.0 - fraction) * duration))
+    first = raw.stamp - round(fraction * (raw.rows - 1) * step)
     stamps = [first + round(index * step) for index in range(raw.rows)]
     return [replace(raw, stamp=stamp, rows=1, held=raw.held // raw.rows,
                     fetch=partial(_row_message, raw.fetch, index, stamp), reach=reach)
@@ -163,7 +163,7 @@ def split(raw: RawProfile, before: int | None, config: ProfileConfig) -> list[Ra
 
 
 def _row_message(fetch: Callable[[], bytes], index: int, stamp: int) -> bytes:
-    """Return a row of a message as a message with a stamp; raises MessageError."""
+    """Return one row of a message as a message with its own stamp; raises MessageError."""
     row = row_of(deserialised(fetch(), CLOUD), index)
     sec, nanosec = divmod(stamp, 1_000_000_000)
     header = replace(row.header, stamp=replace(row.header.stamp, sec=sec, nanosec=nanosec))
@@ -172,9 +172,9 @@ def _row_message(fetch: Callable[[], bytes], index: int, stamp: int) -> bytes:
 
 def returns_of(data: bytes, config: ProfileConfig) -> Iterator[Profile]:
     """
-    Yield the profiles of one serialised message: returns alone, with intensity.
+    Yield the profiles of one serialised message: only returns, with intensity.
 
-    Where there are several, the robot may move meanwhile. Raises MessageError.
+    The robot may move between several profiles. Raises MessageError.
     """
     cloud = deserialised(data, CLOUD)
     rows = rows_of(cloud, config)
@@ -184,7 +184,7 @@ def returns_of(data: bytes, config: ProfileConfig) -> Iterator[Profile]:
     if not config.period:
         raise MessageError('PointCloud2', f'it holds {rows} profiles, and does not say when each '
                            'was taken: set profile.period')
-    whole = RawProfile(stamp_of(cloud.header), '', partial(bytes, data), profile_from_cdr, config,
-                       rows=rows)
-    for index, one in enumerate(split(whole, None, config)):
-        yield replace(returns_from_cloud(row_of(cloud, index), config), stamp=one.stamp)
+    raw = RawProfile(stamp_of(cloud.header), '', partial(bytes, data), profile_from_cdr, config,
+                     rows=rows)
+    for index, row in enumerate(split(raw, None, config)):
+        yield replace(returns_from_cloud(row_of(cloud, index), config), stamp=row.stamp)

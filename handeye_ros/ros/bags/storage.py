@@ -1,4 +1,4 @@
-"""The raw messages in a rosbag2 folder or file, as far as they can be read."""
+"""Raw messages of a rosbag2 folder or file, as far as they are readable."""
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
@@ -14,9 +14,9 @@ from handeye_ros.config import yaml_content
 from handeye_ros.errors import BagError
 from handeye_ros.ros.bags.contents import (
     Block,
+    BlockBuilder,
     Contents,
     full_name,
-    Gathered,
     message_of,
     Raw,
     type_of,
@@ -36,7 +36,7 @@ SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 
 
 def scan(path: Path, topics: Collection[str] | None = None) -> Contents:
-    """Return what a bag holds, and its messages (of these topics only); raises as pieces."""
+    """Return the contents of a bag with its messages (of given topics); see block_groups."""
     contents = Contents()
     contents.messages += messages(path, contents, topics)
     return contents
@@ -44,8 +44,8 @@ def scan(path: Path, topics: Collection[str] | None = None) -> Contents:
 
 def messages(path: Path, contents: Contents, topics: Collection[str] | None = None
              ) -> Iterator[Raw]:
-    """Yield the messages of a bag one by one; see pieces."""
-    for blocks in pieces(path, contents, topics):
+    """Yield the messages of a bag one by one; see block_groups."""
+    for blocks in block_groups(path, contents, topics):
         order = sorted((position, number, index) for number, block in enumerate(blocks)
                        for index, position in enumerate(block.positions))
         for _, number, index in order:
@@ -53,41 +53,41 @@ def messages(path: Path, contents: Contents, topics: Collection[str] | None = No
             yield Raw(block.topic, block.log_times[index], block.message(index))
 
 
-def pieces(path: Path, contents: Contents, topics: Collection[str] | None = None,
-           progress: Progress = lambda share: None) -> Iterator[list[Block]]:
+def block_groups(path: Path, contents: Contents, topics: Collection[str] | None = None,
+                 progress: Progress = lambda share: None) -> Iterator[list[Block]]:
     """
-    Yield the messages of a bag (of these topics only) in the order of recording.
+    Yield the messages of a bag (of given topics) in recording order.
 
-    They come in pieces, of each topic a block. contents is filled on the way, all but its
-    messages. progress: receives the share of the bytes that were read. Raises BagError when
-    there is nothing to read.
+    Each list has a block for each topic. contents is filled meanwhile, except its messages.
+    progress: receives the fraction of the bytes that were read. Raises BagError if there is
+    nothing to read.
     """
-    wanted = None if topics is None else {full_name(topic) for topic in topics}
+    names = None if topics is None else {full_name(topic) for topic in topics}
     try:
         contents.files += _files(path, contents)
         sizes = [file.stat().st_size for file in contents.files]
         for index, file in enumerate(contents.files):
             done, total = sum(sizes[:index]), max(1, sum(sizes))
-            for blocks in _of_file(file, contents, wanted):
+            for blocks in _file_blocks(file, contents, names):
                 yield blocks
-                progress(min(1.0, (done + min(contents.at, sizes[index])) / total))
+                progress(min(1.0, (done + min(contents.position, sizes[index])) / total))
     except OSError as error:
         raise BagError(error.filename or path, f'cannot be read: {error.strerror or error}'
                        ) from error
     if not contents.topics:
-        why = '; '.join(contents.warnings) or 'the recording was stopped before it began'
-        raise BagError(path, f'holds no messages ({why}): record again')
+        reason = '; '.join(contents.warnings) or 'the recording was stopped before it began'
+        raise BagError(path, f'holds no messages ({reason}): record again')
 
 
 def _files(path: Path, contents: Contents) -> list[Path]:
-    """Return the storage files of a bag in the order of recording."""
+    """Return the storage files of a bag in recording order."""
     if not path.exists():
         raise BagError(path, 'no such file or folder; expected a rosbag2 folder, or an .mcap or '
                              '.db3 file')
     if not path.is_dir():
         return [path]
     stored = sorted((p for p in path.iterdir() if p.name.endswith(SUFFIXES)), key=_natural)
-    # whoever played a packed bag has left the unpacked file beside it
+    # playing a compressed bag leaves the decompressed file beside it
     stored = [p for p in stored if p.suffix != '.zstd' or p.with_suffix('') not in stored]
     if not stored:
         raise BagError(path, 'is not a bag: the folder holds no .mcap or .db3 file')
@@ -107,13 +107,13 @@ def _files(path: Path, contents: Contents) -> list[Path]:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """Return a key that sorts bag_10 behind bag_9."""
-    return [(int(part or 0), text) for text, part in re.findall(r'(\D*)(\d*)', path.name)]
+    """Return a sort key with bag_10 after bag_9."""
+    return [(int(digits or 0), text) for text, digits in re.findall(r'(\D*)(\d*)', path.name)]
 
 
-def _of_file(path: Path, contents: Contents, wanted: set[str] | None
-             ) -> Iterator[list[Block]]:
-    """Yield the messages of one storage file; raises BagError for what is none."""
+def _file_blocks(path: Path, contents: Contents, topics: set[str] | None
+                 ) -> Iterator[list[Block]]:
+    """Yield the messages of one storage file; raises BagError for other files."""
     folder = None
     magic, file = _magic(path), path
     if magic[:len(ZSTD)] == ZSTD:
@@ -122,14 +122,14 @@ def _of_file(path: Path, contents: Contents, wanted: set[str] | None
         magic = _magic(file) or ZSTD
     reader: McapFile | SqliteFile
     if magic == MCAP:
-        reader = McapFile(file, path.name, contents, wanted)
+        reader = McapFile(file, path.name, contents, topics)
     elif magic == SQLITE[:len(MCAP)]:
-        reader = SqliteFile(file, path.name, contents, wanted)
+        reader = SqliteFile(file, path.name, contents, topics)
     else:
         raise BagError(path, _not_a_bag(magic))
-    if folder:  # as long as the messages may be asked for again
+    if folder:  # kept while messages may be read again
         weakref.finalize(reader, folder.cleanup)
-    yield from reader.pieces()
+    yield from reader.block_groups()
 
 
 def _magic(path: Path) -> bytes:
@@ -138,7 +138,7 @@ def _magic(path: Path) -> bytes:
 
 
 def _unpacked(packed: Path, folder: Path) -> Path:
-    """Return what a file that was packed as a whole holds, up to where it is damaged."""
+    """Return the decompressed file, up to a damage."""
     target = folder / packed.with_suffix('').name
     with packed.open('rb') as stream, target.open('wb') as file, suppress(zstandard.ZstdError):
         zstandard.ZstdDecompressor().copy_stream(stream, file)
@@ -157,29 +157,29 @@ class SqliteFile:
     """
     Reads one database.
 
-    In the order of recording: by time, a bag of two runs would look like one. SQLite refuses
-    a file that is cut off, and rightly: what lies behind the cut would be read as zeros.
+    In the order of recording: by time, a bag of two runs would look like one. SQLite refuses a
+    truncated file.
     """
 
-    def __init__(self, path: Path, name: str, contents: Contents, wanted: set[str] | None
+    def __init__(self, path: Path, name: str, contents: Contents, topics: set[str] | None
                  ) -> None:
-        """name: for the warnings; wanted: the topics whose messages are given, None: all."""
+        """name: for the warnings; topics: the requested ones, None: all."""
         self._name = name
         self._contents = contents
-        self._wanted = wanted
+        self._requested = topics
         self._path = self._with_its_log(path)
 
     def _with_its_log(self, path: Path) -> Path:
         """
-        Return a database that holds what a recorder that was killed left in its write-ahead log.
+        Return a database including the write-ahead log of a killed recorder.
 
-        SQLite would put it into the file itself, but a recording is not ours to change.
+        SQLite would merge it into the file itself, but the recording must not be changed.
         """
         log = path.with_name(f'{path.name}-wal')
         if not (log.exists() and log.stat().st_size):
             return path
         folder = tempfile.TemporaryDirectory(prefix='handeye-')
-        weakref.finalize(self, folder.cleanup)  # until then messages may be asked for again
+        weakref.finalize(self, folder.cleanup)  # kept while messages may be read again
         copy = Path(folder.name) / path.name
         for file in (path, log):
             shutil.copyfile(file, copy.with_name(file.name))
@@ -187,9 +187,9 @@ class SqliteFile:
             connection.execute('PRAGMA wal_checkpoint(TRUNCATE)')
         return copy
 
-    def pieces(self) -> Iterator[list[Block]]:
-        """Yield the messages in the order of recording: pieces with a block for each topic."""
-        count, rows = 0, Gathered(self._message)
+    def block_groups(self) -> Iterator[list[Block]]:
+        """Yield the messages in recording order: lists with a block for each topic."""
+        count, rows = 0, BlockBuilder(self._message)
         try:
             with closing(self._connected()) as connection:
                 names = self._topics(connection)
@@ -199,7 +199,7 @@ class SqliteFile:
                         f'WHERE topic_id IN ({marks}) ORDER BY id', list(names)):
                     rows.add(names[topic], int(time), bytes(data), key)
                     count += 1
-                    self._contents.at += len(data)
+                    self._contents.position += len(data)
                     if rows.is_full:
                         yield rows.take_blocks()
         except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
@@ -211,14 +211,14 @@ class SqliteFile:
         return sqlite3.connect(f'{self._path.absolute().as_uri()}?immutable=1', uri=True)
 
     def _topics(self, connection: sqlite3.Connection) -> dict[int, str]:
-        """Return the topics that are wanted, by their key in the database."""
+        """Return the requested topics by their key in the database."""
         names = {}
-        self._contents.at = 0
+        self._contents.position = 0
         for key, name, kind, encoding in connection.execute(
                 'SELECT id, name, type, serialization_format FROM topics'):
             topic = full_name(str(name))
             self._contents.topics[topic] = type_of(str(kind), str(encoding))
-            if self._wanted is None or topic in self._wanted:
+            if self._requested is None or topic in self._requested:
                 names[key] = topic
         return names
 
@@ -227,5 +227,5 @@ class SqliteFile:
             with closing(self._connected()) as connection:
                 (data,), = connection.execute('SELECT data FROM messages WHERE id = ?', (key,))
         except (sqlite3.Error, ValueError):
-            return b''  # which is no message of any type
+            return b''  # no message of any type
         return message_of(bytes(data))

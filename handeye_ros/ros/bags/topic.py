@@ -1,7 +1,7 @@
 """
-The messages of one topic of a bag: which can be used, and in which order they belong.
+The messages of one topic of a bag: which are valid, and their order.
 
-As little of them is kept as can be, so that hours fit: of a profile its stamp and where it lies.
+Little memory is used, so that hours fit: of a profile its stamp and its position in the file.
 """
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from handeye_ros.errors import BagError
 from handeye_ros.ros.bags.contents import Block, Contents, full_name
 from handeye_ros.ros.bags.profile_reader import ProfileReader, split
 from handeye_ros.ros.errors import AllMalformedError, MessageError, NoTopicError, TopicTypeError
-from handeye_ros.sampling.errors import TimeBackwardsError
-from handeye_ros.sampling.stream import in_order, LARGEST_STEP, never_falls
+from handeye_ros.streams.errors import TimeBackwardsError
+from handeye_ros.streams.stream import in_order, LARGEST_STEP, never_falls
 
-LAST = 2 ** 63 - 1  # ns; no stamp lies behind
+LAST = 2 ** 63 - 1  # ns; largest stamp
 
 Item = TypeVar('Item', covariant=True)
 
 
 class Added(NamedTuple):
-    """What a block gave: stamps of its messages that can be used, which, and why not others."""
+    """Result of a block: stamps and indices of its valid messages, why others are invalid."""
 
     stamps: list[int]
     used: Sequence[int]
@@ -35,17 +35,17 @@ class Added(NamedTuple):
 
 
 class Store(Protocol[Item]):
-    """Where the items of a topic are held; each can be had with another stamp."""
+    """Storage of the items of a topic; each can be returned with another stamp."""
 
     def add(self, block: Block) -> Added:
-        """Take the next messages."""
+        """Add the next messages."""
 
     def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> Sequence[Item]:
         """Return items in an order, with stamps."""
 
 
-def one_by_one(block: Block, take: Callable[[int], int]) -> Added:
-    """Return what a block gives; take: a message by its index, gives its stamp; MessageError."""
+def added_singly(block: Block, take: Callable[[int], int]) -> Added:
+    """Return the result of a block; take: adds message i, returns its stamp; MessageError."""
     stamps, used, reason = [], [], ''
     for index in range(len(block)):
         try:
@@ -58,35 +58,35 @@ def one_by_one(block: Block, take: Callable[[int], int]) -> Added:
 
 
 class Profiles:
-    """Profiles, to be read where they are used."""
+    """Profiles, decoded on demand."""
 
     def __init__(self, config: ProfileConfig) -> None:
-        """Start with none; config: how they are to be read."""
+        """Start with none; config: describes the clouds."""
         self._reader = ProfileReader(config)
         self._items: list[RawProfile] = []
 
     def add(self, block: Block) -> Added:
-        """Take the next messages."""
+        """Add the next messages."""
         def one(index: int) -> int:
             item = self._reader.take(block.message(index),
                                      partial(block.reread, block.positions[index]))
             self._items.append(item)
             return item.stamp
 
-        return one_by_one(block, one)
+        return added_singly(block, one)
 
     def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> tuple[RawProfile, ...]:
         """Return profiles in an order, with stamps: one for each row of their messages."""
         profiles: list[RawProfile] = []
-        for index, stamp, before in zip(order, stamps, (None, *stamps), strict=False):
+        for index, stamp, previous in zip(order, stamps, (None, *stamps), strict=False):
             item = self._items[index]
-            profiles += split(item if item.stamp == stamp else replace(item, stamp=stamp), before,
-                              item.config)
+            item = item if item.stamp == stamp else replace(item, stamp=stamp)
+            profiles += split(item, previous, item.config)
         return tuple(profiles)
 
 
 class Topic(Generic[Item]):
-    """Takes the messages of a topic in the order of recording; gives what they stand for."""
+    """Receives the messages of a topic in recording order; returns its items."""
 
     def __init__(self, key: str, name: str, kind: str, store: Store[Item]) -> None:
         """key: of the configuration, that names the topic; kind: the type it must have."""
@@ -100,7 +100,7 @@ class Topic(Generic[Item]):
         self._first_reason = ''
 
     def take(self, block: Block) -> None:
-        """Take the next messages; those that are malformed are counted."""
+        """Add the next messages; malformed ones are counted."""
         added = self._store.add(block)
         self._stamps += added.stamps
         self._log_times += [min(block.log_times[index], LAST) for index in added.used]
@@ -109,14 +109,14 @@ class Topic(Generic[Item]):
 
     def items(self, path: Path, contents: Contents) -> Sequence[Item]:
         """
-        Return what the messages stand for, in the order of their stamps.
+        Return the items of the messages in the order of their stamps.
 
-        contents: of the bag at path; what is left out or repaired is added to its warnings.
+        contents: of the bag at path; left out and repaired messages are added to its warnings.
         Raises NoTopicError, TopicTypeError, BagError, AllMalformedError or TimeBackwardsError.
         """
         self.require(path, contents)
         if self._stamps[0] > 0 and never_falls(self._stamps):
-            return self._store.chosen(range(len(self._stamps)), self._stamps)  # as it should be
+            return self._store.chosen(range(len(self._stamps)), self._stamps)
         order = self._as_received(contents)
         stamps, order = self._stamped(order, contents)
         order = sorted(in_their_order(self.name, [(stamps[i], i) for i in order], contents),
@@ -124,7 +124,7 @@ class Topic(Generic[Item]):
         return self._store.chosen(order, [stamps[i] for i in order])
 
     def require(self, path: Path, contents: Contents, may_be_empty: bool = False) -> None:
-        """Refuse a topic that is not there, or most of whose messages cannot be used."""
+        """Raise for a missing topic, and if most of its messages are invalid."""
         require_topic(path, contents, self._key, self.name, self._kind)
         good, bad = len(self._stamps), self._malformed
         if not good + bad and not may_be_empty:
@@ -138,21 +138,21 @@ class Topic(Generic[Item]):
 
     def _as_received(self, contents: Contents) -> list[int]:
         """
-        Return messages in the order in which they were received, if that is not how they lie.
+        Return messages in the order received, if they are stored in another order.
 
-        The order in the file is believed first: two runs of a simulated clock, one behind the
-        other, have the same times of receipt, and must not be taken for one.
+        The order in the file has priority: two consecutive runs of a simulated clock have the same
+        times of receipt, and must not be merged into one.
         """
         stamps = self._stamps
-        as_they_lie = list(range(len(stamps)))
-        by_receipt = sorted(as_they_lie, key=self._log_times.__getitem__)
-        if (by_receipt == as_they_lie or in_order(stamps)
-                or not in_order([stamps[i] for i in by_receipt])
+        stored_order = list(range(len(stamps)))
+        received_order = sorted(stored_order, key=self._log_times.__getitem__)
+        if (received_order == stored_order or in_order(stamps)
+                or not in_order([stamps[i] for i in received_order])
                 or len(set(stamps)) < len(stamps)):
-            return as_they_lie
+            return stored_order
         contents.warnings.append(f'the messages on {self.name} do not lie in the order in which '
                                  'they were received, and were sorted')
-        return by_receipt
+        return received_order
 
     def _stamped(self, order: list[int], contents: Contents) -> tuple[list[int], list[int]]:
         """Return stamps, and which messages have one; if none has, the times of receipt."""
@@ -169,7 +169,7 @@ class Topic(Generic[Item]):
 
 
 def require_topic(path: Path, contents: Contents, key: str, name: str, kind: str) -> None:
-    """Refuse a bag without a topic of this name and type; key: the one that names it."""
+    """Raise for a bag without a topic of this name and type; key: that names it."""
     if name not in contents.topics:
         raise NoTopicError(path, key, name, kind, contents.topics)
     if contents.topics[name] != kind:
@@ -178,22 +178,22 @@ def require_topic(path: Path, contents: Contents, key: str, name: str, kind: str
 
 def in_their_order(topic: str, stamped: Sequence[tuple[int, Item]], contents: Contents
                    ) -> list[Item]:
-    """Return what fits the order of the stamps; raises TimeBackwardsError."""
+    """Return which items fit the order of stamps; raises TimeBackwardsError."""
     stamps = [stamp for stamp, _ in stamped]
     fits = in_order(stamps)
     if fits is None:
         raise TimeBackwardsError(topic, *_first_jump_back(stamps))
-    wrong = [index for index, right in enumerate(fits) if not right]
+    wrong = [index for index, fitting in enumerate(fits) if not fitting]
     if wrong:
         contents.warnings.append(
             f'{len(wrong)} of {len(stamps)} messages on {topic} were left out: their stamps '
             f'are far from those around them (first message {wrong[0] + 1}, of '
             f'{stamps[wrong[0]] * 1e-9:.3f} s)')
-    return [item for (_, item), right in zip(stamped, fits, strict=True) if right]
+    return [item for (_, item), fitting in zip(stamped, fits, strict=True) if fitting]
 
 
 def _first_jump_back(stamps: Sequence[int]) -> tuple[int, float]:
-    """Return the index behind the first jump back, and by how many seconds it goes."""
+    """Return the index after the first jump back, and its size in seconds."""
     for index, latest in enumerate(accumulate(stamps, max)):
         if latest - stamps[index] > LARGEST_STEP:
             return index, (latest - stamps[index]) * 1e-9

@@ -1,9 +1,9 @@
 """
-Flange poses out of the transform tree.
+Flange poses from the transform tree.
 
-tf2_ros looks one transform up at one time; here every change of the flange is wanted, as a
-pose at its own stamp. Links that were sent for different times are interpolated to it, never
-extrapolated. Knows the messages by their fields alone and imports no ROS.
+tf2_ros looks up one transform at one time; this module gives every change of the flange as a pose
+at its own stamp. Links with other stamps are interpolated to it, never extrapolated. Imports no
+ROS.
 """
 from __future__ import annotations
 
@@ -19,18 +19,17 @@ from handeye_ros.data import Array, TimedPose
 from handeye_ros.errors import BagError
 from handeye_ros.ros.bags.contents import Block, Contents, TF
 from handeye_ros.ros.bags.messages import deserialised, pose_from_transform, stamp_of
-from handeye_ros.ros.bags.topic import Added, in_their_order, one_by_one, Topic
+from handeye_ros.ros.bags.topic import Added, added_singly, in_their_order, Topic
 from handeye_ros.ros.errors import MessageError
-from handeye_ros.sampling.dwells import interpolate
-from handeye_ros.sampling.stream import Stream
+from handeye_ros.streams.stream import interpolate, Stream
 import numpy as np
 
-MOST_FRAMES = 1000  # whose transforms are held
+MOST_FRAMES = 1000  # with stored transforms
 KEPT = 1000  # transforms of a link: 10 s of a robot driver at 100 Hz
 
 
 class Link:
-    """The transforms of a frame in its parent, in order of their stamps."""
+    """The transforms of a frame in its parent, in the order of their stamps."""
 
     def __init__(self, parent: str, static: bool) -> None:
         """Start with none."""
@@ -40,7 +39,7 @@ class Link:
         self._stream: Stream[TimedPose] = Stream('transform')
 
     def add(self, pose: TimedPose) -> None:
-        """Take the next transform; one that is not newer is dropped, but a static one replaces."""
+        """Add the next transform; older ones are dropped, static ones replaced."""
         self._poses.extend([pose] if self.static else self._stream.add(pose, self.parent))
 
     @property
@@ -48,12 +47,12 @@ class Link:
         """Return whether its clock was set back."""
         return bool(self._stream.set_back)
 
-    def stamps(self, after: int) -> list[int]:
-        """Return the stamps later than after."""
-        return [p.stamp for p in self._poses if p.stamp > after]
+    def stamps(self, since: int) -> list[int]:
+        """Return the stamps later than since."""
+        return [p.stamp for p in self._poses if p.stamp > since]
 
     def at(self, stamp: int) -> Array | None:
-        """Return T_parent_child (4, 4) at a stamp; None while that lies ahead, or too far back."""
+        """Return T_parent_child (4, 4) at a stamp; None if it is too new, or too old."""
         poses = self._poses
         if self.static:
             return se3.from_quaternion(poses[0].translation, poses[0].quaternion)
@@ -65,11 +64,11 @@ class Link:
         return interpolate([poses[index - 1], poses[index]], [stamp])[0]
 
 
-def well_formed(transforms: Any) -> list[tuple[Any, TimedPose]]:
+def valid_transforms(transforms: Any) -> list[tuple[Any, TimedPose]]:
     """
-    Return the transforms of one message that can be understood, each with its pose.
+    Return the valid transforms of one message, each with its pose.
 
-    Raises MessageError when none can: a frame that does not matter must not spoil the others.
+    Raises MessageError if all are invalid: an unused invalid frame must not affect the others.
     """
     good, malformed = [], None
     for transform in transforms:
@@ -83,7 +82,7 @@ def well_formed(transforms: Any) -> list[tuple[Any, TimedPose]]:
 
 
 class FlangeTracker:
-    """Turns transforms into poses of the flange in the base; times are those of its last joint."""
+    """Computes flange poses in the base from transforms, at the times of the last joint."""
 
     def __init__(self, base: str, flange: str) -> None:
         """Start with an empty tree."""
@@ -94,11 +93,11 @@ class FlangeTracker:
 
     def add(self, transforms: Any, static: bool) -> list[TimedPose]:
         """
-        Take the transforms of one message; return the poses that can now be told.
+        Add the transforms of one message; return the poses that are now known.
 
         Raises MessageError when all are malformed, or of more frames than any robot has.
         """
-        for transform, pose in well_formed(transforms):
+        for transform, pose in valid_transforms(transforms):
             child, parent = _name(transform.child_frame_id), _name(pose.parent_frame)
             link = self._links.get(child)
             if link is None and len(self._links) >= MOST_FRAMES:
@@ -112,12 +111,12 @@ class FlangeTracker:
         return self._new_poses()
 
     def restart(self) -> None:
-        """Forget what moves, so that times may start again; static transforms stay."""
+        """Forget moving transforms, so that times may start again; static ones stay."""
         self._links = {child: link for child, link in self._links.items() if link.static}
         self._sent_until = -1
 
     def missing(self) -> str:
-        """Return why there are no poses, or an empty string."""
+        """Return why there are no poses, '' if there are."""
         chains = self._chains()
         if chains is None:
             frames = sorted({*self._links, *(link.parent for link in self._links.values())})
@@ -145,18 +144,18 @@ class FlangeTracker:
         return [link for chain in chains for link in chain if not link.static]
 
     def _chains(self) -> tuple[list[Link], list[Link]] | None:
-        """Return the links from the flange, and from the base, up to the frame where they meet."""
+        """Return the links from flange and base up to their common ancestor."""
         from_flange, from_base = self._ancestors(self._flange), self._ancestors(self._base)
-        meeting = next((frame for frame in from_flange if frame in from_base), None)
-        if meeting is None:
+        ancestor = next((frame for frame in from_flange if frame in from_base), None)
+        if ancestor is None:
             return None
         flange_chain, base_chain = (
-            [self._links[frame] for frame in frames[:frames.index(meeting)]]
+            [self._links[frame] for frame in frames[:frames.index(ancestor)]]
             for frames in (from_flange, from_base))
         return flange_chain, base_chain
 
     def _ancestors(self, frame: str) -> list[str]:
-        """Return a frame and those above it; a loop, which no tree has, ends the walk."""
+        """Return a frame and its ancestors; stops at a loop."""
         frames = [frame]
         while frames[-1] in self._links and self._links[frames[-1]].parent not in frames:
             frames.append(self._links[frames[-1]].parent)
@@ -164,7 +163,7 @@ class FlangeTracker:
 
 
 def _product(chain: list[Link], stamp: int) -> Array | None:
-    """Return the pose of the chain's first frame in its last one's parent; None if unknown."""
+    """Return the pose of the chain's first frame in its last parent; None if unknown."""
     product = np.eye(4)
     for link in chain:
         T = link.at(stamp)
@@ -179,24 +178,24 @@ def _name(frame: str) -> str:
 
 
 class Transforms:
-    """The transforms of each message that can be understood."""
+    """The valid transforms of each message."""
 
     def __init__(self) -> None:
         """Start with none."""
         self.messages: list[Any] = []
 
     def add(self, block: Block) -> Added:
-        """Take the next messages; their stamps are the times at which they were received."""
+        """Add the next messages; their stamps are the times of receipt."""
         def one(index: int) -> int:
             self.take(block.message(index))
             return block.log_times[index]
 
-        return one_by_one(block, one)
+        return added_singly(block, one)
 
     def take(self, data: bytes) -> None:
-        """Take the next message; raises MessageError."""
+        """Add the next message; raises MessageError."""
         transforms = deserialised(data, TF).transforms
-        self.messages.append([transform for transform, _ in well_formed(transforms)])
+        self.messages.append([transform for transform, _ in valid_transforms(transforms)])
 
     def chosen(self, order: Sequence[int], stamps: Sequence[int]) -> list[Any]:
         """Return the transforms of messages in an order."""
@@ -204,7 +203,7 @@ class Transforms:
 
 
 class Tree:
-    """The topics of transforms."""
+    """The topics with transforms."""
 
     def __init__(self) -> None:
         """Start with none."""
@@ -213,11 +212,11 @@ class Tree:
                        Topic('pose_source', '/tf_static', TF, self._static))
 
     def poses(self, path: Path, contents: Contents, config: Config) -> list[TimedPose]:
-        """Return the flange poses; raises BagError, and what Topic.items does."""
+        """Return the flange poses; raises BagError, and the errors of Topic.items."""
         tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         moving, static = self.topics
         if static.name in contents.topics:
-            # all at once: those of a late node must not come after the motion they belong to
+            # first: a node that starts late publishes them after the motion
             static.require(path, contents, may_be_empty=True)
             for transforms in self._static.messages:
                 tracker.add(transforms, static=True)
@@ -233,7 +232,7 @@ class Tree:
         return poses
 
     def _fitting(self, contents: Contents) -> set[int]:
-        """Return the ids of the transforms whose stamps fit those of the same frame."""
+        """Return the ids of transforms whose stamps fit the others of the same frame."""
         of_frame: dict[str, list[tuple[int, Any]]] = {}
         for transforms in self._moving.messages:
             for t in transforms:

@@ -1,7 +1,7 @@
 """
 The executable `calibrate`: arguments, signals, exit codes.
 
-Slow imports stand inside the functions, so that Ctrl-C ends it cleanly from the first moment.
+Slow imports are inside the functions, so that Ctrl-C ends it cleanly from the start.
 """
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ import sys
 from typing import Any
 
 THREADS = 8  # of the executor: one for each group of callbacks (services, timers, parameters)
-SWITCH = 1e-3  # s until Python switches threads: one answer takes a dozen switches
+SWITCH = 1e-3  # s until Python switches threads: one service call takes a dozen switches
 
 USAGE = """\
 usage: calibrate [--help] [--ros-args [-p KEY:=VALUE]... [--params-file FILE] [-r OLD:=NEW]...]
 
 Runs the node handeye: takes samples of the target as the robot moves, and computes and saves the
-calibration on request. All settings are ROS parameters, so they stand behind --ros-args:
+calibration on request. All settings are ROS parameters and follow --ros-args:
 
   calibrate --ros-args --params-file config/plate.yaml -p session:=last
 
@@ -30,15 +30,15 @@ calibration on request. All settings are ROS parameters, so they stand behind --
 
 def own_arguments(argv: Sequence[str]) -> list[str]:
     """Return the arguments outside of --ros-args ... [--]."""
-    own, of_ros = [], False
+    remaining, in_ros_arguments = [], False
     for argument in argv:
-        if of_ros:
-            of_ros = argument != '--'
+        if in_ros_arguments:
+            in_ros_arguments = argument != '--'
         elif argument == '--ros-args':
-            of_ros = True
+            in_ros_arguments = True
         else:
-            own.append(argument)
-    return own
+            remaining.append(argument)
+    return remaining
 
 
 def refused(arguments: Sequence[str]) -> int | None:
@@ -49,15 +49,15 @@ def refused(arguments: Sequence[str]) -> int | None:
         print(USAGE, end='')
         return 0
     print(f'error: unknown arguments: {" ".join(arguments)} (ROS arguments such as --params-file '
-          f'and -p stand behind --ros-args)\n{USAGE}', end='', file=sys.stderr)
+          f'and -p follow --ros-args)\n{USAGE}', end='', file=sys.stderr)
     return 2
 
 
 def main() -> int:
-    """Run the executable `calibrate`; return the exit code, 1 where output cannot be written."""
+    """Run the executable `calibrate`; return the exit code, 1 if output cannot be written."""
     code = 0
     sys.setswitchinterval(SWITCH)
-    # matrices are small: more threads would only take time from the streams
+    # small matrices: more threads would slow down the streams
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     with suppress(KeyboardInterrupt):
         try:
@@ -72,7 +72,7 @@ def main() -> int:
 def _run() -> int:
     code = refused(own_arguments(sys.argv[1:]))
     if code is None:
-        # an exception would be lost where it is raised in the import of an extension
+        # an exception in the import of an extension module would be lost
         on_signals(lambda *_: os._exit(0))
         from handeye_ros.ros.executable import exit_code
         from handeye_ros.ros.node.node import HandeyeNode

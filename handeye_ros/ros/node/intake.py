@@ -14,7 +14,6 @@ from geometry_msgs.msg import PoseStamped
 from handeye_ros.config import Config
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError, INSTALL_TF2
-from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.urdf import read_arm
 from handeye_ros.ros.bags.contents import CLOUD, JOINTS, POSE
 from handeye_ros.ros.bags.messages import pose_from_cdr
@@ -40,13 +39,13 @@ except ImportError:  # the wheels of rclpy come without it
 
 __all__ = ['Intake', 'TFMessage', 'THROTTLE']
 
-# Best effort matches reliable publishers too. The queue holds 20 s of poses at 100 Hz, for the
-# time in which other work takes the processor.
+# Best effort matches reliable publishers too. The queue holds 20 s of poses at 100 Hz, for times
+# when other work takes the processor.
 STREAM = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 PAUSE = 2e-3  # s between two reads of all topics
-MOST_AT_ONCE = 200  # messages of one topic, then it is the turn of the next
+MOST_AT_ONCE = 200  # messages of one topic before the next topic
 THROTTLE = 5.0  # s between two warnings of a kind
 
 Stamped = TypeVar('Stamped', RawProfile, TimedPose)
@@ -56,15 +55,15 @@ NO_TF = ('pose_source is tf, but tf2_msgs is not installed: '
 
 
 class NoExecutor(MutuallyExclusiveCallbackGroup):
-    """Keeps subscriptions from executors, whose round takes as long as reading ten messages."""
+    """Excludes subscriptions from executors, which are slower than reading in a thread."""
 
     def can_execute(self, entity: Any) -> bool:
-        """Return that no executor may wait for a subscription."""
+        """Return False: no executor may wait for a subscription."""
         return False
 
 
 def topics_of(config: Config) -> tuple[str, str, str]:
-    """Return the settings of topics that may change while the node runs."""
+    """Return the settings of topics that may change at run time."""
     return config.profile_topic, config.pose_source, config.pose_topic
 
 
@@ -72,7 +71,7 @@ class Intake:
     """
     The subscriptions, and the thread that reads their messages.
 
-    A message that cannot be understood is counted and left out. kinematics: None without a URDF.
+    An invalid message is counted and left out. kinematics: None without a URDF.
     """
 
     def __init__(self, node: Node, live: LiveSession) -> None:
@@ -89,8 +88,8 @@ class Intake:
 
     def listen(self) -> None:
         """Subscribe to the topics of the current settings; raises InputError."""
-        former, self._drains, self._subscriptions = self._subscriptions, [], []
-        for subscription in former:
+        old_subscriptions, self._drains, self._subscriptions = self._subscriptions, [], []
+        for subscription in old_subscriptions:
             self._node.destroy_subscription(subscription)
         config = self._live.config
         self._topics = topics_of(config)
@@ -102,10 +101,11 @@ class Intake:
             self._live.samples.store.joints = self.kinematics.between
             self._listen(JointState, config.joint_topic, self._on_joint_values, STREAM)
         elif config.kinematics:
-            take = partial(self._on_joints, read_arm(Path(config.kinematics)))
-            self._listen(JointState, config.joint_topic, take, STREAM)
+            pose_of = partial(pose_from_joints, read_arm(Path(config.kinematics)))
+            self._listen(JointState, config.joint_topic, partial(self._on_pose, pose_of), STREAM)
         elif config.pose_source == 'topic':
-            self._listen(PoseStamped, config.pose_topic, self._on_pose, STREAM)
+            self._listen(PoseStamped, config.pose_topic, partial(self._on_pose, pose_from_cdr),
+                         STREAM)
         elif TFMessage:
             self._listen(TFMessage, '/tf_static', partial(self._on_transforms, True), LATCHED_TREE)
             self._listen(TFMessage, '/tf', partial(self._on_transforms, False), STREAM)
@@ -113,7 +113,7 @@ class Intake:
             raise InputError(NO_TF)
 
     def changes(self, config: Config) -> bool:
-        """Return whether settings name other topics than the current ones; raises InputError."""
+        """Return whether settings name other topics than now; raises InputError."""
         if topics_of(config) == self._topics:
             return False
         if any(outcome.sample for outcome in self._live.copied().outcomes):
@@ -132,15 +132,15 @@ class Intake:
         try:
             return str(self._node.resolve_topic_name(topic))
         except RCLError as error:
-            why = str(error).splitlines()[0].partition(', at /')[0]
-            raise InputError(f'"{topic}" cannot name a topic: {why}') from error
+            reason = str(error).splitlines()[0].partition(', at /')[0]
+            raise InputError(f'"{topic}" cannot name a topic: {reason}') from error
 
     def start(self) -> None:
-        """Start to read messages."""
+        """Start reading messages."""
         threading.Thread(target=self._run, name='streams', daemon=True).start()
 
     def obstacle(self, kind: str) -> str:
-        """Return why no messages of a kind (profile, pose) come; empty if unknown."""
+        """Return why no messages of a kind (profile, pose) arrive; empty if unknown."""
         config = self._live.config
         if kind == 'profile':
             return why_silent(self._node, 'profile_topic', config.profile_topic, CLOUD)
@@ -151,22 +151,22 @@ class Intake:
         return self._tracker.missing()
 
     def restart(self) -> None:
-        """Accept transforms from any time on: a bag may be played again."""
+        """Accept transforms of any time from now on: a bag may be played again."""
         self._tracker.restart()
 
-    def _listen(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile
+    def _listen(self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile
                 ) -> None:
-        """Subscribe to a topic; take is called by the thread with every message."""
+        """Subscribe to a topic; the thread calls the callback with every message."""
         raw = kind in (PointCloud2, PoseStamped, JointState)
         self._name(topic)  # raises InputError
         subscription = self._node.create_subscription(
-            kind, topic, take, qos, callback_group=self._group, raw=raw,
+            kind, topic, callback, qos, callback_group=self._group, raw=raw,
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
         self._subscriptions.append(subscription)
-        self._drains.append(partial(self._drain, subscription.handle, kind, raw, take))
+        self._drains.append(partial(self._drain, subscription.handle, kind, raw, callback))
 
     def _run(self) -> None:
-        """Read all topics again and again, until the node ends."""
+        """Read all topics repeatedly until the node ends."""
         while self._node.context.ok():
             drains, counts = self._drains, [0]
             try:
@@ -177,24 +177,24 @@ class Intake:
             if max(counts) < MOST_AT_ONCE:
                 time.sleep(PAUSE)
 
-    def _drain(self, handle: Any, kind: Any, raw: bool, take: Callable[[Any], None]) -> int:
+    def _drain(self, handle: Any, kind: Any, raw: bool, callback: Callable[[Any], None]) -> int:
         """Read at most MOST_AT_ONCE messages of a topic; return how many."""
         with handle:
             for count in range(MOST_AT_ONCE):
-                taken = handle.take_message(kind, raw)
-                if not taken:
+                received = handle.take_message(kind, raw)
+                if not received:
                     return count
-                self._understood(kind, take, taken[0])
+                self._process(kind, callback, received[0])
         return MOST_AT_ONCE
 
-    def _understood(self, kind: Any, take: Callable[[Any], None], msg: Any) -> None:
+    def _process(self, kind: Any, callback: Callable[[Any], None], msg: Any) -> None:
         try:
-            take(msg)
-        except Exception as error:  # noqa: BLE001 - the streams have to go on
+            callback(msg)
+        except Exception as error:  # noqa: BLE001 - the streams must continue
             if not isinstance(error, MessageError):
                 self._node.get_logger().error(traceback.format_exc())
-            what = 'profile' if kind is PointCloud2 else 'pose'
-            self._live.streams.arrivals.malformed(what, str(error))
+            stream = 'profile' if kind is PointCloud2 else 'pose'
+            self._live.streams.arrivals.malformed(stream, str(error))
             self._node.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 
     def _on_profile(self, data: bytes) -> None:
@@ -203,15 +203,12 @@ class Intake:
             self._reader = ProfileReader(config.profile)
         profile = self._stamped(self._reader.take(data))
         message = replace(profile, stamp=profile.stamp + round(config.time_offset * 1e9))
-        for part in split(message, self._last_stamp, config.profile):
-            self._live.add_profile(part)
+        for profile_part in split(message, self._last_stamp, config.profile):
+            self._live.add_profile(profile_part)
         self._last_stamp = message.stamp
 
-    def _on_pose(self, data: bytes) -> None:
-        self._live.add_poses([self._stamped(pose_from_cdr(data))])
-
-    def _on_joints(self, arm: Arm, data: bytes) -> None:
-        self._live.add_poses([self._stamped(pose_from_joints(arm, data))])
+    def _on_pose(self, pose_of: Callable[[bytes], TimedPose], data: bytes) -> None:
+        self._live.add_poses([self._stamped(pose_of(data))])
 
     def _on_joint_values(self, data: bytes) -> None:
         assert self.kinematics is not None
@@ -221,7 +218,7 @@ class Intake:
         self._live.add_poses(self._tracker.add(msg.transforms, static))
 
     def _stamped(self, item: Stamped) -> Stamped:
-        """Return an item; where its driver leaves the stamp empty, with the time of receipt."""
+        """Return an item; without a stamp it gets the time of receipt."""
         if item.stamp:
             return item
         self._node.get_logger().warning(

@@ -1,4 +1,4 @@
-"""The errors of the robot's arm, from the samples and joint values of a running node."""
+"""Kinematic calibration by a running node, from its samples and joint values."""
 from __future__ import annotations
 
 from array import array
@@ -28,7 +28,7 @@ NO_URDF = ('~/compute_kinematics needs the URDF of the robot: start the node wit
 
 
 class LiveKinematics:
-    """Joint values as they come, the flange poses of the nominal arm, and its errors."""
+    """Received joint values, the flange poses of the nominal arm, and its estimated errors."""
 
     def __init__(self, live: LiveSession, config: Config) -> None:
         """Read the URDF that robot_description names; raises InputError."""
@@ -43,7 +43,7 @@ class LiveKinematics:
             self._joints.extend(q.ravel().tolist())
 
     def pose(self, data: bytes) -> TimedPose:
-        """Return the flange pose of a serialised JointState, and keep it; raises MessageError."""
+        """Return the flange pose of a serialised JointState, and store it; raises MessageError."""
         q, pose = joints_and_pose(self._arm, data)
         with self._lock:
             self._stamps.append(pose.stamp)
@@ -59,17 +59,17 @@ class LiveKinematics:
             return stamps, np.array(self._joints).reshape(len(stamps), len(self._arm.chain.joints))
 
     def between(self, first: int, last: int) -> Iterator[tuple[int, bytes]]:
-        """Yield stamps and serialised messages between two stamps, to be stored."""
+        """Yield stamps and serialised messages between two stamps, for storage."""
         stamps, q = self._received()
         rows = np.flatnonzero((stamps >= first) & (stamps <= last))
-        given = self._arm.chain.given(q[rows])
-        for stamp, values in zip(stamps[rows], np.column_stack(list(given.values())), strict=True):
-            yield int(stamp), joints_cdr(int(stamp), values, list(given))
+        readings = self._arm.chain.measured_values(q[rows])
+        for stamp, *values in zip(stamps[rows], *readings.values(), strict=True):
+            yield int(stamp), joints_cdr(int(stamp), np.array(values), list(readings))
 
     def compute(self) -> str:
-        """Estimate and write the corrected arm; return what to say. Raises HandeyeError."""
+        """Estimate and write the corrected arm; return the message. Raises HandeyeError."""
         live, chain = self._live, self._arm.chain
-        session, config = live.samples.evaluated(live.samples.evaluate_rest)
+        session, config = live.samples.session_after(live.samples.evaluate_rest)
         source = Source.of(session.samples, session.rejects, session.frame_id, config, chain,
                            *self._received(), inputs=[{'topic': config.profile_topic},
                                                       {'topic': config.joint_topic}])
@@ -79,6 +79,6 @@ class LiveKinematics:
             except (ContradictionError, TooFewConfigurationsError):
                 require_same_clock(session, source.config)
                 raise
-        folder = live.place.folder(config) / FOLDER
+        folder = live.folders.folder(config) / FOLDER
         sentences = (answer.sentence, answer.save(self._urdf, folder, config.save.formats))
         return '; '.join([*sentences, *answer.warnings])

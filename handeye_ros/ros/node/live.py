@@ -1,8 +1,8 @@
 """
-A running node without ROS: streams, samples, review, answer and verification.
+A running session without ROS: streams, samples, review, answer and verification.
 
-One thread evaluates the stops, which is urgent. Another does what follows from them (review,
-advice, solving again), always for the newest state, so that no work piles up.
+One thread evaluates the stops, which is urgent. Another computes review, advice and a new answer,
+always for the newest state, so that no work accumulates.
 """
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ from handeye_ros.ros.node.answer import Answer, Reviewer
 from handeye_ros.ros.node.live_verify import LiveVerification
 from handeye_ros.ros.node.samples import LiveSamples
 from handeye_ros.ros.node.streams import Streams
-from handeye_ros.ros.node.worker import Evaluator, give_back, Progress, Runner
-from handeye_ros.ros.sessions.store import Place, Store
+from handeye_ros.ros.node.worker import Evaluator, Progress, Runner, trim_memory
+from handeye_ros.ros.sessions.store import OutputFolders, Store
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome
 
 
 class Threads:
-    """Threads that each do one work whenever they are woken; failures are kept as text."""
+    """Threads that repeat one task each when they are woken; failures are kept as text."""
 
     def __init__(self, on_failure: Callable[[str], object]) -> None:
-        """Start with none; on_failure: receives the traceback of work that failed."""
+        """Start with none; on_failure: receives the traceback of a failed task."""
         self._on_failure = on_failure
         self._failures: dict[str, str] = {}
         self._ended = False
 
     @property
     def failure(self) -> str:
-        """Return why the last work of each thread failed, empty where none did."""
+        """Return why the last run of each task failed, '' if it did not."""
         return '; '.join(self._failures.values())
 
     def start(self, wake: threading.Event, work: Callable[[], None]) -> None:
-        """Start a thread that does a work each time that it is woken, until the process ends."""
+        """Start a thread that runs a task each time it is woken, until the process ends."""
         threading.Thread(target=self._run, args=(wake, work), name=work.__name__,
                          daemon=True).start()
 
     def stop(self) -> None:
-        """Begin no more work, and report no more failures."""
+        """Start no further tasks, and report no further failures."""
         self._ended = True
 
     def _run(self, wake: threading.Event, work: Callable[[], None]) -> None:
@@ -53,11 +53,11 @@ class Threads:
             try:
                 work()
                 self._failures.pop(work.__name__, None)
-            except HandeyeError as error:  # such as a process that ended: tried again, once
+            except HandeyeError as error:  # such as a process that ended: one more try
                 if work.__name__ not in self._failures:
                     wake.set()
                 self._failures[work.__name__] = str(error)
-            except Exception as error:  # noqa: BLE001 - the thread has to go on
+            except Exception as error:  # noqa: BLE001 - the thread must continue
                 if self._ended:
                     return
                 self._failures[work.__name__] = (
@@ -68,37 +68,37 @@ class Threads:
 
 class LiveSession:
     """
-    All that a running node does, made of parts.
+    All functions of the running node, composed of parts.
 
     on_outcome: called with each new outcome of a stop; on_change: after every change of the state;
-    on_failure: with the traceback where the work of a thread failed.
+    on_failure: with the traceback of a failed task of a thread.
     """
 
-    def __init__(self, config: Config, place: Place, store: Store | None = None,
+    def __init__(self, config: Config, folders: OutputFolders, store: Store | None = None,
                  solver: Runner | None = None, evaluation: Runner | None = None) -> None:
         """
         Start without samples; raises BadValueError for a method that does not exist.
 
-        solver: runs what takes long; evaluation: runs that of the stops.
+        solver: runs long computations; evaluation: runs the evaluation of stops.
         """
-        self.place = place
+        self.folders = folders
         self.solver, self._evaluator = solver or Runner(), Evaluator(evaluation or Runner())
         self.progress = Progress()
         self.streams = Streams(config)
         self.samples = LiveSamples(self.streams, self._evaluator, store or Store(), self.progress)
         self.reviewer = Reviewer(self.samples, self.solver)
-        self.answer = Answer(self.samples, self.solver, place, self.progress)
-        self.verification = LiveVerification(self.samples, self.answer, place, self.solver,
+        self.answer = Answer(self.samples, self.solver, folders, self.progress)
+        self.verification = LiveVerification(self.samples, self.answer, folders, self.solver,
                                              self.progress)
-        self._evaluated = threading.Event()  # wakes the thread that does what follows from stops
+        self._evaluated = threading.Event()  # wakes the thread of review, advice and answer
         self.threads = Threads(lambda text: self.on_failure(text))
         self.samples.objection = self.reviewer.objection
         self.samples.on_outcome = lambda outcome: self.on_outcome(outcome)
         self.on_outcome: Callable[[Outcome], None] = lambda outcome: None
         self.on_failure: Callable[[str], object] = lambda text: None
         self.on_change: Callable[[], None] = lambda: None
-        for part in (self.progress, self.answer, self.reviewer, self.verification):
-            part.on_change = lambda: self.on_change()
+        for component in (self.progress, self.answer, self.reviewer, self.verification):
+            component.on_change = lambda: self.on_change()
 
     @property
     def config(self) -> Config:
@@ -117,7 +117,7 @@ class LiveSession:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return what a person should know besides errors, one sentence each."""
+        """Return the current warnings, one sentence each."""
         return (*self.verification.warnings, *self.streams.warnings,
                 *filter(None, (self._evaluator.trouble,)))
 
@@ -126,12 +126,12 @@ class LiveSession:
         return self.streams.copied()
 
     def add_profile(self, profile: AnyProfile) -> None:
-        """Take a profile."""
+        """Add a profile."""
         self.streams.add_profile(profile)
         self.verification.add_profile(profile)
 
     def add_poses(self, poses: Iterable[TimedPose]) -> None:
-        """Take poses."""
+        """Add poses."""
         poses = list(poses)
         self.streams.add_poses(poses)
         self.verification.add_poses(poses)
@@ -143,25 +143,25 @@ class LiveSession:
         self.threads.start(self._evaluated, self._derive)
 
     def stop(self) -> None:
-        """End the threads, and the processes whatever they do."""
+        """End the threads and worker processes."""
         self.threads.stop()
         self.solver.stop()
         self._evaluator.stop()
 
-    def restore(self, session: Session, before: Config) -> str:
-        """Go on with the samples of an earlier run and solve them; see LiveSamples.restore."""
-        text = self.samples.restore(session, before)
+    def restore(self, session: Session, old_config: Config) -> str:
+        """Continue with the samples of an earlier run and solve; see LiveSamples.restore."""
+        text = self.samples.restore(session, old_config)
         self.answer.restored(session)
         return text
 
-    def replace_session(self, store: Store, session: Session, before: Config) -> str:
-        """Go on with another session instead of the current one; see LiveSamples.restore."""
+    def replace_session(self, store: Store, session: Session, old_config: Config) -> str:
+        """Continue with another session; see LiveSamples.restore."""
         with self.samples.work:
             self.verification.end()
             self.samples.forget()
             self.samples.store.close()
             store.joints, self.samples.store = self.samples.store.joints, store
-            text = self.restore(session, before)
+            text = self.restore(session, old_config)
         self._withdraw('another session was opened')
         return text
 
@@ -170,42 +170,42 @@ class LiveSession:
         self.on_change()
         self._evaluated.set()
         self.samples.store.sync()
-        give_back()
+        trim_memory()
 
     def update(self) -> None:
-        """Do once, in this thread, what the threads do."""
+        """Run the tasks of the threads once, in this thread."""
         self.samples.evaluate_all()
         self._derive()
 
     def _derive(self) -> None:
-        """Do what follows from the current samples."""
+        """Update everything that depends on the current samples."""
         self.samples.extract_again()
-        self.answer.update()  # first: after a restart somebody waits for it
+        self.answer.update()  # first: after a restart a person waits for it
         self.reviewer.update()
 
-    # services; each returns what to say
+    # services; each returns its message
 
     def clear_samples(self) -> str:
-        """Forget samples, verification, answer, and all that was received; raises InputError."""
+        """Forget samples, verification, answer, and all messages; raises InputError."""
         with self.samples.work:
             self.verification.end()
             text = self.samples.clear()
-        self.answer.asked = False
+        self.answer.requested = False
         self._withdraw('the samples were cleared')
         return text
 
-    def _withdraw(self, why: str) -> None:
-        """Withdraw answer, review and advice."""
-        self.answer.withdraw(why)
+    def _withdraw(self, reason: str) -> None:
+        """Remove answer, review and guidance."""
+        self.answer.withdraw(reason)
         with self.streams.lock:
             self.reviewer.clear()
         self.on_change()
 
     def configure(self, config: Config) -> None:
-        """Go on with another configuration, already checked by params.changed."""
-        before = self.config
-        self.verification.configured(before, config)
+        """Apply another configuration, already checked by params.changed."""
+        old_config = self.config
+        self.verification.configured(old_config, config)
         self.samples.configure(config)
-        self.answer.configured(before, config)
-        self.reviewer.configured(before, config)
+        self.answer.configured(old_config, config)
+        self.reviewer.configured(old_config, config)
         self.streams.wake.set()

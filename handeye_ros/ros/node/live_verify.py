@@ -1,5 +1,5 @@
 """
-A verification by a running node: between its start and its result stops give no samples.
+A verification by the running node; stops give no samples until its result.
 
 Knows no ROS.
 """
@@ -18,7 +18,7 @@ from handeye_ros.ros.node.answer import Answer
 from handeye_ros.ros.node.samples import LiveSamples
 from handeye_ros.ros.node.state import Attempt
 from handeye_ros.ros.node.worker import Progress, Runner
-from handeye_ros.ros.sessions.store import Place
+from handeye_ros.ros.sessions.store import OutputFolders
 from handeye_ros.sampling.stops import Outcome, Stop
 from handeye_ros.verification import verification
 from handeye_ros.verification.errors import (
@@ -35,16 +35,16 @@ ANSWERS = ('pass', 'fail')  # the verdicts that end a verification
 
 class LiveVerification:
     """
-    The verification of the calibration, while the robot stops or scans.
+    The verification of the calibration, with stops or scans.
 
     last: the last verdict with its figures, empty before; on_change: called after a verification
     began or gave a verdict.
     """
 
-    def __init__(self, samples: LiveSamples, answer: Answer, place: Place, runner: Runner,
-                 progress: Progress) -> None:
-        """Start without a verification; runner: runs what takes long."""
-        self._samples, self._answer, self._place = samples, answer, place
+    def __init__(self, samples: LiveSamples, answer: Answer, folders: OutputFolders,
+                 runner: Runner, progress: Progress) -> None:
+        """Start without a verification; runner: runs long computations."""
+        self._samples, self._answer, self._folders = samples, answer, folders
         self._runner, self._progress = runner, progress
         self._session: VerificationSession | None = None
         self.last = ''
@@ -61,32 +61,32 @@ class LiveVerification:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return that stops give no samples, as one sentence; empty where they do."""
+        """Return a sentence that stops give no samples; empty if they do."""
         session = self._session
         return () if session is None else (
             f'a verification ({session.routine.name}) continues: stops are not samples until '
             '~/verify_result',)
 
     def add_profile(self, profile: AnyProfile) -> None:
-        """Take a profile."""
+        """Add a profile."""
         session = self._session
         if session and session.scans:
             session.parts[-1].add_profile(profile)
 
     def add_poses(self, poses: Iterable[TimedPose]) -> None:
-        """Take poses."""
+        """Add poses."""
         session = self._session
         if session and session.scans:
             session.parts[-1].add_poses(poses)
 
-    def add(self, stop: Stop, over: bool = True) -> str:
+    def add(self, stop: Stop, complete: bool = True) -> str:
         """
-        Add a stop to the verification; return what to say.
+        Add a stop to the verification; return the message.
 
-        A stop that is not over is added as it is now, and replaced when it is over.
+        A stop that is not complete is added as it is, and replaced when it is complete.
         """
         session = self._session
-        if over:
+        if complete:
             self._samples.streams.leave(stop)
         if session is None:  # another thread has just ended it
             return 'the verification was ended: stops are samples again'
@@ -100,14 +100,14 @@ class LiveVerification:
         return text
 
     def take(self, stop: Stop) -> str:
-        """Add a stop that was asked for; raises UnusableStopError."""
+        """Add a requested stop; raises UnusableStopError."""
         session, text = self._session, self.add(stop)
         result = session.parts[-1].stops.get(stop.began) if session else None
         if isinstance(result, Reject):
             raise UnusableStopError(result.reason)
         return text
 
-    # services; each returns what to say
+    # services; each returns its message
 
     def begin(self) -> str:
         """
@@ -119,7 +119,7 @@ class LiveVerification:
         session = self._session
         if session is None or session.is_full:
             session = VerificationSession(self._config)
-            self._to_verify()  # may read a file, so outside of the lock
+            self._calibration()  # may read a file: outside of the lock
         else:
             session.go_on()
         with self._samples.work:
@@ -127,13 +127,13 @@ class LiveVerification:
                 self._samples.streams.leave(stop)
             self._session, self._samples.consumer = session, self
         self.on_change()
-        what = 'scan the gauge' if session.scans else 'move on, and stop with other tilts'
-        return (f'{session.text}; {what}: what begins from now on counts, until '
+        advice = 'scan the gauge' if session.scans else 'move on, and stop with other tilts'
+        return (f'{session.text}; {advice}: what begins from now on counts, until '
                 '~/verify_result')
 
     def result(self) -> str:
         """
-        Write the verdict with its figures; the stop that the robot stands in counts as over.
+        Write the verdict with its figures; the current stop counts as complete.
 
         Raises NotStartedError, NothingToVerifyError, TooFewSeenError, DataError, and
         NoAnswerError where it is neither pass nor fail: the verification then continues.
@@ -145,7 +145,8 @@ class LiveVerification:
             self._samples.evaluate_rest()
             copied = session.copied()
         with self._progress.doing('the calibration is verified'):
-            result = self._runner.run(copied.result, self._to_verify(), self._config, urgent=True)
+            result = self._runner.run(copied.result, self._calibration(), self._config,
+                                      urgent=True)
         self.last = verification.sentence(result)
         text = f'{self.last}; {self._written(result)}'
         with self._samples.work:
@@ -156,9 +157,9 @@ class LiveVerification:
             raise NoAnswerError(result.verdict, (*result.reasons, text))
         return text
 
-    def configured(self, before: Config, after: Config) -> None:
-        """End the verification where another routine is set."""
-        if before.verify.routine != after.verify.routine:
+    def configured(self, old: Config, new: Config) -> None:
+        """End the verification if another routine is set."""
+        if old.verify.routine != new.verify.routine:
             self.end()
 
     def end(self) -> None:
@@ -166,7 +167,7 @@ class LiveVerification:
         self._samples.consumer = None
         self._session = None
 
-    def _to_verify(self) -> Calibration:
+    def _calibration(self) -> Calibration:
         """Return the calibration of verify.calibration, or the answer; NothingToVerifyError."""
         file = self._config.verify.calibration
         if file:
@@ -176,11 +177,11 @@ class LiveVerification:
         return self._answer.calibration
 
     def _written(self, result: Verification) -> str:
-        """Write a verification into the folder of the name; return what to say."""
+        """Write a verification into the folder of its name; return the message."""
         config = self._config
         poses = config.pose_topic if config.pose_source == 'topic' else '/tf'
         text = verification.yaml_text(replace(result, inputs=(config.profile_topic, poses)))
-        file = self._place.folder(config) / f'verification_{result.routine}.yaml'
-        former = exports.set_aside(file.parent, [file.name], {file.name})
+        file = self._folders.folder(config) / f'verification_{result.routine}.yaml'
+        previous = exports.set_aside(file.parent, [file.name], {file.name})
         write_whole(file, text)
-        return str(exports.Saved((file,), former))
+        return str(exports.Saved((file,), previous))

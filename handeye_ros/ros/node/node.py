@@ -20,7 +20,7 @@ from handeye_ros.ros.node.state import State
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.ros.node.worker import WorkerProcess
 from handeye_ros.ros.sessions.reading import read_session
-from handeye_ros.ros.sessions.store import Place
+from handeye_ros.ros.sessions.store import OutputFolders
 from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.stops import Outcome
 from rcl_interfaces.msg import SetParametersResult
@@ -41,18 +41,18 @@ GROUPS = (('compute_calibration',), ('save_calibration',), ('compute_kinematics'
 
 
 class HandeyeNode(Node):
-    """Takes samples as the robot moves, and computes, publishes and saves on request."""
+    """Takes samples of stops, and computes, publishes and saves calibrations on request."""
 
     def __init__(self) -> None:
-        """Subscribe and serve; raises InputError for what the user configured."""
+        """Subscribe and serve; raises InputError for an invalid configuration."""
         super().__init__('handeye')
-        self._place = place = Place(self.get_namespace())
-        config, stored = params.declare(self, place)
-        self.live = LiveSession(config, place, SessionStore(place.folder, stored),
+        self._folders = folders = OutputFolders(self.get_namespace())
+        config, stored = params.declare(self, folders)
+        self.live = LiveSession(config, folders, SessionStore(folders.folder, stored),
                                 WorkerProcess(NICER), WorkerProcess())
         self._outputs = Publishers(self, self.live)
         self._intake = Intake(self, self.live)
-        self._warnings = RepeatedWarnings(self.get_logger().warning)
+        self._warnings = RepeatedWarnings(self._warn)
         self._changing = Lock()  # the page sets parameters from its own thread
         self._serve()
         self.add_on_set_parameters_callback(self._check_change)
@@ -63,8 +63,8 @@ class HandeyeNode(Node):
         if stored:
             self.get_logger().info(self.live.restore(stored.session(config), stored.config))
         elif config.session:
-            self.get_logger().warning(f'there is no session in {place.parent(config)}: a new one '
-                                      'begins')
+            self.get_logger().warning(f'there is no session in {folders.parent(config)}: a new '
+                                      'one begins')
         self.live.start()
         self._intake.start()
         self._outputs.show()
@@ -77,19 +77,19 @@ class HandeyeNode(Node):
             self._page = serve(self)
 
     def stop(self) -> None:
-        """End what is being computed, and publish nothing more."""
+        """Stop computing and publishing."""
         self._outputs.close()
         self.live.stop()
 
     def destroy_node(self) -> None:
-        """End the page and what is being computed, then the node."""
+        """Stop the page and all computations, then destroy the node."""
         self.stop()
         if self._page:
             self._page.stop()
         super().destroy_node()
 
     def topics_of(self, kind: str) -> list[str]:
-        """Return the topics on which others publish messages of a type."""
+        """Return the topics with publishers of a message type."""
         return topics_of(self, kind)
 
     @property
@@ -114,14 +114,14 @@ class HandeyeNode(Node):
                 offer(self, Trigger, name, partial(self._answer, name), group)
         offer(self, SetBool, 'auto_sample', self._auto_sample, group)
         self.create_subscription(Empty, '~/take', self._on_take, 10, callback_group=group)
-        # steady time: the state is published even when a simulated clock stands still
+        # steady time: the state is published even while a simulated clock is paused
         for period, work in ((1.0, self._diagnose), (CURRENT, self._outputs.show_current)):
             self.create_timer(period, partial(self._quietly, work),
                               MutuallyExclusiveCallbackGroup(),
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _quietly(self, work: Callable[..., object], *args: Any) -> None:
-        """Do what publishes something; that this fails while the node ends is no error."""
+        """Run work that publishes; its failure while the node ends is ignored."""
         try:
             work(*args)
         except UNSENDABLE:
@@ -132,10 +132,10 @@ class HandeyeNode(Node):
         attempt = self.live.samples.attempt
         text = attempt.text if attempt else sample_summary(outcome.result)
         if outcome.sample:
-            self.get_logger().info(text)
+            self._inform(text)
             self._outputs.show_features(outcome)
         else:
-            self.get_logger().warning(text)
+            self._warn(text)
 
     def _diagnose(self) -> None:
         state = self.state
@@ -153,43 +153,50 @@ class HandeyeNode(Node):
         return self._intake.kinematics.compute()
 
     def open_session(self, name: str) -> str:
-        """Go on with a former session, with the current settings; raises HandeyeError."""
+        """Continue a previous session with the current settings; raises HandeyeError."""
         config = self.live.config
-        path = self._place.folder(config) / Path(name).name
+        path = self._folders.folder(config) / Path(name).name
         if path == Path(self.live.samples.store.path):
             return f'{path} is the current session'
         stored = read_session(path)
-        store, session = SessionStore(self._place.folder, stored), stored.session(config)
+        store, session = SessionStore(self._folders.folder, stored), stored.session(config)
         text = self.live.replace_session(store, session, stored.config)
         self.set_parameters([Parameter('samples.exclude', Parameter.Type.INTEGER_ARRAY,
                                        list(stored.config.samples.exclude))])
         return text
 
-    def ask(self, name: str) -> tuple[bool, str]:
-        """Return whether a service succeeds, and what it says."""
+    def call_service(self, name: str) -> tuple[bool, str]:
+        """Return whether a service succeeds, and its message."""
         try:
             text, success = self._triggers[name](), True
         except HandeyeError as error:
             text, success = str(error), False
         text = self.state.with_trouble(text, success, name)
-        log = self.get_logger()
         if not success:
-            log.warning(f'{name}: {text}')
+            self._warn(f'{name}: {text}')
         elif name != 'take_sample':  # its outcome is in the log already
-            log.info(text)
+            self._inform(text)
         return success, text
+
+    def _inform(self, text: str) -> None:
+        if rclpy.ok():  # once a signal has shut ROS down, rcl would print an error of its own
+            self.get_logger().info(text)
+
+    def _warn(self, text: str) -> None:
+        if rclpy.ok():
+            self.get_logger().warning(text)
 
     def _answer(self, name: str, _: Trigger.Request, response: Trigger.Response
                 ) -> Trigger.Response:
         try:
-            response.success, response.message = self.ask(name)
+            response.success, response.message = self.call_service(name)
         except UNSENDABLE:
             if rclpy.ok():  # else the node ends
                 raise
         return response
 
     def _on_take(self, _: Empty) -> None:
-        self._quietly(self.ask, 'take_sample')
+        self._quietly(self.call_service, 'take_sample')
 
     def _auto_sample(self, request: SetBool.Request, response: SetBool.Response
                      ) -> SetBool.Response:
@@ -211,8 +218,8 @@ class HandeyeNode(Node):
     def _apply_change(self, changes: list[Parameter]) -> None:
         with self._changing:
             config = params.changed(self.live.config, changes)
-            others = self._intake.changes(config)
+            other_topics = self._intake.changes(config)
             self.live.configure(config)
-        if others:
+        if other_topics:
             self.live.clear_samples()
             self._intake.listen()

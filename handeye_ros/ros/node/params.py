@@ -14,7 +14,7 @@ from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD, RECORD_NA
 from handeye_ros.errors import InputError, UnknownKeyError
 from handeye_ros.output import folder_name
 from handeye_ros.ros.sessions.reading import Stored
-from handeye_ros.ros.sessions.store import Place, resumed
+from handeye_ros.ros.sessions.store import OutputFolders, resumed
 from handeye_ros.sampling.session import Session
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
@@ -26,25 +26,25 @@ FIXED = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port', 'pa
 FILES_ONLY = ('tracker.', 'sensor_frame')
 
 
-def declare(node: Node, place: Place) -> tuple[Config, Stored | None]:
+def declare(node: Node, folders: OutputFolders) -> tuple[Config, Stored | None]:
     """
-    Declare all parameters of the node; return the configuration and the session to go on with.
+    Declare all parameters; return the configuration and the session to continue.
 
-    Raises UnknownKeyError and BadValueError for what the user gave, InputError for a session
-    that cannot be read.
+    Raises UnknownKeyError and BadValueError for the user's settings, InputError for a session that
+    cannot be read.
     """
-    # rclpy offers no other way to what parameter files and arguments set
-    given = _values(node._parameter_overrides.values())
-    config, stored = resumed(given, place)
+    # rclpy offers no other access to the values of parameter files and arguments
+    overrides = _values(node._parameter_overrides.values())
+    config, stored = resumed(overrides, folders)
     _check_names(config)
     values = configuration.flatten(config)
     for parameter in parameters():
         node.declare_parameter(parameter.key, values[parameter.key], descriptor(parameter),
                                ignore_override=True)
-    about = ParameterDescriptor(description='Free text, kept with the answer.',
-                                dynamic_typing=True)
+    description = ParameterDescriptor(description='Free text, kept with the answer.',
+                                      dynamic_typing=True)
     for name in dict.fromkeys((*RECORD_NAMES, *dict(config.record))):
-        node.declare_parameter(f'{RECORD}{name}', dict(config.record).get(name, ''), about,
+        node.declare_parameter(f'{RECORD}{name}', dict(config.record).get(name, ''), description,
                                ignore_override=True)
     return config, stored
 
@@ -54,9 +54,9 @@ def parameters() -> tuple[Parameter, ...]:
     return tuple(p for p in configuration.parameters() if not p.key.startswith(FILES_ONLY))
 
 
-def _values(given: Iterable[RosParameter]) -> dict[str, Any]:
+def _values(ros_parameters: Iterable[RosParameter]) -> dict[str, Any]:
     """Return the values of the parameters of this package by key; raises UnknownKeyError."""
-    values = {p.name: _value(p) for p in given if not p.name.startswith(EVERY_NODES)}
+    values = {p.name: _value(p) for p in ros_parameters if not p.name.startswith(EVERY_NODES)}
     keys = [p.key for p in parameters()]
     for name in values:
         if name not in keys and not name.startswith(RECORD):
@@ -65,7 +65,7 @@ def _values(given: Iterable[RosParameter]) -> dict[str, Any]:
 
 
 def _value(parameter: RosParameter) -> Any:
-    """Return the value of a parameter, arrays as lists; an empty list has no type in ROS."""
+    """Return the value of a parameter, arrays as lists; ROS gives an empty list no type."""
     if parameter.type_ == RosParameter.Type.NOT_SET:
         return []
     value = parameter.value
@@ -73,46 +73,46 @@ def _value(parameter: RosParameter) -> Any:
 
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:
-    """Return what `ros2 param describe` prints of a parameter."""
-    made = ParameterDescriptor(description=parameter.description, dynamic_typing=True,
-                               additional_constraints=_constraints(parameter))
+    """Return the descriptor shown by `ros2 param describe`."""
+    result = ParameterDescriptor(description=parameter.description, dynamic_typing=True,
+                                 additional_constraints=_constraints(parameter))
     low, high = parameter.minimum, parameter.maximum
     if low is not None and high is not None:
         if isinstance(parameter.default, int):
-            made.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+            result.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
         else:
-            made.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-    return made
+            result.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    return result
 
 
 def _constraints(parameter: Parameter) -> str:
-    parts = []
+    texts = []
     if parameter.length:
-        parts.append('a list of ' + ' or '.join(map(str, parameter.length)) + ' values')
+        texts.append('a list of ' + ' or '.join(map(str, parameter.length)) + ' values')
     if parameter.choices:
-        parts.append('one of ' + ', '.join(map(str, parameter.choices)))
+        texts.append('one of ' + ', '.join(map(str, parameter.choices)))
     if parameter.key in FIXED:
-        parts.append('fixed while the node runs')
-    return '; '.join(parts)
+        texts.append('fixed while the node runs')
+    return '; '.join(texts)
 
 
 def changed(config: Config, changes: Iterable[RosParameter]) -> Config:
     """
-    Return the configuration with changes made at run time.
+    Return the configuration with changes at run time.
 
     Raises BadValueError, and InputError for a key that is fixed.
     """
     values = _values(changes)
-    new = configuration.with_values(config, values, "the node's parameters")
-    before, after = configuration.flatten(config), configuration.flatten(new)
+    changed_config = configuration.with_values(config, values, "the node's parameters")
+    old, new = configuration.flatten(config), configuration.flatten(changed_config)
     for key in values:
-        if key in FIXED and before[key] != after[key]:
+        if key in FIXED and old[key] != new[key]:
             raise InputError(f'{key} is fixed while the node runs; set it at its start')
-    _check_names(new)
-    return new
+    _check_names(changed_config)
+    return changed_config
 
 
 def _check_names(config: Config) -> None:
-    """Refuse names of methods and folders that would fail later; raises BadValueError."""
+    """Raise BadValueError for names of methods and folders that would fail later."""
     Session(config)
     folder_name(config)

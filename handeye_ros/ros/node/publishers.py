@@ -1,13 +1,13 @@
 """
-What the node publishes: the answer, the samples, the state, markers.
+Publishers of the node: answer, samples, state, markers.
 
-A latched topic keeps its last message for late subscribers. Where the answer is withdrawn, its
+A latched topic keeps its last message for late subscribers. When the answer is withdrawn, its
 publisher is created again, so that a late subscriber gets none; ~/status informs the others.
 """
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterable
 import json
 import threading
 from typing import Any
@@ -19,11 +19,17 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Calibration, EdgePoint, Sample
 from handeye_ros.errors import INSTALL_TF2
-from handeye_ros.results.report.scene import in_sensor
+from handeye_ros.results.scene import in_sensor
 from handeye_ros.ros.node.diagnostics import diagnostics
 from handeye_ros.ros.node.intake import TFMessage
 from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.node.scene import current_markers, DrawnSample, ends, put, session_markers
+from handeye_ros.ros.node.scene import (
+    current_markers,
+    DrawnSample,
+    ends,
+    session_markers,
+    set_fields,
+)
 from handeye_ros.ros.node.state import GuidanceState, samples_message, State, status_message
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.sampling.stops import Outcome
@@ -42,7 +48,7 @@ UNWATCHED = PublisherEventCallbacks(use_default_callbacks=False)
 
 
 class Publishers:
-    """The publishers; what has not changed is not published again."""
+    """The publishers; unchanged content is not published again."""
 
     def __init__(self, node: Node, live: LiveSession) -> None:
         """Advertise all topics."""
@@ -69,7 +75,7 @@ class Publishers:
         self._tf_static = TFMessage and latched_publisher(self._node, TFMessage, '/tf_static')
 
     def show(self) -> None:
-        """Publish what has changed."""
+        """Publish all changes."""
         with self._lock:
             if self._closed:
                 return
@@ -85,7 +91,7 @@ class Publishers:
 
     def close(self) -> None:
         """
-        Publish no more changes.
+        Publish no further changes.
 
         A publisher that is created after the executor has ended would end the process.
         """
@@ -115,7 +121,7 @@ class Publishers:
             self._tf_static.publish(TFMessage(transforms=[transform]))
 
     def _show_guidance(self, guidance: GuidanceState | None) -> None:
-        """Publish what to do next, and the next pose while there is one."""
+        """Publish the guidance, and the next pose if there is one."""
         if guidance is None or guidance == self._advised:
             return
         self._advised = guidance
@@ -135,7 +141,7 @@ class Publishers:
         self._markers.publish(session_markers(samples, calibration, self._live.framed))
 
     def show_current(self) -> None:
-        """Publish what the sensor sees now, if there is a subscriber."""
+        """Publish the current profile with its features, if there is a subscriber."""
         if self._current.get_subscription_count():
             config = self._live.framed
             self._current.publish(current_markers(
@@ -168,18 +174,24 @@ def transform_stamped(calibration: Calibration, stamp: Time) -> TransformStamped
     msg = TransformStamped(child_frame_id=calibration.child_frame)
     msg.header = Header(stamp=stamp, frame_id=calibration.parent_frame)
     T = calibration.T_flange_sensor
-    put(msg.transform.translation, 'xyz', T[:3, 3])
-    put(msg.transform.rotation, 'xyzw', se3.quaternion(T))
+    set_fields(msg.transform.translation, 'xyz', T[:3, 3])
+    set_fields(msg.transform.rotation, 'xyzw', se3.quaternion(T))
     return msg
 
 
-def pose_stamped(translation: Sequence[float], rotation: Sequence[float], frame_id: str,
+def pose_stamped(translation: Iterable[float], rotation: Iterable[float], frame_id: str,
                  stamp: Time) -> PoseStamped:
     """Return a pose (x y z in m, quaternion x y z w) in a frame."""
     msg = PoseStamped(header=Header(stamp=stamp, frame_id=frame_id))
-    put(msg.pose.position, 'xyz', translation)
-    put(msg.pose.orientation, 'xyzw', rotation)
+    set_fields(msg.pose.position, 'xyz', translation)
+    set_fields(msg.pose.orientation, 'xyzw', rotation)
     return msg
+
+
+def time_message(stamp: int) -> Time:
+    """Return a stamp (ns) as a message."""
+    sec, nanosec = divmod(stamp, 1_000_000_000)
+    return Time(sec=sec, nanosec=nanosec)
 
 
 def feature_cloud(sample: Sample, config: Config, frame_id: str) -> PointCloud2:
@@ -193,9 +205,8 @@ def feature_cloud(sample: Sample, config: Config, frame_id: str) -> PointCloud2:
 
 def cloud(points: NDArray[Any], frame_id: str, stamp: int) -> PointCloud2:
     """Return a message of points (n,), an array with fields of type float32; stamp: ns."""
-    sec, nanosec = divmod(stamp, 1_000_000_000)
     return PointCloud2(
-        header=Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=frame_id), height=1,
+        header=Header(stamp=time_message(stamp), frame_id=frame_id), height=1,
         width=len(points), point_step=points.itemsize, row_step=points.nbytes, is_dense=True,
         fields=[PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
                 for k, name in enumerate(points.dtype.names or ())],

@@ -1,8 +1,8 @@
 """
-The samples of a running node: stops are evaluated, stored and changed by several threads.
+The samples of a running node: evaluated, stored and changed by several threads.
 
-Knows no ROS. One lock (work) makes these changes one at a time, while messages go on coming in;
-what takes longer (review, solve) does not hold it.
+Knows no ROS. One lock (work) serialises these changes while messages continue to arrive; longer
+computations (review, solve) do not hold it.
 """
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome, Stop
 
-# Keys, or the beginnings of keys, on which it depends what a stop gives.
-OF_SAMPLES = ('method', 'profile.', 'target.', 'noise.sensor', 'sampling.min_points',
-              'sampling.settle_time', 'time_offset', 'rotation_lag_std')
+# Keys, or prefixes of keys, that affect the sample of a stop.
+SAMPLE_KEYS = ('method', 'profile.', 'target.', 'noise.sensor', 'sampling.min_points',
+               'sampling.settle_time', 'time_offset', 'rotation_lag_std')
 
 
 class LiveSamples:
     """
     The samples of a running node.
 
-    work: the lock of whoever changes them; cleared: how often they were cleared; consumer:
-    receives the stops instead, None for nobody; objection: returns why a new sample is no good,
-    given the others, or an empty string; refused: T_base_flange (4, 4) of stops that were asked
-    for and gave no sample, by the stamp of their begin; on_outcome: called with each new outcome.
+    work: the lock for changes; cleared: number of times that they were cleared; consumer: receives
+    the stops instead, or None; objection: returns why a new sample does not help, or ''; refused:
+    T_base_flange (4, 4) of requested stops that gave no sample, by the stamp of their start;
+    on_outcome: called with each new outcome.
     """
 
     def __init__(self, streams: Streams, evaluator: Evaluator, store: Store, progress: Progress
@@ -45,7 +45,7 @@ class LiveSamples:
         self.work = threading.RLock()
         self.cleared = 0
         self._extracting = threading.Lock()
-        self._stale = False  # whether the samples are to be extracted anew
+        self._stale = False  # whether the samples must be extracted again
         self.attempt: Attempt | None = None
         self.refused: dict[int, Array] = {}
         self.store_trouble = ''
@@ -58,59 +58,59 @@ class LiveSamples:
         """Return the current settings."""
         return self.streams.config
 
-    def restore(self, session: Session, before: Config) -> str:
+    def restore(self, session: Session, old_config: Config) -> str:
         """
-        Go on with the stops of an earlier run; return what to say.
+        Continue with the stops of an earlier run; return the message.
 
-        before: its settings; where the current ones differ they are stored. Raises
+        old_config: its settings; the current ones are stored if they differ. Raises
         UnwritableError.
         """
         with self.work, self.streams.lock:
             self.streams.session = session
-        if replace(before, session=self.config.session) != self.config:
+        if replace(old_config, session=self.config.session) != self.config:
             self.store.configured(self.config)
         self.streams.wake.set()
         count = sum(outcome.sample is not None for outcome in session.outcomes)
-        return f'going on with {count_of(count, "sample")} of {self.store.path}'
+        return f'continuing with {count_of(count, "sample")} of {self.store.path}'
 
     def evaluate_all(self) -> None:
-        """Evaluate all stops that are over, and the current one once it has enough profiles."""
+        """Evaluate all complete stops, and the current one once it has enough profiles."""
         with self.work:
             while self.streams.waiting:
                 self._evaluate(self.streams.waiting.popleft())
             early, self.streams.early = self.streams.early, None
             if early:
-                self._evaluate(early, over=False)
+                self._evaluate(early, complete=False)
 
     def evaluate_rest(self) -> None:
-        """Evaluate all stops; the one that the robot stands in counts as over."""
+        """Evaluate all stops; the current one counts as complete."""
         with self.work:
             self.evaluate_all()
             for stop in self.streams.copied().rest():
                 self._evaluate(stop)
 
-    def _evaluate(self, stop: Stop, over: bool = True) -> None:
-        """Put the outcome of a stop into the session, in place of that from before it was over."""
+    def _evaluate(self, stop: Stop, complete: bool = True) -> None:
+        """Put the outcome of a stop into the session, replacing an earlier one."""
         if consumer := self.consumer:
-            if over or not self.streams.is_taken(stop):
-                consumer.add(stop, over)
+            if complete or not self.streams.is_taken(stop):
+                consumer.add(stop, complete)
             return
         result = self.evaluator.result(stop, self.config)
         with self.streams.lock:
             session = self.streams.session
-            if not over and session.is_taken(stop):  # by hand, meanwhile
+            if not complete and session.is_taken(stop):  # meanwhile, by a service
                 return
             outcome = session.outcome(stop, result)
-            before = [o for o in session.outcomes if o.number == outcome.number]
-        remark = self.objection(outcome)  # no refusal: solving a recording refuses none either
+            earlier = [o for o in session.outcomes if o.number == outcome.number]
+        remark = self.objection(outcome)  # no refusal, as in the solution of a recording
         try:
             outcome = self._stored(outcome)
         except InputError as error:
             outcome = Outcome(outcome.number, stop, Reject(outcome.result.stamp, str(error)))
         with self.streams.lock:
-            self.streams.session.put(outcome, over)
-        if before and bool(before[0].sample) == bool(outcome.sample):
-            return  # the same with more profiles is not reported again
+            self.streams.session.put(outcome, complete)
+        if earlier and bool(earlier[0].sample) == bool(outcome.sample):
+            return  # the same result with more profiles is not reported again
         verdict = (f'sample {outcome.number} taken' if outcome.sample else
                    f'stop {outcome.number} gave no sample')
         text = '; '.join(filter(None, (sample_summary(outcome.result), remark)))
@@ -118,7 +118,7 @@ class LiveSamples:
         self.on_outcome(outcome)
 
     def _stored(self, outcome: Outcome) -> Outcome:
-        """Store an outcome; return it as it is on the disk. Raises InputError, kept as trouble."""
+        """Store an outcome; return the stored form. Raises InputError, kept as trouble."""
         try:
             stored = self.store.add(outcome, self.config)
         except InputError as error:
@@ -127,9 +127,9 @@ class LiveSamples:
         self.store_trouble = ''
         return stored
 
-    def evaluated(self, evaluate: Callable[[], None]) -> tuple[Session, Config]:
+    def session_after(self, evaluate: Callable[[], None]) -> tuple[Session, Config]:
         """
-        Return a copy of the session and its settings, by which all samples were extracted.
+        Return a copy of the session, and the settings of all its samples.
 
         evaluate: evaluate_all or evaluate_rest. Raises DataError where there are no stops.
         """
@@ -142,20 +142,21 @@ class LiveSamples:
         return session, config
 
     def extract_again(self) -> None:
-        """Evaluate the stored stops again where settings changed that they depend on."""
+        """Evaluate the stored stops again if changed settings affect them."""
         with self._extracting:
             while self._stale:
-                with self.work, self.streams.lock:  # nobody evaluates by the former settings
+                with self.work, self.streams.lock:  # no evaluation with the old settings
                     self._stale, outcomes = False, self.streams.session.outcomes
                 with self._progress.doing('the samples are extracted again from their profiles'):
-                    fresh = [self.evaluator.again(outcome, self.config) for outcome in outcomes]
+                    fresh = [self.evaluator.reevaluated(outcome, self.config)
+                             for outcome in outcomes]
                     with self.streams.lock:
                         self.streams.session.replace(fresh)
 
-    # services; each returns what to say
+    # services; each returns its message
 
     def take(self) -> str:
-        """Take a sample where the robot stands; raises DataError, or InputError unstored."""
+        """Take a sample at the current stop; raises DataError, or InputError unstored."""
         try:
             return self._take()
         except HandeyeError as error:
@@ -177,24 +178,24 @@ class LiveSamples:
                 stop, sample, _ = self._sampled()
             with self.streams.lock:
                 outcome = self.streams.session.outcome(stop, sample)
-                again = any(o.stop.began == stop.began for o in self.streams.session.outcomes)
+                repeated = any(o.stop.began == stop.began for o in self.streams.session.outcomes)
             if outcome.sample is None:
                 raise NothingNewError(sample_summary(outcome.result))
-            why = self.objection(outcome)
-            if why:
+            objection = self.objection(outcome)
+            if objection:
                 self.refused[stop.began] = stop.pose(self.config)
-                raise FlatCrossingError(why)
+                raise FlatCrossingError(objection)
             outcome = self._stored(outcome)
             with self.streams.lock:
                 self.streams.session.put(outcome)
-        again_text = ' again, as the robot has not moved since' if again else ''
-        text = f'sample {outcome.number} taken{again_text}: {sample_summary(sample)}'
+        note = ' again, as the robot has not moved since' if repeated else ''
+        text = f'sample {outcome.number} taken{note}: {sample_summary(sample)}'
         self.attempt = Attempt(True, outcome.number, text)
         self.on_outcome(outcome)
         return text
 
     def _sampled(self) -> tuple[Stop, Sample, tuple[int, Config]]:
-        """Return the stop that the robot stands in, its sample, and by which state it was made."""
+        """Return the current stop, its sample, and the settings version it was made with."""
         state = self.cleared, self.config
         stop = self.streams.standing()
         try:
@@ -217,14 +218,14 @@ class LiveSamples:
                 f'{count} left')
 
     def clear(self) -> str:
-        """Forget all samples, and all that was received; raises InputError."""
+        """Forget all samples and messages; raises InputError."""
         with self.work:
-            kept, count = self.store.restart(self.config), self.forget()
+            note, count = self.store.restart(self.config), self.forget()
         self.streams.wake.set()
-        return f'{count_of(count, "sample")} removed; bags and clocks may start again{kept}'
+        return f'{count_of(count, "sample")} removed; bags and clocks may start again{note}'
 
     def forget(self) -> int:
-        """Forget the stops, and all that was received; return how many samples there were."""
+        """Forget the stops and messages; return the number of samples there were."""
         self.streams.latest.clear()
         with self.streams.lock:
             self.streams.waiting.clear()
@@ -237,11 +238,11 @@ class LiveSamples:
         return count
 
     def configure(self, config: Config) -> None:
-        """Go on with another configuration, already checked by params.changed."""
+        """Apply another configuration, already checked by params.changed."""
         with self.streams.lock:
-            before, self.streams.config = self.config, config
+            old_config, self.streams.config = self.config, config
             self.streams.session.configure(config)
-            self._stale |= changes(before, config, OF_SAMPLES)
+            self._stale |= changes(old_config, config, SAMPLE_KEYS)
         try:
             self.store.configured(config)
             self.store_trouble = ''
@@ -249,7 +250,7 @@ class LiveSamples:
             self.store_trouble = str(error)
 
 
-def changes(before: Config, after: Config, keys: tuple[str, ...]) -> bool:
-    """Return whether two configurations differ in a key that begins with one of these."""
-    old, new = flatten(before), flatten(after)
+def changes(old_config: Config, new_config: Config, keys: tuple[str, ...]) -> bool:
+    """Return whether two configurations differ in a key with one of these prefixes."""
+    old, new = flatten(old_config), flatten(new_config)
     return any(old[key] != new[key] for key in new if key.startswith(keys))

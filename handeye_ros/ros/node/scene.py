@@ -1,4 +1,4 @@
-"""Markers: where samples were taken, what they saw, and what the sensor sees now."""
+"""Markers: poses of samples, their features, and the current profile."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,10 +9,9 @@ from geometry_msgs.msg import Point
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature, Sample
-from handeye_ros.frames import in_mount
-from handeye_ros.results.report.evidence import stated_noise
-from handeye_ros.results.report.scene import in_sensor
-from handeye_ros.results.target_shape import enlargement, half_axes, shape
+from handeye_ros.frames import in_mount, target_frame
+from handeye_ros.results.evidence import stated_noise
+from handeye_ros.results.scene import enlargement, half_axes, in_sensor, shape
 from handeye_ros.ros.node.streams import Current
 import numpy as np
 from std_msgs.msg import ColorRGBA
@@ -30,10 +29,10 @@ AXES = (_color(0.9, 0.2, 0.2), _color(0.2, 0.8, 0.2), _color(0.2, 0.4, 0.9))
 
 LISTS = (Marker.SPHERE_LIST, Marker.LINE_LIST)  # markers that RViz refuses without points
 AXIS = 0.03  # m, of a drawn frame
-ELLIPSOID = 0.02  # m, the largest half axis of the uncertainty as it is drawn
+ELLIPSOID = 0.02  # m, the largest drawn half axis of the uncertainty
 DOT, LINE, TEXT = 0.003, 0.001, 0.012  # m
 ARM = 0.2  # m from the flange to the target, for the stated noise at the target
-WORST = 3.0  # times the stated noise: the residual that is drawn red
+WORST = 3.0  # times the stated noise: residuals drawn red
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,29 +44,23 @@ class DrawnSample:
     residual: float | None = None
 
 
-def frame_of(config: Config) -> str:
-    """Return the frame of all markers, in which the target is at rest."""
-    in_hand = config.calibration_type == 'eye_in_hand'
-    return config.base_frame if in_hand else config.robot_effector_frame
-
-
 def session_markers(samples: Sequence[DrawnSample], calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
-    """Return where the samples were taken and, once there is an answer, what they saw."""
+    """Return the poses of samples and, with an answer, their features."""
     markers = [Marker(action=Marker.DELETEALL)]
-    poses = [in_mount(seen.sample.T_base_flange, config) for seen in samples]
+    poses = [in_mount(drawn.sample.T_base_flange, config) for drawn in samples]
     if samples:
         markers.append(_points('flanges', FLANGES, np.array(poses)[:, :3, 3], 0.01))
-        markers += [_text('numbers', str(seen.number), T[:3, 3], NUMBERS)
-                    for seen, T in zip(samples, poses, strict=True)]
+        markers += [_text('numbers', str(drawn.number), T[:3, 3], NUMBERS)
+                    for drawn, T in zip(samples, poses, strict=True)]
     if calibration:
-        markers += _seen(samples, poses, calibration, config)
+        markers += _answer_markers(samples, poses, calibration, config)
     return _array(markers, config)
 
 
 def current_markers(current: Current | None, calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
-    """Return the current profile and its features, as the answer places them."""
+    """Return the current profile and its features, placed by the answer."""
     markers = [Marker(action=Marker.DELETEALL)]
     if current and calibration:
         T = in_mount(current.T_base_flange, config) @ calibration.T_flange_sensor
@@ -82,26 +75,26 @@ def current_markers(current: Current | None, calibration: Calibration | None, co
     return _array(markers, config)
 
 
-def _seen(samples: Sequence[DrawnSample], poses: Sequence[Array], calibration: Calibration,
-          config: Config) -> list[Marker]:
-    """Return markers of target, samples and sensor of an answer; poses: of the mount, (4, 4)."""
+def _answer_markers(samples: Sequence[DrawnSample], poses: Sequence[Array],
+                    calibration: Calibration, config: Config) -> list[Marker]:
+    """Return markers of target, samples and sensor for an answer; poses: of the mount, (4, 4)."""
     T_sensors = [T @ calibration.T_flange_sensor for T in poses]
-    spots = [se3.apply(T, in_sensor(_spots(seen.sample.features), config))
-             for seen, T in zip(samples, T_sensors, strict=True)]
-    lines = [se3.apply(T, in_sensor(ends(seen.sample.features), config))
-             for seen, T in zip(samples, T_sensors, strict=True)]
-    near = np.concatenate([*spots, *lines]) if samples else np.empty((0, 3))
-    markers = _target(calibration.target, config, near)
-    if len(near):
+    spots = [se3.apply(T, in_sensor(_spots(drawn.sample.features), config))
+             for drawn, T in zip(samples, T_sensors, strict=True)]
+    lines = [se3.apply(T, in_sensor(ends(drawn.sample.features), config))
+             for drawn, T in zip(samples, T_sensors, strict=True)]
+    visible = np.concatenate([*spots, *lines]) if samples else np.empty((0, 3))
+    markers = _target(calibration.target, config, visible)
+    if len(visible):
         scale = WORST * stated_noise(config.noise, ARM)
         markers.append(_points('samples', UNKNOWN, np.concatenate(spots), DOT, [
-            _by_residual(seen.residual, scale) for seen, points in zip(samples, spots, strict=True)
-            for _ in points]))
+            _by_residual(drawn.residual, scale)
+            for drawn, points in zip(samples, spots, strict=True) for _ in points]))
         markers.append(_lines('face lines', LINES, np.concatenate(lines)))
         markers += [_text('numbers at the target',
-                          f'{seen.number}{_residual_label(seen.residual)}', points.mean(axis=0),
-                          _by_residual(seen.residual, scale))
-                    for seen, points in zip(samples, spots, strict=True) if len(points)]
+                          f'{drawn.number}{_residual_label(drawn.residual)}', points.mean(axis=0),
+                          _by_residual(drawn.residual, scale))
+                    for drawn, points in zip(samples, spots, strict=True) if len(points)]
         markers += _sensor(T_sensors[-1], calibration)
     return [marker for marker in markers if marker.type not in LISTS or marker.points]
 
@@ -111,15 +104,15 @@ def _residual_label(residual: float | None) -> str:
 
 
 def _by_residual(residual: float | None, worst: float) -> ColorRGBA:
-    """Return green for 0, yellow, then red for the worst; grey for None."""
+    """Return green for 0, yellow, red for the largest; grey for None."""
     if residual is None:
         return UNKNOWN
     ratio = min(residual / worst, 1.0)
     return _color(min(1.0, 2 * ratio), min(1.0, 2 * (1 - ratio)), 0.1)
 
 
-def _target(target: Mapping[str, Any], config: Config, near: Array) -> list[Marker]:
-    form = shape(target, config.target.size, near)
+def _target(target: Mapping[str, Any], config: Config, visible: Array) -> list[Marker]:
+    form = shape(target, config.target.size, visible)
     markers = [_lines('target', TARGET, _pairs(line)) for line in form.outline]
     markers += [_lines('edges', EDGES, _pairs(line), 2 * LINE) for line in form.edges]
     if form.ball:
@@ -155,7 +148,7 @@ def ends(features: Iterable[Feature]) -> Array:
 
 
 def _pairs(line: Array) -> Array:
-    """Return the ends (2 (n - 1), 3) of the pieces of a polyline (n, 3)."""
+    """Return the ends (2 (n - 1), 3) of the segments of a polyline (n, 3)."""
     return np.repeat(line, 2, axis=0)[1:-1]
 
 
@@ -172,10 +165,10 @@ def _lines(name: str, color: ColorRGBA, points: Array, width: float = LINE) -> M
     return marker
 
 
-def _text(name: str, text: str, place: Array, color: ColorRGBA) -> Marker:
+def _text(name: str, text: str, position: Array, color: ColorRGBA) -> Marker:
     marker = _marker(name, Marker.TEXT_VIEW_FACING, color, (0.0, 0.0, TEXT))
     marker.text = text
-    put(marker.pose.position, 'xyz', place + [0.0, 0.0, TEXT])
+    set_fields(marker.pose.position, 'xyz', position + [0.0, 0.0, TEXT])
     return marker
 
 
@@ -185,24 +178,24 @@ def _ellipsoid(name: str, color: ColorRGBA, centre: Array, axes: Array) -> Marke
     R = axes / np.maximum(lengths, 1e-12)
     R[:, 2] = np.cross(R[:, 0], R[:, 1])
     marker = _marker(name, Marker.SPHERE, color, np.maximum(2 * lengths, 1e-6))
-    put(marker.pose.position, 'xyz', centre)
-    put(marker.pose.orientation, 'xyzw', se3.quaternion(se3.transform(R, centre)))
+    set_fields(marker.pose.position, 'xyz', centre)
+    set_fields(marker.pose.orientation, 'xyzw', se3.quaternion(se3.transform(R, centre)))
     return marker
 
 
 def _marker(name: str, kind: int, color: ColorRGBA, scale: Iterable[float]) -> Marker:
     marker = Marker(type=kind, action=Marker.ADD, color=color, ns=name)
     marker.pose.orientation.w = 1.0
-    put(marker.scale, 'xyz', scale)
+    set_fields(marker.scale, 'xyz', scale)
     return marker
 
 
 def _messages(points: Array) -> list[Point]:
-    return [put(Point(), 'xyz', point) for point in points]
+    return [set_fields(Point(), 'xyz', point) for point in points]
 
 
-def put(msg: Any, names: str, values: Iterable[float]) -> Any:
-    """Set the fields of these names, one letter each; return the message."""
+def set_fields(msg: Any, names: str, values: Iterable[float]) -> Any:
+    """Set fields with names of one letter each; return the message."""
     for name, value in zip(names, values, strict=True):
         setattr(msg, name, float(value))
     return msg
@@ -210,5 +203,5 @@ def put(msg: Any, names: str, values: Iterable[float]) -> Any:
 
 def _array(markers: list[Marker], config: Config) -> MarkerArray:
     for number, marker in enumerate(markers):
-        marker.header.frame_id, marker.id = frame_of(config), number
+        marker.header.frame_id, marker.id = target_frame(config), number
     return MarkerArray(markers=markers)

@@ -1,5 +1,5 @@
 """
-What a running node reports, as one plain value, and the sentences about it.
+The state of a running node as one plain value, and sentences about it.
 
 Services, /diagnostics, ~/samples, ~/status and the page all report this value, so that they agree
 and use the same sentences. SI units; see docs/session.md.
@@ -26,13 +26,12 @@ class StreamState:
     """
     The messages of one kind, 'profile' or 'pose'.
 
-    place: the topic; count, malformed: good messages, and those that could not be understood;
-    age: seconds since the last good one, or since the start; trouble: why no usable messages come
-    and what to do, empty where they come.
+    count, malformed: numbers of valid and invalid messages; age: seconds since the last valid one,
+    or since the start; trouble: why no usable messages arrive and what to do, or ''.
     """
 
     kind: str
-    place: str
+    topic: str
     count: int
     malformed: int
     age: float
@@ -42,7 +41,7 @@ class StreamState:
 
 @dataclass(frozen=True)
 class MotionState:
-    """How the robot moves: m/s, rad/s, seconds at rest; text: the same in words."""
+    """Motion of the robot: m/s, rad/s, seconds at rest; text: in words."""
 
     standing: bool
     speed: float
@@ -57,9 +56,9 @@ class SampleState:
     One stop of the robot.
 
     taken: whether it gave a sample; excluded: whether samples.exclude leaves it out; believed:
-    whether the fit uses it; text: what was seen, or why there is no sample; residual, left_out:
-    RMS (m), None before there is a fit; translation, rotation: the flange in the base
-    (quaternion x y z w), None without a sample.
+    whether the fit uses it; text: its features, or why there is no sample; residual, left_out: RMS
+    (m), None without a fit; translation, rotation: the flange in the base (quaternion x y z w),
+    None without a sample.
     """
 
     number: int
@@ -76,7 +75,7 @@ class SampleState:
 
 @dataclass(frozen=True)
 class Attempt:
-    """The one answer to an attempt to take a sample; number: 0 where there is none."""
+    """Result of the last attempt to take a sample; number: 0 without a sample."""
 
     accepted: bool
     number: int
@@ -86,11 +85,11 @@ class Attempt:
 @dataclass(frozen=True)
 class SessionState:
     """
-    Where a session is kept, and how samples are taken.
+    Where the session is stored, and how samples are taken.
 
-    path: its folder, empty before the first sample; mode: sampling.mode; working: what is being
-    done now, in words; trouble: why messages cannot be used, and what to do; notes: what was
-    dropped, or is unusual, one sentence each.
+    path: its folder, empty before the first sample; mode: sampling.mode; working: the running
+    tasks in words; trouble: why messages cannot be used, and what to do; notes: sentences on
+    dropped or unusual data.
     """
 
     path: str
@@ -105,10 +104,10 @@ class CalibrationState:
     """
     The answer and its state.
 
-    state: none, current, outdated (samples or settings have changed since) or withdrawn (there
-    is none any more: what was published before is not the answer). translation, rotation
-    (x y z w), rpy: of the child in the parent; std: 1 sigma of x y z rx ry rz; all None without
-    an answer. saved: the file of this answer, empty before it is saved.
+    state: none, current, outdated (samples or settings have changed since) or withdrawn (the
+    transform that was published before is not valid). translation, rotation (x y z w), rpy: of the
+    child in the parent; std: 1 sigma of x y z rx ry rz; all None without an answer. saved: the
+    file of this answer, empty before it is saved.
     """
 
     state: str
@@ -139,14 +138,14 @@ class SigmaState:
 @dataclass(frozen=True)
 class GuidanceState:
     """
-    What is advised next.
+    The guidance.
 
-    sample: the number of the last sample that it includes, 0 for none; text: all of it, beginning
-    with that number; sentences: the same one by one; enough: whether to stop, why: the reason;
-    sigmas: of each direction, last that of mapped points, empty before there is an answer;
-    translation, rotation: the flange in the base at the pose that helps most (quaternion
-    x y z w), None before the sensor is roughly known; expected: 1 sigma of mapped points with
-    it (m).
+    sample: the number of the last sample that it includes, 0 for none; text: the complete text,
+    with that number; sentences: its sentences; enough: whether the samples suffice, why: the
+    reason; sigmas: of each direction, last that of mapped points, empty before there is an answer;
+    translation, rotation: the flange in the base at the most useful next pose (quaternion
+    x y z w), None before a first estimate of the sensor's pose; expected: 1 sigma of mapped points
+    with it (m).
     """
 
     sample: int
@@ -163,12 +162,11 @@ class GuidanceState:
 @dataclass(frozen=True)
 class State:
     """
-    A running node at one moment.
+    The state of a running node at one time.
 
-    samples: in the order of their numbers; worst: the numbers of the samples that have a
-    left-out residual, the largest first; review: why there are no residuals yet, empty where there
-    are; attempt: the last one, None before; guidance: what is advised next, None before the
-    first sample.
+    samples: in the order of their numbers; worst: the numbers of the samples with a left-out
+    residual, the largest first; review: why there are no residuals, '' where there are; attempt:
+    the last one, or None; guidance: the advice, None before the first sample.
     """
 
     name: str
@@ -185,7 +183,7 @@ class State:
 
     @property
     def taken(self) -> int:
-        """Return the number of samples, with those that are left out."""
+        """Return the number of samples, including excluded ones."""
         return sum(sample.taken for sample in self.samples)
 
     @property
@@ -196,9 +194,9 @@ class State:
 
     def with_trouble(self, text: str, success: bool, service: str) -> str:
         """
-        Return the answer of a service with the troubles that a person should know of.
+        Return the message of a service with the current troubles.
 
-        Silence of a stream is said where it explains a refusal, and to who takes a sample.
+        A silent stream is reported if it explains a refusal, and by take_sample.
         """
         takes = service == 'take_sample'
         streams = [stream.trouble for stream in (self.profiles, self.poses)
@@ -222,7 +220,7 @@ def status_message(state: State) -> dict[str, Any]:
 
 
 def calibration_summary(calibration: Calibration) -> str:
-    """Return the transform with its 1 sigma, and how well the samples agree."""
+    """Return the transform with its 1 sigma, and the residuals, in words."""
     T, quality = calibration.T_flange_sensor, calibration.quality
     std = np.sqrt(np.diag(calibration.covariance))
     position = ', '.join(f'{v * 1e3:.3f} ± {s * 1e3:.3f}'

@@ -1,4 +1,4 @@
-"""The state of a running node: all that is reported, gathered at one moment."""
+"""Collects the state of a running node at one time."""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ from handeye_ros.sampling.stops import Outcome
 import numpy as np
 
 NO_ANSWER = 'no calibration has been computed yet'
-SILENCE = 2.0  # s without a message after which a person should look
+SILENCE = 2.0  # s without a message until it is reported
 
 Obstacle = Callable[[str], str]
 
@@ -39,8 +39,8 @@ def state_of(live: LiveSession, obstacle: Obstacle = lambda kind: '', same_name:
     """
     Return the state of a running node.
 
-    obstacle: returns why no messages of a kind (profile, pose) come; same_name: that another node
-    has the same name.
+    obstacle: returns why no messages of a kind (profile, pose) arrive; same_name: a sentence if
+    another node has the same name.
     """
     session, config = live.copied(), live.config
     by_topic = config.pose_source == 'topic'
@@ -80,14 +80,14 @@ def _calibration(answer: Answer, stamps: frozenset[int]) -> CalibrationState:
 
 
 def _guidance(advice: Advice | None, sample: int) -> GuidanceState | None:
-    """Return the advice as plain values; sample: the number of the last one that it includes."""
+    """Return the guidance as plain values; sample: the number of the last one included."""
     if advice is None:
         return None
     pose = advice.next
     sigmas = tuple(SigmaState(s.name, s.std, s.limit, s.unit) for s in advice.sigmas)
-    after = f'after sample {sample}: ' if sample else ''
+    prefix = f'after sample {sample}: ' if sample else ''
     return GuidanceState(
-        sample, after + advice.text, advice.sentences, advice.enough, advice.why, sigmas,
+        sample, prefix + advice.text, advice.sentences, advice.enough, advice.why, sigmas,
         _plain(pose.T_base_flange[:3, 3]) if pose else None,
         _plain(se3.quaternion(pose.T_base_flange)) if pose else None, pose.std if pose else None)
 
@@ -101,22 +101,23 @@ def _agreements(reviewer: Reviewer) -> dict[int, Agreement]:
     return {outcome.number: agreement for outcome, agreement in pairs if agreement}
 
 
-def _stream(live: LiveSession, kind: str, place: str, frame: str, obstacle: Obstacle
+def _stream(live: LiveSession, kind: str, topic: str, frame: str, obstacle: Obstacle
             ) -> StreamState:
     arrivals = live.streams.arrivals
-    trouble = arrivals.unusable(kind) or _silence(live, kind, place, obstacle)
-    return StreamState(kind, place, arrivals.counts[kind], arrivals.bad[kind],
+    trouble = arrivals.unusable(kind) or _silence(live, kind, topic, obstacle)
+    return StreamState(kind, topic, arrivals.counts[kind], arrivals.bad[kind],
                        arrivals.silence(kind), frame, trouble)
 
 
-def _silence(live: LiveSession, kind: str, place: str, obstacle: Obstacle) -> str:
+def _silence(live: LiveSession, kind: str, topic: str, obstacle: Obstacle) -> str:
     seconds = live.streams.arrivals.silence(kind)
     if seconds < SILENCE:
         return ''
-    none = 'no' if live.streams.arrivals.counts[kind] == 0 else 'no more'
-    why = obstacle(kind)
-    source = 'from' if place == '/tf' else 'on'
-    return f'{none} {kind}s {source} {place} for {seconds:.0f} s' + (f' ({why})' if why else '')
+    quantity = 'no' if live.streams.arrivals.counts[kind] == 0 else 'no more'
+    reason = obstacle(kind)
+    source = 'from' if topic == '/tf' else 'on'
+    text = f'{quantity} {kind}s {source} {topic} for {seconds:.0f} s'
+    return f'{text} ({reason})' if reason else text
 
 
 def _motion(session: Session) -> MotionState:
@@ -128,7 +129,7 @@ def _motion(session: Session) -> MotionState:
 
 
 def _trouble(live: LiveSession, session: Session, same_name: str) -> str:
-    """Return why what comes now cannot be used, and what to do; empty where it can."""
+    """Return why current messages cannot be used, and the advice; '' if they can."""
     late = (f'{" and ".join(session.late)} are dropped, as their stamps are older than those '
             'before: sampling continues by itself if the clock was set back'
             ) if session.late else ''
@@ -151,5 +152,5 @@ def _sample(outcome: Outcome, session: Session, agreement: Agreement | None) -> 
 
 
 def _plain(values: object) -> tuple[float, ...]:
-    """Return numbers that JSON and messages take."""
+    """Return numbers as types for JSON and messages."""
     return tuple(float(value) for value in np.asarray(values))

@@ -1,5 +1,5 @@
 """
-What a running node receives: counts, clocks, the last messages, and the session fed with them.
+Messages received by a running node: counts, clocks, latest ones, and the session.
 
 Knows no ROS.
 """
@@ -16,28 +16,28 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Feature, TimedPose
 from handeye_ros.errors import FeatureError, UnusableMessageError
-from handeye_ros.sampling.dwells import interpolate
 from handeye_ros.sampling.errors import SilentPosesError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.station_features import features_of
 from handeye_ros.sampling.stops import Stop
+from handeye_ros.streams.stream import interpolate
 
-MOST_STOPS = 16  # that wait to be evaluated: at most 7 MB each with 1280 points a profile
+MOST_STOPS = 16  # waiting for evaluation: at most 7 MB each with 1280 points a profile
 KINDS = ('profile', 'pose')
 LAST = 100  # messages of a kind that are kept: one of the two streams may be late
-BAD_IN_A_ROW = 3  # messages that cannot be understood until that is reported
-FRESH = 1.0  # s since the last message of each kind for which the clocks are compared
-# s without a pose after which its place is unknown: while profiles come, and where both end
+BAD_IN_A_ROW = 3  # consecutive invalid messages until they are reported
+FRESH = 1.0  # s: the clocks are compared if the last messages of both kinds are not older
+# s without a pose after which the pose is unknown: while profiles arrive, and if both stop
 POSES_SILENT, BOTH_SILENT = 2.0, 30.0
 PROFILES_COME = 1.0  # s since the last profile
-LARGEST_APART = 5.0  # s of difference of the clocks that a slow network or a queue explains
+LARGEST_APART = 5.0  # s: difference of the clocks that a slow network or a queue explains
 
 
 class Arrivals:
-    """Counts the messages of a node as they come."""
+    """Counts the messages of a node."""
 
     def __init__(self) -> None:
-        """Start with nothing, now."""
+        """Start without messages."""
         self.counts = Counter({'profile': 0, 'pose': 0, 'malformed': 0})
         self.bad: Counter[str] = Counter()
         self.last_malformed = ''
@@ -46,22 +46,22 @@ class Arrivals:
         self._stamps: dict[str, int] = {}
         self._bad_in_a_row: Counter[str] = Counter()
 
-    def came(self, kind: str, stamp: int) -> None:
-        """Count a good message; stamp: of its header, in ns."""
+    def received(self, kind: str, stamp: int) -> None:
+        """Count a valid message; stamp: of its header, in ns."""
         self.counts[kind] += 1
         self._bad_in_a_row[kind] = 0
         self._latest[kind] = time.monotonic()
         self._stamps[kind] = stamp
 
     def malformed(self, kind: str, reason: str) -> None:
-        """Count a message that could not be understood."""
+        """Count an invalid message."""
         self.counts['malformed'] += 1
         self.bad[kind] += 1
         self._bad_in_a_row[kind] += 1
         self.last_malformed = self._reasons[kind] = reason
 
     def unusable(self, kind: str) -> str:
-        """Return that most, or the last, messages of a kind cannot be used, and why."""
+        """Return a sentence if most, or the last, messages of a kind are invalid."""
         bad, good, last = self.bad[kind], self.counts[kind], self._bad_in_a_row[kind]
         if bad > good:
             count = f'{bad} of {bad + good} {kind}s'
@@ -72,12 +72,12 @@ class Arrivals:
         return f'{count} cannot be used; the last reason: {self._reasons[kind]}'
 
     def silence(self, kind: str) -> float:
-        """Return the seconds since the last good message, or since the start."""
+        """Return the seconds since the last valid message, or since the start."""
         return time.monotonic() - self._latest[kind]
 
     @property
     def clocks(self) -> str:
-        """Return that the clocks of profiles and poses differ; empty where they may be one."""
+        """Return a sentence if the clocks of profiles and poses differ, '' otherwise."""
         if any(kind not in self._stamps or self.silence(kind) > FRESH for kind in KINDS):
             return ''
         profile, pose = (self._stamps[kind] * 1e-9 + self.silence(kind) for kind in KINDS)
@@ -93,7 +93,7 @@ class Arrivals:
 @dataclass(frozen=True, eq=False)
 class Current:
     """
-    What the sensor sees now: points (n, 2) and features in its plane, at T_base_flange (4, 4).
+    The current points (n, 2) and features in the sensor plane, at T_base_flange (4, 4).
 
     reason: why there are no features, empty where there are some.
     """
@@ -105,7 +105,7 @@ class Current:
 
 
 class Latest:
-    """The last messages of both streams."""
+    """The latest messages of both streams."""
 
     def __init__(self) -> None:
         """Start with none."""
@@ -114,17 +114,17 @@ class Latest:
         self._poses: deque[TimedPose] = deque(maxlen=LAST)
 
     def add_profile(self, profile: AnyProfile) -> None:
-        """Take a profile."""
+        """Add a profile."""
         with self._lock:
             self._profiles.append(profile)
 
     def add_poses(self, poses: Iterable[TimedPose]) -> None:
-        """Take poses."""
+        """Add poses."""
         with self._lock:
             self._poses.extend(poses)
 
     def clear(self) -> None:
-        """Forget them: time may start again."""
+        """Forget all messages: stamps may start again."""
         with self._lock:
             self._profiles.clear()
             self._poses.clear()
@@ -140,16 +140,16 @@ class Latest:
         """Return the last usable profile with poses before and after it; None without one."""
         with self._lock:
             profiles = list(self._profiles)
-            # of equal stamps, as of a recording that is played again, the last pose counts
+            # of equal stamps, as in a repeated playback, the last pose counts
             by_stamp = {pose.stamp: pose for pose in self._poses}
         if len(by_stamp) < 2:
             return None
         poses = sorted(by_stamp.values(), key=lambda pose: pose.stamp)
-        inside = [p for p in profiles if poses[0].stamp <= p.stamp <= poses[-1].stamp]
-        if not inside:
+        between_poses = [p for p in profiles if poses[0].stamp <= p.stamp <= poses[-1].stamp]
+        if not between_poses:
             return None
         try:
-            profile = inside[-1].read(config.profile)
+            profile = between_poses[-1].read(config.profile)
         except UnusableMessageError:
             return None
         (T,) = interpolate(poses, [profile.stamp])
@@ -163,23 +163,23 @@ class StopConsumer(Protocol):
     """Receives the stops of the robot instead of the samples."""
 
     def add(self, stop: Stop, over: bool = True) -> str:
-        """Take a stop; over: it does not come again. Return what to say."""
+        """Add a stop; over: it is complete. Return the message."""
 
     def take(self, stop: Stop) -> str:
-        """Take a stop that was asked for; raises UnusableStopError."""
+        """Add a requested stop; raises UnusableStopError."""
 
 
 class Streams:
     """
-    The streams of a running node, and the session that they feed.
+    The streams of a running node, and its session.
 
-    lock: held while the session is used, as long as one message takes; waiting: stops that are
-    over and not yet evaluated; early: the stop that the robot stands in, once it has enough
-    profiles; wake: wakes the thread that evaluates them.
+    lock: for the session, held at most for one message; waiting: complete stops that are not yet
+    evaluated; early: the current stop once it has enough profiles; wake: wakes the thread that
+    evaluates them.
     """
 
     def __init__(self, config: Config) -> None:
-        """Start with nothing; raises BadValueError for a method that does not exist."""
+        """Start empty; raises BadValueError for a method that does not exist."""
         self.config = config
         self.lock = threading.Lock()
         self.session = Session(config)
@@ -188,29 +188,29 @@ class Streams:
         self.wake = threading.Event()
         self.arrivals = Arrivals()
         self.latest = Latest()
-        self._skipped = 0  # stops that were left out
+        self._skipped = 0  # number of dropped stops
 
     def add_profile(self, profile: AnyProfile) -> None:
-        """Take a profile."""
-        self.arrivals.came('profile', profile.stamp)
+        """Add a profile."""
+        self.arrivals.received('profile', profile.stamp)
         self.latest.add_profile(profile)
         with self.lock:
             self.session.add_profile(profile)
-            self._put_off(self.session.passed())
+            self._queue_stops(self.session.passed())
 
     def add_poses(self, poses: Iterable[TimedPose]) -> None:
-        """Take poses."""
+        """Add poses."""
         poses = list(poses)
         self.latest.add_poses(poses)
         with self.lock:
             for pose in poses:
-                self.arrivals.came('pose', pose.stamp)
+                self.arrivals.received('pose', pose.stamp)
                 self.session.add_pose(pose)
             self.early = self.session.early() or self.early
-            self._put_off(self.session.passed())
+            self._queue_stops(self.session.passed())
 
-    def _put_off(self, stops: Iterable[Stop]) -> None:
-        """Queue stops to be evaluated, without the oldest where too many wait."""
+    def _queue_stops(self, stops: Iterable[Stop]) -> None:
+        """Queue stops for evaluation; drop the oldest if too many wait."""
         self.session.keep_waiting(MOST_STOPS)
         self.waiting.extend(stops)
         while len(self.waiting) > MOST_STOPS:
@@ -220,7 +220,7 @@ class Streams:
             self.wake.set()
 
     def standing(self) -> Stop:
-        """Return the stop that the robot stands in; raises DataError as the session does."""
+        """Return the current stop; raises DataError as the session does."""
         silence = self.arrivals.silence('pose')
         limit = POSES_SILENT if self.arrivals.silence('profile') < PROFILES_COME else BOTH_SILENT
         if self.arrivals.counts['pose'] and silence > limit:
@@ -229,12 +229,12 @@ class Streams:
             return self.session.current_stop()
 
     def is_taken(self, stop: Stop) -> bool:
-        """Return whether a stop is not given again."""
+        """Return whether a stop was sampled or is to be ignored."""
         with self.lock:
             return self.session.is_taken(stop)
 
     def leave(self, stop: Stop) -> None:
-        """Let a stop give no sample."""
+        """Mark a stop as taken, so that it gives no sample."""
         with self.lock:
             self.session.leave(stop)
 
@@ -245,7 +245,7 @@ class Streams:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return that stops were left out, as one sentence; empty where none were."""
+        """Return a sentence if stops were dropped; empty otherwise."""
         return (f'left {self._skipped} stops out, the oldest of more than {MOST_STOPS} that '
                 'waited to be evaluated: the processor cannot keep up; stop less often, or '
                 'publish fewer points',) if self._skipped else ()

@@ -1,8 +1,8 @@
 """
-Processes that do what takes long, and what is being done, in words.
+Worker processes for long computations, and the progress in words.
 
-Solves and the evaluation of stops run in processes: Python runs one thread at a time, so they
-would slow down streams and services. A process is started when it is first needed.
+Solves and the evaluation of stops run in other processes: Python runs one thread at a time, so
+they would slow down streams and services. A process is started when it is first needed.
 """
 from __future__ import annotations
 
@@ -33,43 +33,43 @@ COMMAND = (sys.executable, '-m', 'handeye_ros.ros.node.worker')
 
 
 class Runner:
-    """Runs functions of modules, in the process of the caller; see WorkerProcess."""
+    """Runs functions of modules in the calling process; see WorkerProcess."""
 
     def run(self, function: Callable[..., Result], *args: Any, urgent: bool = False) -> Result:
-        """Return what a function returns; raises what it raises."""
+        """Return the result of a function; raises its exceptions."""
         return function(*args)
 
     def stop(self) -> None:
-        """End, whatever is being done."""
+        """Stop, also a running function."""
 
 
-class Parts(list[bytes]):
-    """A file for pickle that keeps the parts: one whole of some MB would fragment the memory."""
+class Buffers(list[bytes]):
+    """A file for pickle as a list of buffers: one buffer of some MB would fragment the memory."""
 
     write = list.append
 
 
 class WorkerProcess(Runner):
     """
-    Runs functions in a process of its own, one after the other; urgent ones are the next.
+    Runs functions in another process, one after the other; urgent ones first.
 
-    Arguments, results and errors are pickled. The process ends with this one, also where this one
-    is killed: it then reads the end of its stdin.
+    Arguments, results and errors are pickled. The process ends with this one, even if this one is
+    killed: it then reads the end of its stdin.
     """
 
     def __init__(self, nicer: int = 0) -> None:
-        """Start nothing yet; nicer: what is added to the nice value of the process."""
+        """Start no process yet; nicer: increment of its nice value."""
         self._command = (*COMMAND, str(nicer))
         self._process: subprocess.Popen[bytes] | None = None
         self._turns = threading.Condition()
         self._busy, self._urgent, self._stopped = False, 0, False
-        self._suspended = False  # by a signal; it was killed for that
+        self._suspended = False  # whether the process was suspended by a signal, and killed
 
     def run(self, function: Callable[..., Result], *args: Any, urgent: bool = False) -> Result:
-        """Return what a function returns; raises what it raises, and WorkerEndedError."""
+        """Return the result of a function; raises its exceptions, and WorkerEndedError."""
         self._begin(urgent)
         try:
-            return self._asked(function, args)
+            return self._request(function, args)
         finally:
             with self._turns:
                 self._busy = False
@@ -82,31 +82,31 @@ class WorkerProcess(Runner):
             self._urgent -= urgent
             self._busy = True
 
-    def _asked(self, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
-        asked = Parts()  # where pickling fails, nothing is sent
-        pickle.dump((function, args), asked)
+    def _request(self, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
+        request = Buffers()  # complete before it is sent: pickling may fail
+        pickle.dump((function, args), request)
         process = self._running()
         assert process.stdin and process.stdout
         try:
-            process.stdin.writelines(asked)
+            process.stdin.writelines(request)
             process.stdin.flush()
             result, error = pickle.load(process.stdout)
-        except (EOFError, OSError, pickle.UnpicklingError) as ended:
+        except (EOFError, OSError, pickle.UnpicklingError) as end:
             process.kill()
             code = process.wait()
-            raise WorkerEndedError(-signal.SIGSTOP if self._suspended else code) from ended
+            raise WorkerEndedError(-signal.SIGSTOP if self._suspended else code) from end
         if error is not None:
             raise error
         return result
 
     def _running(self) -> subprocess.Popen[bytes]:
-        """Return the process, started where none runs; raises WorkerEndedError."""
+        """Return the process, started if necessary; raises WorkerEndedError."""
         with self._turns:
             if self._stopped:
                 raise WorkerEndedError(0)
             if self._process is None or self._process.poll() is not None:
-                # a group of its own: Ctrl-C in the terminal is for this process alone; no session
-                # of its own, as Linux lets priorities count within a session only
+                # a separate process group: Ctrl-C in the terminal is for this process alone; the
+                # same session: Linux compares nice values within a session only
                 self._process = subprocess.Popen(self._command, stdin=subprocess.PIPE,
                                                  stdout=subprocess.PIPE, process_group=0)
                 self._suspended = False
@@ -114,15 +114,15 @@ class WorkerProcess(Runner):
             return self._process
 
     def _watch(self, process: subprocess.Popen[bytes]) -> None:
-        """Kill a process that is suspended (SIGSTOP): its callers would wait for ever."""
-        with suppress(ChildProcessError):  # it has ended, and was waited for
+        """Kill a suspended process (SIGSTOP), for which its callers would wait forever."""
+        with suppress(ChildProcessError):  # it ended and was reaped
             change = os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
             if change and change.si_code == os.CLD_STOPPED:
                 self._suspended = True
                 process.kill()
 
     def stop(self) -> None:
-        """Kill the process; whoever waits for it gets a WorkerEndedError."""
+        """Kill the process; waiting callers get a WorkerEndedError."""
         with self._turns:
             self._stopped = True
             if self._process is not None:
@@ -132,18 +132,17 @@ class WorkerProcess(Runner):
 
 class Evaluator:
     """
-    Evaluates stops by a runner; in this process where the process of the runner has ended.
+    Evaluates stops with a runner; in this process if that of the runner has ended.
 
-    trouble: why the last stop was evaluated in this process, empty where it was not.
+    trouble: why the last stop was evaluated in this process, '' if it was not.
     """
 
     def __init__(self, runner: Runner) -> None:
-        """Take the runner."""
         self._runner = runner
         self.trouble = ''
 
     def begin(self) -> None:
-        """Start the process, so that its imports are done before the first stop."""
+        """Start the process, to finish its imports before the first stop."""
         threading.Thread(target=self._run, args=(evenly, (), 1), daemon=True).start()
 
     def stop(self) -> None:
@@ -151,14 +150,14 @@ class Evaluator:
         self._runner.stop()
 
     def result(self, stop: Stop, config: Config) -> Sample | Reject:
-        """Return the sample of a stop, or why it gives none."""
+        """Return the sample of a stop, or the reject with the reason."""
         return self._run(result_of, needed(stop, config), config)
 
     def sample(self, stop: Stop, config: Config) -> Sample:
         """Return the sample of a stop; raises NoProfilesError or FeatureError with the reason."""
         return self._run(sample_of, needed(stop, config), config)
 
-    def again(self, outcome: Outcome, config: Config) -> Outcome:
+    def reevaluated(self, outcome: Outcome, config: Config) -> Outcome:
         """Return the outcome of the same stop with another configuration; not urgent."""
         bare = replace(outcome, result=Reject(outcome.result.stamp, ''))
         return replace(outcome, result=self._run(judged, bare, config, urgent=False).result)
@@ -174,7 +173,7 @@ class Evaluator:
 
 
 class Progress:
-    """What takes long and is being done, in words; on_change: called when something begins."""
+    """Running tasks in words; on_change: called when one begins."""
 
     def __init__(self) -> None:
         """Start with nothing."""
@@ -183,12 +182,12 @@ class Progress:
 
     @property
     def text(self) -> str:
-        """Return what is being done; empty for nothing."""
+        """Return the running tasks; empty without any."""
         return '; '.join(self._works)
 
     @contextmanager
     def doing(self, work: str) -> Iterator[None]:
-        """List a work while it is being done."""
+        """List a task while it is running."""
         self._works.append(work)
         try:
             self.on_change()
@@ -198,30 +197,30 @@ class Progress:
 
 
 def main() -> None:
-    """Run as the worker process: execute what stdin brings, until its end."""
+    """Run as the worker process: execute requests from stdin until its end."""
     os.nice(int(sys.argv[1]))
-    answers = os.fdopen(os.dup(1), 'wb')
+    results = os.fdopen(os.dup(1), 'wb')
     os.dup2(2, 1)  # prints go to stderr: stdout carries the results
-    asked: queue.SimpleQueue[tuple[Callable[..., Any], tuple[Any, ...]]] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(asked,), daemon=True).start()
+    requests: queue.SimpleQueue[tuple[Callable[..., Any], tuple[Any, ...]]] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(requests,), daemon=True).start()
     try:
         while True:
-            function, args = asked.get()
-            answers.write(pickle.dumps(_outcome(function, args)))
-            answers.flush()
-            give_back()
-    except BrokenPipeError:  # an orderly end would wait for the thread that reads stdin
+            function, args = requests.get()
+            results.write(pickle.dumps(_outcome(function, args)))
+            results.flush()
+            trim_memory()
+    except BrokenPipeError:  # a normal exit would wait for the thread that reads stdin
         os._exit(0)
 
 
-def _listen(asked: queue.SimpleQueue[Any]) -> None:
-    """Queue what is asked for; end the process at once at the end of stdin."""
+def _listen(requests: queue.SimpleQueue[Any]) -> None:
+    """Queue requests; end the process at once at the end of stdin."""
     try:
         while True:
-            asked.put(pickle.load(sys.stdin.buffer))
+            requests.put(pickle.load(sys.stdin.buffer))
     except (EOFError, pickle.UnpicklingError):  # the other process ended, maybe in a write
         os._exit(0)
-    except Exception:  # noqa: BLE001 - the rest of the stream cannot be understood
+    except Exception:  # noqa: BLE001 - the rest of the stream is not readable
         traceback.print_exc()
         os._exit(1)
 
@@ -231,17 +230,17 @@ def _outcome(function: Callable[..., Any], args: tuple[Any, ...]) -> tuple[Any, 
         return function(*args), None
     except HandeyeError as error:
         return None, error
-    except Exception as error:  # noqa: BLE001 - it is raised in the process that asked
+    except Exception as error:  # noqa: BLE001 - it is raised in the calling process
         error.add_note(traceback.format_exc())  # a traceback cannot be pickled
         return None, error
 
 
-def give_back() -> None:
+def trim_memory() -> None:
     """
-    Return freed memory to the system, where the C library can (glibc); takes milliseconds.
+    Return freed memory to the system, if the C library can (glibc); takes milliseconds.
 
-    After a stop of thousands of messages, a few of which are kept, the freed memory between these
-    would stay with the process, and grow from stop to stop.
+    A stop has thousands of messages, a few of which are kept. Without this the freed memory
+    between them would stay with the process and grow from stop to stop.
     """
     if TRIM is not None:
         TRIM(0)

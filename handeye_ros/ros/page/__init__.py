@@ -1,3 +1,3 @@
-"""The page for a browser at the cell: the state of the node, and its services as buttons."""
+"""The browser page at the cell: the state of the node, and its services as buttons."""
 
 OFFERED = ('server.serve',)

@@ -1,4 +1,4 @@
-"""What the page shows and asks of the node: services, parameters, sessions and files."""
+"""Functions of the page: services, parameters, sessions and files of the node."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
@@ -23,7 +23,7 @@ SERVICES = {'take': 'take_sample', 'undo': 'remove_last_sample', 'clear': 'clear
             'compute': 'compute_calibration', 'save': 'save_calibration',
             'verify': 'verify_start', 'verdict': 'verify_result'}
 SLOW = frozenset({'compute', 'save', 'verdict', 'open', 'file'})
-# Parameters that a person sets at the cell.
+# Parameters that the page can set.
 SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise.robot_class',
             'target.radius', 'target.size', 'guidance.accuracy', 'sampling.mode')
 VERIFY = ('verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
@@ -36,12 +36,12 @@ Read = Callable[[Mapping[str, str]], Any]
 @dataclass(frozen=True)
 class Source:
     """
-    What the page shows and does.
+    Content and actions of the page.
 
     state: returns plain values; acts: the buttons by name, each is called with the values of its
-    request and returns success and message; slow: names of those that may take long: the others
-    do not wait for them; reads: by name, each is called with the values of its query and returns
-    plain values, or name and text of a file.
+    request and returns success and message; slow: names of slow ones: the others do not wait for
+    them; reads: by name, each is called with the values of its query and returns plain values, or
+    name and text of a file.
     """
 
     state: Callable[[], Mapping[str, Any]]
@@ -51,7 +51,7 @@ class Source:
 
 
 class Served(Protocol):
-    """What the page needs of the node."""
+    """Interface of the node that the page needs."""
 
     live: LiveSession
 
@@ -60,13 +60,13 @@ class Served(Protocol):
         """Return the current state of the session."""
 
     def topics_of(self, kind: str) -> list[str]:
-        """Return the topics on which others publish messages of a type."""
+        """Return the topics with publishers of a message type."""
 
-    def ask(self, name: str) -> tuple[bool, str]:
-        """Return whether a service succeeds, and what it says."""
+    def call_service(self, name: str) -> tuple[bool, str]:
+        """Return whether a service succeeds, and its message."""
 
     def open_session(self, name: str) -> str:
-        """Go on with a former session; return what to say. Raises HandeyeError."""
+        """Continue a previous session; return the message. Raises HandeyeError."""
 
     def set_parameters(self, changes: list[Parameter]) -> Any:
         """Set parameters; see rclpy."""
@@ -76,7 +76,7 @@ class Served(Protocol):
 
 
 def source(node: Served) -> Source:
-    """Return what the page of a node shows and does."""
+    """Return content and actions of the page for a node."""
     return Source(lambda: contents(node.state, node.live), acts(node), SLOW, {
         'stop': lambda values: stop_profile(node.live, int(values.get('number', '0'))),
         'cell': lambda values: cell(node),
@@ -84,7 +84,7 @@ def source(node: Served) -> Source:
 
 
 def acts(node: Served) -> dict[str, Act]:
-    """Return what each button does."""
+    """Return the functions of the buttons."""
     services = {button: _service(node, name) for button, name in SERVICES.items()}
     return services | {'exclude': lambda values: _excluded(node, values, True),
                        'include': lambda values: _excluded(node, values, False),
@@ -99,7 +99,7 @@ def cell(node: Served) -> dict[str, Any]:
     choices = {'profile_topic': node.topics_of(CLOUD), 'pose_topic': node.topics_of(POSE),
                'verify.routine': list(ROUTINES)}
     live = node.live
-    return {'sessions': [path.name for path in sessions_in(live.place.folder(live.config))],
+    return {'sessions': [path.name for path in sessions_in(live.folders.folder(live.config))],
             'session': Path(live.samples.store.path).name,
             'settings': [{
                 'key': key, 'value': values[key], 'description': parameters[key].description,
@@ -116,19 +116,19 @@ def file(live: LiveSession, name: str) -> tuple[str, str]:
     if name == exports.REPORT:
         text = live.solver.run(report, calibration, live.samples.store.path, urgent=True)
         return name, text
-    form = exports.of(name)
+    form = exports.format_of(name)
     return form.file_name(calibration), form.text(calibration)
 
 
 def report(calibration: Any, session: str) -> str:
     """Return the report of a calibration and its session as HTML; takes seconds."""
-    from handeye_ros.results.report import page  # matplotlib
+    from handeye_ros.results import pages  # matplotlib
     from handeye_ros.ros.bags.bag import evidence
-    return page.html(calibration, evidence(calibration, Path(session) if session else None))
+    return pages.html(calibration, evidence(calibration, Path(session) if session else None))
 
 
 def _service(node: Served, name: str) -> Act:
-    return lambda values: node.ask(name)
+    return lambda values: node.call_service(name)
 
 
 def _opened(node: Served, session: str) -> tuple[bool, str]:
@@ -139,7 +139,7 @@ def _opened(node: Served, session: str) -> tuple[bool, str]:
 
 
 def _set(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
-    """Set parameters, given as YAML: all of them, or none."""
+    """Set parameters given as YAML: all or none."""
     config, changes = node.live.config, []
     try:
         for key, text in values.items():
@@ -157,12 +157,12 @@ def _set(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
 
 
 def _excluded(node: Served, values: Mapping[str, Any], leave_out: bool) -> tuple[bool, str]:
-    """Leave a sample out, or bring it back."""
+    """Exclude a sample, or include it again."""
     number = values.get('number')
     if type(number) is not int or number not in {s.number for s in node.state.samples}:
         return False, f'there is no sample {str(number)[:20]}'
-    others = [n for n in node.live.config.samples.exclude if n != number]
-    numbers = sorted([*others, number]) if leave_out else others
+    other_numbers = [n for n in node.live.config.samples.exclude if n != number]
+    numbers = sorted([*other_numbers, number]) if leave_out else other_numbers
     result, = node.set_parameters([Parameter('samples.exclude', Parameter.Type.INTEGER_ARRAY,
                                              numbers)])
     if not result.successful:

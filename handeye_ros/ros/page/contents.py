@@ -1,4 +1,4 @@
-"""What the page shows: state, current profile, profiles of stops, and the scene."""
+"""Content of the page: state, current profile, profiles of stops, and the scene."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,21 +15,21 @@ from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.score import extremes
 from handeye_ros.guidance.views import anchor_of
 from handeye_ros.results import table
-from handeye_ros.results.target_shape import shape
+from handeye_ros.results.scene import shape
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.state import State
 from handeye_ros.ros.node.streams import Current
 import numpy as np
 
-MOST_POINTS = 400  # of a profile: about what the width of a tablet shows
+MOST_POINTS = 400  # of a profile: about the pixels of a tablet
 DIGITS = 6  # after the decimal point of a metre
 
 
 def contents(state: State, live: LiveSession) -> dict[str, Any]:
-    """Return what the page shows, as plain values; rows: of the table of the answer."""
+    """Return the content of the page as plain values; rows: of the table of the answer."""
     config, current = live.config, live.streams.latest.current(live.config)
     verification = live.verification
-    profile = current and _drawn(current.points, current.features, current.reason)
+    profile = current and _profile(current.points, current.features, current.reason)
     return {**asdict(state), 'profile': profile, 'scene': scene(live, current),
             'accuracy': config.guidance.accuracy, 'edges': _edges(live),
             'rows': list(answer_rows(live.answer.calibration)),
@@ -38,7 +38,7 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
 
 
 def answer_rows(calibration: Calibration | None) -> Iterator[tuple[str, str, str, str]]:
-    """Yield name, value, 1 sigma and unit, as the table of `handeye solve` shows them."""
+    """Yield name, value, 1 sigma and unit as in the table of `handeye solve`."""
     if calibration is None:
         return
     quality = calibration.quality
@@ -49,18 +49,18 @@ def answer_rows(calibration: Calibration | None) -> Iterator[tuple[str, str, str
 
 
 def stop_profile(live: LiveSession, number: int) -> dict[str, Any]:
-    """Return a profile of a stop and its features; raises InputError without such a stop."""
+    """Return a profile of a stop with its features; raises InputError for unknown stops."""
     for outcome in live.copied().outcomes:
         if outcome.number == number:
             snapshot = stop_snapshot(outcome, live.config)
-            return _drawn(snapshot.points, snapshot.features, snapshot.reason)
+            return _profile(snapshot.points, snapshot.features, snapshot.reason)
     raise InputError(f'there is no stop {number}')
 
 
-def _drawn(points: Array, features: Iterable[Feature], reason: str) -> dict[str, Any]:
+def _profile(points: Array, features: Iterable[Feature], reason: str) -> dict[str, Any]:
     """Return points, lines and edge points in the sensor plane, (x, range) each."""
     points = points[np.isfinite(points).all(axis=1)]
-    every = -(-len(points) // MOST_POINTS) or 1
+    step = -(-len(points) // MOST_POINTS) or 1
     lines, spots = [], []
     for f in features:
         if isinstance(f, FaceLine):
@@ -70,11 +70,11 @@ def _drawn(points: Array, features: Iterable[Feature], reason: str) -> dict[str,
             spots.append(rounded(f.point))
         elif isinstance(f, Arc):
             lines.append(rounded(f.points))
-    return {'points': rounded(points[::every]), 'lines': lines, 'spots': spots, 'reason': reason}
+    return {'points': rounded(points[::step]), 'lines': lines, 'spots': spots, 'reason': reason}
 
 
 def _edges(live: LiveSession) -> dict[int, str]:
-    """Return the edges of the target that each used sample crosses, by its number."""
+    """Return the edges of the target crossed by each used sample, by its number."""
     review = live.reviewer.review
     if review is None:
         return {}
@@ -90,11 +90,11 @@ def _edges(live: LiveSession) -> dict[int, str]:
 
 def scene(live: LiveSession, current: Current | None) -> dict[str, Any]:
     """
-    Return poses (rows of T (3, 4)) in the frame in which the target rests, and the target.
+    Return poses (rows of T (3, 4)) in the frame of the fixed target, and the target.
 
     known: whether the poses are of the sensor, or of the flange while the sensor's is unknown;
-    view: outline of the field of view in the sensor plane; aim: the way to the next pose; move:
-    what to do while the sensor's pose is unknown.
+    view: outline of the field of view in the sensor plane; aim: the motion to the next pose; move:
+    the advice while the sensor's pose is unknown.
     """
     config, review, advice = live.config, live.reviewer.review, live.reviewer.advice
     review = review if advice.sigmas else None
@@ -102,11 +102,11 @@ def scene(live: LiveSession, current: Current | None) -> dict[str, Any]:
     samples = [(o.number, o.sample.T_base_flange) for o in live.copied().outcomes if o.sample]
     pose = live.streams.latest.pose
     aim = advice.next.T_base_flange if advice.next else None
-    seen = live.reviewer.seen
+    extreme_points = live.reviewer.extremes
     if current:
-        seen = extremes(np.concatenate([seen, current.points]))
-    away = seen - seen.mean(axis=0) if len(seen) else seen
-    outline = seen[np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
+        extreme_points = extremes(np.concatenate([extreme_points, current.points]))
+    offset = extreme_points - extreme_points.sum(axis=0) / max(len(extreme_points), 1)
+    outline = extreme_points[np.argsort(np.arctan2(offset[:, 1], offset[:, 0]))]
 
     def drawn(T_base_flange: Array | None) -> Any:
         return None if T_base_flange is None else rounded(
@@ -117,12 +117,12 @@ def scene(live: LiveSession, current: Current | None) -> dict[str, Any]:
         'round': config.target.type == 'sphere',
         'view': rounded(outline), 'live': drawn(pose),
         'stations': [{'number': number, 'T': drawn(T)} for number, T in samples],
-        'next': drawn(aim), 'aim': None if pose is None or aim is None else _way(pose, aim),
+        'next': drawn(aim), 'aim': None if pose is None or aim is None else _motion_to(pose, aim),
         'move': advice.move and _move(advice.move),
         **(_target(review, config) if review else {'edges': [], 'outline': []})}
 
 
-def _way(T_base_flange: Array, aim: Array) -> dict[str, Any]:
+def _motion_to(T_base_flange: Array, aim: Array) -> dict[str, Any]:
     """Return the motion to a pose: m along the axes of the base, rad about those of the flange."""
     turn = se3.log_rotation(T_base_flange[:3, :3].T @ aim[:3, :3])
     shift = aim[:3, 3] - T_base_flange[:3, 3]
@@ -131,7 +131,7 @@ def _way(T_base_flange: Array, aim: Array) -> dict[str, Any]:
 
 
 def _move(move: Move) -> dict[str, Any]:
-    """Return a move from the first pose; R: (3, 3) of the sensor after the move."""
+    """Return a move relative to the first pose; R: (3, 3) of the sensor after the move."""
     R = se3.exp_rotation(np.array([0.0, 0.0, move.turn])) @ se3.exp_rotation(
         np.append(move.tilt, 0.0))
     return {'turn': move.turn, 'tilt': rounded(move.tilt), 'place': rounded(move.place),

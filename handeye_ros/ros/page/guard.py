@@ -1,10 +1,9 @@
 """
 Access to the page: requests of the page itself, and from other machines with the token.
 
-Pages of other sites in the same browser are refused by Origin and Sec-Fetch-Site, and names that
-such a site lets point to this machine by Host. Where other machines can reach the page a token is
-needed; the first visit puts it into a cookie. It is kept in a file that only its user can read,
-and so survives a restart.
+Pages of other sites in the same browser are refused by Origin and Sec-Fetch-Site, and foreign host
+names that point to this machine by Host. If other machines can reach the page a token is needed;
+the first visit stores it in a cookie. A file that only its user can read keeps it over restarts.
 """
 from __future__ import annotations
 
@@ -40,12 +39,12 @@ class Guard:
     """
     Decides which requests are answered.
 
-    token: empty where only this machine can reach the page.
+    token: empty if only this machine can reach the page.
     """
 
     def __init__(self, address: str, port: int, token_file: Path | None = None) -> None:
         """
-        Read the token from its file, or make one, where one is needed.
+        Read the token from its file, or make one, if one is needed.
 
         Raises ValueError for an invalid address, OSError for a file that cannot be written.
         """
@@ -53,7 +52,7 @@ class Guard:
         self.local = is_loopback(address)
         self.token = '' if self.local else token_of(token_file)
         self._hosts = {'localhost', address, socket.gethostname()}
-        self._left, self._since = BURST, time.monotonic()
+        self._tokens, self._since = BURST, time.monotonic()
 
     @property
     def cookie(self) -> str:
@@ -61,7 +60,7 @@ class Guard:
         return f'handeye_{self.port}'
 
     def refusal(self, headers: Mapping[str, str], token: str) -> Refusal | None:
-        """Return why a request is refused, None where it is not; token: of the request."""
+        """Return why a request is refused, None if it is not; token: of the request."""
         host = headers.get('Host', '')
         if not self._is_ours(host):
             return Refusal(403, 'this page is not served under that name')
@@ -72,8 +71,8 @@ class Guard:
         if self.token and not hmac.compare_digest(token.encode(errors='replace'),
                                                   self.token.encode()):
             return Refusal(401, 'the token is missing or wrong')
-        # last: requests that are refused anyway do not count
-        if not self._in_time():
+        # last: requests that are refused for other reasons do not count
+        if not self._take_token():
             return Refusal(429, 'too many requests: wait a second')
         return None
 
@@ -87,22 +86,22 @@ class Guard:
         except ValueError:
             return False
 
-    def _in_time(self) -> bool:
-        """Return whether a request may come now (token bucket)."""
-        now = time.monotonic()
-        self._left = min(BURST, self._left + (now - self._since) * MOST_A_SECOND)
-        self._since = now
-        if self._left < 1.0:
+    def _take_token(self) -> bool:
+        """Return whether the rate allows a request (token bucket)."""
+        time_now = time.monotonic()
+        self._tokens = min(BURST, self._tokens + (time_now - self._since) * MOST_A_SECOND)
+        self._since = time_now
+        if self._tokens < 1.0:
             return False
-        self._left -= 1.0
+        self._tokens -= 1.0
         return True
 
 
 class Gate(asyncio.Protocol):
     """
-    Accepts a new connection; where there are too many, the oldest idle one is closed.
+    Accepts a new connection; if there are too many, the oldest idle one is closed.
 
-    busy: number of requests at work, by connection, the oldest first.
+    busy: number of running requests by connection, the oldest first.
     """
 
     def __init__(self, server: web.Server, busy: dict[asyncio.BaseTransport, int]) -> None:
@@ -125,7 +124,7 @@ class Gate(asyncio.Protocol):
 
 
 def token_of(file: Path | None) -> str:
-    """Return the token of a file; write a new one where it holds none."""
+    """Return the token of a file; write a new one if it holds none."""
     if file is None:
         return secrets.token_urlsafe(TOKEN_BYTES)
     with suppress(OSError, UnicodeDecodeError):

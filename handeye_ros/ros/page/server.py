@@ -1,9 +1,9 @@
 """
 Serves the page: static files, a stream of events, and one request for each button.
 
-aiohttp runs in a thread and an event loop of its own. Another thread gathers the state, at most
-RATE times a second and only while a browser is connected; requests wait in a short queue. So no
-request, and no slow browser, holds up the node.
+aiohttp runs in its own thread and event loop. Another thread collects the state, at most RATE
+times a second and only while a browser is connected; requests wait in a short queue. So no request
+and no slow browser delays the node.
 """
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MOST_CLIENTS = 8
 MOST_WAITING = 4  # requests of one kind
 LARGEST_BODY = 1024  # bytes
 COOKIE_AGE = 30 * 86400  # s
-PATIENCE = 10.0  # s in which a client takes an event, and the server starts
+PATIENCE = 10.0  # s until a client must accept an event, and the server must start
 FILES = ('page.css', 'page.js', 'scene.js', 'profile.js', 'cell.js', 'language.js', 'de.js')
 KINDS = {'.html': 'text/html', '.css': 'text/css', '.js': 'text/javascript'}
 HEADERS = {
@@ -42,10 +42,10 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 def serve(node: Served) -> PageServer | None:
-    """Serve the page of a node; None, and a warning in the log, where it cannot be served."""
+    """Serve the page of a node; None and a warning in the log if it cannot be served."""
     config, log = node.live.config, node.get_logger()
     try:
-        token_file = node.live.place.parent(config) / '.page_token'
+        token_file = node.live.folders.parent(config) / '.page_token'
         page = PageServer(source(node), config.page.address, config.page.port, token_file)
     except PageError as error:
         log.warning(str(error))
@@ -60,14 +60,14 @@ class PageServer:
 
     def __init__(self, source: Source, address: str, port: int,
                  token_file: Path | None = None) -> None:
-        """Start to serve; token_file: keeps the token, where one is needed. Raises PageError."""
+        """Start to serve; token_file: keeps the token, if one is needed. Raises PageError."""
         try:
             self.guard = Guard(address, port, token_file)
         except ValueError as error:
             raise PageError.address(address) from error
         except OSError as error:
             raise PageError.token(token_file, error.strerror or str(error)) from error
-        self._busy: dict[asyncio.BaseTransport, int] = {}  # requests at work, by connection
+        self._busy: dict[asyncio.BaseTransport, int] = {}  # running requests by connection
         self._source, self._address, self._port = source, address, port
         self._clients = 0
         self._waiting = dict.fromkeys((True, False), 0)
@@ -162,8 +162,8 @@ class PageServer:
 
     @web.middleware
     async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        given = request.query.get('token') or request.cookies.get(self.guard.cookie, '')
-        refusal = self.guard.refusal(request.headers, given)
+        token = request.query.get('token') or request.cookies.get(self.guard.cookie, '')
+        refusal = self.guard.refusal(request.headers, token)
         if refusal and refusal.status == 401 and request.path in ('/', '/page.css'):
             return _static(*(('login.html', 401) if request.path == '/' else ('page.css', 200)))
         if refusal:
@@ -176,7 +176,7 @@ class PageServer:
             return await handler(request)
         except web.HTTPException as error:
             return _sentence(error.status, error.reason.lower())
-        except ConnectionError:  # closed before all of the request had come
+        except ConnectionError:  # closed before the request was complete
             return _sentence(400, 'the connection is closed')
         finally:
             if connection in self._busy:
@@ -225,10 +225,10 @@ class PageServer:
         return web.json_response({'success': answer[0], 'message': answer[1]}, headers=HEADERS)
 
     async def _queued(self, name: str, work: Callable[[Any], Any], values: Any) -> Any:
-        """Return what work(values) returns, or a refusal where too many requests wait."""
+        """Return work(values), or a refusal if too many requests wait."""
         slow = name in self._source.slow
         if self._waiting[slow] >= MOST_WAITING:
-            return _sentence(429, 'busy: wait for the answer of what was asked before')
+            return _sentence(429, 'busy: wait for the answer to the previous request')
         self._waiting[slow] += 1
         try:
             return await self._loop.run_in_executor(self._pools[slow], work, values)
@@ -248,7 +248,7 @@ def _static(name: str, status: int = 200) -> web.Response:
 
 
 def object_of(text: bytes) -> dict[str, Any] | None:
-    """Return what a JSON text holds if that is an object."""
+    """Return the object of a JSON text, None for other values."""
     try:
         value = json.loads(text or b'{}')
     except (ValueError, RecursionError):

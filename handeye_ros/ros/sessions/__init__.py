@@ -2,6 +2,6 @@
 
 OFFERED = (
     'reading.Stored', 'reading.is_session', 'reading.joints_of', 'reading.read_session',
-    'reading.sessions_in', 'reading.source_of_session', 'store.Place', 'store.Store',
+    'reading.sessions_in', 'reading.source_of_session', 'store.OutputFolders', 'store.Store',
     'store.resumed', 'writing.SessionStore',
 )

@@ -1,11 +1,11 @@
 """
-The files of a session: each is written whole or not at all.
+The files of a session: each is written completely or not at all.
 
 A file is written under another name, synced, and renamed; then metadata.yaml is written under
-another name and renamed, and the folder is synced. Whenever the process is killed, all files are
-complete bags, and metadata.yaml lists all of them but perhaps the last, which no answer of the
-node has named. After a loss of power metadata.yaml may be older: it is synced later, holds only
-what the files hold, and is written again when the session is continued.
+another name and renamed, and the folder is synced. If the process is killed at any time, all files
+are complete bags, and metadata.yaml lists all of them except perhaps the last, which the node has
+not yet reported. After a power failure metadata.yaml may be older: it is synced later, repeats
+only data of the files, and is written again when the session is continued.
 """
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from mcap.writer import CompressionType, Writer
 
 SUFFIX = '.mcap'
 METADATA = 'metadata.yaml'
-CHUNK = 1 << 22  # bytes, of a chunk: the part that a reader unpacks to read one message
+CHUNK = 1 << 22  # bytes of a chunk: a reader decompresses one to read a message
 INFORMATION = """\
 rosbag2_bagfile_information:
   version: 9
@@ -69,7 +69,7 @@ FILE = """\
 
 @dataclass(frozen=True)
 class BagFile:
-    """What metadata.yaml holds of a file: first and last time in ns, counts by topic."""
+    """The entry of a file in metadata.yaml: first and last time in ns, counts by topic."""
 
     name: str
     first: int
@@ -79,13 +79,13 @@ class BagFile:
 
 def write_file(path: Path, messages: Sequence[Raw], types: dict[str, str]) -> BagFile:
     """
-    Write messages as an .mcap file, whole or not at all; types: by topic. Raises OSError.
+    Write messages as an .mcap file, completely or not at all; types: by topic. Raises OSError.
 
-    Its name is on the disk once the folder is synced; write_metadata does that.
+    Its name is on the disk after the folder is synced by write_metadata.
     """
     temporary = path.with_name(f'.{path.name}.tmp')
     try:
-        with temporary.open('wb') as stream:  # replaces what a killed process left
+        with temporary.open('wb') as stream:  # may replace the rest of a killed process
             _write_messages(stream, messages, types)
             stream.flush()
             os.fsync(stream.fileno())
@@ -94,12 +94,12 @@ def write_file(path: Path, messages: Sequence[Raw], types: dict[str, str]) -> Ba
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise
-    return _described(path.name, messages)
+    return _entry(path.name, messages)
 
 
 @dataclass(frozen=True)
 class Content:
-    """What a file holds: its entry in metadata.yaml, types by topic, and messages."""
+    """Content of a file: its entry in metadata.yaml, types by topic, and messages."""
 
     file: BagFile
     types: dict[str, str]
@@ -126,13 +126,13 @@ def read_file(path: Path, topics: Sequence[str] = ()) -> Content:
         raise BagError(path, f'cannot be read: {error.strerror or error}') from error
     except BagError:
         raise
-    except Exception as error:  # damaged bytes make parsers raise errors of all kinds
+    except Exception as error:  # damaged bytes cause all kinds of errors in parsers
         raise BagError(path, f'is damaged: {error}') from error
     file = BagFile(path.name, statistics.message_start_time, statistics.message_end_time, counts)
     return Content(file, types, messages)
 
 
-def _described(name: str, messages: Iterable[Raw]) -> BagFile:
+def _entry(name: str, messages: Iterable[Raw]) -> BagFile:
     """Return the entry of metadata.yaml for a file with these messages."""
     times, counts = [], dict[str, int]()
     for message in messages:
@@ -157,7 +157,7 @@ def _write_messages(stream: Any, messages: Sequence[Raw], types: dict[str, str])
 
 
 def write_metadata(folder: Path, files: Sequence[BagFile], types: dict[str, str]) -> None:
-    """Write metadata.yaml, whole or not at all, and sync the names of files; raises OSError."""
+    """Write metadata.yaml, atomically, and sync the names of files; raises OSError."""
     temporary = folder / f'.{METADATA}.tmp'
     temporary.write_text(_metadata(files, types), encoding='utf-8')
     os.replace(temporary, folder / METADATA)

@@ -1,8 +1,8 @@
 """
-A session on the disk: what its files record, and how it is read back.
+A session on the disk: the content of its files, and reading them.
 
-Besides profiles and poses (and joint values) each file holds what happened and the settings, as
-JSON in messages of type String. Stops that are read back are evaluated again.
+Each file holds profiles and poses (and joint values), and an event with the settings as JSON in
+messages of type String. Stops that are read are evaluated again.
 """
 from __future__ import annotations
 
@@ -50,8 +50,7 @@ class Event:
     An event: a stop was evaluated, a sample was removed, or the settings were changed.
 
     number: of the stop, 0 for settings; began: stamp of its first pose; taken: whether it gave a
-    sample; text: why there is no sample; refused: why its sample is not used, whatever is
-    extracted from it.
+    sample; text: why there is no sample; refused: why its sample is never used.
     """
 
     kind: str
@@ -164,7 +163,7 @@ def sessions_in(folder: Path) -> Iterator[Path]:
 
 def read_session(path: Path) -> Stored:
     """
-    Return a session from its folder, also where metadata.yaml lacks the last file.
+    Return a session from its folder, even if metadata.yaml lacks the last file.
 
     Raises SessionError or BagError.
     """
@@ -195,7 +194,7 @@ def _event(messages: Sequence[Raw], file: Path) -> Event:
 def load(file: Path, config: Config) -> Seen:
     """Return poses and profiles of a stop from its file; raises BagError."""
     content = read_file(file)
-    # log_time is the stamp that the node used: a driver may send none
+    # log_time is the stamp that the node used: a driver may publish none
     offset = round(config.time_offset * 1e9)
     reader = ProfileReader(config.profile)
     poses, profiles = [], []
@@ -204,13 +203,13 @@ def load(file: Path, config: Config) -> Seen:
         if kind == POSE:
             poses.append(pose_from_cdr(raw.data))
         elif kind == CLOUD:
-            with suppress(MessageError):  # other settings may not understand it
+            with suppress(MessageError):  # it may be invalid with other settings
                 profiles.append(replace(reader.take(raw.data), stamp=raw.log_time + offset))
     return Seen(tuple(poses), tuple(profiles))
 
 
 def joints_of(path: Path, config: Config, chain: Chain) -> tuple[NDArray[np.int64], Array]:
-    """Return stamps (n,) and joint values (n, joints); raises InputError where there are none."""
+    """Return stamps (n,) and joint values (n, joints); raises InputError without any."""
     poses, _ = read_poses(path, replace(config, kinematics=''), Arm(chain))
     assert isinstance(poses, PoseTable) and poses.joints is not None
     return np.array([pose.stamp for pose in poses], dtype=np.int64), poses.joints

@@ -1,4 +1,4 @@
-"""Where a running node keeps sessions and results, and which session it goes on with."""
+"""Folders of sessions and results of a running node, and the continued session."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
@@ -19,12 +19,11 @@ SOURCE = "the node's parameters"
 
 
 @dataclass(frozen=True)
-class Place:
+class OutputFolders:
     """
-    Where a node keeps its folder <name>.
+    The folders of a node: <name> in output_dir, by default $ROS_HOME/handeye_ros/<namespace>.
 
-    In output_dir where that is set, else in $ROS_HOME/handeye_ros/<namespace> (ROS_HOME is ~/.ros
-    where it is not set). Two nodes do not share a folder.
+    ROS_HOME is ~/.ros by default. Two nodes do not share a folder.
     """
 
     namespace: str = '/'
@@ -46,7 +45,7 @@ class Place:
 
 class Store:
     """
-    Keeps the events of a session: this class nowhere, that of sessions/writing.py on the disk.
+    Stores the events of a session; this class stores nothing, sessions/writing.py on the disk.
 
     All methods but sync return when the event is on the disk, or raise UnwritableError. joints:
     returns stamps and serialised joint values between two stamps; None without joint values.
@@ -60,50 +59,49 @@ class Store:
         return ''
 
     def add(self, outcome: Outcome, config: Config) -> Outcome:
-        """Keep the outcome of a stop; return it with the stop as stored."""
+        """Store the outcome of a stop; return it with the stop as stored."""
         return outcome
 
     def remove(self, number: int, config: Config) -> None:
-        """Keep that a sample was removed."""
+        """Store that a sample was removed."""
 
     def configured(self, config: Config) -> None:
-        """Keep another configuration."""
+        """Store another configuration."""
 
     def sync(self) -> None:
-        """Sync what no answer has to wait for."""
+        """Sync events that no service has to wait for."""
 
     def close(self) -> None:
         """Release the session for other nodes."""
 
     def restart(self, config: Config) -> str:
-        """Begin another session; return what to say of the one before."""
+        """Begin another session; return a note about the previous one."""
         return ''
 
 
-def resumed(given: Mapping[str, Any], place: Place) -> tuple[Config, Stored | None]:
+def resumed(overrides: Mapping[str, Any], folders: OutputFolders) -> tuple[Config, Stored | None]:
     """
-    Return the settings, and the session to go on with, None for a new one.
+    Return the settings, and the session to continue, None for a new one.
 
-    given: what the user set, by key; all other settings are those of the session. Raises
-    InputError.
+    given: settings of the user by key; all others are those of the session. Raises InputError.
     """
-    config = with_values(Config(), given, SOURCE)
-    path = _path(config, given, place)
+    config = with_values(Config(), overrides, SOURCE)
+    path = _path(config, overrides, folders)
     if path is None:
         return config, None
     stored = read_session(path)
-    return with_values(stored.config, given, SOURCE), stored
+    return with_values(stored.config, overrides, SOURCE), stored
 
 
-def _path(config: Config, given: Mapping[str, Any], place: Place) -> Path | None:
+def _path(config: Config, overrides: Mapping[str, Any], folders: OutputFolders) -> Path | None:
     if not config.session:
         return None
     if config.session != LAST:
         return Path(config.session).expanduser().absolute()
-    parent = place.parent(config)
-    if 'name' in given or 'target.type' in given:
-        folders = [place.folder(config)]
+    parent = folders.parent(config)
+    if 'name' in overrides or 'target.type' in overrides:
+        candidates = [folders.folder(config)]
     else:
-        folders = list(parent.iterdir()) if parent.is_dir() else []
-    sessions = [path for folder in folders for path in islice(sessions_in(folder), 1)]
+        candidates = list(parent.iterdir()) if parent.is_dir() else []
+    sessions = [path for folder in candidates for path in islice(sessions_in(folder), 1)]
     return max(sessions, key=lambda path: path.name, default=None)

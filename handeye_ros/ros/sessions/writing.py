@@ -1,4 +1,4 @@
-"""The store of a running node: an event is on the disk before an answer names it."""
+"""The store of a running node: an event is on the disk before a service reports it."""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -51,17 +51,17 @@ class SessionStore(Store):
     """
     Writes sessions, one after the other.
 
-    parent: returns the folder in which the next session gets a folder of its own.
+    parent: returns the folder that holds the folders of sessions.
     """
 
     def __init__(self, parent: Callable[[Config], Path], stored: Stored | None = None) -> None:
-        """Begin with the first event, or go on with a session; raises SessionError."""
+        """Begin with the first event, or continue a session; raises SessionError."""
         self._parent = parent
         self._folder: Path | None = stored.path if stored else None
         self._files: list[BagFile] = list(stored.files) if stored else []
         self._types: dict[str, str] = dict(stored.types) if stored else {}
         self._lock: int | None = None
-        self._turn = threading.RLock()  # stops and settings are stored by different threads
+        self._write_lock = threading.RLock()  # stops and settings are stored by different threads
         if stored:
             try:
                 self._claim(stored.path)
@@ -75,7 +75,7 @@ class SessionStore(Store):
         return str(self._folder or '')
 
     def close(self) -> None:
-        """Release the lock, so that another node can go on with the session."""
+        """Release the lock, so that another node can continue the session."""
         if self._lock is not None:
             os.close(self._lock)
         self._lock = None
@@ -100,15 +100,15 @@ class SessionStore(Store):
             self._append(Event(CONFIGURED, config), config)
 
     def sync(self) -> None:
-        """Sync metadata.yaml; no answer waits for it, as the files hold the same."""
+        """Sync metadata.yaml; no service waits for it, as the files hold the same data."""
         if self._folder:
             with suppress(OSError):
                 sync(self._folder / METADATA)
 
     def restart(self, config: Config) -> str:
-        """Begin another session; return what to say of the one before; UnwritableError."""
-        with self._turn:
-            before = self._folder, self._files, self._types, self._lock
+        """Begin another session; return a note about the previous one; UnwritableError."""
+        with self._write_lock:
+            previous = self._folder, self._files, self._types, self._lock
             if not self._folder:
                 return ''
             self._folder, self._files, self._types, self._lock = None, [], {}, None
@@ -116,25 +116,25 @@ class SessionStore(Store):
                 # the new session exists at once, so that `last` names it
                 self._append(Event(CONFIGURED, config), config)
             except UnwritableError:
-                self._folder, self._files, self._types, self._lock = before
+                self._folder, self._files, self._types, self._lock = previous
                 raise
-        if before[3] is not None:
-            os.close(before[3])
-        return f'; they are kept in {before[0]}'
+        if previous[3] is not None:
+            os.close(previous[3])
+        return f'; they are kept in {previous[0]}'
 
     def _append(self, event: Event, config: Config, outcome: Outcome | None = None) -> Path:
-        place: object = self._folder or 'the folder of the session'
+        path: object = self._folder or 'the folder of the session'
         try:
-            with self._turn:
+            with self._write_lock:
                 folder = self._opened(config)
-                place = folder
+                path = folder
                 if not folder.is_dir():
                     raise FileNotFoundError(
                         'its folder is gone (unmounted or removed?); bring it back, or call '
                         '~/clear_samples for a new session')
                 return self._write(folder, event, config, outcome)
         except OSError as error:
-            raise UnwritableError(place, error.strerror or str(error)) from error
+            raise UnwritableError(path, error.strerror or str(error)) from error
 
     def _write(self, folder: Path, event: Event, config: Config, outcome: Outcome | None
                ) -> Path:
@@ -160,24 +160,24 @@ class SessionStore(Store):
         poses = full_name(config.pose_topic if by_topic else 'flange_pose')
         types = {profiles: CLOUD, poses: POSE, CONFIGURATION: STRING, OUTCOME: STRING,
                  FEATURES: STRING}
-        messages, now = [], time.time_ns()
+        messages, end = [], time.time_ns()
         if outcome:
-            seen, offset = outcome.stop.load(config), round(config.time_offset * 1e9)
-            messages += [Raw(poses, pose.stamp, pose_cdr(pose)) for pose in seen.poses]
+            recorded, offset = outcome.stop.load(config), round(config.time_offset * 1e9)
+            messages += [Raw(poses, pose.stamp, pose_cdr(pose)) for pose in recorded.poses]
             messages += [Raw(profiles, profile.stamp - offset, _cloud(profile, config))
-                         for profile in seen.profiles]
-            now = seen.poses[-1].stamp
+                         for profile in recorded.profiles]
+            end = recorded.poses[-1].stamp
             if self.joints:
                 joints = full_name(config.joint_topic)
                 types[joints] = JOINTS
                 messages += [Raw(joints, stamp, data)
-                             for stamp, data in self.joints(seen.poses[0].stamp, now)]
-        messages += [Raw(topic, now, string_cdr(text))
+                             for stamp, data in self.joints(recorded.poses[0].stamp, end)]
+        messages += [Raw(topic, end, string_cdr(text))
                      for topic, text in texts_of(event, outcome).items()]
         return types, messages
 
     def _opened(self, config: Config) -> Path:
-        """Return the folder of the session, made where there is none yet; raises OSError."""
+        """Return the folder of the session, created if necessary; raises OSError."""
         if self._folder is None:
             parent = self._parent(config)
             parent.mkdir(parents=True, exist_ok=True)
@@ -211,7 +211,7 @@ def _new_folder(parent: Path) -> Path:
 
 
 def _cloud(profile: Any, config: Config) -> bytes:
-    """Return the message of a profile as received, or as a driver would send it."""
+    """Return the message of a profile as received, or in the layout of a driver."""
     fetch = getattr(profile, 'fetch', None)
     if fetch:
         return bytes(fetch())

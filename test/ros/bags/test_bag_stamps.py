@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from handeye_ros.ros.bags import bag, storage
-from handeye_ros.sampling.errors import ClocksApartError, TimeBackwardsError
+from handeye_ros.streams.errors import ClocksApartError, TimeBackwardsError
 import numpy as np
 import pytest
 from recordings import (

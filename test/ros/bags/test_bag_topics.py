@@ -7,7 +7,7 @@ from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.errors import BagError, InputError
 from handeye_ros.ros.bags import bag, bag_write, contents, storage
 from handeye_ros.ros.errors import AllMalformedError, NoTopicError, TopicTypeError
-from handeye_ros.sampling.errors import TwoFramesError
+from handeye_ros.streams.errors import TwoFramesError
 import numpy as np
 import pytest
 from recordings import (

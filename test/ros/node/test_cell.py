@@ -208,7 +208,7 @@ def test_what_lasts_is_said_again_after_a_while() -> None:
 
 @pytest.mark.parametrize(('arguments', 'code', 'words'), [
     (['--help'], 0, 'usage: calibrate'),
-    (['--params-file', 'x.yaml'], 2, 'stand behind --ros-args'),
+    (['--params-file', 'x.yaml'], 2, 'follow --ros-args'),
     (['config/plate.yaml'], 2, 'unknown arguments: config/plate.yaml')])
 def test_unknown_arguments_are_refused_with_the_usage(
         arguments: list[str], code: int, words: str) -> None:

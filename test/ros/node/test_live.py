@@ -12,7 +12,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.state import samples_message, status_message
 from handeye_ros.ros.node.status import state_of
-from handeye_ros.ros.sessions.store import Place
+from handeye_ros.ros.sessions.store import OutputFolders
 from handeye_ros.sampling.errors import FlatCrossingError
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.measuring import rendered
@@ -49,7 +49,7 @@ def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording(tmp_pat
 
 
 def test_from_three_samples_on_each_has_its_residuals() -> None:
-    live, told = LiveSession(SPHERE.config, Place()), []
+    live, told = LiveSession(SPHERE.config, OutputFolders()), []
     items = sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp)
     for item in items:
         (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
@@ -261,6 +261,6 @@ def test_what_is_reported_is_plain() -> None:
 def test_a_result_lies_below_the_namespace(monkeypatch, tmp_path: Path) -> None:
     monkeypatch.setenv('ROS_HOME', str(tmp_path))
     config = SPHERE.config
-    assert Place().parent(config) == tmp_path / 'handeye_ros'
-    assert Place('/cell1/left').parent(config) == tmp_path / 'handeye_ros' / 'cell1' / 'left'
-    assert Place('/cell1').parent(replace(config, output_dir='/data')) == Path('/data')
+    assert OutputFolders().parent(config) == tmp_path / 'handeye_ros'
+    assert OutputFolders('/cell1/left').parent(config) == tmp_path / 'handeye_ros/cell1/left'
+    assert OutputFolders('/cell1').parent(replace(config, output_dir='/data')) == Path('/data')

@@ -14,16 +14,16 @@ from handeye_ros.ros.node import streams
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.ros.node.streams import Latest, MOST_STOPS
-from handeye_ros.ros.sessions.store import Place
+from handeye_ros.ros.sessions.store import OutputFolders
 from handeye_ros.sampling import dwells
 from handeye_ros.sampling.errors import BaseFrameError, SilentPosesError
-from handeye_ros.sampling.stream import MOST_REASONS
+from handeye_ros.streams.stream import MOST_REASONS
 from live_sessions import fed, later, SPHERE
 import pytest
 
 
 def test_clocks_an_hour_apart_are_reported_with_their_size() -> None:
-    live = LiveSession(SPHERE.config, Place())
+    live = LiveSession(SPHERE.config, OutputFolders())
     for item in SPHERE.profiles[:50]:
         live.add_profile(replace(item, stamp=item.stamp + 3600 * 10**9))
     live.add_poses(SPHERE.poses[:50])
@@ -71,7 +71,7 @@ def test_stamps_that_come_again_give_no_error() -> None:
 
 
 def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    live, told, done = LiveSession(SPHERE.config, Place()), Event(), Event()
+    live, told, done = LiveSession(SPHERE.config, OutputFolders()), Event(), Event()
     log: list[str] = []
     evaluate_all = live.samples.evaluate_all
     live.on_failure = lambda text: (log.append(text), told.set())
@@ -91,7 +91,7 @@ def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.Mo
 
 
 def test_a_process_that_ends_is_asked_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    live, done, update = LiveSession(SPHERE.config, Place()), Event(), []
+    live, done, update = LiveSession(SPHERE.config, OutputFolders()), Event(), []
 
     def ended() -> None:
         update.append(state_of(live).session.trouble)
@@ -115,7 +115,7 @@ def test_a_process_that_ends_is_asked_once_more(monkeypatch: pytest.MonkeyPatch)
 def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
         monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams, 'MOST_STOPS', 5)
-    live = LiveSession(SPHERE.config, Place())
+    live = LiveSession(SPHERE.config, OutputFolders())
     for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
         (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
     live.update()
@@ -127,7 +127,7 @@ def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
 
 
 def test_without_profiles_the_stops_that_wait_for_them_do_not_pile_up() -> None:
-    live = LiveSession(SPHERE.config, Place())
+    live = LiveSession(SPHERE.config, OutputFolders())
     for lap in range(3):
         for pose in later(SPHERE.poses, 1000 * lap):
             live.add_poses([pose])
@@ -139,7 +139,8 @@ def test_without_profiles_the_stops_that_wait_for_them_do_not_pile_up() -> None:
 def test_poses_whose_stamps_barely_advance_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dwells, 'MOST_POSES', 50)
     for mode in ('still', 'manual'):
-        live = LiveSession(with_values(SPHERE.config, {'sampling.mode': mode}, 'test'), Place())
+        live = LiveSession(with_values(SPHERE.config, {'sampling.mode': mode}, 'test'),
+                           OutputFolders())
         live.add_poses([replace(SPHERE.poses[0], stamp=10**18 + i) for i in range(1000)])
         finder = live.copied()._finder
         assert len(finder._run) <= 51 and len(finder._recent) <= 51
@@ -147,7 +148,7 @@ def test_poses_whose_stamps_barely_advance_do_not_pile_up(monkeypatch: pytest.Mo
 
 
 def test_frames_of_damaged_messages_are_distinguished_up_to_a_number() -> None:
-    live = LiveSession(SPHERE.config, Place())
+    live = LiveSession(SPHERE.config, OutputFolders())
     for number in range(100):
         live.add_profile(replace(SPHERE.profiles[number], frame_id=f'f{number}'))
     dropped = [note for note in live.copied().warnings if 'dropped a profile of' in note]

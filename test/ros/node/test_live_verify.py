@@ -12,7 +12,7 @@ from handeye_ros.results.truth_file import true_transform
 from handeye_ros.ros.bags.bag import read
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
-from handeye_ros.ros.sessions.store import Place
+from handeye_ros.ros.sessions.store import OutputFolders
 from handeye_ros.verification import session as sessions
 from handeye_ros.verification.errors import NoAnswerError
 from handeye_ros.verification.verification import FORMAT
@@ -26,7 +26,7 @@ SPHERE = load(ROOT / 'config' / 'sphere.yaml')
 
 
 def running(tmp_path: Path, config: Config = SPHERE, **values: object) -> LiveSession:
-    return LiveSession(changed(config, output_dir=str(tmp_path), **values), Place())
+    return LiveSession(changed(config, output_dir=str(tmp_path), **values), OutputFolders())
 
 
 def changed(config: Config, **values: object) -> Config:

@@ -18,7 +18,7 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 from command import PATIENCE  # noqa: E402, I100
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped  # noqa: E402
 from handeye_ros.ros.node import params  # noqa: E402
-from handeye_ros.ros.sessions.store import Place  # noqa: E402
+from handeye_ros.ros.sessions.store import OutputFolders  # noqa: E402
 from rcl_interfaces.srv import GetParameters  # noqa: E402
 import rclpy  # noqa: E402
 from rclpy.context import Context  # noqa: E402
@@ -93,10 +93,10 @@ def test_a_bag_through_the_node_gives_the_offline_result(
         assert client.call('remove_last_sample').success
         n = offline.quality.samples_used + offline.quality.samples_rejected
         again = client.call('save_calibration').message
-        assert again.startswith(f'wrote {path}; the former result is kept in {path.parent}')
+        assert again.startswith(f'wrote {path}; the previous result is kept in {path.parent}')
         assert again.endswith(
             f'it was computed from {n} samples, which have changed since '
-            f'(1 removed): call ~/compute_calibration for an answer from the {n - 1} of now')
+            f'(1 removed): call ~/compute_calibration for an answer from the current {n - 1}')
         assert client.call('clear_samples').success
         client.until(lambda: texts[-1].data.startswith('Take the first sample'),
                      'the advice starts again')
@@ -258,7 +258,7 @@ def test_wrong_parameters(argument: str, reason: str) -> None:
     rclpy.init(args=['--ros-args', '-p', argument], context=context)
     try:
         with pytest.raises(InputError, match=reason):
-            params.declare(Node('handeye', context=context), Place())
+            params.declare(Node('handeye', context=context), OutputFolders())
     finally:
         rclpy.shutdown(context=context)
 

@@ -15,7 +15,7 @@ from handeye_ros.errors import HandeyeError
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.ros.node.worker import Evaluator, Runner, WorkerProcess
-from handeye_ros.ros.sessions.store import Place
+from handeye_ros.ros.sessions.store import OutputFolders
 from handeye_ros.ros.sessions.writing import SessionStore
 from handeye_ros.sampling.errors import MovingError
 from handeye_ros.sampling.stops import judged
@@ -72,7 +72,8 @@ def running(tmp_path: Path, second: Gate | None = None, judging: Gate | None = N
             **values: object) -> LiveSession:
     config = with_values(SPHERE.config, {'output_dir': str(tmp_path)} | {
         key.replace('__', '.'): value for key, value in values.items()}, 'test')
-    return LiveSession(config, Place(), SessionStore(Place().folder), second, judging)
+    return LiveSession(config, OutputFolders(), SessionStore(OutputFolders().folder), second,
+                       judging)
 
 
 def feed(live: LiveSession, profiles: Any, poses: Any) -> None:
@@ -90,7 +91,7 @@ def everything_else(live: LiveSession) -> None:
     assert live.samples.remove_last().startswith('removed sample ')
     live.configure(changed(live.config, 'limits.translation', 0.004))
     saved = live.answer.save()
-    assert str(live.place.folder(live.config)) in saved
+    assert str(live.folders.folder(live.config)) in saved
     assert saved.endswith('the calibration is computed again: save it again after that')
 
 
@@ -154,7 +155,7 @@ def test_nobody_waits_for_a_verdict(tmp_path: Path) -> None:
         assert live.samples.take().startswith('sphere: ')
         assert live.samples.remove_last().startswith('removed sample ')
         live.configure(changed(live.config, 'limits.translation', 0.004))
-        assert str(live.place.folder(live.config)) in live.answer.save()
+        assert str(live.folders.folder(live.config)) in live.answer.save()
     assert told[0].startswith('sphere: PASS, ')
     assert live.samples.take().startswith('sample ')
 
@@ -203,4 +204,4 @@ def test_stops_give_the_same_in_another_process_and_where_that_has_ended(tmp_pat
 def described(evaluator: Evaluator, stops: Any, outcomes: Any, config: Config) -> list[Any]:
     return [[repr(evaluator.result(stop, config)) for stop in stops],
             [repr(evaluator.sample(stop, config)) for stop in stops],
-            [repr(evaluator.again(outcome, config).sample) for outcome in outcomes]]
+            [repr(evaluator.reevaluated(outcome, config).sample) for outcome in outcomes]]

@@ -15,7 +15,14 @@ from command import PATIENCE
 from handeye_ros.config import Config
 from handeye_ros.diagnosis.review import NoReviewError, review
 from handeye_ros.ros.errors import WorkerEndedError
-from handeye_ros.ros.node.worker import COMMAND, Evaluator, give_back, Runner, TRIM, WorkerProcess
+from handeye_ros.ros.node.worker import (
+    COMMAND,
+    Evaluator,
+    Runner,
+    TRIM,
+    trim_memory,
+    WorkerProcess,
+)
 from handeye_ros.sampling.errors import SilentPosesError
 from handeye_ros.sampling.stops import evenly
 import pytest
@@ -186,6 +193,6 @@ def test_what_lies_between_kept_messages_is_given_back() -> None:
     kept = messages[::50]
     before = resident()
     del messages
-    give_back()
+    trim_memory()
     assert before - resident() > 0.7 * MESSAGES * SIZE
     assert all(len(message) == SIZE for message in kept)

@@ -22,7 +22,7 @@ from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of
 from handeye_ros.ros.sessions.bag_files import BagFile, files_of, write_metadata
 from handeye_ros.ros.sessions.reading import is_session, read_session, sessions_in
-from handeye_ros.ros.sessions.store import Place, resumed
+from handeye_ros.ros.sessions.store import OutputFolders, resumed
 from handeye_ros.ros.sessions.writing import SessionStore
 from mcap.reader import make_reader
 import numpy as np
@@ -35,7 +35,7 @@ SPHERE = recorded('sphere')
 
 def stored(tmp_path: Path, config: Config = SPHERE.config) -> LiveSession:
     config = replace(config, output_dir=str(tmp_path))
-    return LiveSession(config, Place(), SessionStore(Place().folder))
+    return LiveSession(config, OutputFolders(), SessionStore(OutputFolders().folder))
 
 
 def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
@@ -63,9 +63,9 @@ def again(live: LiveSession, **values: object) -> LiveSession:
     path = live.samples.store.path
     live.samples.store.close()
     given = {'session': path} | {key.replace('__', '.'): v for key, v in values.items()}
-    config, found = resumed(given, Place())
+    config, found = resumed(given, OutputFolders())
     assert found
-    other = LiveSession(config, Place(), SessionStore(Place().folder, found))
+    other = LiveSession(config, OutputFolders(), SessionStore(OutputFolders().folder, found))
     other.restore(found.session(config), found.config)
     reviewed = []
     other.reviewer.on_change = lambda: reviewed.append(state_of(other).calibration.state)
@@ -180,7 +180,7 @@ def test_other_settings_read_the_stored_profiles(tmp_path: Path) -> None:
 def test_only_one_node_goes_on_with_a_session(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=1)
     with pytest.raises(InputError, match='in use by another node'):
-        SessionStore(Place().folder, read_session(Path(live.samples.store.path)))
+        SessionStore(OutputFolders().folder, read_session(Path(live.samples.store.path)))
 
 
 def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path) -> None:
@@ -194,13 +194,13 @@ def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path
 
 def test_last_is_the_newest_of_the_name_or_of_all(tmp_path: Path) -> None:
     given = {'output_dir': str(tmp_path), 'session': 'last'}
-    assert resumed(given, Place())[1] is None
+    assert resumed(given, OutputFolders())[1] is None
     live = feed(stored(tmp_path), stops=1)
     live.samples.store.close()
-    config, found = resumed(given, Place())
+    config, found = resumed(given, OutputFolders())
     assert found and found.path == Path(live.samples.store.path)
     assert (config.target.type, config.target.radius) == ('sphere', SPHERE.config.target.radius)
-    assert resumed(given | {'name': 'other'}, Place())[1] is None
+    assert resumed(given | {'name': 'other'}, OutputFolders())[1] is None
 
 
 # -- what goes wrong
@@ -294,7 +294,7 @@ def test_metadata_of_any_names_are_yaml(tmp_path: Path) -> None:
 def test_what_is_no_session_is_reported(tmp_path: Path) -> None:
     assert not is_session(tmp_path / 'nothing') and not is_session(tmp_path)
     with pytest.raises(InputError, match='is no session'):
-        resumed({'session': str(tmp_path)}, Place())
+        resumed({'session': str(tmp_path)}, OutputFolders())
     live = feed(stored(tmp_path), stops=1)
     file = files_of(Path(live.samples.store.path))[0]
     shutil.copy(file, file.with_name(file.name.replace('_0', '_1')))

@@ -1,0 +1,177 @@
+"""
+The HTML files: the report of a calibration, and the protocol of a verification.
+
+Each file is complete: it opens without a network. The report shows verdict, scene, residuals,
+profiles and use of an answer.
+"""
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime, UTC
+import json
+from pathlib import Path
+from typing import Any
+
+from handeye_ros import __version__
+from handeye_ros import config as configuration
+from handeye_ros.config import Config
+from handeye_ros.data import Calibration
+from handeye_ros.output import write_whole
+from handeye_ros.results import figures, formats, table
+from handeye_ros.results.evidence import (
+    config_of,
+    Evidence,
+    in_plane,
+    stated_noise,
+    StopSnapshot,
+    verdict,
+)
+from handeye_ros.results.scene import in_sensor, legend, scene
+from handeye_ros.results.verified import COLUMNS, formatted, rows_of, title_of, Verified
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+import numpy as np
+
+# Characteristics of VDI/VDE 2634 parts 2 and 3: meaning, and factor to the error of the quantity
+# (PS is of the diameter). E is the length measurement error of ISO 10360.
+CHARACTERISTICS = {
+    'PF': ('probing error, form: span of the radial distances', 1.0),
+    'PS': ('probing error, size: error of the diameter', 2.0),
+    'SD': ('sphere spacing error', 1.0),
+    'F': ('flatness measurement error: span of the distances from the plane', 1.0),
+    'E': ('length measurement error', 1.0)}
+WIDTH, HEIGHT, LEFT, BOTTOM = 760.0, 190.0, 60.0, 24.0  # of the picture and its margins
+
+
+def write(calibration: Calibration, evidence: Evidence, path: Path,
+          verified: Sequence[Verified] = ()) -> Path:
+    """Write the report of a calibration; return its absolute path. Raises UnwritableError."""
+    path = path.expanduser().absolute()
+    write_whole(path, html(calibration, evidence, verified))
+    return path
+
+
+def html(calibration: Calibration, evidence: Evidence, verified: Sequence[Verified] = ()) -> str:
+    """Return the text of the report; verified: verifications to include."""
+    config = config_of(calibration)
+    return templates().get_template('report.html').render(
+        _values(calibration, evidence, config) | {'verified': verified, 'columns': COLUMNS})
+
+
+def templates() -> Environment:
+    """Return the environment of the templates in assets/."""
+    pages = Environment(loader=PackageLoader('handeye_ros.results', 'assets'),
+                        autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+                        lstrip_blocks=True)
+    pages.globals['source'] = lambda name: Markup(pages.get_template(name).render())
+    return pages
+
+
+def _values(calibration: Calibration, evidence: Evidence, config: Config) -> dict[str, Any]:
+    used = [stop for stop in evidence.stops if stop.used and stop.features]
+    points = in_sensor(in_plane(tuple(f for stop in used for f in stop.features)), config)
+    drawn = scene(calibration, evidence.stops, config)
+    with figures.style():
+        plots = {name: _image(svg) for name, svg in _plots(calibration, evidence, config)}
+        profiles = [_profile(stop) for stop in evidence.stops]
+    return {
+        'c': calibration, 'verdict': verdict(calibration, evidence, points),
+        'version': __version__, 'now': datetime.now(UTC).isoformat(timespec='seconds'),
+        'transform': list(table.transform_rows(calibration)),
+        'facts': list(table.facts(calibration)), 'weakest': table.weakest(calibration.quality),
+        'details': list(table.details(calibration.target)), 'matrix': formats.matrix(calibration),
+        'scene': Markup(json.dumps(drawn).replace('<', '\\u003c')), 'drawn': drawn,
+        'legend': legend(drawn['parts']), 'plots': plots, 'profiles': profiles,
+        'refused': [report for report in calibration.samples if not report.used],
+        'settings': configuration.flatten(config).items(),
+        'inputs': [', '.join(f'{key} {value}' for key, value in item.items())
+                   for item in calibration.provenance.get('inputs', ())],
+        'uses': [('URDF or xacro', formats.joint(calibration)),
+                 ('ROS 2, shell', formats.command(calibration))],
+    }
+
+
+def _plots(calibration: Calibration, evidence: Evidence, config: Config
+           ) -> Iterator[tuple[str, str]]:
+    """Yield the plots with data, by name."""
+    used = [stop for stop in evidence.stops if stop.used and stop.features]
+    if not used:
+        return
+    yield 'coverage', figures.coverage(used)
+    solved = [stop for stop in used if len(stop.residuals)]
+    if solved:
+        yield 'residuals', figures.residuals(solved)
+        if len(evidence.sweep):
+            yield 'sweep', figures.sweep(evidence.sweep)
+        points = np.concatenate([in_plane(stop.features) for stop in solved])
+        middle = in_sensor(points.mean(axis=0)[None], config)[0]
+        arm = calibration.T_flange_sensor @ np.append(middle, 1.0)
+        yield 'histogram', figures.histogram(
+            solved, stated_noise(config.noise, float(np.linalg.norm(arm[:3]))))
+
+
+def _profile(stop: StopSnapshot) -> dict[str, Any]:
+    rms = float(np.sqrt((stop.residuals ** 2).mean())) if len(stop.residuals) else None
+    return {'number': stop.number, 'used': stop.used, 'reason': stop.reason,
+            'residual': None if rms is None else f'{rms * 1e3:.3f} mm',
+            'image': _image(figures.profile(stop)) if len(stop.points) else ''}
+
+
+def _image(svg: str) -> str:
+    """Return an image for src=, isolated from the page: its ids cannot clash."""
+    return 'data:image/svg+xml;base64,' + base64.b64encode(svg.encode()).decode()
+
+
+def protocol(content: Mapping[str, Any]) -> str:
+    """
+    Return the protocol of a verification, printable as PDF for an inspector.
+
+    content: what the YAML of a verification holds (see results/verified.py).
+    """
+    return templates().get_template('protocol.html').render(
+        t=content, title=title_of(content), columns=COLUMNS, rows=list(rows_of(content)),
+        characteristics=list(_characteristics(content)), conformity=list(_conformity(content)),
+        picture=_picture(content['per_station'], content['tolerance'], content['k']),
+        now=datetime.now(UTC).isoformat(timespec='seconds'), formatted=formatted)
+
+
+def _characteristics(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
+    """Yield symbol, meaning, object, value and U of each characteristic."""
+    for q in content['quantities']:
+        meaning, factor = CHARACTERISTICS.get(q['characteristic'], ('', 0.0))
+        if meaning and (q['nominal'] is not None or q['characteristic'] in ('PF', 'F')):
+            value = factor * (q['value'] - (q['nominal'] or 0.0))
+            yield (q['characteristic'], meaning, q['name'], formatted(value, q['unit']),
+                   formatted(factor * content['k'] * q['std'], q['unit']))
+
+
+def _conformity(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
+    """Yield name, |deviation| + U, tolerance and the decision of ISO 14253-1 of each quantity."""
+    for q in content['quantities']:
+        if q['nominal'] is None:
+            continue
+        deviation, U = abs(q['value'] - q['nominal']), content['k'] * q['std']
+        tolerance = content['tolerance'] if q['unit'] == 'm' else content['angle_tolerance']
+        decision = ('conforms' if deviation + U <= tolerance else
+                    'does not conform' if deviation - U > tolerance else 'not decided')
+        yield (q['name'], f'{formatted(deviation, q["unit"])} ± {formatted(U, q["unit"])}',
+               formatted(tolerance, q['unit']), decision)
+
+
+def _picture(stations: Sequence[Mapping[str, Any]], tolerance: float, k: float
+             ) -> dict[str, Any]:
+    """Return the bar chart of the stops: their largest distances from the fit, with U."""
+    reach = max((float(s['distance'] + k * s['std']) for s in stations if s['used']), default=0.0)
+    top = 1.1 * (max(reach, tolerance) if tolerance < 3 * reach else reach)
+    step = (WIDTH - LEFT) / max(len(stations), 1)
+
+    def height(value: float) -> float:
+        return round((HEIGHT - BOTTOM) * (1 - max(value, 0.0) / (top or 1.0)), 1)
+
+    bars = [{'x': round(LEFT + (i + 0.15) * step, 1), 'width': round(0.7 * step, 1),
+             'y': height(s['distance']), 'low': height(s['distance'] - k * s['std']),
+             'high': height(s['distance'] + k * s['std']), 'station': s}
+            for i, s in enumerate(stations)]
+    return {'bars': bars, 'top': top, 'tolerance': height(tolerance),
+            'width': WIDTH, 'height': HEIGHT, 'left': LEFT, 'floor': HEIGHT - BOTTOM}

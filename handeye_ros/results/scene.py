@@ -1,0 +1,188 @@
+"""
+3D drawings: the scene of the report, and the shape of an estimated target.
+
+The scene is polylines and points, which a small script turns; every target is lines and balls.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Calibration
+from handeye_ros.frames import sensor_axes, target_frame
+from handeye_ros.results.evidence import in_plane, StopSnapshot
+import numpy as np
+
+FLANGE, SENSOR, LASER, UNUSED = '#555555', '#6a1b9a', '#e53935', '#bdbdbd'
+TARGET, EDGES, BALL, SEEN = '#2e7d32', '#00695c', '#f9a825', '#e07b00'
+AXIS = 0.03  # m, of a frame at a stop
+ELLIPSOID = 0.02  # m, the largest drawn half axis
+MOST_POINTS = 60  # of a laser line
+EDGE = 0.1  # m of an edge that is drawn when its length is unknown
+TURN = np.linspace(0, 2 * np.pi, 49)
+
+
+def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config
+          ) -> dict[str, Any]:
+    """Return the parts with name, colour and points; and the enlargement of the ellipsoid."""
+    T_mounts = [stop.T_mount for stop in stops if stop.used] or [np.eye(4)]
+    T_sensors = [T @ calibration.T_flange_sensor for T in T_mounts]
+    target, points = _target(calibration, stops, config)
+    axes = half_axes(calibration.covariance[:3, :3])
+    factor = enlargement(float(np.linalg.norm(axes, axis=0).max()), ELLIPSOID)
+    ellipsoid = rings(T_mounts[0][:3, :3] @ axes * factor)
+    parts = [
+        *(part for T in T_mounts for part in _axes(T, AXIS, 'flange at each stop', [FLANGE] * 3)),
+        *(_line('sensor at each stop', SENSOR, np.array([M[:3, 3], T[:3, 3]]))
+          for M, T in zip(T_mounts, T_sensors, strict=True)),
+        *_lasers(stops, calibration, config),
+        *(_line('target', TARGET, line) for line in target.outline),
+        *(_line('edges of the target', EDGES, line, 2.5) for line in target.edges),
+        {'name': 'what the answer comes from', 'color': SEEN, 'width': 4.0,
+         'points': _plain(points)},
+        *(_line(f'1 sigma of the sensor position, enlarged {factor:g} times', BALL,
+                T_sensors[0][:3, 3] + ring) for ring in ellipsoid)]
+    return {'parts': [part for part in parts if len(part.get('line') or part['points'])],
+            'factor': factor, 'frame': target_frame(config)}
+
+
+def _target(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config
+            ) -> tuple[Any, Array]:
+    seen = [se3.apply(stop.T_mount @ calibration.T_flange_sensor,
+                      in_sensor(in_plane(stop.features), config)) for stop in stops if stop.used]
+    points = np.concatenate(seen) if seen else np.empty((0, 3))
+    return shape(calibration.target, config.target.size, points), points
+
+
+def in_sensor(plane: Array, config: Config) -> Array:
+    """Return points (n, 2) of the sensor plane as (n, 3) of the sensor frame."""
+    return np.asarray(plane @ sensor_axes(config)[:3, [0, 2]].T)
+
+
+def _lasers(stops: Sequence[StopSnapshot], calibration: Calibration, config: Config
+            ) -> list[dict[str, Any]]:
+    parts = []
+    for stop in stops:
+        plane = stop.points[np.isfinite(stop.points).all(axis=1)]
+        plane = plane[::max(1, len(plane) // MOST_POINTS)]
+        points = se3.apply(stop.T_mount @ calibration.T_flange_sensor, in_sensor(plane, config))
+        parts.append({'name': 'laser line' if stop.used else 'laser line, not used',
+                      'color': LASER if stop.used else UNUSED, 'width': 2.0,
+                      'points': _plain(points)})
+    return parts
+
+
+def _axes(T: Array, length: float, name: str, colors: Sequence[str]) -> list[dict[str, Any]]:
+    return [_line(name, color, np.array([T[:3, 3], T[:3, 3] + length * T[:3, i]]))
+            for i, color in enumerate(colors)]
+
+
+def _line(name: str, color: str, points: Array, width: float = 1.2) -> dict[str, Any]:
+    return {'name': name, 'color': color, 'line': _plain(points), 'width': width}
+
+
+def _plain(points: Array) -> list[list[float]]:
+    return [[round(float(v), 6) for v in point] for point in points]
+
+
+def legend(parts: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """Return the unique names of parts of one colour, with the colour."""
+    colors: dict[str, set[str]] = {}
+    for part in parts:
+        colors.setdefault(part['name'], set()).add(part['color'])
+    return [(name, min(choices)) for name, choices in colors.items() if len(choices) == 1]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """
+    A target in its fixed frame (metres).
+
+    edges: polylines (n, 3), each a straight edge; outline: polylines (n, 3) of the rest; ball:
+    the centre (3,) and radius of a sphere, where there is one.
+    """
+
+    edges: tuple[Array, ...] = ()
+    outline: tuple[Array, ...] = ()
+    ball: tuple[Array, float] | None = None
+
+
+def shape(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> Shape:
+    """
+    Return the shape of a target as stored in calibration.yaml.
+
+    size: of a plate (metres), empty if unknown; near: visible points (k, 3) of it, which limit
+    the drawn part of an infinite line or plane.
+    """
+    if 'centre' in target:
+        centre, radius = _xyz(target['centre']), target['radius']
+        circles = tuple(centre + ring for ring in rings(np.eye(3) * radius))
+        return Shape(outline=circles, ball=(centre, radius))
+    if 'pose' in target:
+        return _plate(target, size, near)
+    if 'direction' in target and 'point' in target:
+        return Shape(edges=(_along(_xyz(target['point']), np.array(target['direction']), near),))
+    if 'normal' in target:
+        return Shape(outline=(_square(np.array(target['normal']), target['distance'], near),))
+    return Shape()
+
+
+def _xyz(values: Mapping[str, float]) -> Array:
+    return np.array([values[axis] for axis in 'xyz'], dtype=float)
+
+
+def _plate(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> Shape:
+    pose = target['pose']
+    T = se3.from_quaternion(_xyz(pose['translation']),
+                            np.array([pose['rotation'][axis] for axis in 'xyzw'], dtype=float))
+    angle = target.get('edge_angle', np.pi / 2)
+    local = se3.apply(se3.inverse(T), near) if len(near) else np.empty((0, 3))
+    length, width = size or (_reach(local[:, 0]), _reach(local[:, 1]))
+    p = np.array([length, 0.0, 0.0])
+    q = width * np.array([np.cos(angle), np.sin(angle), 0.0])
+    ends = se3.apply(T, np.array([np.zeros(3), p, q, p + q]))
+    return Shape(edges=(ends[[0, 1]], ends[[0, 2]]), outline=(ends[[1, 3, 2]],))
+
+
+def _reach(values: Array) -> float:
+    return max(EDGE / 2, float(values.max())) if len(values) else EDGE
+
+
+def _along(point: Array, direction: Array, near: Array) -> Array:
+    """Return the ends (2, 3) of the visible part of a line."""
+    along = (near - point) @ direction if len(near) else np.array([-EDGE / 2, EDGE / 2])
+    return point + np.outer([along.min(), along.max()], direction)
+
+
+def _square(normal: Array, distance: float, near: Array) -> Array:
+    """Return the outline (5, 3) of the visible part of a plane."""
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    axes = np.array([first, np.cross(normal, first)]) / np.linalg.norm(first)
+    flat = near @ axes.T if len(near) else np.array([[-EDGE, -EDGE], [EDGE, EDGE]]) / 2
+    (x0, y0), (x1, y1) = flat.min(axis=0), flat.max(axis=0)
+    corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
+    return np.asarray(corners @ axes + normal * distance)
+
+
+def rings(axes: Array) -> tuple[Array, ...]:
+    """Return the three ellipses (49, 3) of an ellipsoid with half axes in columns (3, 3)."""
+    return tuple(np.outer(np.cos(TURN), axes[:, i]) + np.outer(np.sin(TURN), axes[:, j])
+                 for i, j in ((0, 1), (1, 2), (2, 0)))
+
+
+def half_axes(covariance: Array) -> Array:
+    """Return the half axes of the 1 sigma ellipsoid of a covariance (3, 3), in columns."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def enlargement(largest: float, size: float) -> float:
+    """Return the largest factor 1, 2, 5, 10, ... that keeps a length below a size."""
+    if largest <= 0:
+        return 1.0
+    ratio = size / largest
+    power = 10.0 ** np.floor(np.log10(ratio))
+    return float(max(1.0, power * max(step for step in (1, 2, 5) if step * power <= ratio)))

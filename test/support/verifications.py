@@ -1,0 +1,32 @@
+"""Verifications of simulated artefacts, as the bench makes them."""
+from __future__ import annotations
+
+from dataclasses import replace
+import importlib.util
+from pathlib import Path
+
+from handeye_ros.config import Config
+from handeye_ros.simulate import gauges
+from handeye_ros.verification.routines import ROUTINES
+from handeye_ros.verification.verify import stations_of, verify
+import numpy as np
+
+ROOT = Path(__file__).parents[2]
+spec = importlib.util.spec_from_file_location('bench_verify', ROOT / 'bench' / 'verify.py')
+bench = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(bench)
+
+
+def measured(name, seed=0, **values):
+    rng = np.random.default_rng(seed)
+    made = bench.SCENES[name](rng, **values)
+    return made, bench.calibration(made.T_flange_sensor, bench.covariance(rng))
+
+
+def result(name, made, found, config=None, **stated):
+    routine, config = ROUTINES[name], config or Config(noise=bench.NOISE)
+    config = replace(config, verify=replace(config.verify, **{
+        'lengths': made.lengths, 'radius': bench.RADIUS if 'ball' in name else 0.0,
+        'reference': made.reference, 'aim': gauges.AIM if name == 'point' else 0.0} | stated))
+    bags = [stations_of(routine, samples, found, config) for samples in made.bags]
+    return verify(routine, bags, found, config)
