@@ -8,7 +8,8 @@ A row per cell, over N recordings: how many are answered, TRE (mm, median and wo
 points mapped from the field of view, against the truth), the share of the answers whose stated
 95 % region holds the truth, and what most of the others are refused as. The cells:
   plane    target.type plane, and a plate on a table whose edge most stations cross;
-           --alone: the same recordings without the other surface
+           --alone: the same recordings without the other surface; off centre: of a plate of 120 mm
+           that the sensor is aimed up to 90 mm beside the middle of, where it sees the table alone
   line     target.type line on a corner of a block, seen by a sensor that is so wide that a face
            also ends where its reach does; every other station is turned around
   wedge    a block on a table, whose foot makes a groove in many profiles
@@ -35,7 +36,7 @@ from physics import field
 from scipy.stats import chi2
 
 LIMIT = chi2.ppf(0.95, 6)
-ON_TABLE, TURNED = 'wedge on a table', 'wedge, turned around'
+ON_TABLE, TURNED, OFF_CENTRE = 'wedge on a table', 'wedge, turned around', 'plane off centre'
 PLATE, WEDGE = FAULTS['baseline'], FAULTS['wedge']
 
 
@@ -58,6 +59,16 @@ def turned_around(scenario: Scenario, rng: np.random.Generator) -> Stops:
     return Stops(T, at.labels, points)
 
 
+def off_centre(scenario: Scenario, rng: np.random.Generator) -> Stops:
+    """Return stops with the sensor aimed up to 90 mm beside the middle of a plate, each way."""
+    at = SCENES['plane'].stops(scenario, rng)
+    T, middle = at.T_target_sensor.copy(), np.array(scenario.target.size) / 2
+    spots = (T[:, :3, :3] @ lift(at.points)[:, :, None])[:, :, 0] + T[:, :3, 3]
+    T[:, :2, 3] += middle + rng.uniform(-0.09, 0.09, (len(T), 2)) - spots[:, :2]
+    return Stops(T, at.labels, at.points)
+
+
+SCENES[OFF_CENTRE] = replace(SCENES['plane'], stops=off_centre)
 SCENES[ON_TABLE] = replace(SCENES['wedge'], solids=with_table)
 SCENES[TURNED] = replace(SCENES['wedge'], stops=turned_around)
 
@@ -81,6 +92,10 @@ def cells() -> dict[str, Scenario]:
                           stations=(9, 9)))
     found.append(cell('plane, small plate on a table', replace(PLATE, scene='plane'), 'plane',
                       target=PlateTarget((0.06, 0.05), table=0.010), stations=(18, 0)))
+    for count in (12, 18, 24):
+        found.append(cell(f'plane off centre, {count}', replace(PLATE, scene=OFF_CENTRE), 'plane',
+                          target=PlateTarget((0.12, 0.12), thickness=0.003, table=0.003),
+                          stations=(count, 0)))
     wide = FAULTS['sphere'].sensor
     for sensor, what in ((WEDGE.sensor, ''), (wide, ', wide')):
         for width in (0.03, 0.2):

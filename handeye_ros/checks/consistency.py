@@ -37,6 +37,7 @@ from scipy.spatial.transform import Rotation
 
 FEWEST_REDUNDANT = 3  # conditions that test an answer, and as many each dropped station
 CONTAMINATED = 0.1  # largest probability that one of few samples is wrong
+SURE = 0.99  # the same where several were dropped that may show another surface: not all are found
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 MISFITTING = 9.0  # variance factor (3 sigma), from which another cause than noise is looked for
 
@@ -147,8 +148,9 @@ def _require_judged(agreed: Consensus) -> None:
         raise TooFewConditionsError(len(agreed.used), dropped, left, needed)
     each = int(agreed.solution.ranks.max())
     missing = FEWEST_REDUNDANT * (2 + dropped) + 1 - (left - each)
-    if agreed.contaminated > CONTAMINATED and missing > 0:
-        raise UnidentifiedOutlierError(len(agreed.used), -(-missing // each))
+    not_all_found = agreed.contaminated > SURE and dropped > 1 and agreed.whole.ambiguous
+    if not_all_found or (agreed.contaminated > CONTAMINATED and missing > 0):
+        raise UnidentifiedOutlierError(len(agreed.used), max(1, -(-missing // each)))
 
 
 def missing_motion(poses: Array, frame: str) -> str:

@@ -73,6 +73,11 @@ class Problem:
         """Return the stations of distinct poses, at most MANY."""
         return farthest_points(pose_features(self.poses), MANY)
 
+    @cached_property
+    def ambiguous(self) -> bool:
+        """Return whether stations show several alike surfaces, of which only one is the target."""
+        return self.method.geometry.ambiguous(self.observations)
+
     @property
     def few(self) -> bool:
         """Return whether the problem may have several solutions and needs more starts."""
@@ -148,9 +153,7 @@ class Problem:
         """Return the problem with only the given stations (ascending indices)."""
         if len(stations) == len(self.poses):
             return self
-        obs = self.observations
-        keep = np.isin(obs.station, stations)
-        fewer = obs.select(keep)
+        fewer = self.observations.select(np.isin(self.observations.station, stations))
         renumbered = np.searchsorted(stations, fewer.station)
         model = self.pose_model and self.pose_model.subset(stations)
         return replace(self, poses=self.poses[stations], pose_model=model,

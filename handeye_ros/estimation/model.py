@@ -117,6 +117,11 @@ class Conditions:
     dg_dtarget: Array
 
 
+def _never(observations: Observations) -> bool:
+    """Return that no estimate that fits well may be wrong."""
+    return False
+
+
 def kind_unchanged(observations: Observations, points: Array, target: Array, config: Config
                    ) -> Observations:
     """Return the observations as they are: a target whose features cannot be confused."""
@@ -170,13 +175,15 @@ class Geometry:
     conditions(points in base (m, 3), kind (m,), target (s,), config): see Conditions.
     retract(target (s,), delta (k,)): the target moved. free(config): (k,) which of its parameters
     are unknown. relabel(observations, points in base, target, config): kinds that fit better, for
-    the next solve; UNUSED for an observation that belongs to nothing.
+    the next solve; UNUSED for an observation that belongs to nothing. ambiguous(observations):
+    whether they may be of several alike surfaces, so that a wrong estimate may fit well.
     """
 
     conditions: Callable[[Array, NDArray[np.intp], Array, Config], Conditions]
     retract: Callable[[Array, Array], Array]
     free: Callable[[Config], NDArray[np.bool_]]
     relabel: Callable[[Observations, Array, Array, Config], Observations] = kind_unchanged
+    ambiguous: Callable[[Observations], bool] = _never
 
 
 @dataclass(frozen=True, eq=False)

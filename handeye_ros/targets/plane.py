@@ -88,12 +88,17 @@ def free(config: Config) -> NDArray[np.bool_]:
 def relabel(observations: Observations, p: Array, target: Array, config: Config
             ) -> Observations:
     """Return the observations with one surface per station: the longest of those near."""
-    surface = observations.source // SOURCES
-    if not surface.any():
+    if not several_surfaces(observations):
         return observations
+    surface = observations.source // SOURCES
     squares = conditions(p, observations.kind, target, config).g ** 2
     chosen = nearest_piece(observations, surface, squares)
     return replace(observations, kind=np.where(chosen, observations.kind, UNUSED))
+
+
+def several_surfaces(observations: Observations) -> bool:
+    """Return whether a station shows several surfaces."""
+    return bool(observations.source.max(initial=0) >= SOURCES)
 
 
 def one_surface(problem: Problem) -> list[Problem]:
@@ -103,9 +108,9 @@ def one_surface(problem: Problem) -> list[Problem]:
     Only the problem itself where no station shows several.
     """
     obs, sign = problem.observations, problem.config.profile.range_sign
-    surface = obs.source // SOURCES
-    if not surface.any():
+    if not several_surfaces(obs):
         return [problem]
+    surface = obs.source // SOURCES
     count = int(surface.max()) + 1
     shape, group = (len(problem.poses), count), obs.station * count + surface
     x, z = obs.points.T
@@ -130,7 +135,7 @@ def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         for part in one_surface(problem):
             found += best_of(part, linear_candidates(part, finer, more), more)
         fresh = [i for i in different(np.array([e.X for e in found])) if i >= known]
-        if problem.observations.source.max(initial=0) >= SOURCES:
+        if several_surfaces(problem.observations):
             away = {i: _typical_distance(problem, found[i]) for i in fresh}
             fresh.sort(key=lambda i: away[i] > AS_NEAR * min(away.values()))
         yield from (found[i] for i in fresh)
@@ -188,7 +193,7 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 PLANE = Method(
     'plane', ('face',), ('z', 'rx', 'ry'), essential=(), minimum=6, guess=guess,
     features=FeatureModel(plane_features, observe),
-    geometry=Geometry(conditions, retract, free, relabel),
+    geometry=Geometry(conditions, retract, free, relabel, several_surfaces),
     measures=Measures(describe, one_axis='the position along it is free, and if it is the normal '
                       'of the plane (yaw only) all of the position and part of the rotation'),
     nuisances=FACES_AND_EDGES)

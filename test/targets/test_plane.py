@@ -7,7 +7,7 @@ from cells import cell, exact_cell, recorded
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import OneAxisError
 from handeye_ros.config import Config
-from handeye_ros.data import FaceLine
+from handeye_ros.data import Array, FaceLine
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features, plane_features
 from handeye_ros.simulate import SCENARIOS
@@ -74,3 +74,27 @@ def test_one_surface_is_chosen_where_others_lie_beside(values: dict[str, float])
     found = pipeline.calibrate(made.profiles, made.poses, made.config)
     assert made.error(found.T_flange_sensor) < 3e-4
     assert 'samples show other surfaces too, farther than the plane' in found.target['note']
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_a_plane_through_two_near_surfaces_is_no_answer(seed: int) -> None:
+    """Of 24 stations some see only a table 3 mm below, and half of the others see it too."""
+    made = cell(replace(PLANE, stations=(24, 0)), seed, noise__robot_smooth=3e-4)
+    rng = np.random.default_rng(seed)
+    samples = []
+    for sample in made.samples:
+        face, = sample.features
+        table = below(face, sample.T_base_flange @ made.truth.T_flange_sensor,
+                      made.truth.T_base_target, 3e-3)
+        beside = replace(table, spread=face.spread * rng.uniform(0.5, 2.0))
+        seen = (table,) if rng.random() < 0.2 else (face, beside)[:rng.integers(1, 3)]
+        samples.append(replace(sample, features=tuple(
+            sorted(seen, key=lambda line: -line.spread))))
+    found = pipeline.solve(samples, [], made.config, 'laser')
+    assert made.error(found.T_flange_sensor) < 3e-4
+
+
+def below(face: FaceLine, T_base_sensor: Array, T_base_target: Array, depth: float) -> FaceLine:
+    """Return the line of a plane parallel to that of a face, below it."""
+    normal = (T_base_sensor[:3, :3].T @ T_base_target[:3, 2])[[0, 2]]
+    return replace(face, centre=face.centre - depth * normal / (normal @ normal))
