@@ -104,8 +104,9 @@ class InconsistentError(DataError):
     def __init__(self, residual: float, limit: float) -> None:
         super().__init__(f'samples and poses contradict each other by {mm(residual)} RMS '
                          f'(limits.residual is {mm(limit)}), and no known convention error '
-                         'explains it: check the poses (frames, convention, units), target.type, '
-                         'profile.unit, profile.axes and profile.range_sign')
+                         'explains it: check the poses (frames, convention, units), whether the '
+                         'clocks of sensor and robot agree, target.type, profile.unit, '
+                         'profile.axes and profile.range_sign')
 
 
 class MovedError(DataError):

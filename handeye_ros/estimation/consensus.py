@@ -32,7 +32,7 @@ from handeye_ros.estimation.search import (
     refined,
 )
 from handeye_ros.estimation.solution import Solution, station_statistic
-from handeye_ros.least_squares.outliers import chi2_sf, outliers, shared_scale
+from handeye_ros.least_squares.outliers import chi2_sf, GROSS, outliers, shared_scale
 import numpy as np
 from numpy.typing import NDArray
 
@@ -151,7 +151,9 @@ def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Ite
 def without_outliers(trial: Refined) -> Consensus:
     """Return the consensus after dropping stations that do not fit, one by one."""
     n, minimum = len(trial.problem.poses), trial.problem.method.minimum
-    good = trial.squares <= LARGEST_SQUARE * max(1.0, trial.spread)
+    # least squares with stations on another surface may go over to what lies between
+    limit = LARGEST_SQUARE if trial.whole.ambiguous else GROSS
+    good = trial.squares <= limit * max(1.0, trial.spread)
     good[np.argsort(trial.squares, kind='stable')[:minimum]] = True
     used = np.flatnonzero(good)
     dropped = {int(i): float(trial.squares[i]) for i in np.setdiff1d(np.arange(n), used)}

@@ -7,7 +7,7 @@ The estimator, the robot's kinematics, tables of measured values and verificatio
 OFFERED = (
     'covariance.FREE', 'covariance.covariance_of', 'covariance.eigen',
     'covariance.from_information', 'covariance.inverse', 'covariance.inverse_roots',
-    'outliers.Adjusted', 'outliers.FALSE_ALARM', 'outliers.adjust',
+    'outliers.Adjusted', 'outliers.FALSE_ALARM', 'outliers.GROSS', 'outliers.adjust',
     'outliers.chi2_isf', 'outliers.chi2_sf', 'outliers.first_variances', 'outliers.groups',
     'outliers.leave_one_out', 'outliers.leave_own_out', 'outliers.outliers',
     'outliers.shared_scale', 'outliers.variance_components', 'solver.BELIEVED_SHARE',
