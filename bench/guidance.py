@@ -51,7 +51,7 @@ from handeye_ros.guidance.advice import advise
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.rules import limits_of
 from handeye_ros.guidance.score import extremes, learn_view, mapping, View
-from handeye_ros.results.truth_file import mapped_point_error
+from handeye_ros.io.truth_file import mapped_point_error
 from handeye_ros.sampling import station_features
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.field_of_view import require_inside

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 import csv
 import io
 import os
@@ -62,6 +62,22 @@ def figure(rows: int, columns: int, width: float = 9.0, height: float = 3.0) -> 
         raise NoMatplotlibError from error
     drawing = Figure(figsize=(width * columns, height * rows), layout='constrained')
     return drawing, drawing.subplots(rows, columns)
+
+
+def style() -> AbstractContextManager[None]:
+    """Return the style of the plots in pages; needs matplotlib."""
+    from matplotlib import rc_context
+    return rc_context({
+        'svg.fonttype': 'none', 'font.size': 9, 'font.family': 'sans-serif', 'grid.alpha': 0.3,
+        'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True,
+        'legend.frameon': False})
+
+
+def svg(drawing: Any) -> str:
+    """Return a figure as an <svg> element."""
+    text = io.StringIO()
+    drawing.savefig(text, format='svg', metadata={'Date': None, 'Creator': None})
+    return text.getvalue()[text.getvalue().index('<svg'):]
 
 
 def save(drawing: Any, path: Path) -> None:

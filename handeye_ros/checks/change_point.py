@@ -21,7 +21,6 @@ from handeye_ros.checks.alternatives import (
     Hypothesis,
     RARE,
     require_stated,
-    VERY_STRONG,
 )
 from handeye_ros.checks.errors import MovedError, SmallMoveError
 from handeye_ros.data import Array
@@ -136,7 +135,7 @@ def change_point(solution: Solution) -> ChangePoint | None:
     if n < solution.problem.method.minimum + 4:  # too few to tell a move from an outlier
         return None
     steps = _Steps.of(reported, changes)
-    if next(steps.peaks()).evidence < -VERY_STRONG:  # against a move
+    if next(steps.peaks()).evidence < -STRONG:  # against a move
         return None
     unmoved, tried = reestimated(reported).deviance, set[tuple[bool, int]]()
     best = ChangePoint(0, False, np.zeros(6), -np.inf)

@@ -98,8 +98,8 @@ def _require_kinds(kinds: list[str]) -> None:
 
 def _solve_table(source: Path, urdf: Path, chain: 'Chain', extra_kinds: list[str],
                  settings: 'Config') -> 'Answer':
+    from handeye_ros.io.calibration_file import input_values
     from handeye_ros.kinematics.answer import solve_table
-    from handeye_ros.results.calibration_file import input_values
     with doing('solving'):
         return solve_table(source, chain, extra_kinds, settings,
                            [input_values(source), input_values(urdf)])
@@ -107,8 +107,8 @@ def _solve_table(source: Path, urdf: Path, chain: 'Chain', extra_kinds: list[str
 
 def _solve_profiles(paths: Iterable[tuple[Path, Path | None]], urdf: Path, chain: 'Chain',
                     extra_kinds: list[str], assignments: list[str]) -> 'Answer':
+    from handeye_ros.io.calibration_file import input_values
     from handeye_ros.kinematics.samples import solve_sources
-    from handeye_ros.results.calibration_file import input_values
     sources = [_source(path, chain, config, assignments) for path, config in paths]
     with doing('solving'):
         return solve_sources(sources, chain, extra_kinds, [input_values(urdf)])

@@ -112,8 +112,8 @@ def export(
         'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
 ) -> None:
     """Write a saved calibration for other programs: URDF, launch file, shell line, ..."""
-    from handeye_ros.results import exports
-    from handeye_ros.results.calibration_file import file_of, read_calibration
+    from handeye_ros.io import exports
+    from handeye_ros.io.calibration_file import file_of, read_calibration
     form, file = exports.format_of(name), file_of(path)
     calibration = read_calibration(file)
     if str(out) == '-':
@@ -135,11 +135,12 @@ def report(
     )] = [],  # noqa: B006 - never changed
 ) -> None:
     """Show a saved calibration or verification, and its evidence, in one HTML file."""
+    from handeye_ros.io import exports
+    from handeye_ros.io.calibration_file import file_of, read_calibration
+    from handeye_ros.io.verification_file import content_of as verification_in
+    from handeye_ros.io.verification_file import read
     from handeye_ros.output import write_whole
-    from handeye_ros.results import exports, pages
-    from handeye_ros.results.calibration_file import file_of, read_calibration
-    from handeye_ros.results.verified import content_of as verification_in
-    from handeye_ros.results.verified import read
+    from handeye_ros.results import pages
     from handeye_ros.ros.bags.bag import evidence
     if path.is_file() and (values := verification_in(path)):
         html = (out or path.with_suffix('.html')).absolute()

@@ -31,7 +31,7 @@ from handeye_ros.estimation.noise import (
     whitening,
 )
 from handeye_ros.estimation.solution import columns_of, Solution
-from handeye_ros.least_squares.covariance import from_information
+from handeye_ros.least_squares.covariance import from_information, from_rows
 import numpy as np
 from numpy.typing import NDArray
 
@@ -101,8 +101,7 @@ class _System:
     The whitened least squares at an estimate, (4).
 
     r: (m,) whitened residuals without nuisance parameters; columns: derivatives by u unknowns and
-    q nuisance parameters in prior sigmas; gradient: (u + q,) by all of them; group: (q,) the block
-    of each parameter.
+    q nuisance parameters in prior sigmas; group: (q,) the block of each parameter.
     """
 
     state: State
@@ -112,7 +111,6 @@ class _System:
     white: Whitening
     r: Array
     columns: FactoredJacobian
-    gradient: Array
     group: NDArray[np.intp]
     blocks_at: Callable[[Linear], tuple[ParameterBlock, ...]]
 
@@ -138,8 +136,7 @@ class _System:
         axes = sum(b.columns.shape[1] for b in blocks if b.functions is not None)
         group = np.repeat(np.arange(len(blocks)), [b.count for b in blocks])
         columns, r = columns_of(problem, own[:, :-1], axes), own[:, -1]
-        return cls(state, linear, noise, blocks, white, r, columns,
-                   columns.gradient_of(r, columns.rows), group, blocks_at)
+        return cls(state, linear, noise, blocks, white, r, columns, group, blocks_at)
 
     def at(self, state: State, noise: Noise) -> _System:
         """Return the system at another state, with the same bases of its blocks."""
@@ -177,7 +174,10 @@ class _System:
     @cached_property
     def solved(self) -> tuple[Array, Array]:
         """Return the unknowns and nuisance parameters (u + q,) and their covariance C, (5)."""
-        return from_information(self.columns.gram, self.gradient, self.scales, len(self.group))
+        if len(self.r) < self.columns.count:
+            return from_rows(self.columns.dense * self.scales, self.r, len(self.group))
+        gradient = self.columns.gradient_of(self.r, self.columns.rows)
+        return from_information(self.columns.gram, gradient, self.scales, len(self.group))
 
     def rescaled(self, steps: int) -> tuple[_System, Scales | None]:
         """

@@ -64,6 +64,29 @@ def from_information(N: Array, b: Array, units: Array, priors: int) -> tuple[Arr
     return covariance @ (-units * b), covariance
 
 
+def from_rows(A: Array, r: Array, priors: int) -> tuple[Array, Array]:
+    """
+    Return the same from few residuals r (m,) and their derivatives A (m, p): m is inverted, not p.
+
+    Parameters with a prior count as errors of the residuals first, and are what these errors then
+    show of them (as in a Kalman filter).
+    """
+    u = A.shape[1] - priors
+    V = A[:, u:] @ A[:, u:].T
+    np.einsum('ii->i', V)[:] += 1.0
+    root, _ = lapack.dpotrf(V, lower=1)  # V >= 1: it cannot fail
+    whitener, _ = lapack.dtrtri(root, lower=1)
+    white, r = whitener @ A, whitener @ r
+    J, K = white[:, :u], white[:, u:]
+    covariance = np.eye(A.shape[1])
+    covariance[:u, :u] = inverse(J.T @ J)
+    x, gain = -covariance[:u, :u] @ (J.T @ r), J @ covariance[:u, :u]
+    covariance[:u, u:] = -gain.T @ K
+    covariance[u:, :u] = covariance[:u, u:].T
+    covariance[u:, u:] -= K.T @ (K - gain @ (J.T @ K))
+    return np.append(x, -K.T @ (r + J @ x)), covariance
+
+
 def eigen(A: Array) -> tuple[Array, Array]:
     """Return the eigenvalues (n,), ascending, and eigenvectors (n, n) of a symmetric matrix."""
     try:

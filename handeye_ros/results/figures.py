@@ -2,33 +2,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
-from io import StringIO
 import math
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature
+from handeye_ros.output import svg
 from handeye_ros.results.evidence import in_plane, StopSnapshot
-from matplotlib import rc_context
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 import numpy as np
 
-STYLE: Any = {
-    'svg.fonttype': 'none', 'font.size': 9, 'font.family': 'sans-serif', 'grid.alpha': 0.3,
-    'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True,
-    'legend.frameon': False}
 BLUE, ORANGE, RED, GREY = '#1f6fb4', '#e07b00', '#c62828', '#777777'
 MOST_POINTS = 320  # of a profile in its plot
 BINS = 31
 AUTOMATIC: Mapping[str, float] = {}  # margins; matplotlib then draws twice
 PROFILE_MARGINS = {'left': 0.19, 'right': 0.97, 'bottom': 0.2, 'top': 0.96}  # many plots: fast
-
-
-def style() -> AbstractContextManager[None]:
-    """Return the style of all plots."""
-    return rc_context(STYLE)
 
 
 def _figure(width: float, height: float, columns: int = 1,
@@ -38,13 +27,6 @@ def _figure(width: float, height: float, columns: int = 1,
     if margins:
         figure.subplots_adjust(**margins)
     return figure, figure.subplots(1, columns)
-
-
-def _svg(figure: Figure) -> str:
-    stream = StringIO()
-    figure.savefig(stream, format='svg', metadata={'Date': None, 'Creator': None})
-    text = stream.getvalue()
-    return text[text.index('<svg'):]
 
 
 def residuals(stops: Sequence[StopSnapshot]) -> str:
@@ -61,7 +43,7 @@ def residuals(stops: Sequence[StopSnapshot]) -> str:
     ax.set_xlabel('stop')
     ax.set_ylabel('RMS residual (mm)')
     ax.legend(loc='upper right', ncols=2)
-    return _svg(figure)
+    return svg(figure)
 
 
 def sweep(samples: Array) -> str:
@@ -71,7 +53,7 @@ def sweep(samples: Array) -> str:
     for ax, x, label in ((by_time, time, 'time (s)'), (by_speed, 1e3 * speed, 'speed (mm/s)')):
         ax.plot(x, 1e3 * rms, '.', color=BLUE, ms=4)
         ax.set(xlabel=label, ylabel='RMS residual (mm)', ylim=(0, None))
-    return _svg(figure)
+    return svg(figure)
 
 
 def histogram(stops: Sequence[StopSnapshot], stated: float) -> str:
@@ -89,7 +71,7 @@ def histogram(stops: Sequence[StopSnapshot], stated: float) -> str:
     ax.set_xlabel('residual (mm)')
     ax.set_ylabel('share per mm')
     ax.legend(loc='upper right')
-    return _svg(figure)
+    return svg(figure)
 
 
 def coverage(stops: Sequence[StopSnapshot]) -> str:
@@ -108,7 +90,7 @@ def coverage(stops: Sequence[StopSnapshot]) -> str:
     rotation_axes.set(xlabel='turn about x (degrees)', ylabel='turn about y (degrees)',
                       aspect='equal', adjustable='datalim', title='Rotations from their mean')
     figure.colorbar(dots, ax=rotation_axes, label='turn about z (degrees)')
-    return _svg(figure)
+    return svg(figure)
 
 
 def profile(stop: StopSnapshot) -> str:
@@ -121,7 +103,7 @@ def profile(stop: StopSnapshot) -> str:
         _draw(ax, feature)
     ax.set(xlabel='along the line (mm)', ylabel='range (mm)')
     ax.invert_yaxis()
-    return _svg(figure)
+    return svg(figure)
 
 
 def _draw(ax: Any, feature: Feature) -> None:

@@ -17,8 +17,10 @@ from handeye_ros import __version__
 from handeye_ros import config as configuration
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
-from handeye_ros.output import write_whole
-from handeye_ros.results import figures, formats, table
+from handeye_ros.io import formats
+from handeye_ros.io.verification_file import COLUMNS, formatted, rows_of, title_of, Verified
+from handeye_ros.output import style, write_whole
+from handeye_ros.results import figures, table
 from handeye_ros.results.evidence import (
     config_of,
     Evidence,
@@ -28,7 +30,6 @@ from handeye_ros.results.evidence import (
     verdict,
 )
 from handeye_ros.results.scene import in_sensor, legend, scene
-from handeye_ros.results.verified import COLUMNS, formatted, rows_of, title_of, Verified
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 import numpy as np
@@ -72,7 +73,7 @@ def _values(calibration: Calibration, evidence: Evidence, config: Config) -> dic
     used = [stop for stop in evidence.stops if stop.used and stop.features]
     points = in_sensor(in_plane(tuple(f for stop in used for f in stop.features)), config)
     drawn = scene(calibration, evidence.stops, config)
-    with figures.style():
+    with style():
         plots = {name: _image(svg) for name, svg in _plots(calibration, evidence, config)}
         profiles = [_profile(stop) for stop in evidence.stops]
     return {
@@ -127,7 +128,7 @@ def protocol(content: Mapping[str, Any]) -> str:
     """
     Return the protocol of a verification, printable as PDF for an inspector.
 
-    content: what the YAML of a verification holds (see results/verified.py).
+    content: what the YAML of a verification holds (see io/verification_file.py).
     """
     return templates().get_template('protocol.html').render(
         t=content, title=title_of(content), columns=COLUMNS, rows=list(rows_of(content)),

@@ -137,3 +137,11 @@ class PageError(InputError):
         """Return the error for a port that is not available."""
         return cls(f'there is no page: {address}:{port} cannot be served ({reason}); set '
                    'page.port to another one, or to 0 for no page')
+
+
+class NothingToSaveError(DataError):
+    """The node was requested to save before there is an answer."""
+
+    def __init__(self) -> None:
+        super().__init__('there is no calibration to save: call ~/compute_calibration first, and '
+                         'check that it succeeds')

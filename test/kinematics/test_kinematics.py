@@ -8,10 +8,10 @@ import sys
 
 from command import handeye
 from handeye_ros import se3
+from handeye_ros.io.calibration_file import read_calibration
 from handeye_ros.kinematics.model import Arm, GEOMETRY, ON_DEMAND, one_configuration, parameters
 from handeye_ros.kinematics.outcome import solve_points
 from handeye_ros.kinematics.urdf import chain_of, corrected_urdf, read_arm
-from handeye_ros.results.calibration_file import read_calibration
 import numpy as np
 import pytest
 

@@ -10,12 +10,12 @@ from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.frames import in_mount
+from handeye_ros.io.calibration_file import read_calibration
 from handeye_ros.kinematics import profiles
 from handeye_ros.kinematics.estimate import State
 from handeye_ros.kinematics.model import Arm, GEOMETRY, parameters
 from handeye_ros.kinematics.samples import outcome_of, source_of
 from handeye_ros.kinematics.urdf import chain_of, read_arm, read_chain
-from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.ros.bags import bag
 from handeye_ros.simulate import arm as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples

@@ -13,7 +13,7 @@ from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Method
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mounted
-from handeye_ros.results.truth_file import mapped_point_error
+from handeye_ros.io.truth_file import mapped_point_error
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.stations import FRAMES
 import numpy as np

@@ -10,9 +10,9 @@ from handeye_ros import se3
 from handeye_ros.cli import command
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Calibration, Quality
-from handeye_ros.results import verified
-from handeye_ros.results.calibration_file import write_calibration
-from handeye_ros.results.errors import VerificationFileError
+from handeye_ros.io import verification_file
+from handeye_ros.io.calibration_file import write_calibration
+from handeye_ros.io.errors import VerificationFileError
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.simulate import simulate
 from handeye_ros.simulate.measuring import measuring_cell
@@ -83,7 +83,7 @@ def test_on_bags(tmp_path: Path, name: str) -> None:
 
 def test_the_report_shows_verifications(tmp_path: Path) -> None:
     *_, told = verdicts('sphere', 2, tmp_path)
-    found = verified.read(tmp_path / 'told.yaml')
+    found = verification_file.read(tmp_path / 'told.yaml')
     assert found.title == f'sphere: {told["verdict"].upper()}, {told["stations"]} stations'
     assert not found.good and found.sentences == tuple(told['reasons'])
     run = CliRunner().invoke(command(), [
@@ -95,10 +95,11 @@ def test_the_report_shows_verifications(tmp_path: Path) -> None:
     run = CliRunner().invoke(command(), ['report', str(tmp_path / 'told.yaml')])
     assert run.exit_code == 0, (run.output, run.exception)
     assert 'ISO 14253-1' in (tmp_path / 'told.html').read_text()
-    for text in ('format: handeye_ros/calibration/1', f'format: {verified.FORMAT}', '[1]', '{'):
+    for text in ('format: handeye_ros/calibration/1', f'format: {verification_file.FORMAT}',
+                 '[1]', '{'):
         (tmp_path / 'told.yaml').write_text(text)
         with pytest.raises(VerificationFileError):
-            verified.read(tmp_path / 'told.yaml')
+            verification_file.read(tmp_path / 'told.yaml')
 
 
 @pytest.mark.thorough

@@ -17,10 +17,10 @@ from handeye_ros import files, pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, Profile, RawProfile, TimedPose
 from handeye_ros.errors import HandeyeError
+from handeye_ros.io.calibration_file import input_values
 from handeye_ros.kinematics.model import Arm, Chain
 from handeye_ros.kinematics.samples import JointRecording
 from handeye_ros.kinematics.urdf import read_arm
-from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.evidence import config_of, Evidence, recording_of
 from handeye_ros.ros.bags.contents import CLOUD, Contents, full_name, JOINTS, POSE
 from handeye_ros.ros.bags.poses import JointPoses, Poses, PoseTable

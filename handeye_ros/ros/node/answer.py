@@ -16,10 +16,9 @@ from handeye_ros.data import Array, Calibration
 from handeye_ros.diagnosis.review import count_of, FEWEST, flat_crossing, Review, review
 from handeye_ros.errors import DataError, HandeyeError, InputError
 from handeye_ros.guidance.score import extremes
+from handeye_ros.io import exports
 from handeye_ros.output import folder_name
-from handeye_ros.results import exports
-from handeye_ros.results.errors import NothingToSaveError
-from handeye_ros.ros.errors import WorkerEndedError
+from handeye_ros.ros.errors import NothingToSaveError, WorkerEndedError
 from handeye_ros.ros.node.samples import changes, LiveSamples, SAMPLE_KEYS
 from handeye_ros.ros.node.state import calibration_summary
 from handeye_ros.ros.node.worker import Progress, Runner

@@ -8,10 +8,10 @@ from typing import Any, Protocol
 
 from handeye_ros import config as configuration
 from handeye_ros.errors import HandeyeError
+from handeye_ros.io import calibration_file, exports
 from handeye_ros.output import folder_name
-from handeye_ros.results import calibration_file, exports
-from handeye_ros.results.errors import NothingToSaveError
 from handeye_ros.ros.bags.contents import CLOUD, POSE
+from handeye_ros.ros.errors import NothingToSaveError
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.state import State
 from handeye_ros.ros.page.contents import contents, stop_profile

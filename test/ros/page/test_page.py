@@ -12,10 +12,10 @@ from typing import Any
 from browser import chromium, complaints
 from command import PATIENCE
 from handeye_ros.data import Calibration, Quality
+from handeye_ros.io.calibration_file import read_calibration, write_calibration
+from handeye_ros.io.truth_file import true_transform
 from handeye_ros.results import pages, table
-from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.results.evidence import Evidence
-from handeye_ros.results.truth_file import true_transform
 import numpy as np
 import pytest
 

@@ -1,7 +1,7 @@
-"""Refusals of reading and writing results."""
+"""Refusals of reading files."""
 from __future__ import annotations
 
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import InputError
 
 
 class CalibrationFileError(InputError):
@@ -9,14 +9,6 @@ class CalibrationFileError(InputError):
 
     def __init__(self, path: object, reason: str) -> None:
         super().__init__(f'{path} cannot be used: {reason}')
-
-
-class NothingToSaveError(DataError):
-    """The node was requested to save before there is an answer."""
-
-    def __init__(self) -> None:
-        super().__init__('there is no calibration to save: call ~/compute_calibration first, and '
-                         'check that it succeeds')
 
 
 class VerificationFileError(InputError):

@@ -9,9 +9,9 @@ import shutil
 
 from handeye_ros.data import Calibration
 from handeye_ros.errors import UnknownNameError, UnwritableError
+from handeye_ros.io import calibration_file, formats
+from handeye_ros.io.formats import Format
 from handeye_ros.output import write_whole
-from handeye_ros.results import calibration_file, formats
-from handeye_ros.results.formats import Format
 
 YAML = 'yaml'
 REPORT = 'report.html'
