@@ -46,12 +46,12 @@ from handeye_ros.estimation.consensus import Consensus, without_outliers
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.search import refined
 from handeye_ros.estimation.solution import Solution
+from handeye_ros.formats.truth_file import mapped_point_error
 from handeye_ros.frames import mounted
 from handeye_ros.guidance.advice import advise
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.rules import limits_of
 from handeye_ros.guidance.score import extremes, learn_view, mapping, View
-from handeye_ros.io.truth_file import mapped_point_error
 from handeye_ros.sampling import station_features
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.field_of_view import require_inside

@@ -21,8 +21,8 @@ INNER = [file for file in FILES if file != PACKAGE / '__init__.py']
 
 # The rooms, from the ground up; an arrow points down, or sideways where it is listed.
 FLOORS = (
-    ('data', 'config', 'errors', 'frames', 'io', 'least_squares', 'orientations', 'output', 'se3',
-     'streams', 'tables', 'units'),
+    ('data', 'config', 'errors', 'formats', 'frames', 'least_squares', 'orientations', 'output',
+     'se3', 'streams', 'tables', 'units'),
     ('profiles', 'estimation', 'published', 'simulate'),
     ('checks',),
     ('targets', 'results'),

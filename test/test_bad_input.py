@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from command import assert_refused, handeye, PLATE
 from handeye_ros import simulate
-from handeye_ros.io.calibration_file import read_calibration
+from handeye_ros.formats.calibration_file import read_calibration
 from handeye_ros.ros.bags import bag_write, storage
 import numpy as np
 import pytest

@@ -19,7 +19,7 @@ from handeye_ros.config import load, with_values
 from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.diagnosis.settings import WrongSettingError
 from handeye_ros.errors import DataError
-from handeye_ros.io.calibration_file import read_calibration, write_calibration
+from handeye_ros.formats.calibration_file import read_calibration, write_calibration
 from handeye_ros.sampling.errors import NoPosesError, NoStationsError
 from handeye_ros.simulate import FAULTS, SCENARIOS, settings
 from handeye_ros.simulate.scenario import PlateTarget

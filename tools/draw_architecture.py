@@ -18,8 +18,8 @@ from matplotlib import pyplot as plt  # noqa: E402, I100 - the backend first
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / 'handeye_ros'
-GROUND = ('data', 'config', 'errors', 'frames', 'io', 'least_squares', 'orientations', 'output',
-          'se3', 'streams', 'tables', 'units')
+GROUND = ('data', 'config', 'errors', 'formats', 'frames', 'least_squares', 'orientations',
+          'output', 'se3', 'streams', 'tables', 'units')
 LEFT_OUT = {'__init__', '__main__', *GROUND}
 SIZE = (1.5, 0.5)  # of a box
 STYLE = {'svg.hashsalt': 'architecture', 'svg.fonttype': 'none', 'font.family': 'sans-serif'}

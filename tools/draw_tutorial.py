@@ -16,7 +16,7 @@ import tempfile
 
 from handeye_ros import config as configs
 from handeye_ros import pipeline
-from handeye_ros.io import exports
+from handeye_ros.formats import exports
 from handeye_ros.results import figures, pages
 from handeye_ros.results.evidence import Evidence
 from handeye_ros.ros.bags.bag import read

@@ -9,8 +9,8 @@ from typing import Any
 from handeye_ros import output, se3
 from handeye_ros.batch.errors import NoTrendError
 from handeye_ros.data import Array, Calibration
-from handeye_ros.io.calibration_file import read_calibration
-from handeye_ros.io.errors import CalibrationFileError
+from handeye_ros.formats.calibration_file import read_calibration
+from handeye_ros.formats.errors import CalibrationFileError
 from handeye_ros.least_squares.outliers import chi2_isf, chi2_sf
 from handeye_ros.verification.verification import time_of
 import numpy as np

@@ -127,7 +127,7 @@ def trend(folder: TrendFolder, against: TrendAgainst = None, picture: TrendPictu
     from handeye_ros.batch import charts
     from handeye_ros.batch import trend as trends
     from handeye_ros.batch.errors import NoTrendError
-    from handeye_ros.io.calibration_file import read_calibration
+    from handeye_ros.formats.calibration_file import read_calibration
     from handeye_ros.output import write_whole
     measured, bad = charts.charts(folder)
     try:

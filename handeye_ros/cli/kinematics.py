@@ -98,7 +98,7 @@ def _require_kinds(kinds: list[str]) -> None:
 
 def _solve_table(source: Path, urdf: Path, chain: 'Chain', extra_kinds: list[str],
                  settings: 'Config') -> 'Answer':
-    from handeye_ros.io.calibration_file import input_values
+    from handeye_ros.formats.calibration_file import input_values
     from handeye_ros.kinematics.answer import solve_table
     with doing('solving'):
         return solve_table(source, chain, extra_kinds, settings,
@@ -107,7 +107,7 @@ def _solve_table(source: Path, urdf: Path, chain: 'Chain', extra_kinds: list[str
 
 def _solve_profiles(paths: Iterable[tuple[Path, Path | None]], urdf: Path, chain: 'Chain',
                     extra_kinds: list[str], assignments: list[str]) -> 'Answer':
-    from handeye_ros.io.calibration_file import input_values
+    from handeye_ros.formats.calibration_file import input_values
     from handeye_ros.kinematics.samples import solve_sources
     sources = [_source(path, chain, config, assignments) for path, config in paths]
     with doing('solving'):

@@ -33,7 +33,7 @@ def calibrated(file: Path, config: Path | None, assignments: list[str]
                ) -> tuple['Calibration', 'Config']:
     """Return a calibration, and the settings to measure with it."""
     from handeye_ros.config import load, with_assignments
-    from handeye_ros.io.calibration_file import read_calibration
+    from handeye_ros.formats.calibration_file import read_calibration
     from handeye_ros.results.evidence import use_config
     calibration = read_calibration(file)
     settings = use_config(calibration, load(config) if config else None)

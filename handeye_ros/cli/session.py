@@ -112,8 +112,8 @@ def export(
         'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
 ) -> None:
     """Write a saved calibration for other programs: URDF, launch file, shell line, ..."""
-    from handeye_ros.io import exports
-    from handeye_ros.io.calibration_file import file_of, read_calibration
+    from handeye_ros.formats import exports
+    from handeye_ros.formats.calibration_file import file_of, read_calibration
     form, file = exports.format_of(name), file_of(path)
     calibration = read_calibration(file)
     if str(out) == '-':
@@ -135,10 +135,10 @@ def report(
     )] = [],  # noqa: B006 - never changed
 ) -> None:
     """Show a saved calibration or verification, and its evidence, in one HTML file."""
-    from handeye_ros.io import exports
-    from handeye_ros.io.calibration_file import file_of, read_calibration
-    from handeye_ros.io.verification_file import content_of as verification_in
-    from handeye_ros.io.verification_file import read
+    from handeye_ros.formats import exports
+    from handeye_ros.formats.calibration_file import file_of, read_calibration
+    from handeye_ros.formats.verification_file import content_of as verification_in
+    from handeye_ros.formats.verification_file import read
     from handeye_ros.output import write_whole
     from handeye_ros.results import pages
     from handeye_ros.ros.bags.bag import evidence

@@ -51,8 +51,8 @@ def solve(
     assignments = with_kinematics(assignments, kinematics)
     settings = configuration(config, assignments, stored.config if stored else None, angles)
 
-    from handeye_ros.io import exports
-    from handeye_ros.io.truth_file import errors_against, true_transform
+    from handeye_ros.formats import exports
+    from handeye_ros.formats.truth_file import errors_against, true_transform
     from handeye_ros.output import folder_name
     from handeye_ros.results import table
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
@@ -134,7 +134,7 @@ def compare(
 
     from handeye_ros.comparison import compare as comparing
     from handeye_ros.comparison import table
-    from handeye_ros.io.truth_file import true_transform
+    from handeye_ros.formats.truth_file import true_transform
     from handeye_ros.output import write_whole
     import yaml
     method, T_true = _file_method(path, settings), true_transform(path)

@@ -20,8 +20,8 @@ from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.files.method import FileMethod, Input, plane_axes, require_trusted
+from handeye_ros.formats.truth_file import Errors, errors_against, FIELD, field_points
 from handeye_ros.frames import sensor_axes
-from handeye_ros.io.truth_file import Errors, errors_against, FIELD, field_points
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.time_offset import synchronised
 import numpy as np

@@ -9,7 +9,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.comparison.compare import Comparison, Row
 from handeye_ros.data import Array
-from handeye_ros.io.calibration_file import transform_values
+from handeye_ros.formats.calibration_file import transform_values
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.measure import Measurement

@@ -13,8 +13,8 @@ from handeye_ros.errors import DataError
 from handeye_ros.files import hand_eye_estimate
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.method import Answer, FileMethod, Index, Input, ReadBag
+from handeye_ros.formats.calibration_file import input_values, transform_values
 from handeye_ros.frames import mount_frame
-from handeye_ros.io.calibration_file import input_values, transform_values
 import numpy as np
 from scipy.spatial.transform import Rotation
 

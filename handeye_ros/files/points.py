@@ -11,7 +11,7 @@ from handeye_ros.data import Array
 from handeye_ros.errors import TooFewError
 from handeye_ros.files.errors import DegenerateError
 from handeye_ros.files.method import Answer, FileMethod, Index, Input, ReadBag
-from handeye_ros.io.calibration_file import input_values
+from handeye_ros.formats.calibration_file import input_values
 from handeye_ros.least_squares.outliers import adjust, Adjusted
 from handeye_ros.least_squares.solver import Rows, System
 from handeye_ros.tables import Table

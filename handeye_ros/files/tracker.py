@@ -12,9 +12,9 @@ from handeye_ros.files import tracker_estimate, tracker_model
 from handeye_ros.files.method import Answer, FileMethod, Index, Input, ReadBag
 from handeye_ros.files.sweeps import sweep_from
 from handeye_ros.files.tracker_model import Seen, State, Sweep, SWEPT
+from handeye_ros.formats.calibration_file import input_values
+from handeye_ros.formats.truth_file import FIELD, field_points
 from handeye_ros.frames import sensor_axes
-from handeye_ros.io.calibration_file import input_values
-from handeye_ros.io.truth_file import FIELD, field_points
 from handeye_ros.least_squares.outliers import adjust
 from handeye_ros.published import jing2020
 from handeye_ros.tables import Table, TableError

@@ -11,9 +11,9 @@ from typing import Any
 from handeye_ros import __version__, se3
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, SampleReport
+from handeye_ros.formats import exports
+from handeye_ros.formats.calibration_file import transform_values
 from handeye_ros.frames import mount_frame, name_direction
-from handeye_ros.io import exports
-from handeye_ros.io.calibration_file import transform_values
 from handeye_ros.kinematics.model import Arm, Chain, OFFSET, ON_DEMAND, REVOLUTE
 from handeye_ros.kinematics.outcome import Outcome, solve_points
 from handeye_ros.kinematics.points import Points, read_table

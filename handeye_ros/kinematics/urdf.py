@@ -15,7 +15,7 @@ from handeye_ros import se3
 from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
 from handeye_ros.errors import nearest
-from handeye_ros.io.calibration_file import transform_from
+from handeye_ros.formats.calibration_file import transform_from
 from handeye_ros.kinematics.errors import MissingPinocchioError, UrdfError
 from handeye_ros.kinematics.model import (
     Arm,

@@ -17,8 +17,8 @@ from handeye_ros import __version__
 from handeye_ros import config as configuration
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
-from handeye_ros.io import formats
-from handeye_ros.io.verification_file import COLUMNS, formatted, rows_of, title_of, Verified
+from handeye_ros.formats import export_formats
+from handeye_ros.formats.verification_file import COLUMNS, formatted, rows_of, title_of, Verified
 from handeye_ros.output import style, write_whole
 from handeye_ros.results import figures, table
 from handeye_ros.results.evidence import (
@@ -81,15 +81,16 @@ def _values(calibration: Calibration, evidence: Evidence, config: Config) -> dic
         'version': __version__, 'now': datetime.now(UTC).isoformat(timespec='seconds'),
         'transform': list(table.transform_rows(calibration)),
         'facts': list(table.facts(calibration)), 'weakest': table.weakest(calibration.quality),
-        'details': list(table.details(calibration.target)), 'matrix': formats.matrix(calibration),
+        'details': list(table.details(calibration.target)),
+        'matrix': export_formats.matrix(calibration),
         'scene': Markup(json.dumps(drawn).replace('<', '\\u003c')), 'drawn': drawn,
         'legend': legend(drawn['parts']), 'plots': plots, 'profiles': profiles,
         'refused': [report for report in calibration.samples if not report.used],
         'settings': configuration.flatten(config).items(),
         'inputs': [', '.join(f'{key} {value}' for key, value in item.items())
                    for item in calibration.provenance.get('inputs', ())],
-        'uses': [('URDF or xacro', formats.joint(calibration)),
-                 ('ROS 2, shell', formats.command(calibration))],
+        'uses': [('URDF or xacro', export_formats.joint(calibration)),
+                 ('ROS 2, shell', export_formats.command(calibration))],
     }
 
 
@@ -128,7 +129,7 @@ def protocol(content: Mapping[str, Any]) -> str:
     """
     Return the protocol of a verification, printable as PDF for an inspector.
 
-    content: what the YAML of a verification holds (see io/verification_file.py).
+    content: what the YAML of a verification holds (see formats/verification_file.py).
     """
     return templates().get_template('protocol.html').render(
         t=content, title=title_of(content), columns=COLUMNS, rows=list(rows_of(content)),

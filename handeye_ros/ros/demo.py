@@ -21,8 +21,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from handeye_ros import config as configuration
 from handeye_ros.data import Calibration
 from handeye_ros.errors import InputError, UnwritableError
-from handeye_ros.io import calibration_file, exports
-from handeye_ros.io.truth_file import errors_against, true_transform
+from handeye_ros.formats import calibration_file, exports
+from handeye_ros.formats.truth_file import errors_against, true_transform
 from handeye_ros.results import pages, table
 from handeye_ros.ros.bags.bag import evidence
 from handeye_ros.ros.bags.storage import scan

@@ -8,7 +8,7 @@ import sys
 
 from handeye_ros.data import Calibration
 from handeye_ros.errors import HandeyeError, NoRosError
-from handeye_ros.io.calibration_file import file_of, read_calibration
+from handeye_ros.formats.calibration_file import file_of, read_calibration
 from handeye_ros.ros.errors import SameFrameError, TopicsError, UnpublishedError
 from handeye_ros.ros.executable import exit_code, InvalidHandle, RCLError, ros
 from handeye_ros.ros.node.intake import TFMessage

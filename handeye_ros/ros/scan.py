@@ -22,7 +22,7 @@ from geometry_msgs.msg import PoseStamped
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.errors import DataError, NoRosError
-from handeye_ros.io.calibration_file import file_of, read_calibration
+from handeye_ros.formats.calibration_file import file_of, read_calibration
 from handeye_ros.kinematics.model import Arm
 from handeye_ros.kinematics.urdf import read_arm
 from handeye_ros.results.evidence import use_config

@@ -13,8 +13,8 @@ from command import assert_refused, handeye, PATIENCE, PLATE, ROOT, running
 from handeye_ros import __version__, pipeline
 from handeye_ros.cli import main
 from handeye_ros.config import Config, load
-from handeye_ros.io import calibration_file
-from handeye_ros.io.truth_file import mapped_point_error, true_transform
+from handeye_ros.formats import calibration_file
+from handeye_ros.formats.truth_file import mapped_point_error, true_transform
 from handeye_ros.ros.bags import bag
 import numpy as np
 import pytest

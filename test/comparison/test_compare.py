@@ -13,8 +13,8 @@ from handeye_ros.comparison.compare import compare, Comparison, Row
 from handeye_ros.comparison.estimators import ESTIMATORS
 from handeye_ros.errors import BadValueError
 from handeye_ros.files import FILE_METHODS
+from handeye_ros.formats.truth_file import errors_against
 from handeye_ros.frames import sensor_axes
-from handeye_ros.io.truth_file import errors_against
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import METHODS
 import numpy as np

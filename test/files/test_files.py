@@ -16,9 +16,9 @@ from handeye_ros.config import Config, load, with_values
 from handeye_ros.data import Array, Calibration
 from handeye_ros.files import FILE_METHODS
 from handeye_ros.files.method import calibrate
+from handeye_ros.formats import calibration_file
+from handeye_ros.formats.truth_file import errors_against, true_transform
 from handeye_ros.frames import sensor_axes
-from handeye_ros.io import calibration_file
-from handeye_ros.io.truth_file import errors_against, true_transform
 from handeye_ros.ros.bags import bag, bag_write
 from handeye_ros.simulate import FILE_SCENES, measured
 from handeye_ros.simulate.scenario import SensorModel

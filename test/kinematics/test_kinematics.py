@@ -8,7 +8,7 @@ import sys
 
 from command import handeye
 from handeye_ros import se3
-from handeye_ros.io.calibration_file import read_calibration
+from handeye_ros.formats.calibration_file import read_calibration
 from handeye_ros.kinematics.model import Arm, GEOMETRY, ON_DEMAND, one_configuration, parameters
 from handeye_ros.kinematics.outcome import solve_points
 from handeye_ros.kinematics.urdf import chain_of, corrected_urdf, read_arm

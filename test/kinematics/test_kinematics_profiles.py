@@ -9,8 +9,8 @@ from handeye_ros import se3
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.linearise import Problem
+from handeye_ros.formats.calibration_file import read_calibration
 from handeye_ros.frames import in_mount
-from handeye_ros.io.calibration_file import read_calibration
 from handeye_ros.kinematics import profiles
 from handeye_ros.kinematics.estimate import State
 from handeye_ros.kinematics.model import Arm, GEOMETRY, parameters

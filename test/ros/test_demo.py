@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from handeye_ros.io.calibration_file import read_calibration  # noqa: E402, I100
-from handeye_ros.io.truth_file import mapped_point_error, true_transform  # noqa: E402
+from handeye_ros.formats.calibration_file import read_calibration  # noqa: E402, I100
+from handeye_ros.formats.truth_file import mapped_point_error, true_transform  # noqa: E402
 from ros_helpers import ROOT, run_module  # noqa: E402
 
 pytestmark = pytest.mark.ros

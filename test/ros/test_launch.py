@@ -223,7 +223,7 @@ def test_scan_sets_keys_that_exist_and_hands_on_the_options(monkeypatch: pytest.
 def test_a_bag_is_scanned_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     pytest.importorskip('rclpy', reason='needs rclpy')
     from command import running
-    from handeye_ros.io.calibration_file import write_calibration
+    from handeye_ros.formats.calibration_file import write_calibration
     from moving_scan import calibration
     from ros_helpers import Client
     from sensor_msgs.msg import PointCloud2

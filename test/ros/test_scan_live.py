@@ -10,7 +10,7 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 
 from command import ROOT, running  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped  # noqa: E402
-from handeye_ros.io.calibration_file import write_calibration  # noqa: E402
+from handeye_ros.formats.calibration_file import write_calibration  # noqa: E402
 from moving_scan import calibration, moving, plane_profiles  # noqa: E402
 import numpy as np  # noqa: E402
 from ros_helpers import run_module  # noqa: E402

@@ -9,7 +9,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.diagnosis.review import review
 from handeye_ros.errors import HandeyeError
-from handeye_ros.io.truth_file import errors_against
+from handeye_ros.formats.truth_file import errors_against
 from handeye_ros.sampling.passes import finder_of
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate
 from handeye_ros.simulate.scenario import Sweep

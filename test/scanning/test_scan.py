@@ -8,7 +8,7 @@ from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Profile, TimedPose
-from handeye_ros.io.calibration_file import write_calibration
+from handeye_ros.formats.calibration_file import write_calibration
 from handeye_ros.results.evidence import config_of
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.scanning.cloud_files import cloud_writer, read_cloud

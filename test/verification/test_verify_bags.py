@@ -10,9 +10,9 @@ from handeye_ros import se3
 from handeye_ros.cli import command
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Calibration, Quality
-from handeye_ros.io import verification_file
-from handeye_ros.io.calibration_file import write_calibration
-from handeye_ros.io.errors import VerificationFileError
+from handeye_ros.formats import verification_file
+from handeye_ros.formats.calibration_file import write_calibration
+from handeye_ros.formats.errors import VerificationFileError
 from handeye_ros.ros.bags import bag_write
 from handeye_ros.simulate import simulate
 from handeye_ros.simulate.measuring import measuring_cell

@@ -17,7 +17,7 @@ from handeye_ros import files, pipeline
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, Profile, RawProfile, TimedPose
 from handeye_ros.errors import HandeyeError
-from handeye_ros.io.calibration_file import input_values
+from handeye_ros.formats.calibration_file import input_values
 from handeye_ros.kinematics.model import Arm, Chain
 from handeye_ros.kinematics.samples import JointRecording
 from handeye_ros.kinematics.urdf import read_arm

@@ -12,7 +12,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.errors import BagError, UnwritableError
-from handeye_ros.io import truth_file
+from handeye_ros.formats import truth_file
 from handeye_ros.ros.bags.contents import CLOUD, full_name, JOINTS, POSE, STRING
 from handeye_ros.ros.bags.messages import DATATYPES, to_cdr, typestore, UNITS
 import numpy as np

@@ -15,8 +15,8 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.diagnosis.review import count_of, FEWEST, flat_crossing, Review, review
 from handeye_ros.errors import DataError, HandeyeError, InputError
+from handeye_ros.formats import exports
 from handeye_ros.guidance.score import extremes
-from handeye_ros.io import exports
 from handeye_ros.output import folder_name
 from handeye_ros.ros.errors import NothingToSaveError, WorkerEndedError
 from handeye_ros.ros.node.samples import changes, LiveSamples, SAMPLE_KEYS

@@ -12,7 +12,7 @@ from pathlib import Path
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Reject, TimedPose
 from handeye_ros.diagnosis.review import sample_summary
-from handeye_ros.io import calibration_file, exports
+from handeye_ros.formats import calibration_file, exports
 from handeye_ros.output import write_whole
 from handeye_ros.ros.node.answer import Answer
 from handeye_ros.ros.node.samples import LiveSamples

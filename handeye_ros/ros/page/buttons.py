@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from handeye_ros import config as configuration
 from handeye_ros.errors import HandeyeError
-from handeye_ros.io import calibration_file, exports
+from handeye_ros.formats import calibration_file, exports
 from handeye_ros.output import folder_name
 from handeye_ros.ros.bags.contents import CLOUD, POSE
 from handeye_ros.ros.errors import NothingToSaveError

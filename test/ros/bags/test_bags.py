@@ -5,7 +5,7 @@ from pathlib import Path
 
 from handeye_ros.config import Config, flatten, load
 from handeye_ros.data import Array
-from handeye_ros.io.truth_file import true_transform
+from handeye_ros.formats.truth_file import true_transform
 from handeye_ros.ros.bags import bag
 from handeye_ros.simulate import FILE_SCENES, SCENARIOS, simulate
 import numpy as np

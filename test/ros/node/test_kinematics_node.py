@@ -10,7 +10,7 @@ pytest.importorskip('pinocchio', reason='needs pinocchio')
 
 from command import handeye, ROOT  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped  # noqa: E402
-from handeye_ros.io.calibration_file import read_calibration  # noqa: E402
+from handeye_ros.formats.calibration_file import read_calibration  # noqa: E402
 from handeye_ros.kinematics.urdf import read_arm  # noqa: E402
 import numpy as np  # noqa: E402
 from ros_helpers import BEST_EFFORT, Client, replay, running_node  # noqa: E402

@@ -7,8 +7,8 @@ from handeye_ros import se3
 from handeye_ros.config import Config, load, with_values
 from handeye_ros.data import Calibration, Profile, Quality, TimedPose
 from handeye_ros.errors import DataError, HandeyeError
-from handeye_ros.io.calibration_file import write_calibration
-from handeye_ros.io.truth_file import true_transform
+from handeye_ros.formats.calibration_file import write_calibration
+from handeye_ros.formats.truth_file import true_transform
 from handeye_ros.ros.bags.bag import read
 from handeye_ros.ros.node.live import LiveSession
 from handeye_ros.ros.node.status import state_of

@@ -8,7 +8,7 @@ import sys
 
 from handeye_ros.config import load
 from handeye_ros.errors import InputError
-from handeye_ros.io.calibration_file import read_calibration
+from handeye_ros.formats.calibration_file import read_calibration
 from handeye_ros.pipeline import calibrate
 from handeye_ros.ros.bags.bag import read
 import numpy as np

@@ -12,8 +12,8 @@ from typing import Any
 from browser import chromium, complaints
 from command import PATIENCE
 from handeye_ros.data import Calibration, Quality
-from handeye_ros.io.calibration_file import read_calibration, write_calibration
-from handeye_ros.io.truth_file import true_transform
+from handeye_ros.formats.calibration_file import read_calibration, write_calibration
+from handeye_ros.formats.truth_file import true_transform
 from handeye_ros.results import pages, table
 from handeye_ros.results.evidence import Evidence
 import numpy as np

@@ -15,7 +15,7 @@ from handeye_ros import pipeline
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.io.calibration_file import read_calibration
+from handeye_ros.formats.calibration_file import read_calibration
 from handeye_ros.ros.bags.bag import read
 from handeye_ros.ros.bags.bag_write import write
 from handeye_ros.ros.node.live import LiveSession

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros.config import yaml_content
-from handeye_ros.io.errors import VerificationFileError
+from handeye_ros.formats.errors import VerificationFileError
 import yaml
 
 FORMAT = 'handeye_ros/verification/1'

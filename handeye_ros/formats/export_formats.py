@@ -22,7 +22,7 @@ from xml.sax.saxutils import quoteattr
 from handeye_ros import __version__, orientations, se3
 from handeye_ros.config import BASE_FRAME, Config
 from handeye_ros.data import Array, Calibration
-from handeye_ros.io.calibration_file import transform_values
+from handeye_ros.formats.calibration_file import transform_values
 import numpy as np
 from scipy.spatial.transform import Rotation
 import yaml

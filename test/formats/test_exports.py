@@ -16,7 +16,7 @@ from command import assert_refused, handeye
 from handeye_ros import config, orientations, se3
 from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.errors import UnknownNameError, UnwritableError
-from handeye_ros.io import calibration_file, exports
+from handeye_ros.formats import calibration_file, exports
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 import numpy as np

@@ -9,8 +9,8 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
-from handeye_ros.io.calibration_file import transform_from
-from handeye_ros.io.errors import CalibrationFileError
+from handeye_ros.formats.calibration_file import transform_from
+from handeye_ros.formats.errors import CalibrationFileError
 import numpy as np
 import yaml
 

@@ -9,8 +9,8 @@ import shutil
 
 from handeye_ros.data import Calibration
 from handeye_ros.errors import UnknownNameError, UnwritableError
-from handeye_ros.io import calibration_file, formats
-from handeye_ros.io.formats import Format
+from handeye_ros.formats import calibration_file, export_formats
+from handeye_ros.formats.export_formats import Format
 from handeye_ros.output import write_whole
 
 YAML = 'yaml'
@@ -21,16 +21,16 @@ FORMATS = {
     YAML: Format('calibration.yaml: the complete answer; handeye reads it',
                  lambda _: calibration_file.NAME, calibration_file.text),
     'urdf': Format('a <joint> with <origin xyz rpy>, for a URDF or a xacro file',
-                   lambda _: 'sensor.urdf.xacro', formats.urdf),
+                   lambda _: 'sensor.urdf.xacro', export_formats.urdf),
     'launch': Format('a launch file that starts static_transform_publisher',
-                     lambda _: formats.LAUNCH_FILE, formats.launch),
+                     lambda _: export_formats.LAUNCH_FILE, export_formats.launch),
     'shell': Format('a shell script that starts static_transform_publisher',
-                    lambda _: 'static_transform.sh', formats.shell),
-    'easy_handeye2': Format('the .calib file of easy_handeye2', formats.easy_handeye2_file,
-                            formats.easy_handeye2),
-    'matrix': Format('the 4x4 matrix as text', lambda _: 'matrix.txt', formats.matrix),
-    'json': Format('JSON', lambda _: 'calibration.json', formats.as_json),
-    **formats.ROBOTS,
+                    lambda _: 'static_transform.sh', export_formats.shell),
+    'easy_handeye2': Format('the .calib file of easy_handeye2', export_formats.easy_handeye2_file,
+                            export_formats.easy_handeye2),
+    'matrix': Format('the 4x4 matrix as text', lambda _: 'matrix.txt', export_formats.matrix),
+    'json': Format('JSON', lambda _: 'calibration.json', export_formats.as_json),
+    **export_formats.ROBOTS,
 }
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from handeye_ros import __version__, se3
 from handeye_ros.config import yaml_content
 from handeye_ros.data import Array, Calibration, Quality, SampleReport, TimeOffset
-from handeye_ros.io.errors import CalibrationFileError
+from handeye_ros.formats.errors import CalibrationFileError
 from handeye_ros.output import write_whole
 import numpy as np
 from scipy.spatial.transform import Rotation

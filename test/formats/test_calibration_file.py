@@ -7,8 +7,8 @@ import math
 from handeye_ros import se3
 from handeye_ros.data import Calibration, Quality, SampleReport
 from handeye_ros.errors import UnwritableError
-from handeye_ros.io import calibration_file, truth_file
-from handeye_ros.io.errors import CalibrationFileError
+from handeye_ros.formats import calibration_file, truth_file
+from handeye_ros.formats.errors import CalibrationFileError
 from handeye_ros.results import table
 from hypothesis import given, settings
 from hypothesis import strategies as st

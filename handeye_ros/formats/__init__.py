@@ -8,7 +8,7 @@ OFFERED = (
     'calibration_file', 'calibration_file.file_of', 'calibration_file.input_values',
     'calibration_file.read_calibration', 'calibration_file.transform_from',
     'calibration_file.transform_values', 'calibration_file.write_calibration',
-    'errors.CalibrationFileError', 'exports', 'formats', 'truth_file', 'truth_file.Errors',
+    'errors.CalibrationFileError', 'export_formats', 'exports', 'truth_file', 'truth_file.Errors',
     'truth_file.FIELD', 'truth_file.errors_against', 'truth_file.field_points',
     'truth_file.true_transform', 'verification_file.COLUMNS', 'verification_file.FORMAT',
     'verification_file.Verified', 'verification_file.content_of', 'verification_file.formatted',
