@@ -242,7 +242,7 @@ def missed(cell: World, T: np.ndarray, place: np.ndarray, away: float) -> np.nda
 
 def advised(cell: World, solution: Solution | None) -> Callable[[], np.ndarray | None]:
     """Return what draws poses near the one that the advice asks for, at last from anywhere."""
-    told = advise(cell.samples, cell.config, solution, seen=cell.seen)
+    result = advise(cell.samples, cell.config, solution, seen=cell.seen)
     tries = iter(range(10**6))
 
     def near() -> np.ndarray | None:
@@ -250,9 +250,9 @@ def advised(cell: World, solution: Solution | None) -> Callable[[], np.ndarray |
         if count > PATIENCE:
             return anywhere(cell)
         away = min(1.0 + 0.2 * count, 2.5)  # who sees nothing jogs about
-        if told.next:
-            return missed(cell, told.next.T_base_flange, told.next.place, away)
-        return moved(cell, told.move, away)
+        if result.next:
+            return missed(cell, result.next.T_base_flange, result.next.place, away)
+        return moved(cell, result.move, away)
 
     return near
 
@@ -344,11 +344,11 @@ def tell_refused(targets_: list[str], seeds: range, stations: int) -> None:
             reasons = Counter(re.sub(r'-?[0-9.]+', '#', why) for one in made for why in one.why)
             at = sorted(one.enough for one in made if one.enough) or [0]
             stds, errors = 1e3 * np.array([(one.std, one.error) for one in made]).T
-            told = '; '.join(f'{n} x {text}' for text, n in reasons.most_common(3))
+            result = '; '.join(f'{n} x {text}' for text, n in reasons.most_common(3))
             print(f'{target:8} {operator:10} {sum(one.stops for one in made):6} '
                   f'{sum(reasons.values()):8} {sum(one.enough > 0 for one in made):4}'
                   f'/{len(made):<3} {at[len(at) // 2]:3} ({at[0]}-{at[-1]}) '
-                  f'{np.median(stds):8.3f} {np.median(errors):8.3f} {errors.max():8.3f}  {told}',
+                  f'{np.median(stds):8.3f} {np.median(errors):8.3f} {errors.max():8.3f}  {result}',
                   flush=True)
 
 
@@ -415,9 +415,9 @@ def tell(target: str, counts: np.ndarray, stations: int) -> None:
     low, middle, high = np.percentile(counts, (25, 50, 75), axis=0)
     never = (counts >= stations).sum(axis=0)
     for i, operator in enumerate(OPERATORS):
-        told = [f'{m:.0f} ({a:.0f}-{b:.0f})' + (f', {n} never' if n else '') for m, a, b, n in zip(
+        row = [f'{m:.0f} ({a:.0f}-{b:.0f})' + (f', {n} never' if n else '') for m, a, b, n in zip(
             middle[i], low[i], high[i], never[i], strict=True)]
-        print(f'{target:8} {operator:8}', *(f'{text:>22}' for text in told))
+        print(f'{target:8} {operator:8}', *(f'{text:>22}' for text in row))
     for name, ratio in (('ratio', middle[0] / middle[1]),
                         ('paired', np.median(counts[:, 0] / counts[:, 1], axis=0))):
         print(f'{target:8} {name:8}', *(f'{value:22.2f}' for value in ratio), flush=True)

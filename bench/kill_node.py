@@ -149,10 +149,10 @@ def killed(parent: Path, rng: random.Random) -> tuple[Tally, float]:
         process.wait()
         worker.join()
         operator.close()
-        told = operator.tally, operator.restored
+        report = operator.tally, operator.restored
         del operator, worker
         gc.collect()  # what is left of it here, not while the next one spins in another thread
-    return told
+    return report
 
 
 def run(count: int, seed: int, output_dir: Path) -> None:
@@ -162,9 +162,9 @@ def run(count: int, seed: int, output_dir: Path) -> None:
     for begun in range(0, count, KILLS_OF_A_SESSION):
         tally, parent = Tally(), output_dir / f'{begun:04d}'
         for _ in range(min(KILLS_OF_A_SESSION, count - begun)):
-            told, restored = killed(parent, rng)
+            report, restored = killed(parent, rng)
             for name in ('taken', 'removing', 'removed'):
-                getattr(tally, name).update(getattr(told, name))
+                getattr(tally, name).update(getattr(report, name))
             starts += [restored] * bool(restored)
             for folder in (parent / 'sphere').glob('*') if tally.taken else ():
                 check(folder, tally, config, 1)  # the service may be asked before all came

@@ -63,8 +63,8 @@ def outcome(scenario: Scenario, what: str, seed: int, of_samples: bool) -> str:
     except DataError as error:
         return _when(str(error), half) or f'refused otherwise ({type(error).__name__})'
     for warning in answer.provenance.get('warnings', ()):
-        if told := _when(warning, half):
-            return told.replace('refused', 'warned')
+        if result := _when(warning, half):
+            return result.replace('refused', 'warned')
     delta = se3.difference(answer.T_flange_sensor, X)
     wrong = delta @ np.linalg.solve(answer.covariance, delta) > LIMIT
     return 'not told, wrong' if wrong else 'not told'

@@ -73,11 +73,11 @@ def scan(bag: Path, out: Path, calibration: Calibration, options: ScanOptions) -
     return scanner.count.profiles
 
 
-def timed(run: Callable[[], int], told: Connection) -> None:
+def timed(run: Callable[[], int], result: Connection) -> None:
     """Tell what a run saw, its seconds by the clock and of the processor, and its memory (MB)."""
     start, work = time.perf_counter(), time.process_time()
     seen = run()
-    told.send((seen, time.perf_counter() - start, time.process_time() - work, megabytes()))
+    result.send((seen, time.perf_counter() - start, time.process_time() - work, megabytes()))
 
 
 def apart(run: Callable[[], int]) -> tuple[int, float, float, float]:

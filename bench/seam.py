@@ -62,14 +62,14 @@ def joints(seeds: int, kinds: list[str]) -> None:
     print(f'\n{"":36} kind   largest off the line [mm], approach [degrees], missing at ends [mm]')
     for name in (name for name in JOINTS if name.split()[0] in kinds):
         joint = JOINTS[name]
-        told = [of_joint(scanned(joint, np.random.default_rng(seed)), joint.length)
-                for seed in range(seeds)]
-        found = [numbers for _, numbers in told if np.isfinite(numbers).all()]
-        said = sorted({kind for kind, _ in told})
+        result = [of_joint(scanned(joint, np.random.default_rng(seed)), joint.length)
+                  for seed in range(seeds)]
+        found = [numbers for _, numbers in result if np.isfinite(numbers).all()]
+        said = sorted({kind for kind, _ in result})
         print(f'{name:36} {", ".join(said):6} ' + '  '.join(
             f'{max(errors):.3f}' for errors in zip(*found, strict=True))
-            + f'  {len(told) - len(found)} of {len(told)} refused' * (len(found) < len(told)),
-            flush=True)
+            + f'  {len(result) - len(found)} of {len(result)} refused'
+            * (len(found) < len(result)), flush=True)
 
 
 def of_joint(truth: Scanned, length: float) -> tuple[str, tuple[float, float, float]]:

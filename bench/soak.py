@@ -203,9 +203,9 @@ def free_port() -> int:
 def pulse(folder: str) -> Iterator[Callable[[], np.ndarray]]:
     """Run what tells when a processor stood still; give what returns these times (n, 2)."""
     with ExitStack() as stack:
-        told = [stack.enter_context(reporting(PULSING, str(cpu), Path(folder) / f'pulse{cpu}.log'))
-                for cpu in os.sched_getaffinity(0)]
-        yield lambda: merged(np.concatenate([times() for times in told]))
+        pulses = [stack.enter_context(reporting(PULSING, str(cpu), Path(folder) / f'pulse{cpu}'))
+                  for cpu in os.sched_getaffinity(0)]
+        yield lambda: merged(np.concatenate([times() for times in pulses]))
 
 
 @contextmanager
@@ -276,7 +276,7 @@ def soak(minutes: float, rate: float) -> None:
             [sys.executable, LIVE['HERE'], '--publish', str(rate), '--seconds', str(60 * minutes),
              '--stops', '--cycle', str(CYCLE)], stdout=subprocess.PIPE, text=True,
             env={'FASTRTPS_DEFAULT_PROFILES_FILE': str(shared), **os.environ})
-        told, started = 1, set[int]()
+        output, started = 1, set[int]()
         while driver.poll() is None and node.poll() is None:
             watcher.wait(0.02, False)
             user.rest(PAUSE)
@@ -293,8 +293,8 @@ def soak(minutes: float, rate: float) -> None:
                       f'{log.read_text()[-2000:]}', flush=True)
             started |= others.keys()
             memory.append((now, resident, sum(others.values())))
-            if now > 60 * told:
-                told += 1
+            if now > 60 * output:
+                output += 1
                 slowest = ', '.join(f'{name} {np.diff(spans).max():.2f} s'
                                     for name, spans in user.calls.items())
                 print(f'{now / 60:5.1f} min: load {os.getloadavg()[0]:.0f}, {watcher.count()} '

@@ -137,9 +137,9 @@ def row(name: str, outcomes: list[Outcome]) -> str:
     good = [o for o in outcomes if not o.refused]
     head = f'{name:38} {f"{len(good)}/{len(outcomes)}":>8}'
     why = Counter(o.refused for o in outcomes if o.refused).most_common(1)
-    told = f'\n    {why[0][1]} x {why[0][0][:200]}' if why else ''
+    result = f'\n    {why[0][1]} x {why[0][0][:200]}' if why else ''
     if not good:
-        return head + told
+        return head + result
     tre, off = (np.array([getattr(o, key) for o in good]) * 1e3 for key in ('tre', 'offset'))
     nees, seconds = np.array([o.nees for o in good]), [o.seconds for o in outcomes]
     inside = (nees < LIMITS).mean(axis=0) * 100
@@ -147,7 +147,7 @@ def row(name: str, outcomes: list[Outcome]) -> str:
             f'{abs(off).max():6.3f} {1e3 * np.median([o.sigma for o in good]):6.3f} '
             f'{nees[:, 0].mean():5.1f} {nees[:, 1].mean():5.2f} '
             f'{inside[0]:4.0f} {inside[1]:4.0f}  {np.median(seconds):4.1f} {max(seconds):5.1f}'
-            + told)
+            + result)
 
 
 def main() -> None:

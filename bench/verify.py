@@ -157,8 +157,8 @@ def main() -> None:
         failed = np.mean([wrong.verdict == 'fail' for _, wrong in trials])
         smallest_error = np.median([right.smallest_error for right, _ in trials])
         verdicts = Counter(right.verdict for right, _ in trials)
-        told = ', '.join(f'{count} {verdict}' for verdict, count in verdicts.most_common())
-        print(f'{name:9} {inside:6.1%} {failed:11.1%} {1e3 * smallest_error:13.3f}  {told}',
+        result = ', '.join(f'{count} {verdict}' for verdict, count in verdicts.most_common())
+        print(f'{name:9} {inside:6.1%} {failed:11.1%} {1e3 * smallest_error:13.3f}  {result}',
               flush=True)
 
 

@@ -149,8 +149,8 @@ class UnknownNameError(InputError):
     """
 
     def __init__(self, kind: str, name: str, known: Sequence[str], listing: str = '') -> None:
-        there = f'"{listing}" lists them' if listing else f'the known ones: {", ".join(known)}'
-        super().__init__(f'there is no {kind} "{name}"{nearest(name, known)}; {there}')
+        listed = f'"{listing}" lists them' if listing else f'the known ones: {", ".join(known)}'
+        super().__init__(f'there is no {kind} "{name}"{nearest(name, known)}; {listed}')
 
 
 class NoRosError(InputError):

@@ -79,6 +79,6 @@ def handeye(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
         monkeypatch.chdir(tmp_path)
         with pytest.raises(SystemExit) as caught:
             main()
-        told = capsys.readouterr()
-        return int(caught.value.code or 0), told.out, told.err
+        output = capsys.readouterr()
+        return int(caught.value.code or 0), output.out, output.err
     return run

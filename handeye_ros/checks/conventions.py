@@ -197,11 +197,11 @@ def _chained(R: Array, first: int, valid: NDArray[np.bool_] | None = None) -> Ar
     n = R.shape[1]
     chosen, undecided = np.full(n, first), np.ones(n, dtype=bool)
     able = np.ones(R.shape[:2], dtype=bool) if valid is None else valid | ~valid.any(axis=0)
-    likeness, pick, pose = np.full(R.shape[:2], -np.inf), first, 0
+    nearness, pick, pose = np.full(R.shape[:2], -np.inf), first, 0
     for _ in range(n):
         chosen[pose], undecided[pose] = pick, False
-        likeness = np.maximum(likeness, np.einsum('cnij,ij->cn', R, R[pick, pose]))
-        best = int(np.argmax(np.where(undecided & able, likeness, -np.inf)))
+        nearness = np.maximum(nearness, np.einsum('cnij,ij->cn', R, R[pick, pose]))
+        best = int(np.argmax(np.where(undecided & able, nearness, -np.inf)))
         pick, pose = divmod(best, n)
     return np.asarray(R[chosen, np.arange(n)])
 

@@ -44,7 +44,7 @@ LARGEST_ANGLE = 3.0  # of a turn whose axis is still certain (rad)
 SUBSETS = 20
 SUBSET_SIZE = 4
 BELIEVED_SHARE = 0.7
-DOUBTFUL = 16.0  # squared residual over the median that no good pose reaches
+SUSPECT = 16.0  # squared residual over the median that no good pose reaches
 LARGEST_DROPPED_SHARE = 0.34
 LARGEST_RMS = (1e-2, 0.05)  # of an answer that can be trusted (m, rad)
 LENGTH = 0.1  # m that weigh as much as a radian, until the residuals say better
@@ -148,7 +148,7 @@ def _start(T: Array, T_camera_target: Array) -> State:
     """Return the closed form of all poses, or of the best few if some are outliers."""
     everything = closed_form(T, T_camera_target)
     squares = _squares(T, T_camera_target, everything)
-    if len(T) <= SUBSET_SIZE or squares.max() < DOUBTFUL * np.median(squares):
+    if len(T) <= SUBSET_SIZE or squares.max() < SUSPECT * np.median(squares):
         return everything
     rng, states = np.random.default_rng(0), [everything]
     for _ in range(SUBSETS):

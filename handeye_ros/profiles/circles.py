@@ -195,9 +195,9 @@ def _rim(points: Array, on: NDArray[np.bool_], circle: Array) -> NDArray[np.bool
     return np.asarray(left | ((turn > last - RIM_WIDTH) & (last > STEEP)))
 
 
-def _quantiles(values: Array, shares: tuple[float, ...]) -> list[float]:
+def _quantiles(values: Array, levels: tuple[float, ...]) -> list[float]:
     """Return np.quantile of finite values, faster."""
     ordered = np.sort(values)
-    places = [share * (len(ordered) - 1) for share in shares]
+    positions = [share * (len(ordered) - 1) for share in levels]
     return [float(ordered[int(p)] + (ordered[min(int(p) + 1, len(ordered) - 1)]
-                                     - ordered[int(p)]) * (p - int(p))) for p in places]
+                                     - ordered[int(p)]) * (p - int(p))) for p in positions]

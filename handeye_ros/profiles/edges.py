@@ -49,12 +49,12 @@ def wall_edge(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
         return None
     u, v = u[low], v[low]
     mean, spread = float(v.mean()), float(v.std())
-    lean = float((v - mean) @ (u - u.mean())) / len(v) / spread ** 2
-    if abs(lean) > WALL_SLOPE:
+    slope = float((v - mean) @ (u - u.mean())) / len(v) / spread ** 2
+    if abs(slope) > WALL_SLOPE:
         return None
-    scatter = float((u - u.mean() - lean * (v - mean)).std()) + end.column / 12 ** 0.5
+    scatter = float((u - u.mean() - slope * (v - mean)).std()) + end.column / 12 ** 0.5
     std = scatter * np.sqrt((1 + (mean / spread) ** 2) / len(v))
-    place, least = float(u.mean() - lean * mean), _end_of_face(end, all_u, all_v)
+    place, least = float(u.mean() - slope * mean), _end_of_face(end, all_u, all_v)
     # a wall seen so steeply that it seems to stand below the face is badly measured
     return max(place, least), float(np.hypot(std, max(least - place, 0.0)))
 

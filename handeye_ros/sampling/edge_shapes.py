@@ -24,11 +24,11 @@ class EdgeShape:
     """
     Shape of the target's edges.
 
-    size: radius or legs (m), 0 of sharp ones; doubt: 1 sigma of it, relative.
+    size: radius or legs (m), 0 of sharp ones; relative_std: 1 sigma of it over it.
     """
 
     size: float = 0.0
-    doubt: float = 0.0
+    relative_std: float = 0.0
     is_round: bool = True
 
 
@@ -114,7 +114,7 @@ def _from_arc(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
     out = reach(radius, depth)
     std = np.sqrt(edge.std ** 2 + edge.arc_std ** 2 + (OBLIQUE_STD * radius) ** 2)
     return replace(edge, point=edge.point + (back + radius - out) * edge.direction, drop=below,
-                   std=float(std), shape_std=shape.doubt * radius * (1 - depth / out))
+                   std=float(std), shape_std=shape.relative_std * radius * (1 - depth / out))
 
 
 def _from_end(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
@@ -132,4 +132,4 @@ def _from_end(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
         out, by_depth = (1 - share) * size, 0.0
     std = np.sqrt(edge.std ** 2 + by_depth ** 2 + (OBLIQUE_STD * size) ** 2)
     return replace(edge, point=edge.point + (size - out) * edge.direction, std=float(std),
-                   shape_std=shape.doubt * size * share)
+                   shape_std=shape.relative_std * size * share)

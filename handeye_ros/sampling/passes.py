@@ -137,10 +137,10 @@ class Pairing:
 
 @lru_cache(maxsize=8)  # of a step the poses are asked for first, the twists later
 def _evaluated(pairing: Pairing, values: tuple[float, ...]) -> tuple[Array, Array]:
-    there = pairing.at(*values)
-    twists = np.stack([there.twists] * len(values), axis=2)
+    poses = pairing.at(*values)
+    twists = np.stack([poses.twists] * len(values), axis=2)
     twists[:, :3, 1:] = 0.0
-    return there.T_base_flange, twists
+    return poses.T_base_flange, twists
 
 
 def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
@@ -164,8 +164,8 @@ def errors_in_motion(stamps: NDArray[np.int64], first: Linear) -> Blocks:
     """Return the blocks of errors of a moving robot: smooth in time, and of the exposure."""
     size, model = first.problem.config.noise.robot_smooth, first.problem.pose_model
     assert model is not None
-    here = stamps if model.stations is None else stamps[model.stations]
-    functions = process_in_time((here - stamps[0]) * 1e-9)
+    own = stamps if model.stations is None else stamps[model.stations]
+    functions = process_in_time((own - stamps[0]) * 1e-9)
 
     def at(linear: Linear) -> Iterator[ParameterBlock]:
         for name, axes, std in (('tracking_position', slice(0, 3), size),

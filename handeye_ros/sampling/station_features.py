@@ -120,9 +120,9 @@ def combine(found: Sequence[tuple[Feature, ...]], together: int = 1) -> tuple[Fe
         if 2 * len(same) > len(found):
             combined.append(on_line(_combined_edge(same), lines[0]))
     if edges and not any(isinstance(f, EdgePoint) for f in combined):
-        places = np.array([edge.point for edge in edges])
+        points = np.array([edge.point for edge in edges])
         raise DisagreeingProfilesError('where the edge is',
-                                       float(np.linalg.norm(np.ptp(places, axis=0))))
+                                       float(np.linalg.norm(np.ptp(points, axis=0))))
     return tuple(combined)
 
 

@@ -53,8 +53,8 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
     problem = problem_of(samples, config)
     found = _searched(problem.subset(evenly_chosen(len(samples), 60)), np.random.default_rng(0))
     found = _refined(problem.with_pose_values(found.values), found.estimate)
-    there, paired, rejects = Pairing.of(samples).at(*found.values), [], []
-    for sample, T, inside in zip(samples, there.T_base_flange, there.inside, strict=True):
+    poses, paired, rejects = Pairing.of(samples).at(*found.values), [], []
+    for sample, T, inside in zip(samples, poses.T_base_flange, poses.inside, strict=True):
         if inside:
             paired.append(replace(sample, T_base_flange=T, offsets=tuple(found.values)))
         else:
@@ -68,9 +68,9 @@ def _searched(problem: Problem, rng: np.random.Generator) -> _At:
     for offset in sorted(np.arange(-10, 11, 2), key=abs):  # prior sigmas
         values = np.zeros(len(problem.pose_values))
         values[0] = offset * problem.config.time_offset_std
-        there = problem.with_pose_values(values)
-        for start in islice(there.guesses(rng), 3):
-            found = _refined(there, start)
+        shifted = problem.with_pose_values(values)
+        for start in islice(shifted.guesses(rng), 3):
+            found = _refined(shifted, start)
             best = found if best is None or found.loss < best.loss else best
         if best and believed(best.squares) < CONVINCING:
             break

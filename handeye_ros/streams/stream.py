@@ -197,14 +197,14 @@ def _smaller(a: int | None, b: int | None) -> int | None:
 def _longest_rising(stamps: Sequence[int]) -> list[bool]:
     """Return which values make up the longest subsequence that never falls (patience)."""
     ends: list[int] = []  # the smallest last value of a subsequence of each length
-    places: list[int] = []
+    indices: list[int] = []
     for stamp in stamps:
         place = bisect_right(ends, stamp)
         ends[place:place + 1] = [stamp]
-        places.append(place)
+        indices.append(place)
     chosen, wanted = [False] * len(stamps), len(ends) - 1
     for index in reversed(range(len(stamps))):
-        if places[index] == wanted:
+        if indices[index] == wanted:
             chosen[index], wanted = True, wanted - 1
     return chosen
 
@@ -212,11 +212,11 @@ def _longest_rising(stamps: Sequence[int]) -> list[bool]:
 def around(poses: Sequence[TimedPose], stamps: Sequence[int]) -> list[TimedPose]:
     """Return the poses next to stamps, and the first and last: the input of interpolate."""
     last = len(poses) - 1
-    places = {0, last}
+    indices = {0, last}
     for stamp in stamps:
-        places.add(max(bisect_right(poses, stamp, key=_stamp) - 1, 0))
-        places.add(min(bisect_left(poses, stamp, key=_stamp), last))
-    return [poses[place] for place in sorted(places)]
+        indices.add(max(bisect_right(poses, stamp, key=_stamp) - 1, 0))
+        indices.add(min(bisect_left(poses, stamp, key=_stamp), last))
+    return [poses[place] for place in sorted(indices)]
 
 
 def _stamp(pose: TimedPose) -> int:

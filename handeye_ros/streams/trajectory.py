@@ -141,15 +141,15 @@ class _Piece:
         """Return 1 sigma of positions and rotations, (n, 2)."""
         rows = BSpline.design_matrix(self._time(stamps), self.spline.t, DEGREE)
         last, count = self.bands.shape[1] - 1, 2 * REACH + DEGREE + 1
-        there = rows.indices.reshape(-1, DEGREE + 1)[:, :1] - REACH + np.arange(count)
-        inside = (there >= 0) & (there <= last)
-        local = np.zeros((len(there), count, count))
+        columns = rows.indices.reshape(-1, DEGREE + 1)[:, :1] - REACH + np.arange(count)
+        inside = (columns >= 0) & (columns <= last)
+        local = np.zeros((len(columns), count, count))
         for k, band in enumerate(self.bands):  # coefficients far away are taken as known
-            values = np.where(inside, band[np.clip(there, 0, last)], float(k == 0))
+            values = np.where(inside, band[np.clip(columns, 0, last)], float(k == 0))
             at = np.arange(count - k)
             local[:, at, at + k] = local[:, at + k, at] = np.where(
                 inside[:, k:], values[:, :count - k], float(k == 0))
-        basis = np.zeros((len(there), count))
+        basis = np.zeros((len(columns), count))
         basis[:, REACH:REACH + DEGREE + 1] = rows.data.reshape(-1, DEGREE + 1)
         leverage = (basis * np.linalg.solve(local, basis[..., None])[..., 0]).sum(axis=1)
         return np.asarray(np.sqrt(leverage)[:, None] * self.std)

@@ -177,8 +177,8 @@ def crossings(observations: Observations) -> Observations:
     """Return the conditions that the crossing of each station's two lines lies on an edge."""
     rows = ObservationRows()
     for station in np.unique(observations.station):
-        here = observations.select(observations.station == station)
-        (a, u), (b, v) = (_fitted(here.points[here.kind == side]) for side in range(2))
+        own = observations.select(observations.station == station)
+        (a, u), (b, v) = (_fitted(own.points[own.kind == side]) for side in range(2))
         along, _ = np.linalg.solve(np.column_stack([u, -v]), b - a)
         for kind in (edge_line.EDGE_Y, edge_line.EDGE_Z):
             rows.add(int(station), a + along * u, kind, 1e-5 * np.eye(2), 0)

@@ -22,13 +22,14 @@ def folder(tmp_path_factory):
     """Return a folder with six verifications and two checks; from the fifth on a height is off."""
     folder = tmp_path_factory.mktemp('trend')
     made, found = measured('step')
-    told = result('step', made, found)
+    report = result('step', made, found)
     rng = np.random.default_rng(1)
     for day in range(6):
         quantities = [replace(q, value=q.nominal + q.std * rng.normal()
                               + 6 * q.std * (day >= 4 and k == 1))
-                      for k, q in enumerate(told.quantities)]
-        one = replace(told, quantities=tuple(quantities), recorded=f'2026-03-0{day + 1}T08:00:00')
+                      for k, q in enumerate(report.quantities)]
+        one = replace(report, quantities=tuple(quantities),
+                      recorded=f'2026-03-0{day + 1}T08:00:00')
         (folder / f'{9 - day}.yaml').write_text(verification.yaml_text(one))
     for k, evidence in enumerate((1e-4, 3e4)):
         (folder / f'check_{k}.yaml').write_text(yaml.safe_dump({

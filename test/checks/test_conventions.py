@@ -194,9 +194,9 @@ def test_the_limit_of_residuals_is_the_users() -> None:
 
 
 def test_a_sphere_of_another_radius_than_stated_is_noticed() -> None:
-    for told in (0.0, 0.039, 0.045):
-        made = cell('sphere', target__radius=told)
+    for result in (0.0, 0.039, 0.045):
+        made = cell('sphere', target__radius=result)
         answer = pipeline.solve(made.samples, [], made.config, 'laser')
         assert answer.target['radius'] == pytest.approx(0.04, abs=5 * answer.target['radius_std'])
         assert answer.target['radius_std'] < 1e-5
-        assert ('note' in answer.target) == bool(told)
+        assert ('note' in answer.target) == bool(result)

@@ -17,11 +17,11 @@ def test_a_terminal_is_reported_what_is_done(tmp_path) -> None:
                                cwd=ROOT, stdout=subprocess.DEVNULL, stderr=theirs,
                                env={**os.environ, 'TERM': 'xterm'})
     os.close(theirs)
-    told = b''
+    result = b''
     while part := read(ours):
-        told += part
+        result += part
     assert process.wait() == 0
-    text = re.sub(r'\x1b\[[0-9;?]*[a-zA-Z]', '', told.decode())
+    text = re.sub(r'\x1b\[[0-9;?]*[a-zA-Z]', '', result.decode())
     assert re.search('reading the recording .* [0-9]+%', text) and 'solving' in text
 
 

@@ -116,9 +116,9 @@ def test_clocks_apart_are_reported_and_mended(target: str, late: float) -> None:
     with pytest.raises(ClocksDifferError, match='set time_offset to') as caught:
         solved_late(target, late)
     assert ('late' if late > 0 else 'early') in str(caught.value)
-    told = float(re.search('time_offset to ([-0-9.]+)', str(caught.value))[1])
-    assert told == pytest.approx(-late, abs=0.16)
-    assert solved_late(target, late + told)
+    result = float(re.search('time_offset to ([-0-9.]+)', str(caught.value))[1])
+    assert result == pytest.approx(-late, abs=0.16)
+    assert solved_late(target, late + result)
 
 
 def test_the_offset_comes_on_top_of_the_one_that_is_set() -> None:

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 
-def refused(told: tuple[int, str, str], code: int, *words: str) -> None:
+def refused(result: tuple[int, str, str], code: int, *words: str) -> None:
     """Check that a run ended with a sentence, and that nothing was answered or written."""
-    assert (told[0], told[1]) == (code, ''), told
-    assert 'Traceback' not in told[2] and len(told[2].splitlines()) == 1
+    assert (result[0], result[1]) == (code, ''), result
+    assert 'Traceback' not in result[2] and len(result[2].splitlines()) == 1
     for word in words:
-        assert word in told[2]
+        assert word in result[2]
     assert not Path('out').exists()
 
 
@@ -93,8 +93,9 @@ def test_files_without_an_answer_end_with_3(name: str, change: Callable[[str], s
 def test_the_wrong_calibration_type_is_named(name: str, handeye: Run, tmp_path: Path) -> None:
     simulated.write(name, 1, tmp_path / 'cell')
     other = 'eye_in_hand' if name == 'hand_eye_on_base' else 'eye_on_base'
-    told = handeye('solve', *given(name, tmp_path / 'cell'), '--set', f'calibration_type={other}')
-    refused(told, 3, 'with one of the two lists inverted the residual falls from',
+    result = handeye('solve', *given(name, tmp_path / 'cell'),
+                     '--set', f'calibration_type={other}')
+    refused(result, 3, 'with one of the two lists inverted the residual falls from',
             'set calibration_type to the other one')
 
 
@@ -113,8 +114,8 @@ def test_an_answer_beyond_the_limits_is_refused(handeye: Run, tmp_path: Path) ->
     arguments = ('solve', *given('points', tmp_path / 'cell'))
     for limit, words in (('translation=1e-6', 'the position along'),
                          ('rotation=1e-6', 'the rotation about')):
-        told = handeye(*arguments, '--set', f'limits.{limit}')
-        refused(told, 3, words, 'take more points, spread over a larger volume')
+        result = handeye(*arguments, '--set', f'limits.{limit}')
+        refused(result, 3, words, 'take more points, spread over a larger volume')
     refused(handeye(*arguments, '--set', 'limits.residual=1e-6'), 3, 'samples differ by 0.04')
 
 

@@ -99,11 +99,11 @@ def read_easy_handeye2(text: str) -> tuple[Array, str, str]:
              'move_group_namespace': str, 'move_group': str}
     found = yaml.full_load(text)
     assert found.keys() == {'parameters', 'transform'}
-    told = found['parameters']
-    assert all(type(value) is known[key] for key, value in told.items())
+    report = found['parameters']
+    assert all(type(value) is known[key] for key, value in report.items())
     parent = {'eye_in_hand': 'robot_effector_frame', 'eye_on_base': 'robot_base_frame'}
     T, _, _ = from_values({**found, 'parent_frame': '', 'child_frame': ''})
-    return T, told[parent[told['calibration_type']]], told['tracking_base_frame']
+    return T, report[parent[report['calibration_type']]], report['tracking_base_frame']
 
 
 def read_matrix(text: str) -> tuple[Array, None, None]:
@@ -168,10 +168,10 @@ def test_what_is_written_reads_back(name: str, place: tuple[float, ...], turn: l
 @pytest.mark.parametrize('name', READERS)
 def test_every_file_says_what_its_numbers_mean(name: str) -> None:
     text = exports.FORMATS[name].text(ANY)
-    told = ' '.join(re.sub('^(#|;|!|//)', '', text, flags=re.MULTILINE).lower().split())
+    report = ' '.join(re.sub('^(#|;|!|//)', '', text, flags=re.MULTILINE).lower().split())
     units = () if name in ROBOTS else ('metres and radians', 'x y z w', 'urdf')
     for words in ('p_tool0 = t @ p_laser', *units):
-        assert words in told
+        assert words in report
 
 
 def test_a_shell_takes_the_script(tmp_path: Path) -> None:

@@ -117,10 +117,10 @@ def test_the_limits_are_kept(made: tuple[Cell, Solution]) -> None:
 
 
 def test_limits_that_allow_nothing_are_reported(made: tuple[Cell, Solution]) -> None:
-    told = advice(made, guidance__reach=0.0, guidance__accuracy=1e-6)
-    assert told.next is None
-    assert 'widen them' in told.text
-    assert not told.enough
+    result = advice(made, guidance__reach=0.0, guidance__accuracy=1e-6)
+    assert result.next is None
+    assert 'widen them' in result.text
+    assert not result.enough
 
 
 def test_it_is_the_same_in_another_base(made: tuple[Cell, Solution]) -> None:
@@ -136,10 +136,10 @@ def test_it_is_the_same_in_another_base(made: tuple[Cell, Solution]) -> None:
 def test_eye_on_base_is_advised_too() -> None:
     scenario = replace(SCENARIOS['eye_on_base'], stations=(4, 4))
     found = cell(scenario, 1)
-    told = advise(found.samples, found.config, solved(found.problem))
-    assert told.next
+    result = advise(found.samples, found.config, solved(found.problem))
+    assert result.next
     first = found.samples[0].T_base_flange
-    assert np.linalg.norm(told.next.T_base_flange[:3, 3] - first[:3, 3]) <= (
+    assert np.linalg.norm(result.next.T_base_flange[:3, 3] - first[:3, 3]) <= (
         found.config.guidance.reach)
 
 
@@ -154,17 +154,17 @@ def test_enough_is_said_with_its_reason(made: tuple[Cell, Solution]) -> None:
 
 
 def test_a_limit_that_is_not_kept_is_not_enough(made: tuple[Cell, Solution]) -> None:
-    told = advice(made, guidance__accuracy=0.05, limits__rotation=1e-7)
-    assert not told.enough
-    assert 'rotation about' in told.why and 'is uncertain by' in told.why
+    result = advice(made, guidance__accuracy=0.05, limits__rotation=1e-7)
+    assert not result.enough
+    assert 'rotation about' in result.why and 'is uncertain by' in result.why
 
 
 def test_trouble_is_never_enough(made: tuple[Cell, Solution]) -> None:
     found, solution = made
-    told = advise(found.samples, with_values(found.config, {'guidance.accuracy': 0.05}, 'test'),
-                  solution, trouble='samples and poses contradict each other')
-    assert not told.enough
-    assert told.sentences[0] == 'samples and poses contradict each other'
+    result = advise(found.samples, with_values(found.config, {'guidance.accuracy': 0.05}, 'test'),
+                    solution, trouble='samples and poses contradict each other')
+    assert not result.enough
+    assert result.sentences[0] == 'samples and poses contradict each other'
 
 
 def tilted_once(found: Cell, axis: int) -> Cell:
@@ -184,9 +184,9 @@ def tilted_once(found: Cell, axis: int) -> Cell:
 def test_words_name_the_tilt_that_is_missing(axis: int, words: str) -> None:
     many = cell(replace(SCENARIOS['plane'], stations=(120, 0)), 3)
     found = tilted_once(many, axis)
-    told = advise(found.samples, with_values(found.config, {'guidance.accuracy': 1e-6}, 'test'),
-                  solved(problem(found.samples, found.config)))
-    (said,) = [s for s in told.sentences if s.startswith(words)]
+    result = advise(found.samples, with_values(found.config, {'guidance.accuracy': 1e-6}, 'test'),
+                    solved(problem(found.samples, found.config)))
+    (said,) = [s for s in result.sentences if s.startswith(words)]
     assert 'to either side so far, 15 wanted' in said
 
 
@@ -237,17 +237,17 @@ def test_only_a_sphere_is_cut_beside_its_top() -> None:
 
 
 def test_nothing_yet() -> None:
-    told = advise((), cell('plate', 0).config, None)
-    assert told.text.startswith('Take the first sample: hold the sensor square to the target')
-    assert not told.enough
+    result = advise((), cell('plate', 0).config, None)
+    assert result.text.startswith('Take the first sample: hold the sensor square to the target')
+    assert not result.enough
 
 
 def test_a_sensor_that_is_not_roughly_known_is_not_aimed(made: tuple[Cell, Solution]) -> None:
     found, solution = made
     vague = replace(solution, covariance=solution.covariance + np.diag(
         [ROUGHLY_KNOWN ** 2 * 2] * len(solution.covariance)))
-    told = advise(found.samples, found.config, vague)
-    assert told.next is None and told.move is not None
+    result = advise(found.samples, found.config, vague)
+    assert result.next is None and result.move is not None
 
 
 def test_the_view_holds_what_was_seen() -> None:
@@ -300,8 +300,8 @@ def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() 
     config = with_values(found.config, {'guidance.accuracy': 1e-5, 'noise.robot_scale': 3e-3},
                          'test')
     solution = pipeline.estimate(found.samples, (), config).solution
-    told = advise(found.samples, config, solution)
-    assert 'as configured (noise.robot_scale)' in told.why and told.enough
+    result = advise(found.samples, config, solution)
+    assert 'as configured (noise.robot_scale)' in result.why and result.enough
 
 
 @pytest.mark.parametrize(('count', 'gain', 'enough'), [

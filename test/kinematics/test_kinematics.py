@@ -122,7 +122,7 @@ def solved(tmp_path_factory):
 
 
 def test_the_answer_in_files_predicts_points_that_were_held_out(solved):
-    cell, held, folder, told = solved
+    cell, held, folder, result = solved
     arm, X = read_arm(folder / 'out'), read_calibration(folder / 'out/calibration.yaml')
     values = X.target['point_target']
     ball = np.array([values[axis] for axis in 'xyz'])
@@ -132,7 +132,7 @@ def test_the_answer_in_files_predicts_points_that_were_held_out(solved):
         seen = se3.inverse(T @ X.T_flange_sensor) @ np.append(ball, 1)
         assert bench.rms(seen[:, :3] - held.points) < 0.06
     assert (X.parent_frame, X.method) == ('tool0', 'kinematics')
-    assert 'offset, direction, position' in told
+    assert 'offset, direction, position' in result
 
 
 def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():

@@ -215,14 +215,14 @@ def test_any_array_gives_a_finite_arc_or_a_reason(points: Array) -> None:
 def test_a_small_ball_before_a_table_is_found(config: Config, noise: float) -> None:
     # 7 mm of 80: a table is a circle of a large radius within the noise, and has more points
     values = {'target.radius': config.target.radius / 8, 'noise.sensor': noise * NOISE}
-    told = with_values(config, values, 'test')
+    result = with_values(config, values, 'test')
     for seed, x in enumerate(np.linspace(-0.03, 0.03, 8)):
         centre = np.array([x, 0.2])
 
         def scene(at: Array, centre: Array = centre) -> Array:
             z = ball(at, 0.0045, centre=centre)
             return np.where(np.isnan(z), 0.21 + 0.05 * at, z)
-        arc, = arc_features(wide(scene, seed), told)
+        arc, = arc_features(wide(scene, seed), result)
         assert np.linalg.norm(arc.centre - centre) < 1e-4
 
 

@@ -133,12 +133,12 @@ def test_the_preferred_face_is_that_of_all(seed: int, count: int) -> None:
                       np.arange(b - n, b)) for b, n in zip(ends, lengths, strict=True)]
     kinds = [list(rng.choice(['step', 'gap'], rng.integers(0, 3))) for _ in pieces]
     behind = rng.random(count) < 0.3
-    told = {id(p): ([Kind(k) for k in ks], bool(b))
-            for p, ks, b in zip(pieces, kinds, behind, strict=True)}
-    asked = [p for p in pieces if told[id(p)][0]]
-    best = max(asked, key=lambda p: faces._preference(p, *told[id(p)]), default=None)
+    result = {id(p): ([Kind(k) for k in ks], bool(b))
+              for p, ks, b in zip(pieces, kinds, behind, strict=True)}
+    asked = [p for p in pieces if result[id(p)][0]]
+    best = max(asked, key=lambda p: faces._preference(p, *result[id(p)]), default=None)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(faces, '_edges', lambda p, *_: told[id(p)])
+        patch.setattr(faces, '_edges', lambda p, *_: result[id(p)])
         seen = Returns(np.zeros((int(ends[-1]), 2)), np.arange(int(ends[-1])), -1)
         assert faces._preferred(pieces, seen)[0] is best
 

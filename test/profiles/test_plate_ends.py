@@ -67,7 +67,7 @@ def test_a_bent_end_is_set_back_to_its_edge(shape: str, size: float) -> None:
     samples = [Sample(k, np.eye(4), (LINE, ended(shape, size, size * end, k)))
                for k, end in enumerate([*ends] * 5)]
     found = common_shape(samples)
-    assert found.size == pytest.approx(size, rel=3 * found.doubt)
+    assert found.size == pytest.approx(size, rel=3 * found.relative_std)
     assert found.is_round == (shape == 'rounded') or size < 1e-3, 'few points show no shape'
     edges = [s.features[1] for s in with_common_shape(samples)]
     places = np.array([edge.point[0] for edge in edges])

@@ -80,8 +80,8 @@ def test_it_opens_without_a_network(solved: Path) -> None:
 
 def test_it_shows_the_same_numbers_as_the_file(page: Any, calibration: Calibration) -> None:
     T, std = calibration.T_flange_sensor, np.sqrt(np.diag(calibration.covariance))
-    told = page.find_elements('css selector', '#transform td.number')
-    values = np.array([cell.text for cell in told], dtype=float).reshape(6, 2)
+    result = page.find_elements('css selector', '#transform td.number')
+    values = np.array([cell.text for cell in result], dtype=float).reshape(6, 2)
     np.testing.assert_allclose(values[:3, 0], T[:3, 3] * 1e3, atol=5e-4)
     np.testing.assert_allclose(values[:3, 1], std[:3] * 1e3, atol=5e-4)
     np.testing.assert_allclose(values[3:, 0], np.degrees(se3.rpy(T)), atol=5e-5)
@@ -171,8 +171,8 @@ def test_the_numbers_can_be_copied(page: Any) -> None:
     for button in page.find_elements('css selector', '.copy button'):
         button.click()
     page.execute_async_script('setTimeout(arguments[0])')  # what the clicks promised is done
-    told = {button.text for button in page.find_elements('css selector', '.copy button')}
-    assert told <= {'copied', 'press Ctrl-C'}
+    result = {button.text for button in page.find_elements('css selector', '.copy button')}
+    assert result <= {'copied', 'press Ctrl-C'}
     uses = [pre.text for pre in page.find_elements('css selector', '.copy pre')]
     assert '<origin xyz="' in uses[0] and uses[1].startswith('ros2 run tf2_ros static_')
 
@@ -244,9 +244,9 @@ def test_a_recording_that_has_changed_is_not_shown(calibration: Calibration, tmp
 
 
 def test_a_calibration_from_files_has_a_report_too(calibration: Calibration) -> None:
-    told = {**config.flatten(config.Config()), 'target.type': 'points',
-            'calibration_type': 'eye_on_base'}
-    files = replace(calibration, provenance={**calibration.provenance, 'config': told})
+    result = {**config.flatten(config.Config()), 'target.type': 'points',
+              'calibration_type': 'eye_on_base'}
+    files = replace(calibration, provenance={**calibration.provenance, 'config': result})
     found = evidence(files, None)
     assert 'solved from files' in found.missing
     assert 'id="scene"' in pages.html(files, found)

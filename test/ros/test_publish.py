@@ -50,10 +50,10 @@ def test_all_are_heard_by_who_comes_late(tmp_path: Path, client: Client) -> None
         (message,) = heard(client)
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 0
-    told = {(t.header.frame_id, t.child_frame_id): t.transform for t in message.transforms}
-    assert told.keys() == {('flange', 'laser'), ('base', 'camera')}
+    result = {(t.header.frame_id, t.child_frame_id): t.transform for t in message.transforms}
+    assert result.keys() == {('flange', 'laser'), ('base', 'camera')}
     for calibration in (LASER, CAMERA):
-        t = told[calibration.parent_frame, calibration.child_frame]
+        t = result[calibration.parent_frame, calibration.child_frame]
         T = se3.from_quaternion(
             np.array([getattr(t.translation, k) for k in 'xyz']),
             np.array([getattr(t.rotation, k) for k in 'xyzw']))

@@ -59,9 +59,9 @@ def test_a_clock_that_is_set_back_goes_on_by_itself(config: Config) -> None:
         session.finish()
     assert [round(s.T_base_flange[0, 3], 3) for s in session.samples] == (
         [0.5] if config is MANUAL else [0.0, 0.1, 0.5])
-    told = [w for w in session.warnings if 'clock' in w]
-    assert told[0].startswith('the clock of the poses was set back by 63.0 s (1 times)')
-    assert told[1].startswith('the clock of the profiles was set back by 6')
+    result = [w for w in session.warnings if 'clock' in w]
+    assert result[0].startswith('the clock of the poses was set back by 63.0 s (1 times)')
+    assert result[1].startswith('the clock of the profiles was set back by 6')
 
 
 def test_the_stop_of_now_is_given_while_the_robot_stands_and_again_when_it_is_over() -> None:

@@ -45,13 +45,13 @@ def test_one_whole_stream_may_come_before_the_other(first: str) -> None:
 
 
 def test_a_station_is_reported_once_and_as_soon_as_both_streams_have_passed_it() -> None:
-    session, told = Session(CONFIG), []
+    session, result = Session(CONFIG), []
     for item in sorted([*STREAM_POSES, *STREAM_PROFILES], key=lambda item: item.stamp):
         add(session, item)
-        told += [(o, item.stamp) for o in session.collect()]
-    told += [(o, 0) for o in session.finish()]
-    assert key([o for o, _ in told]) == IN_ORDER
-    assert START + NS < told[0][1] < START + round(1.3 * NS)
+        result += [(o, item.stamp) for o in session.collect()]
+    result += [(o, 0) for o in session.finish()]
+    assert key([o for o, _ in result]) == IN_ORDER
+    assert START + NS < result[0][1] < START + round(1.3 * NS)
     assert session.collect() == [] == session.finish()
 
 

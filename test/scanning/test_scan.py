@@ -138,8 +138,8 @@ def test_the_std_of_a_point_is_that_of_many_trials():
         p = X[:3, :3] @ (s + [0, 0, rng.normal() * 3e-5]) + X[:3, 3]
         trials.append(turn @ T[:3, :3] @ p + T[:3, 3] + rng.normal(size=3) * 4e-5)
     scatter = np.sqrt(np.var(trials, axis=0).sum())
-    told = point_std(variance_polynomial(cal, noise), point[None])[0]
-    assert told == pytest.approx(scatter, rel=0.04)
+    result = point_std(variance_polynomial(cal, noise), point[None])[0]
+    assert result == pytest.approx(scatter, rel=0.04)
 
 
 def test_memory_does_not_grow_with_the_length(tmp_path):

@@ -84,8 +84,8 @@ def test_frames_where_the_line_is_uncertain_are_left_out():
     seam = find_seam(truth.points)
     frames = tool_frames(seam, 5e-3, -truth.normals.mean(axis=0))
     assert 0 < frames.lengths[0] < 0.02
-    told = ' '.join(seam_files.sentences(seam, frames, None))
-    assert f'no frames on the first {1e3 * frames.lengths[0]:.1f} mm' in told
+    result = ' '.join(seam_files.sentences(seam, frames, None))
+    assert f'no frames on the first {1e3 * frames.lengths[0]:.1f} mm' in result
     with pytest.raises(UncertainSeamError, match='scan more densely'):
         tool_frames(replace(seam, std=3 * seam.std), 5e-3)
 
@@ -318,12 +318,12 @@ def test_the_verb_writes_what_others_read(tmp_path):
                   '--box', '-inf', 'inf', '-3m', '300cm', '-3', '3',
                   '--start', '0mm', '0', '0', cwd=tmp_path)
     assert run.returncode == 0, run.stderr
-    told = yaml.safe_load((tmp_path / 'seam/seam.yaml').read_text())
-    assert told['kind'] == 'lap'
-    assert told['taught']['largest'] < 8e-4
+    result = yaml.safe_load((tmp_path / 'seam/seam.yaml').read_text())
+    assert result['kind'] == 'lap'
+    assert result['taught']['largest'] < 8e-4
     assert 'taught points: mean distance' in run.stdout
     rows = np.genfromtxt(tmp_path / 'seam/seam.csv', delimiter=',', names=True)
-    assert len(rows) == len(told['frames'])
+    assert len(rows) == len(result['frames'])
     assert (tmp_path / 'seam/seam.png').stat().st_size > 1000
     assert (tmp_path / 'seam/seam.src').read_text().count('LIN {') == len(rows)
     types = get_typestore(Stores.ROS2_JAZZY)

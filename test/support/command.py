@@ -47,8 +47,8 @@ def handeye(*arguments, cwd, before=''):
     with (chdir(cwd), redirect_stdout(streams[0]), redirect_stderr(streams[1]),
           mock.patch.object(sys, 'argv', command), pytest.raises(SystemExit) as end):
         main()
-    told = [stream.buffer.getvalue().decode() for stream in streams]
-    return subprocess.CompletedProcess(command, end.value.code or 0, *told)
+    output = [stream.buffer.getvalue().decode() for stream in streams]
+    return subprocess.CompletedProcess(command, end.value.code or 0, *output)
 
 
 def assert_refused(run, code, *words):

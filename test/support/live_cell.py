@@ -56,8 +56,9 @@ class LiveCell:
         count, due = 0, time.monotonic()
         while not self._ended.is_set():
             T, stamp, count = self.T, time.time_ns(), count + 1
-            told = T @ se3.transform(se3.exp_rotation(self._error[3:]), self._error[:3])
-            self._client.poses.publish(pose_message(stamp, told[:3, 3], se3.quaternion(told)))
+            reported = T @ se3.transform(se3.exp_rotation(self._error[3:]), self._error[:3])
+            self._client.poses.publish(
+                pose_message(stamp, reported[:3, 3], se3.quaternion(reported)))
             if count % EVERY == 0:
                 self._client.profiles.publish(self._profile(T, stamp))
             due += 1 / POSES

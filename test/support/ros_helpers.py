@@ -127,11 +127,11 @@ class Client:
         return int(state[key]) - int(self._before.get(key, 0))
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
-        told = {'level': max(status.level for status in msg.status),
-                'message': '; '.join(status.message for status in msg.status)}
+        report = {'level': max(status.level for status in msg.status),
+                  'message': '; '.join(status.message for status in msg.status)}
         for status in msg.status:
-            told |= {pair.key: pair.value for pair in status.values}
-        self._told.append(told)
+            report |= {pair.key: pair.value for pair in status.values}
+        self._told.append(report)
 
 
 def cloud_message(made: Any, stamp: int = 0, frame_id: str = 'laser') -> PointCloud2:

@@ -26,15 +26,15 @@ def planned(name, stops, turns, config=CONFIG, seed=0, **stated):
 
 @pytest.mark.parametrize(('name', 'lengths'), [('plane', ()), ('step', (0.025, 0.05, 0.1))])
 def test_a_prediction_is_what_the_stops_show(name, lengths):
-    found, told = planned(name, 20, 40, lengths=lengths)
+    found, report = planned(name, 20, 40, lengths=lengths)
     shown = []
     for seed in range(10, 16):
         made = bench.SCENES[name](np.random.default_rng(seed), count=20, tilt=np.deg2rad(40))
         exact = replace(found, T_flange_sensor=made.T_flange_sensor)
         shown.append(result(name, made, exact).smallest_error)
-    assert 0.6 * np.median(shown) < told.expected.smallest_error < 1.2 * np.median(shown)
+    assert 0.6 * np.median(shown) < report.expected.smallest_error < 1.2 * np.median(shown)
     assert planned(name, 40, 40, lengths=lengths)[1].expected.smallest_error < (
-        0.85 * told.expected.smallest_error)
+        0.85 * report.expected.smallest_error)
 
 
 def test_too_few_stops_are_called_so_before_anything_is_measured():
@@ -48,8 +48,8 @@ def test_too_few_stops_are_called_so_before_anything_is_measured():
     {'calibration_type': 'eye_on_base'}])
 def test_the_stops_look_at_the_artefact(values):
     config = with_values(CONFIG, values, 'test')
-    found, told = planned('sphere', 12, 30, config, radius=0.02)
-    T = told.T_base_flange[0]
+    found, report = planned('sphere', 12, 30, config, radius=0.02)
+    T = report.T_base_flange[0]
     T = se3.inverse(T) if config.calibration_type == 'eye_on_base' else T
     centre = se3.apply(se3.inverse(T @ found.T_flange_sensor), np.array([PLACE]))[:, 0]
     axes = ['xyz'.index(axis[-1]) for axis in config.profile.axes]
@@ -58,7 +58,7 @@ def test_the_stops_look_at_the_artefact(values):
     assert depth.min() > limits[0] and depth.max() < limits[1]
     across = np.delete(centre, axes, axis=1)
     assert np.abs(across).max() < 0.015
-    assert len(csv_text(told).splitlines()) == 13
+    assert len(csv_text(report).splitlines()) == 13
 
 
 def test_what_is_not_planned_is_refused():

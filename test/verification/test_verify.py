@@ -100,24 +100,24 @@ def test_a_region_of_interest_limits_what_takes_part():
 def test_errors_of_the_artefact_are_measured():
     made, found = measured('step')
     longer = replace(made, lengths=(0.025, 0.05, 0.1004))
-    told = result('step', longer, found)
-    assert told.verdict == 'fail'
-    assert told.quantities[2].error == pytest.approx(-4e-4, abs=1e-4)
-    assert 'height of face 3' in told.reasons[0]
+    report = result('step', longer, found)
+    assert report.verdict == 'fail'
+    assert report.quantities[2].error == pytest.approx(-4e-4, abs=1e-4)
+    assert 'height of face 3' in report.reasons[0]
     made, found = measured('ball_bar')
-    told = result('ball_bar', replace(made, lengths=(0.1995,)), found)
-    assert told.quantities[2].error == pytest.approx(5e-4, abs=1e-4)
+    report = result('ball_bar', replace(made, lengths=(0.1995,)), found)
+    assert report.quantities[2].error == pytest.approx(5e-4, abs=1e-4)
 
 
 def test_the_three_directions_of_a_step_block_give_one_result():
     rng = np.random.default_rng(3)
     made = gauges.step_directions(rng)
     found = bench.calibration(made.T_flange_sensor, bench.covariance(rng))
-    told = result('step', made, found)
-    assert told.verdict == 'pass'
-    assert [q.name for q in told.quantities] == [
+    report = result('step', made, found)
+    assert report.verdict == 'pass'
+    assert [q.name for q in report.quantities] == [
         f'height of face 1 over face 0 of block {k}' for k in (1, 2, 3)]
-    assert max(abs(q.error) for q in told.quantities) < 5e-5
+    assert max(abs(q.error) for q in report.quantities) < 5e-5
     assert result('step', replace(made, lengths=(0.025, 0.05, 0.1005)), found).verdict == 'fail'
     with pytest.raises(WrongCountError, match='needs 3 or 4 or 5 lengths'):
         settings_for(ROUTINES['step'], of_lengths(0.025), 6)
@@ -127,41 +127,41 @@ def test_the_protocol_says_what_an_inspector_asks_for():
     made, found = measured('ball_bar')
     config = with_values(Config(noise=bench.NOISE), {
         'record.operator': 'A. <Nother>', 'record.artefact_serial': 'KB-17'}, 'test')
-    told = verification.values(result('ball_bar', made, found, config, certificate=2e-6))
-    page = pages.protocol(yaml.safe_load(yaml.safe_dump(told)))
+    report = verification.values(result('ball_bar', made, found, config, certificate=2e-6))
+    page = pages.protocol(yaml.safe_load(yaml.safe_dump(report)))
     rows = re.sub(r'<[^>]+>', ' ', page)
     for words in ('A. &lt;Nother&gt;', 'Artefact serial', 'KB-17', 'ISO 14253-1', '@media print'):
         assert words in page
     assert re.search(r'U of the certificate \(k = 2\)\s+0.0020 mm', rows)
-    for k, q in enumerate(q for q in told['quantities'] if q['characteristic'] == 'PS'):
+    for k, q in enumerate(q for q in report['quantities'] if q['characteristic'] == 'PS'):
         assert re.search(rf'PS .*\s+radius of ball {k + 1}\s+{2e3 * (q["value"] - 0.02):.4f} mm',
                          rows)
     assert all(re.search(rf'\b{symbol}\b', rows) for symbol in ('PF', 'PS', 'SD'))
-    assert page.count('<rect') == told['stations'] and 'http' not in page
+    assert page.count('<rect') == report['stations'] and 'http' not in page
 
 
 def test_the_bias_of_a_touched_point_is_measured():
     made, found = measured('point')
     moved = replace(made, reference=tuple(np.add(made.reference, [0, 0, 5e-4])))
-    told = result('point', moved, found)
-    assert told.verdict == 'fail'
-    assert told.quantities[2].error == pytest.approx(-5e-4, abs=1e-4)
+    report = result('point', moved, found)
+    assert report.verdict == 'fail'
+    assert report.quantities[2].error == pytest.approx(-5e-4, abs=1e-4)
     unknown = result('point', replace(made, reference=()), found)
     assert unknown.verdict == 'pass' and unknown.quantities[0].error is None
 
 
 def test_the_spread_of_single_stations_is_reported():
     made, found = measured('point')
-    told = [q for q in result('point', made, found).quantities if '3 sigma' in q.name]
-    assert [q.name[-1] for q in told] == ['x', 'y', 'z']
+    report = [q for q in result('point', made, found).quantities if '3 sigma' in q.name]
+    assert [q.name[-1] for q in report] == ['x', 'y', 'z']
     expected = 3 * np.hypot(gauges.AIM, bench.ROBOT.repeatability[0])
-    assert np.mean([q.value for q in told]) == pytest.approx(expected, rel=0.4)
+    assert np.mean([q.value for q in report]) == pytest.approx(expected, rel=0.4)
     made, found = measured('ball_bar')
-    told = [q for q in result('ball_bar', made, found).quantities if 'scatter' in q.name]
-    assert len(told) == 2 and all(5e-6 < q.value < 6e-5 for q in told), told
+    report = [q for q in result('ball_bar', made, found).quantities if 'scatter' in q.name]
+    assert len(report) == 2 and all(5e-6 < q.value < 6e-5 for q in report), report
     made, found = measured('square')
-    told = [q for q in result('square', made, found).quantities if 'flatness' in q.name]
-    assert len(told) == 2 and all(2e-5 < q.value < 3e-4 for q in told), told
+    report = [q for q in result('square', made, found).quantities if 'flatness' in q.name]
+    assert len(report) == 2 and all(2e-5 < q.value < 3e-4 for q in report), report
 
 
 def test_a_motion_that_could_not_have_shown_an_error_is_no_pass():
@@ -172,12 +172,12 @@ def test_a_motion_that_could_not_have_shown_an_error_is_no_pass():
     T[:, :3, 3] += first.T_base_flange[:3, :3] @ found.T_flange_sensor[:3, 1] * np.linspace(
         0, 0.02, 8)[:, None]
     alike = tuple(Sample(k, T[k], first.features) for k in range(8))
-    told = result('plane', replace(made, bags=(alike,)), found, tolerance=1e-2)
-    assert told.verdict in ('insensitive', 'fail')
+    report = result('plane', replace(made, bags=(alike,)), found, tolerance=1e-2)
+    assert report.verdict in ('insensitive', 'fail')
     made, found = measured('plane', count=5)
-    told = result('plane', made, found)
-    assert told.verdict == 'insensitive'
-    assert 'would show only from' in told.reasons[0]
+    report = result('plane', made, found)
+    assert report.verdict == 'insensitive'
+    assert 'would show only from' in report.reasons[0]
 
 
 def test_what_must_show_is_an_error_as_large_as_the_tolerance():
@@ -248,17 +248,17 @@ def test_the_wrong_artefact_and_the_same_recording_twice_are_named():
 
 def test_a_ball_of_another_size_is_measured_and_the_calibration_is_not_blamed():
     made, found = measured('ball_bar')
-    told = result('ball_bar', made, found, radius=bench.RADIUS + 4e-4)
-    assert told.verdict == 'fail'
-    assert told.quantities[0].value == pytest.approx(bench.RADIUS, abs=5e-5)
-    assert 'check the nominal values' in ' '.join(told.reasons)
-    assert 'pattern' not in ' '.join(told.reasons)
+    report = result('ball_bar', made, found, radius=bench.RADIUS + 4e-4)
+    assert report.verdict == 'fail'
+    assert report.quantities[0].value == pytest.approx(bench.RADIUS, abs=5e-5)
+    assert 'check the nominal values' in ' '.join(report.reasons)
+    assert 'pattern' not in ' '.join(report.reasons)
 
 
 def test_a_tolerance_below_the_uncertainty_is_undecided_and_never_a_pass():
     made, found = measured('ball_bar')
-    told = result('ball_bar', made, found, tolerance=1e-5)
-    assert told.verdict in ('undecided', 'insensitive', 'fail')
+    report = result('ball_bar', made, found, tolerance=1e-5)
+    assert report.verdict in ('undecided', 'insensitive', 'fail')
 
 
 @pytest.mark.thorough
@@ -296,18 +296,18 @@ def test_the_edge_of_one_line_is_distinguished_from_others():
         other = replace(edge, point=edge.point + np.random.default_rng(sample.stamp).uniform(
             0.004, 0.01, 2))
         mixed.append(replace(sample, features=(other, sample.features[0], edge)))
-    told = result('line', replace(made, bags=(tuple(mixed),)), found)
-    assert told.scatter == result('line', made, found).scatter
+    report = result('line', replace(made, bags=(tuple(mixed),)), found)
+    assert report.scatter == result('line', made, found).scatter
 
 
 def test_results_are_plain_values():
     made, found = measured('step')
-    told = result('step', made, found)
-    read = yaml.safe_load(verification.yaml_text(told))
+    report = result('step', made, found)
+    read = yaml.safe_load(verification.yaml_text(report))
     assert read['format'] == verification.FORMAT
     assert read['verdict'] == 'pass'
     assert [q['nominal'] for q in read['quantities']] == list(made.lengths)
-    assert read == verification.values(told)
+    assert read == verification.values(report)
 
 
 @pytest.mark.parametrize('lengths', [(0.004, 0.02), (0.0155, 0.005), (0.015, 0.0055)])
@@ -315,10 +315,10 @@ def test_teeth_of_another_gauge_never_pass(lengths):
     made, found = measured('tooth')
     config = of_lengths(*lengths)
     try:
-        told = verify(ROUTINES['tooth'], bench.scanned(made, config), found, config)
+        report = verify(ROUTINES['tooth'], bench.scanned(made, config), found, config)
     except NoTeethError:
         return
-    assert told.verdict == 'fail'
+    assert report.verdict == 'fail'
 
 
 def test_of_points_without_noise_none_is_an_outlier():

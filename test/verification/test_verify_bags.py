@@ -42,11 +42,11 @@ def options(name, made):
     return list(map(str, found))
 
 
-def within(told):
+def within(result):
     """Tell whether the values, or the RMS, lie in their 95 % region."""
-    if not told['freedom']:
-        return told['scatter']['rms'] <= told['scatter']['expected']
-    return told['region'] <= chi2.ppf(0.95, told['freedom'])
+    if not result['freedom']:
+        return result['scatter']['rms'] <= result['scatter']['expected']
+    return result['region'] <= chi2.ppf(0.95, result['freedom'])
 
 
 def verdicts(name: str, seed: int, folder: Path):
@@ -82,10 +82,10 @@ def test_on_bags(tmp_path: Path, name: str) -> None:
 
 
 def test_the_report_shows_verifications(tmp_path: Path) -> None:
-    *_, told = verdicts('sphere', 2, tmp_path)
+    *_, result = verdicts('sphere', 2, tmp_path)
     found = verification_file.read(tmp_path / 'told.yaml')
-    assert found.title == f'sphere: {told["verdict"].upper()}, {told["stations"]} stations'
-    assert not found.good and found.sentences == tuple(told['reasons'])
+    assert found.title == f'sphere: {result["verdict"].upper()}, {result["stations"]} stations'
+    assert not found.good and found.sentences == tuple(result['reasons'])
     run = CliRunner().invoke(command(), [
         'report', str(tmp_path / 'right.yaml'), '--verification', str(tmp_path / 'told.yaml'),
         '--out', str(tmp_path / 'r.html')])
@@ -114,15 +114,15 @@ def test_a_cell_is_calibrated_verified_and_measures_a_gauge(tmp_path):
     run = handeye('verify', 'ball_bar', 'ball_1', 'ball_2', *known, '--radius', cell.ball_radius,
                   '--length', cell.bar, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
-    told = yaml.safe_load((tmp_path / 'v.yaml').read_text())
-    assert told['verdict'] == 'pass'
-    assert abs(told['quantities'][2]['value'] - cell.bar) < 1e-4
+    result = yaml.safe_load((tmp_path / 'v.yaml').read_text())
+    assert result['verdict'] == 'pass'
+    assert abs(result['quantities'][2]['value'] - cell.bar) < 1e-4
     run = handeye('verify', 'tooth', *passes, *known, '--length', cell.gauge.pitch, '--length',
                   cell.gauge.height, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
-    told = yaml.safe_load((tmp_path / 'v.yaml').read_text())
-    assert told['verdict'] == 'pass'
-    pitch, height = (quantity['value'] for quantity in told['quantities'])
+    result = yaml.safe_load((tmp_path / 'v.yaml').read_text())
+    assert result['verdict'] == 'pass'
+    pitch, height = (quantity['value'] for quantity in result['quantities'])
     assert abs(pitch - cell.gauge.pitch) < 2e-5
     assert abs(height - cell.gauge.height) < 2e-5
 
@@ -139,11 +139,11 @@ def test_the_verb_on_rendered_profiles(tmp_path):
                       f'{1e3 * scenario.target.radius}mm', '--out', 'v.yaml', '--stations',
                       's.csv', cwd=tmp_path)
         assert run.returncode == {'right': 0, 'wrong': 1}[name], run.stderr
-        told = yaml.safe_load((tmp_path / 'v.yaml').read_text())
-        assert told['verdict'] == {'right': 'pass', 'wrong': 'fail'}[name]
-        assert told['inputs'] == ['ball']
-        assert len((tmp_path / 's.csv').read_text().splitlines()) == 1 + len(told['per_station'])
-        assert run.stdout.splitlines()[0].startswith(f'sphere: {told["verdict"].upper()}')
+        result = yaml.safe_load((tmp_path / 'v.yaml').read_text())
+        assert result['verdict'] == {'right': 'pass', 'wrong': 'fail'}[name]
+        assert result['inputs'] == ['ball']
+        assert len((tmp_path / 's.csv').read_text().splitlines()) == 1 + len(result['per_station'])
+        assert run.stdout.splitlines()[0].startswith(f'sphere: {result["verdict"].upper()}')
     run = handeye('verify', 'ball_bar', 'ball', '--calibration', 'right.yaml', cwd=tmp_path)
     assert_refused(run, 2, 'ball_bar needs 2 bags, and got 1')
     run = handeye('verify', 'sphere', 'ball', '--calibration', 'right.yaml', '--tolerance', '0.3',

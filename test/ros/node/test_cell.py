@@ -72,28 +72,29 @@ def test_a_button_a_kill_and_a_restart(tmp_path: Path, client: Client, home: Pat
         client.connect()
         client.until(button.get_subscription_count, 'the node hears the button')
         button.publish(Empty())
-        told = samples.until(lambda told: told['attempt'], 'the attempt is answered')
-        assert not told['attempt']['accepted'] and 'no flange pose' in told['attempt']['text']
+        report = samples.until(lambda report: report['attempt'], 'the attempt is answered')
+        assert not report['attempt']['accepted'] and 'no flange pose' in report['attempt']['text']
         for number, start in enumerate((10**18, 10**18 + 5 * NS), 1):
             stand_still(client, start, 0.1 * number)
             client.until_counted(profiles=20 * number, poses=20 * number)
             button.publish(Empty())
-            told = samples.until(lambda told, n=number: len(told['samples']) == n, 'it is taken')
-            assert told['attempt']['text'].startswith(f'sample {number} taken: 1 arc from ')
+            report = samples.until(lambda report, n=number: len(report['samples']) == n,
+                                   'it is taken')
+            assert report['attempt']['text'].startswith(f'sample {number} taken: 1 arc from ')
         process.send_signal(signal.SIGKILL)
         process.wait()
-    folder = Path(told['session'])
+    folder = Path(report['session'])
     assert folder.parent == home / 'handeye_ros' / 'sphere'
     assert (folder / 'metadata.yaml').exists()
     with running_node(tmp_path, '-p', 'session:=last', *here):
-        told = samples.until(lambda told: told['session'] == str(folder), 'it goes on')
+        report = samples.until(lambda report: report['session'] == str(folder), 'it goes on')
         client.connect()
-        assert [s['number'] for s in told['samples']] == [1, 2]
-        assert told['mode'] == 'manual', 'as it was in the session'
+        assert [s['number'] for s in report['samples']] == [1, 2]
+        assert report['mode'] == 'manual', 'as it was in the session'
         excluded = SetParameters.Request(parameters=[
             Parameter('samples.exclude', value=[2]).to_parameter_msg()])
         assert client.request(SetParameters, 'set_parameters', excluded).results[0].successful
-        samples.until(lambda told: [s['excluded'] for s in told['samples']] == [False, True],
+        samples.until(lambda report: [s['excluded'] for s in report['samples']] == [False, True],
                       'a sample is left out')
 
 
@@ -112,16 +113,16 @@ def test_a_kill_during_a_pass_loses_no_pass_before_it(tmp_path: Path, client: Cl
     with running_node(tmp_path, *moving, *here) as process:
         client.connect()
         sweep(client, 10**18, 5.0)
-        told = samples.until(lambda told: len(told['samples']) == 2, 'two passes are over')
+        report = samples.until(lambda report: len(report['samples']) == 2, 'two passes are over')
         process.send_signal(signal.SIGKILL)
         process.wait()
     with running_node(tmp_path, '-p', 'session:=last', *here):
-        again = samples.until(lambda t: t['session'] == told['session'], 'it goes on')
+        again = samples.until(lambda t: t['session'] == report['session'], 'it goes on')
         assert again['mode'] == 'moving'
         assert [s['number'] for s in again['samples']] == [1, 2]
         client.connect()
         sweep(client, 10**18 + 20 * NS, 5.0)
-        samples.until(lambda told: [s['number'] for s in told['samples']] == [1, 2, 3, 4],
+        samples.until(lambda report: [s['number'] for s in report['samples']] == [1, 2, 3, 4],
                       'two more passes are over')
 
 
@@ -133,26 +134,26 @@ def test_a_late_joiner_is_not_sent_an_old_answer(tmp_path: Path, client: Client)
     recording = read(ROOT / 'bags' / 'sphere', load(config))
     with running_node(tmp_path, '--params-file', str(config), '-r', '__ns:=/cell'):
         state = Reports(client, '/cell/handeye/status')
-        assert state.until(lambda told: True, 'a state is there')['state'] == 'none'
+        assert state.until(lambda report: True, 'a state is there')['state'] == 'none'
         replay(ROOT / 'bags' / 'sphere')
         client.until(lambda: client._told and client._told[-1]['profiles'] == str(
             len(recording.profiles)), 'all is taken')
         call = ServiceCaller(client, '/cell/handeye/')
         assert call('compute_calibration').success
-        told = state.until(lambda told: told['state'] == 'current', 'the answer is there')
+        report = state.until(lambda report: report['state'] == 'current', 'the answer is there')
         early: list[TransformStamped] = []
         client.node.create_subscription(TransformStamped, '/cell/handeye/calibration',
                                         early.append, LATCHED)
         client.until(lambda: early, 'who comes now gets it')
-        assert early[0].transform.translation.x == told['translation'][0]
+        assert early[0].transform.translation.x == report['translation'][0]
         assert call('clear_samples').success
-        told = state.until(lambda told: told['state'] == 'withdrawn', 'it is withdrawn')
-        assert 'the transform that was published before is not the answer' in told['text']
+        report = state.until(lambda report: report['state'] == 'withdrawn', 'it is withdrawn')
+        assert 'the transform that was published before is not the answer' in report['text']
         late: list[TransformStamped] = []
         client.node.create_subscription(TransformStamped, '/cell/handeye/calibration',
                                         late.append, LATCHED)
         late_state = Reports(client, '/cell/handeye/status')
-        assert late_state.until(lambda told: True, 'a state is there')['state'] == 'withdrawn'
+        assert late_state.until(lambda report: True, 'a state is there')['state'] == 'withdrawn'
         client.state()
         assert not late
 

@@ -118,9 +118,9 @@ def test_the_discovery_server_is_lost(tmp_path: Path) -> None:
 @pytest.mark.thorough
 def test_a_simulated_clock_that_jumps_forth_and_back(tmp_path: Path, client: Client) -> None:
     clock = client.node.create_publisher(Clock, '/clock', 10)
-    told: list[int] = []
+    result: list[int] = []
     client.node.create_subscription(DiagnosticArray, '/diagnostics',
-                                    lambda msg: told.append(msg.header.stamp.sec), 10)
+                                    lambda msg: result.append(msg.header.stamp.sec), 10)
     with running_node(tmp_path, '-p', 'use_sim_time:=true', *SPHERE):
         client.connect()
         for number, now in enumerate((10**9, 2 * 10**9, 10**9 - 1000, 10**9), 1):
@@ -128,7 +128,7 @@ def test_a_simulated_clock_that_jumps_forth_and_back(tmp_path: Path, client: Cli
                 msg = Clock()
                 msg.clock.sec = now
                 clock.publish(msg)
-                return bool(told and told[-1] == now)
+                return bool(result and result[-1] == now)
 
             client.until(taken, 'the node goes by the clock, and tells its state')
             for i in range(20):

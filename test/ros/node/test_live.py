@@ -49,16 +49,16 @@ def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording(tmp_pat
 
 
 def test_from_three_samples_on_each_has_its_residuals() -> None:
-    live, told = LiveSession(SPHERE.config, OutputFolders()), []
+    live, result = LiveSession(SPHERE.config, OutputFolders()), []
     items = sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp)
     for item in items:
         (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
-        if len(live.copied().outcomes) > len(told):
+        if len(live.copied().outcomes) > len(result):
             raise AssertionError('a message is never judged by who brings it')
         if live.streams.waiting:
             live.update()
-            told.append(state_of(live))
-    for n, state in enumerate(told, 1):
+            result.append(state_of(live))
+    for n, state in enumerate(result, 1):
         assert len(state.samples) == n
         with_residual = [s.number for s in state.samples if s.left_out is not None]
         assert bool(with_residual) == (n >= 3), state.review
@@ -228,8 +228,8 @@ def test_what_was_saved_is_reported_until_there_is_another_answer(tmp_path: Path
 def test_the_advice_says_of_which_sample_it_knows() -> None:
     live = fed()
     last = len(live.copied().outcomes)
-    told = state_of(live).guidance
-    assert told.sample == last and told.text.startswith(f'after sample {last}: ')
+    result = state_of(live).guidance
+    assert result.sample == last and result.text.startswith(f'after sample {last}: ')
     live.samples.remove_last()
     assert state_of(live).guidance.sample == last, 'until it is advised anew'
     live.update()

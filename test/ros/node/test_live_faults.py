@@ -71,15 +71,15 @@ def test_stamps_that_come_again_give_no_error() -> None:
 
 
 def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    live, told, done = LiveSession(SPHERE.config, OutputFolders()), Event(), Event()
+    live, result, done = LiveSession(SPHERE.config, OutputFolders()), Event(), Event()
     log: list[str] = []
     evaluate_all = live.samples.evaluate_all
-    live.on_failure = lambda text: (log.append(text), told.set())
+    live.on_failure = lambda text: (log.append(text), result.set())
     live.on_change = done.set
     monkeypatch.setattr(live.samples, 'evaluate_all', lambda: 1 / 0)
     live.start()
     live.streams.wake.set()
-    assert told.wait(PATIENCE) and 'ZeroDivisionError' in log[0]
+    assert result.wait(PATIENCE) and 'ZeroDivisionError' in log[0]
     assert "failed, which should not happen: ZeroDivisionError('division by zero')" in state_of(
         live).session.trouble
     monkeypatch.setattr(live.samples, 'evaluate_all', evaluate_all)

@@ -79,9 +79,9 @@ def test_stops_after_the_start_verify_and_are_no_samples(tmp_path: Path, parts) 
     assert state_of(live).calibration.state == 'current'
     written = tmp_path / 'sphere' / 'verification_sphere.yaml'
     assert str(written) in text
-    told = yaml.safe_load(written.read_text())
-    assert (told['format'], told['verdict'], told['stations']) == (FORMAT, 'pass', 6)
-    assert told['inputs'] == ['/profile', '/flange_pose']
+    report = yaml.safe_load(written.read_text())
+    assert (report['format'], report['verdict'], report['stations']) == (FORMAT, 'pass', 6)
+    assert report['inputs'] == ['/profile', '/flange_pose']
     with pytest.raises(DataError, match='no verification was started'):
         live.verification.result()
     assert not state_of(live).session.notes
@@ -99,10 +99,10 @@ def test_refusals_in_words_and_what_goes_on_after_them(tmp_path: Path, parts, fi
     live = running(tmp_path)
 
     def refused(ask, *words: str) -> None:
-        with pytest.raises(HandeyeError) as told:
+        with pytest.raises(HandeyeError) as report:
             ask()
         for word in words:
-            assert word in str(told.value)
+            assert word in str(report.value)
 
     def with_settings(**values: object) -> None:
         live.configure(changed(live.config, **values))

@@ -114,14 +114,14 @@ def solving(tmp_path: Path, client: Client) -> Iterator[tuple[subprocess.Popen[b
 
 def test_all_other_services_answer_while_it_solves(tmp_path: Path, client: Client) -> None:
     with solving(tmp_path, client) as (_, future):
-        told = client.call('take_sample')
-        assert told.success and told.message.startswith('sample 1 taken again'), told.message
+        result = client.call('take_sample')
+        assert result.success and result.message.startswith('sample 1 taken again'), result.message
         words = {'save_calibration': 'there is no calibration to save',
                  'verify_start': 'verify.routine is not set',
                  'verify_result': 'no verification was started'}
         for name, word in words.items():
-            told = client.call(name)
-            assert (told.success, word in told.message) == (False, True), told.message
+            result = client.call(name)
+            assert (result.success, word in result.message) == (False, True), result.message
         request = SetParameters.Request(parameters=[
             Parameter('limits.translation', value=0.004).to_parameter_msg()])
         assert client.request(SetParameters, 'set_parameters', request).results[0].successful

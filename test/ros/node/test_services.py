@@ -251,9 +251,9 @@ def test_messages_without_stamp_get_the_time_of_receipt(
 
 def test_parameters_explain_themselves(client: Client, node: subprocess.Popen[str]) -> None:
     keys = ['noise.sensor', 'profile.axes', 'page.port', 'output_dir', 'sampling.min_points']
-    told = client.request(DescribeParameters, 'describe_parameters',
-                          DescribeParameters.Request(names=keys)).descriptors
-    sensor, axes, port, folder, points = told
+    report = client.request(DescribeParameters, 'describe_parameters',
+                            DescribeParameters.Request(names=keys)).descriptors
+    sensor, axes, port, folder, points = report
     assert 'Range noise' in sensor.description
     assert (sensor.floating_point_range[0].from_value, sensor.floating_point_range[0].to_value
             ) == (1e-9, 0.01)

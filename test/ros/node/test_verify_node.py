@@ -59,10 +59,10 @@ def test_start_stops_result(tmp_path: Path, client: Client) -> None:
             True, 'sphere: 0 usable stops of 0')
         refused('verify_result', '0 usable stations, fewer than 4')
         replay('second', 1)
-        told = client.call('verify_result')
-        assert told.success, told.message
-        assert told.message.startswith('sphere: PASS, 6 stations; radius '), told.message
-        assert '(k = 2; the calibration claims ' in told.message
+        result = client.call('verify_result')
+        assert result.success, result.message
+        assert result.message.startswith('sphere: PASS, 6 stations; radius '), result.message
+        assert '(k = 2; the calibration claims ' in result.message
         assert client.state()['samples'] == str(STOPS)
     written = yaml.safe_load((tmp_path / 'sphere' / 'verification_sphere.yaml').read_text())
     assert written['verdict'] == 'pass'

@@ -49,20 +49,20 @@ class Gate:
         """Ask for something that waits; give what it tells, which comes afterwards."""
         self._open.clear()
         self.asked.clear()
-        told: list[Any] = []
+        report: list[Any] = []
 
         def run() -> None:
             try:
-                told.append(ask())
+                report.append(ask())
             except HandeyeError as error:
-                told.append(error)
+                report.append(error)
 
         thread = Thread(target=run)
         thread.start()
         try:
             assert self.asked.wait(PATIENCE)
-            yield told
-            assert not told, 'it waits still'
+            yield report
+            assert not report, 'it waits still'
         finally:
             self._open.set()
             thread.join(PATIENCE)
@@ -101,11 +101,11 @@ def test_nobody_waits_for_a_solve(tmp_path: Path) -> None:
     for part in range(2):
         stand(live, *PARTS[part])
     live.answer.compute()
-    with second.closed(live.answer.compute) as told:
+    with second.closed(live.answer.compute) as report:
         assert live.progress.text == 'the calibration is computed'
         everything_else(live)
         live.clear_samples()
-    assert 'cleared while the calibration was computed' in str(told[0])
+    assert 'cleared while the calibration was computed' in str(report[0])
     assert not live.progress.text
 
 
@@ -126,13 +126,13 @@ def test_nobody_waits_for_a_take_and_what_changes_meanwhile_counts(tmp_path: Pat
     live = running(tmp_path, judging=judging, sampling__mode='manual')
     stand(live, *PARTS[0])
     before = live.copied().outcomes
-    with judging.closed(live.samples.take) as told:
+    with judging.closed(live.samples.take) as report:
         live.configure(changed(live.config, 'sampling.min_points', 10_000))
-    assert 'fewer than 10000 returns' in str(told[0]) and live.copied().outcomes == before
+    assert 'fewer than 10000 returns' in str(report[0]) and live.copied().outcomes == before
     live.configure(changed(live.config, 'sampling.min_points', 20))
-    with judging.closed(live.samples.take) as told:
+    with judging.closed(live.samples.take) as report:
         live.clear_samples()
-    assert isinstance(told[0], HandeyeError) and not live.copied().outcomes
+    assert isinstance(report[0], HandeyeError) and not live.copied().outcomes
 
 
 def verifying(tmp_path: Path) -> tuple[LiveSession, Gate]:
@@ -149,24 +149,24 @@ def verifying(tmp_path: Path) -> tuple[LiveSession, Gate]:
 
 def test_nobody_waits_for_a_verdict(tmp_path: Path) -> None:
     live, second = verifying(tmp_path)
-    with second.closed(live.verification.result) as told:
+    with second.closed(live.verification.result) as report:
         assert live.progress.text == 'the calibration is verified'
         # the verification goes on until it has an answer, and stops count for it
         assert live.samples.take().startswith('sphere: ')
         assert live.samples.remove_last().startswith('removed sample ')
         live.configure(changed(live.config, 'limits.translation', 0.004))
         assert str(live.folders.folder(live.config)) in live.answer.save()
-    assert told[0].startswith('sphere: PASS, ')
+    assert report[0].startswith('sphere: PASS, ')
     assert live.samples.take().startswith('sample ')
 
 
 def test_a_verification_that_was_ended_meanwhile_stays_ended(tmp_path: Path) -> None:
     live, second = verifying(tmp_path)
-    with second.closed(live.verification.result) as told:
+    with second.closed(live.verification.result) as report:
         live.configure(changed(live.config, 'verify.routine', ''))
         live.configure(changed(live.config, 'verify.routine', 'sphere'))
         live.verification.begin()
-    assert told[0].startswith('sphere: PASS, ')
+    assert report[0].startswith('sphere: PASS, ')
     assert any('verification (sphere) continues' in note for note in live.warnings), 'the next'
 
 
@@ -192,13 +192,13 @@ def test_stops_give_the_same_in_another_process_and_where_that_has_ended(tmp_pat
     other = with_values(live.config, {'noise.sensor': 4e-5}, 'test')
     second = WorkerProcess()
     try:
-        told = [described(Evaluator(second), waiting, outcomes, other)]
+        report = [described(Evaluator(second), waiting, outcomes, other)]
     finally:
         second.stop()
-    told += [described(Evaluator(runner), waiting, outcomes, other)
-             for runner in (second, Runner())]
-    assert told[0] == told[1] == told[2]
-    assert told[0][-1] == [repr(judged(outcome, other).sample) for outcome in outcomes]
+    report += [described(Evaluator(runner), waiting, outcomes, other)
+               for runner in (second, Runner())]
+    assert report[0] == report[1] == report[2]
+    assert report[0][-1] == [repr(judged(outcome, other).sample) for outcome in outcomes]
 
 
 def described(evaluator: Evaluator, stops: Any, outcomes: Any, config: Config) -> list[Any]:

@@ -40,12 +40,12 @@ def worker() -> Iterator[WorkerProcess]:
 def test_it_answers_and_refuses_as_here(worker: WorkerProcess) -> None:
     assert worker.run(divmod, 7, 2) == Runner().run(divmod, 7, 2) == (3, 1)
     assert worker.run(os.getpid) != os.getpid()
-    told = []
+    result = []
     for runner in (worker, Runner()):
         with pytest.raises(NoReviewError) as caught:
             runner.run(review, [], [], Config())
-        told.append(str(caught.value))
-    assert told[0] == told[1]
+        result.append(str(caught.value))
+    assert result[0] == result[1]
     assert str(worker.run(SilentPosesError, 0.3)) == str(SilentPosesError(0.3))
     with pytest.raises(ZeroDivisionError) as error:
         worker.run(divmod, 1, 0)
@@ -128,19 +128,19 @@ def test_what_is_urgent_is_the_next(worker: WorkerProcess, tmp_path: Path) -> No
 
 def test_to_stop_it_ends_whatever_is_done(worker: WorkerProcess, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / 'gate')
-    told: list[str] = []
+    result: list[str] = []
 
     def ask() -> None:
         with pytest.raises(WorkerEndedError) as error:
             worker.run((tmp_path / 'gate').read_text)
-        told.append(str(error.value))
+        result.append(str(error.value))
 
     thread = threading.Thread(target=ask)
     thread.start()
     until(lambda: worker._process)
     worker.stop()
     thread.join(PATIENCE)
-    assert told
+    assert result
     with pytest.raises(WorkerEndedError):
         worker.run(divmod, 1, 1)
 

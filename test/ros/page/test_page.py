@@ -150,7 +150,7 @@ def test_a_verification_by_clicking(tmp_path: Path, client: Client) -> None:
             f'page.port:={port}', '-p', f'verify.calibration:={right}'):
         client.connect()
         browser.get(f'http://127.0.0.1:{port}/')
-        wait(browser, "typeof told === 'object' && told", 'the page')
+        wait(browser, "typeof latest === 'object' && latest", 'the page')
         wait(browser, "document.getElementById('set-verify.routine')", 'the settings')
         browser.execute_script(
             "for (const [key, value] of [['routine', 'sphere'], ['radius', '0.04']]) {"

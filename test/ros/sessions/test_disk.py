@@ -67,9 +67,9 @@ def test_nothing_acknowledged_is_lost_by_kills_of_the_node() -> None:
     run = subprocess.run([sys.executable, 'bench/kill_node.py', '--count', '4'], cwd=ROOT,
                          text=True, capture_output=True, check=False)
     assert run.returncode == 0, run.stderr
-    told = re.match(r'4 kills of the node: (\d+) samples acknowledged, \d+ of them removed, none '
-                    'lost', run.stdout.splitlines()[-1])
-    assert told and int(told[1]) >= 2, run.stdout
+    result = re.match(r'4 kills of the node: (\d+) samples acknowledged, \d+ of them removed, '
+                      'none lost', run.stdout.splitlines()[-1])
+    assert result and int(result[1]) >= 2, run.stdout
 
 
 @pytest.mark.thorough

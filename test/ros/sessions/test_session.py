@@ -281,14 +281,14 @@ def test_metadata_of_any_names_are_yaml(tmp_path: Path) -> None:
     files = [BagFile(f'Köln "2": {{x}}_{i}.mcap', 10 * i + 5, 10 * i + 9, {'/a': 2, '/b': i})
              for i in range(3)]
     write_metadata(tmp_path, files, {'/a': 'std_msgs/msg/String', '/b': 'std_msgs/msg/String'})
-    told = yaml.safe_load((tmp_path / 'metadata.yaml').read_text(encoding='utf-8'))
-    told = told['rosbag2_bagfile_information']
-    assert told['relative_file_paths'] == [file['path'] for file in told['files']] == [
+    result = yaml.safe_load((tmp_path / 'metadata.yaml').read_text(encoding='utf-8'))
+    result = result['rosbag2_bagfile_information']
+    assert result['relative_file_paths'] == [file['path'] for file in result['files']] == [
         file.name for file in files]
-    assert told['message_count'] == sum(file['message_count'] for file in told['files']) == 9
-    assert [topic['message_count'] for topic in told['topics_with_message_count']] == [6, 3]
-    assert told['starting_time']['nanoseconds_since_epoch'] == 5
-    assert told['duration']['nanoseconds'] == 24
+    assert result['message_count'] == sum(file['message_count'] for file in result['files']) == 9
+    assert [topic['message_count'] for topic in result['topics_with_message_count']] == [6, 3]
+    assert result['starting_time']['nanoseconds_since_epoch'] == 5
+    assert result['duration']['nanoseconds'] == 24
 
 
 def test_what_is_no_session_is_reported(tmp_path: Path) -> None:
@@ -309,9 +309,9 @@ def test_nothing_acknowledged_is_lost_by_kills() -> None:
     run = subprocess.run([sys.executable, 'bench/kills.py', '--count', '20'], cwd=ROOT, text=True,
                          capture_output=True, check=False)
     assert run.returncode == 0, run.stderr
-    told = re.fullmatch(r'20 kills: (\d+) samples acknowledged, .* none lost',
-                        run.stdout.splitlines()[-1])
-    assert told and int(told[1]) >= 10, run.stdout
+    result = re.fullmatch(r'20 kills: (\d+) samples acknowledged, .* none lost',
+                          run.stdout.splitlines()[-1])
+    assert result and int(result[1]) >= 10, run.stdout
 
 
 def test_no_answer_from_a_session_without_samples(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ const mm = (v, digits = 3) => (1e3 * v).toFixed(digits);
 const degrees = (v, digits = 4) => (v * 180 / Math.PI).toFixed(digits);
 const SILENT = 3;  // s without a message, after which what is shown is old
 const NEAR = [5e-3, 0.053];  // m and rad from the next pose at which to stop
-let told = null, heard = 0;
+let latest = null, heard = 0;
 const shown = {};
 
 function text(id, value) {
@@ -31,7 +31,7 @@ function element(name, content = '', className = '') {
 }
 
 function show(state) {
-  told = state;
+  latest = state;
   heard = Date.now();
   text('name', label('{0}: hand-eye calibration', state.name));
   showNow(state);
@@ -76,7 +76,7 @@ function showNow(state) {
 
 // What is left to do until the next pose, while the robot is jogged.
 function showAim({ scene, poses }) {
-  const aim = flows(poses) && !(told.guidance && told.guidance.enough) && scene.aim;
+  const aim = flows(poses) && !(latest.guidance && latest.guidance.enough) && scene.aim;
   $('togo').hidden = !aim;
   if (!aim) {
     text('axes', '');
@@ -94,7 +94,7 @@ function showAim({ scene, poses }) {
 
 function showGuidance(guidance) {
   const list = $('advice');
-  const last = Math.max(0, ...told.samples.filter(s => s.taken).map(s => s.number));
+  const last = Math.max(0, ...latest.samples.filter(s => s.taken).map(s => s.number));
   const sentences = guidance ? guidance.sentences.map(said) : [];
   if (guidance && guidance.sample < last) {
     sentences.push(label('this knows of sample {0}; the next is being worked in', guidance.sample));
@@ -276,7 +276,7 @@ function newLine(count) {
   details.addEventListener('toggle', async () => {
     if (!details.open) return;
     const answer = await fetch('read/stop?number=' + count).catch(() => null);
-    if (answer && answer.ok) drawProfile(canvas, await answer.json(), told.scene.view);
+    if (answer && answer.ok) drawProfile(canvas, await answer.json(), latest.scene.view);
   });
   return made;
 }
@@ -331,7 +331,7 @@ function sure(question) {
 }
 
 async function clearAll() {
-  const count = told ? told.samples.filter(s => s.taken).length : 0;
+  const count = latest ? latest.samples.filter(s => s.taken).length : 0;
   if (await sure(label('Clear all {0} samples, and begin a new session?', count)) &&
       await sure(label('Really? {0} samples and the answer will be gone.', count))) {
     await ask('clear', {}, $('clear'));
@@ -344,18 +344,18 @@ for (const name of ['take', 'undo', 'compute', 'save']) {
 $('clear').addEventListener('click', clearAll);
 
 function redrawScene() {
-  const kinds = new Map(told.samples.map(s => [s.number,
+  const kinds = new Map(latest.samples.map(s => [s.number,
     s.excluded ? 'out' : s.believed ? 'used' : 'unused']));
-  drawScene($('scene'), told.scene, kinds, told.profile, $('togo').hidden ? label('next') :
+  drawScene($('scene'), latest.scene, kinds, latest.profile, $('togo').hidden ? label('next') :
     $('togo').textContent);
 }
 
 function redraw() {
-  if (!told) return;
+  if (!latest) return;
   redrawScene();
-  drawProfile($('profile'), told.profile, told.scene.view);
+  drawProfile($('profile'), latest.profile, latest.scene.view);
 }
-turnable($('scene'), () => told && redrawScene());
+turnable($('scene'), () => latest && redrawScene());
 addEventListener('resize', redraw);
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', redraw);
 
@@ -394,7 +394,7 @@ $('language').addEventListener('change', () => {
   localStorage.setItem('language', language);
   translate();
   for (const key of Object.keys(shown)) delete shown[key];
-  if (told) show(told);
+  if (latest) show(latest);
   readCell();
 });
 translate();
