@@ -84,7 +84,7 @@ class Pictures:
     def until(self, condition: str, seconds: float = 60.0) -> None:
         """Wait until the page shows something."""
         end = time.monotonic() + seconds
-        while not self.browser.execute_script(f'return Boolean(told && ({condition}))'):
+        while not self.browser.execute_script(f'return Boolean(latest && ({condition}))'):
             if time.monotonic() > end:
                 self.browser.save_screenshot(str((self._out or FIGURES) / 'failed.png'))
                 raise SystemExit(f'waited in vain for {condition}')
@@ -120,10 +120,10 @@ class Operator:
     def goal(self) -> np.ndarray:
         """Return where to go: to the proposed pose, or as the first moves say."""
         world, taken = self.cell.world, self._pictures.browser.execute_script(
-            'return told.samples.filter(s => s.taken).length')
+            'return latest.samples.filter(s => s.taken).length')
         found = self._pictures.browser.execute_script(
-            'return told.guidance.translation && [told.guidance.translation, '
-            'told.guidance.rotation]')
+            'return latest.guidance.translation && [latest.guidance.translation, '
+            'latest.guidance.rotation]')
         if found:
             return se3.from_quaternion(*map(np.array, found))
         move = next_move(taken, targets.method_for(self._config), self._config, world.view)
@@ -134,13 +134,13 @@ class Operator:
 
     def stop(self) -> None:
         """Go there, and wait until it counts."""
-        before = 'told.samples.length'
+        before = 'latest.samples.length'
         count = self._pictures.browser.execute_script(f'return {before}')
         self.cell.go(self.goal())
         self._pictures.until(f'{before} > {count}')
-        self._pictures.until('told.guidance && told.guidance.sample >= '
-                             'Math.max(0, ...told.samples.filter(s => s.taken)'
-                             '.map(s => s.number)) && !told.session.working')
+        self._pictures.until('latest.guidance && latest.guidance.sample >= '
+                             'Math.max(0, ...latest.samples.filter(s => s.taken)'
+                             '.map(s => s.number)) && !latest.session.working')
 
 
 def main() -> None:
@@ -157,10 +157,10 @@ def main() -> None:
             pictures.take('token')
         with node(Path(name), '-p', 'profile_topic:=/wrong', '-p', 'guidance.accuracy:=2e-4'):
             browser.get(f'http://127.0.0.1:{PORT}/')
-            pictures.until('told.profiles.trouble')
+            pictures.until('latest.profiles.trouble')
             pictures.take('waiting')
             cell = LiveCell(client, 'plate')
-            pictures.until("told.profiles.trouble.includes('/profile')")
+            pictures.until("latest.profiles.trouble.includes('/profile')")
             pictures.take('wrong_topic')
             calibrate(cell, pictures, options.stops)
             cell.close()
@@ -174,10 +174,10 @@ def calibrate(cell: LiveCell, pictures: Pictures, stops: int) -> None:
     """Go the whole way of a calibration."""
     browser, operator = pictures.browser, Operator(cell, pictures)
     browser.execute_script("ask('set', {profile_topic: '/profile'}, $('take'))")
-    pictures.until('told.samples.filter(s => s.taken).length === 1')
+    pictures.until('latest.samples.filter(s => s.taken).length === 1')
     operator.stop()
     pictures.take('moves')
-    while not browser.execute_script('return told.scene.next'):
+    while not browser.execute_script('return latest.scene.next'):
         operator.stop()
     cell.go(operator.goal(), 0.6)
     pictures.take('aim')
@@ -185,22 +185,22 @@ def calibrate(cell: LiveCell, pictures: Pictures, stops: int) -> None:
         operator.stop()
     pictures.take('sampling')
     cell.go(cell.T @ se3.transform(se3.exp_rotation(np.array([0.0, 2.0, 0.0])), np.zeros(3)))
-    pictures.until('told.motion.still > 1')
+    pictures.until('latest.motion.still > 1')
     pictures.click('take')
     pictures.take('refused')
     pictures.click('compute')
     browser.execute_script("document.querySelector('#samples details').open = true")
     pictures.take('solved')
     browser.execute_script("ask('set', {'verify.routine': 'plane'}, $('take')).then(readCell)")
-    pictures.until("told.verification.routine === 'plane'")
+    pictures.until("latest.verification.routine === 'plane'")
     pictures.click('verify-start')
     world = cell.world
     for turn in np.arange(12):
         tilt = np.array([0.6 * np.cos(2.4 * turn), 0.6 * np.sin(2.4 * turn), 0.5 * turn])
-        before = browser.execute_script('return told.verification.running')
+        before = browser.execute_script('return latest.verification.running')
         cell.go(world.looking(world.facing(0) @ se3.exp_rotation(tilt), world.spot(0),
                               (world.view.low + world.view.high) / 2))
-        pictures.until(f'told.verification.running !== {before!r}')
+        pictures.until(f'latest.verification.running !== {before!r}')
     pictures.click('verify-result')
     pictures.take('verified')
     pictures.click('save')
