@@ -15,7 +15,7 @@ TFMessage = pytest.importorskip('tf2_msgs.msg', reason='needs tf2_msgs').TFMessa
 from command import PATIENCE, running  # noqa: E402, I100
 from handeye_ros import se3  # noqa: E402
 from handeye_ros.data import Calibration, Quality  # noqa: E402
-from handeye_ros.results import exports  # noqa: E402
+from handeye_ros.formats import exports  # noqa: E402
 import numpy as np  # noqa: E402
 from ros_helpers import Client, LATCHED, ROOT, run_module  # noqa: E402
 
