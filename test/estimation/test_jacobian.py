@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.jacobian import FactoredJacobian, products
-from handeye_ros.least_squares.covariance import eigen, from_information, LARGEST_STD
+from handeye_ros.least_squares.covariance import eigen, from_information, from_rows, LARGEST_STD
 from handeye_ros.least_squares.outliers import groups
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -62,20 +62,22 @@ def test_few_conditions_and_priors_say_what_the_dense_inverse_says(large: float)
     rng = np.random.default_rng(1)
     A, r = rng.normal(size=(12, 20)), rng.normal(size=12)
     units = np.append(np.ones(5), np.full(15, large))
-    x, covariance = from_information(A.T @ A, A.T @ r, units, 15)
     dense = np.linalg.inv((A * units).T @ (A * units) + np.diag([0.0] * 5 + [1.0] * 15))
-    assert np.allclose(covariance, dense, rtol=1e-6, atol=1e-9)
-    assert np.allclose(x, -dense @ ((A * units).T @ r), rtol=1e-6, atol=1e-9)
+    for x, covariance in (from_information(A.T @ A, A.T @ r, units, 15),
+                          from_rows(A * units, r, 15)):
+        assert np.allclose(covariance, dense, rtol=1e-6, atol=1e-9)
+        assert np.allclose(x, -dense @ ((A * units).T @ r), rtol=1e-6, atol=1e-9)
 
 
 def test_a_direction_that_no_condition_shows_is_reported_as_such() -> None:
     rng = np.random.default_rng(2)
     A, r = rng.normal(size=(8, 12)), rng.normal(size=8)
     A[:, 1] = A[:, 0]
-    _, covariance = from_information(A.T @ A, A.T @ r, np.ones(12), 9)
-    assert covariance[0, 0] > LARGEST_STD, 'the two cannot be told apart'
-    assert covariance[2, 2] < 100
-    assert abs(covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]) < 100
+    for _, covariance in (from_information(A.T @ A, A.T @ r, np.ones(12), 9),
+                          from_rows(A, r, 9)):
+        assert covariance[0, 0] > LARGEST_STD, 'the data do not distinguish the two'
+        assert covariance[2, 2] < 100
+        assert abs(covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]) < 100
 
 
 def test_eigenvalues_where_divide_and_conquer_fails(monkeypatch: pytest.MonkeyPatch) -> None:
