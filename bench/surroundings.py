@@ -12,7 +12,8 @@ points mapped from the field of view, against the truth), the share of the answe
            that the sensor is aimed up to 90 mm beside the middle of, where it sees the table alone
   line     target.type line on a corner of a block, seen by a sensor that is so wide that a face
            also ends where its reach does; every other station is turned around
-  wedge    a block on a table, whose foot makes a groove in many profiles
+  wedge    a block on a table, whose foot makes a groove in many profiles; stepped: with a step
+           along its edge, which makes a second edge of two faces parallel to the first
 """
 from __future__ import annotations
 
@@ -37,6 +38,8 @@ from scipy.stats import chi2
 
 LIMIT = chi2.ppf(0.95, 6)
 ON_TABLE, TURNED, OFF_CENTRE = 'wedge on a table', 'wedge, turned around', 'plane off centre'
+STEPPED = 'stepped wedge'
+STEP = (0.010, 0.003)  # its width and depth (m)
 PLATE, WEDGE = FAULTS['baseline'], FAULTS['wedge']
 
 
@@ -45,6 +48,13 @@ def with_table(scenario: Scenario) -> tuple[Solid, ...]:
     width = scenario.target.width
     return (*SCENES['wedge'].solids(scenario),
             Box((-1.0, -1.0, -width - 0.02), (1.0, 1.0, -width)))
+
+
+def with_step(scenario: Scenario) -> tuple[Solid, ...]:
+    """Return a block with a step along its edge."""
+    (length, width), (wide, deep) = (scenario.target.length, scenario.target.width), STEP
+    return (Box((0.0, wide, -width), (length, width, 0.0)),
+            Box((0.0, 0.0, -width), (length, width, -deep)))
 
 
 def turned_around(scenario: Scenario, rng: np.random.Generator) -> Stops:
@@ -70,6 +80,7 @@ def off_centre(scenario: Scenario, rng: np.random.Generator) -> Stops:
 
 SCENES[OFF_CENTRE] = replace(SCENES['plane'], stops=off_centre)
 SCENES[ON_TABLE] = replace(SCENES['wedge'], solids=with_table)
+SCENES[STEPPED] = replace(SCENES['wedge'], solids=with_step)
 SCENES[TURNED] = replace(SCENES['wedge'], stops=turned_around)
 
 
@@ -107,6 +118,8 @@ def cells() -> dict[str, Scenario]:
             found.append(cell(f'wedge, {width * 1e3:.0f} mm over a table, tilt {tilt}', WEDGE,
                               'wedge', scene=ON_TABLE, tilt=math.radians(tilt),
                               target=WedgeTarget(width=width), stations=(22, 0)))
+    found.append(cell('wedge, stepped by 10 and 3 mm', WEDGE, 'wedge', scene=STEPPED,
+                      target=WedgeTarget(width=0.05), stations=(18, 0)))
     return {scenario.name: scenario for scenario in found}
 
 

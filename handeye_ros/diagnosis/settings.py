@@ -4,7 +4,8 @@ Tests whether other settings or another time offset explain a recording without 
 Each hypothesis changes one setting, or two that belong together, and reads the same profiles of
 the same stops again. The data then differ, and no likelihoods can be compared: a hypothesis counts
 where nearly all its samples fit about as well as the configured noise allows, and where these are
-most of the stops; of several that with the most conditions beyond its unknowns.
+most of the stops; of several that with the most conditions beyond its unknowns, a change of two
+settings only where it has clearly more.
 
 Clocks differ where the profiles come to rest or leave it later than the poses, stop after stop,
 and the samples fit the poses of that other time.
@@ -43,7 +44,8 @@ import numpy as np
 MOST_STOPS, MOST_PROFILES = 40, 4  # that are read again, and of each stop
 LEAST_SHARE = 0.7  # of the stops fit, at least
 FEWEST_CONDITIONS = 6  # beyond the unknowns
-# Where the setting as it is fits too: times its conditions at least, its variance factor at most.
+# Where the setting as it is fits too: times its conditions at least (also two changes against
+# one), times its variance factor at most.
 MORE, WORSE = 1.5, 2.0
 LAG = NS // 20  # between two profiles that are compared
 STILL_SHARE = 0.1  # of the comparisons, at least, are of a robot that stands still
@@ -52,35 +54,38 @@ SMALLEST = 0.05  # s: a smaller time offset is not visible at stops
 
 
 class WrongSettingError(NamedCauseError):
-    """Settings with which there is no answer, where others give one."""
+    """Settings without an answer, where others give one."""
 
     def __init__(self, values: dict[str, str], used: int, stops: int, residual: float) -> None:
         to = ' and '.join(f'{key} to {value}' for key, value in values.items())
+        if values == {'target.type': 'plane'}:
+            to += ('; or, if the target has edges, cross them with the laser, inside the field of '
+                   'view')
         super().__init__(f'the recording does not fit as it is set, but with another setting '
-                         f'{used} of {stops} stops agree within {mm(residual)} RMS: set {to}' + (
-                             '; or, if the target has edges, cross them with the laser, inside '
-                             'the field of view' if values == {'target.type': 'plane'} else ''))
+                         f'{used} of {stops} stops agree within {mm(residual)} RMS: set {to}')
 
 
 def require_settings(session: Session, config: Config) -> None:
     """Raise WrongSettingError where other settings explain the stops of a session."""
     if config.sampling.moving:  # a pass is of many profiles, each with its own pose
         return
-    stops = [_thinned(outcome.stop, config) for outcome in session.outcomes
-             if not outcome.refused][:MOST_STOPS]
+    kept = [outcome.stop for outcome in session.outcomes if not outcome.refused]
+    stops = [_thinned(stop, config) for stop in kept[:MOST_STOPS]]
     stated = _fit(stops, config, all_starts=True)  # as a solve starts
     least, most = float(FEWEST_CONDITIONS), math.inf
     if stated and stated.believable:
         least = MORE * stated.solution.redundancy
         most = WORSE * max(stated.variance_factor, 1.0)
-    better: list[tuple[int, DataError]] = []
+    better: list[tuple[float, DataError]] = []
     for values in _changes(config):
         hypothesis = _hypothesis(stops, config, values)
         fit = hypothesis.refit()
         if fit and fit.believable and fit.variance_factor < most and (
                 len(fit.parts[0].used) >= LEAST_SHARE * len(stops)) and (
                 fit.solution.redundancy >= least):
-            better.append((fit.solution.redundancy, hypothesis.refusal(fit)))
+            # the sign of the range is often free: two changes need more evidence than one
+            better.append((fit.solution.redundancy / MORE ** (len(values) - 1),
+                           hypothesis.refusal(fit)))
     if better:
         raise max(better, key=lambda one: one[0])[1]
 
@@ -102,8 +107,8 @@ def _changes(config: Config) -> Iterator[dict[str, str]]:
 def _hypothesis(stops: Sequence[Stop], config: Config, values: dict[str, str]) -> Hypothesis:
     """Return the hypothesis of other values of settings."""
     def refusal(fit: Fit) -> DataError:
-        return WrongSettingError(values, len(fit.parts[0].used), len(stops),
-                                 fit.solution.residual_rms)
+        used = len(fit.parts[0].used)
+        return WrongSettingError(values, used, len(stops), fit.solution.residual_rms)
     return Hypothesis(partial(_fit, stops, _changed(config, values)), refusal)
 
 
@@ -119,8 +124,7 @@ def _fit(stops: Sequence[Stop], config: Config, all_starts: bool = False) -> Fit
     results: list[Sample | Reject] = [result_of(stop, config) for stop in stops]
     if range_sign_evidence(results).against:
         return None
-    return fit_of([result for result in results if isinstance(result, Sample)], config,
-                  all_starts)
+    return fit_of([one for one in results if isinstance(one, Sample)], config, all_starts)
 
 
 def fit_of(samples: Sequence[Sample], config: Config, all_starts: bool = False) -> Fit | None:
@@ -143,10 +147,9 @@ def _thinned(stop: Stop, config: Config) -> Stop:
 @dataclass(frozen=True, eq=False)
 class _Still:
     """
-    Profiles of a robot at rest, and the stamps at which the stop began and ended.
+    Profiles of a robot at rest; pose: (4, 4) T_base_flange; start, end: stamps of the stop.
 
-    pose: (4, 4) T_base_flange of the stop; start, end: of the stop; opened, closed: whether the
-    target was seen to come to rest, and to leave it, within the stop.
+    opened, closed: whether the target was seen to come to rest, and to leave it, within the stop.
     """
 
     sample: Sample | None
@@ -174,8 +177,7 @@ def require_same_clock(session: Session, config: Config) -> None:
                                        if abs(_offset(stills, behind)) > SMALLEST])
 
 
-def _profiles(stop: Stop, config: Config
-              ) -> tuple[list[Profile], Array, int, int] | None:
+def _profiles(stop: Stop, config: Config) -> tuple[list[Profile], Array, int, int] | None:
     """Return a few profiles of a stop, its pose, start and end."""
     seen = stop.load(config)
     found: list[Profile] = []
@@ -209,7 +211,7 @@ def _still(profiles: list[Profile], pose: Array, start: int, end: int, limit: fl
            config: Config) -> _Still:
     """Return the profiles of the longest time of a stop without a change."""
     moving = np.flatnonzero(np.append(_differences(profiles) > limit, True))
-    before = np.concatenate([[-1], moving[:-1]])
+    before = np.append(-1, moving[:-1])
     k = int(np.argmax(moving - before))
     first, last = int(before[k]) + 1, int(moving[k])
     opened, closed = first > 0, last < len(profiles) - 1
@@ -219,13 +221,12 @@ def _still(profiles: list[Profile], pose: Array, start: int, end: int, limit: fl
 
 
 def _sample(profiles: list[Profile], pose: Array, config: Config) -> Sample | None:
-    if len(profiles) < 3:
-        return None
-    try:
-        used, features = station_features.of_station(profiles, targets.method_for(config), config)
-    except FeatureError:
-        return None
-    return Sample(used[0].stamp, pose, features, len(used))
+    with suppress(FeatureError):
+        if len(profiles) > 2:
+            method = targets.method_for(config)
+            used, features = station_features.of_station(profiles, method, config)
+            return Sample(used[0].stamp, pose, features, len(used))
+    return None
 
 
 def _offset(stills: Sequence[_Still], behind: int) -> float:

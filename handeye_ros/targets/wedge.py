@@ -104,25 +104,40 @@ def _pair(observations: Observations) -> NDArray[np.intp]:
     return observations.source // (len(KINDS) * SOURCES)
 
 
+def several_corners(observations: Observations) -> bool:
+    """Return whether a station shows several edges."""
+    return bool(_pair(observations).any())
+
+
 def one_corner(problem: Problem) -> list[Problem]:
     """
-    Return problems with one pair of lines per station: the convex, concave, or first one.
+    Return problems with one pair of lines per station, chosen in several ways.
 
-    A block and the table that it stands on make a groove, where the faces meet on the other side.
+    A convex one: that of the longest faces, the nearest, or the farthest, as a block may have a
+    step or stand beside another; a concave one, as a block and the table that it stands on make a
+    groove, where the faces meet on the other side; or any, that of the longest faces.
     """
     obs, pair = problem.observations, _pair(problem.observations)
     if not pair.any():
         return [problem]
-    corners = [crossings(obs.select(pair == k)) for k in range(int(pair.max()) + 1)]
-    first = np.full((3, len(problem.poses)), -1)  # the pair of each station
-    for k, corner in reversed(list(enumerate(corners))):
-        station, depth = corner.station[::2], corner.points[::2, 1]
+    shape = (len(problem.poses), int(pair.max()) + 1)
+    depth = np.full(shape, np.nan)  # of the corners over the range axis
+    middle = depth.copy()
+    for k in range(shape[1]):
         of_pair = obs.select(pair == k)
-        count = np.bincount(of_pair.station, minlength=len(problem.poses))
-        middle = np.bincount(of_pair.station, of_pair.points[:, 1])[station] / count[station]
-        convex = (middle - depth) * problem.config.profile.range_sign > 0
-        first[2, station] = first[0, station[convex]] = first[1, station[~convex]] = k
-    different = {each.tobytes(): each for each in first}
+        corner = crossings(of_pair)
+        depth[corner.station[::2], k] = corner.points[::2, 1]
+        count = np.bincount(of_pair.station, minlength=len(depth))
+        z = np.bincount(of_pair.station, of_pair.points[:, 1], len(depth))
+        middle[:, k] = z / np.maximum(count, 1)
+    depth, middle = (problem.config.profile.range_sign * each for each in (depth, middle))
+    order = np.broadcast_to(np.arange(shape[1]), shape)
+    convex = middle > depth
+    choices = [(order, convex), (depth, convex), (-depth, convex), (order, middle <= depth),
+               (order, ~np.isnan(depth))]
+    chosen = [np.where(able.any(axis=1), np.where(able, rank, np.inf).argmin(axis=1), -1)
+              for rank, able in choices]
+    different = {each.tobytes(): each for each in chosen}
     parts = [replace(problem, observations=obs.select(each[obs.station] == pair)).subset(
         np.flatnonzero(each >= 0)) for each in different.values()]
     return [part for part in parts if len(part.poses) >= MINIMUM]
@@ -236,5 +251,6 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 WEDGE = Method(
     'wedge', KINDS, LABELS, essential=(), minimum=MINIMUM, guess=guess,
     features=FeatureModel(corner_features, observe),
-    geometry=Geometry(conditions, retract, free, relabel), measures=Measures(describe),
+    geometry=Geometry(conditions, retract, free, relabel, several_corners),
+    measures=Measures(describe),
     nuisances=FACES_AND_EDGES)

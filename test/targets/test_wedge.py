@@ -12,7 +12,8 @@ from handeye_ros.data import FaceLine, Sample
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.lines import corner_features
 from handeye_ros.sampling.station_features import combine
-from handeye_ros.simulate import SCENARIOS
+from handeye_ros.simulate import SCENARIOS, Scenario, scenes
+from handeye_ros.simulate.solids import Box, Solid
 from handeye_ros.targets import wedge
 import numpy as np
 import pytest
@@ -169,3 +170,20 @@ def test_one_of_the_first_starts_is_the_block_between_two_grooves() -> None:
     many = problem([on_a_table(sample) for sample in made.samples], made.config)
     starts = islice(wedge.guess(many, np.random.default_rng(0)), 3)
     assert min(made.error(start.X) for start in starts) < 1e-3
+
+
+def stepped(scenario: Scenario) -> tuple[Solid, ...]:
+    """Return a block with a step of 10 by 3 mm along its edge: a second, parallel edge."""
+    length, width = scenario.target.length, 0.05
+    return (Box((0.0, 0.01, -width), (length, width, 0.0)),
+            Box((0.0, 0.0, -width), (length, width, -0.003)))
+
+
+@pytest.mark.parametrize('seed', [3, 5])
+def test_a_step_along_the_edge_gives_no_answer_between_two_edges(
+        seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(scenes.SCENES, 'stepped', replace(scenes.SCENES['wedge'], solids=stepped))
+    made = recorded(replace(SCENARIOS['wedge'], scene='stepped', stations=(18, 0),
+                            stated=(('target.type', 'wedge'),)), seed)
+    found = pipeline.calibrate(made.profiles, made.poses, made.config)
+    assert made.error(found.T_flange_sensor) < 3e-4
