@@ -2,11 +2,11 @@
 Tests whether other settings or another time offset explain a recording without an answer.
 
 Each hypothesis changes one setting, or two that belong together, and reads the same profiles of
-the same stops again. The data then differ, and no likelihoods can be compared: a hypothesis counts
-where nearly all its samples fit about as well as the configured noise allows, and where these are
-most of the stops; of several that with the most conditions beyond its unknowns.
+the same stops again. The data then differ, so likelihoods cannot be compared. A hypothesis is
+accepted if most stops give samples and nearly all of these fit about as well as the configured
+noise allows. Of several, the one with the largest redundancy is reported.
 
-Clocks differ where the profiles come to rest or leave it later than the poses, stop after stop,
+Clocks differ if, at stop after stop, the profiles come to rest or leave it later than the poses,
 and the samples fit the poses of that other time.
 """
 from __future__ import annotations
@@ -40,19 +40,19 @@ from handeye_ros.sampling.stops import needed, result_of, Seen, Stop
 from handeye_ros.streams.stream import interpolate
 import numpy as np
 
-MOST_STOPS, MOST_PROFILES = 40, 4  # that are read again, and of each stop
-LEAST_SHARE = 0.7  # of the stops fit, at least
-FEWEST_CONDITIONS = 6  # beyond the unknowns
-# Where the setting as it is fits too: times its conditions at least, its variance factor at most.
+MOST_STOPS, MOST_PROFILES = 40, 4  # stops read again, profiles of each
+LEAST_SHARE = 0.7  # smallest share of the stops that fit
+FEWEST_CONDITIONS = 6  # smallest redundancy of a hypothesis
+# If the stated setting fits too: smallest ratio of redundancy, largest of variance factors.
 MORE, WORSE = 1.5, 2.0
-LAG = NS // 20  # between two profiles that are compared
-STILL_SHARE = 0.1  # of the comparisons, at least, are of a robot that stands still
-MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # times the change at rest; m
+LAG = NS // 20  # ns between two profiles that are compared
+STILL_SHARE = 0.1  # smallest share of the comparisons with a robot at rest
+MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # largest change at rest: ratio, and at least (m)
 SMALLEST = 0.05  # s: a smaller time offset is not visible at stops
 
 
 class WrongSettingError(NamedCauseError):
-    """Settings with which there is no answer, where others give one."""
+    """Settings without an answer, where other settings give one."""
 
     def __init__(self, values: dict[str, str], used: int, stops: int, residual: float) -> None:
         to = ' and '.join(f'{key} to {value}' for key, value in values.items())
@@ -64,7 +64,7 @@ class WrongSettingError(NamedCauseError):
 
 def require_settings(session: Session, config: Config) -> None:
     """Raise WrongSettingError where other settings explain the stops of a session."""
-    if config.sampling.moving:  # a pass is of many profiles, each with its own pose
+    if config.sampling.moving:  # a pass: many profiles with their own poses
         return
     stops = [_thinned(outcome.stop, config) for outcome in session.outcomes
              if not outcome.refused][:MOST_STOPS]
@@ -143,10 +143,10 @@ def _thinned(stop: Stop, config: Config) -> Stop:
 @dataclass(frozen=True, eq=False)
 class _Still:
     """
-    Profiles of a robot at rest, and the stamps at which the stop began and ended.
+    The longest time of a stop in which the profiles do not change.
 
-    pose: (4, 4) T_base_flange of the stop; start, end: of the stop; opened, closed: whether the
-    target was seen to come to rest, and to leave it, within the stop.
+    pose: (4, 4) T_base_flange of the stop; start, end: of its poses (ns); first, last: of this
+    time (ns); opened, closed: whether the profiles change before and after it in the stop.
     """
 
     sample: Sample | None
@@ -176,7 +176,7 @@ def require_same_clock(session: Session, config: Config) -> None:
 
 def _profiles(stop: Stop, config: Config
               ) -> tuple[list[Profile], Array, int, int] | None:
-    """Return a few profiles of a stop, its pose, start and end."""
+    """Return some profiles of a stop, its pose (4, 4), start and end (ns); None: too few."""
     seen = stop.load(config)
     found: list[Profile] = []
     for profile in seen.profiles:
