@@ -44,8 +44,8 @@ class RawProfile:
 
     fetch: returns the serialised message; convert: makes a Profile of it with a configuration, or
     raises UnusableMessageError; config: the default configuration; held: memory that it takes
-    (bytes), 0 if it is in a file; rows: number of profiles in the message; reach: largest time
-    from when it was taken to its stamp, before and after it (ns).
+    (bytes), 0 if it is in a file; rows: number of profiles in the message; reach: it was taken at
+    most this long before and after its stamp (ns).
     """
 
     stamp: int
@@ -95,11 +95,11 @@ class FaceLine:
 
     centre: (2,) centroid of its points; direction: (2,) unit vector along it.
     spread: standard deviation of its points along it (m); std: 1 sigma of its offset at the
-    centre, and of the change of the offset over one spread (m). So the offsets at centre +- spread
-    * direction are uncorrelated, each with 1 sigma sqrt(2) * std. points: (k, 2) normal points:
-    means of equal bins of measured points, in order; points_std: (k,) 1 sigma of each across the
-    line. blocks: (m, 2) means of finer bins, whose scatter gives std and points_std. All three are
-    empty if only the line is known.
+    centre, and of the change of the offset over one spread (m). So the offsets at
+    centre +- spread * direction are uncorrelated, each with 1 sigma sqrt(2) * std.
+    points: (k, 2) normal points: means of equal bins of measured points, in order; points_std:
+    (k,) 1 sigma of each across the line. blocks: (m, 2) means of finer bins, whose scatter gives
+    std and points_std. All three are empty if only the line is known.
     """
 
     centre: Array

@@ -2,9 +2,9 @@
 Observations and the Jacobian, by stations.
 
 A smooth error of the robot has a components, each a sum of k basis functions over the poses. The
-derivative of row i by the coefficient of function j in component l is local[i, l] *
-basis[station(i), j]; only these factors are stored. With 18 stations a dense matrix is as fast;
-with 200 to 1,000 the factors are 3 to 12 times as fast.
+derivative of row i by the coefficient of function j in component l is
+local[i, l] * basis[station(i), j]; only these factors are stored. With 18 stations a dense matrix
+is as fast; with 200 to 1,000 the factors are 3 to 12 times as fast.
 """
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) 
 
 
 def _iterated(system: _System) -> tuple[_System, bool]:
-    """Return the converged system; or the best one before the steps diverged, and True."""
+    """Return the converged system and False, or the best one before divergence and True."""
     least, best, resting = np.inf, system, False
     for count in range(10):  # linearisations
         x, covariance = system.solved

@@ -184,7 +184,7 @@ def variance_components(residuals: Array, jacobian: Array, parts: Array, start: 
 
 def first_variances(residuals: Array, parts: Array) -> Array:
     """
-    Return start values (c,): half of the variance with which each cause alone is sufficient.
+    Return start values (c,): half of the variance that each cause alone would need.
 
     residuals: (n, k), in threes of vectors (such as translation, rotation); some may be wrong.
     parts: as for variance_components.
