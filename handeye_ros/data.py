@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
-TIME_OFFSET, ROTATION_LAG = 'time_offset', 'rotation_lag'  # s; keys of what is estimated
+TIME_OFFSET, ROTATION_LAG = 'time_offset', 'rotation_lag'  # keys of estimated values (s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,11 +18,11 @@ class Profile:
     """
     One laser profile, in the sensor's own plane.
 
-    points: (n, 2), along the laser line and range, in the order of the line, either way (a
-    session sorts others); a row with NaN is a column without a return.
+    points: (n, 2) metres, along the laser line and range, ordered along the line in either
+    direction (a session sorts others); a row with NaN is a column without a return.
     axes: the signed axes of frame_id that the two columns of points run along.
     beside: the third coordinate in frame_id, across the plane (metres); it is not used.
-    intensity: (n,) of the points, where it was asked for and the driver gives it.
+    intensity: (n,) of the points, None if not requested or not published.
     """
 
     stamp: int
@@ -33,19 +33,19 @@ class Profile:
     intensity: Array | None = None
 
     def read(self, config: ProfileConfig | None = None) -> Profile:
-        """Return itself: it has been read."""
+        """Return this profile itself; same interface as RawProfile.read."""
         return self
 
 
 @dataclass(frozen=True, eq=False)
 class RawProfile:
     """
-    A profile as it was received: most are never used, and converted only where they are.
+    A profile as received; it is converted only when it is used.
 
-    fetch: gives the serialised message from where it lies; convert: makes a profile of it as a
-    configuration reads it, or raises UnusableMessageError; config: that of its topic; held: bytes
-    of memory that it takes, 0 where it lies in a file. rows: profiles that are in it. reach: it
-    was taken within so long before and after its stamp (ns).
+    fetch: returns the serialised message; convert: makes a Profile of it with a configuration, or
+    raises UnusableMessageError; config: the default configuration; held: memory that it takes
+    (bytes), 0 if it is in a file; rows: number of profiles in the message; reach: it was taken at
+    most this long before and after its stamp (ns).
     """
 
     stamp: int
@@ -94,12 +94,12 @@ class FaceLine:
     The straight part of a profile across a face.
 
     centre: (2,) centroid of its points; direction: (2,) unit vector along it.
-    spread: standard deviation of its points along it; std: 1 sigma of its offset at
-    the centre, which is also that of its offset's change over one spread: the offsets at
-    centre +- spread * direction are uncorrelated, each with sqrt(2) * std.
-    points: (k, 2) normal points, the means of equal bins of its points, in their order, as
-    measured; points_std: (k,) 1 sigma of each across the line. blocks: (m, 2) the means of
-    finer bins, whose scatter tells these. All are empty where only the line is known.
+    spread: standard deviation of its points along it (m); std: 1 sigma of its offset at the
+    centre, and of the change of the offset over one spread (m). So the offsets at
+    centre +- spread * direction are uncorrelated, each with 1 sigma sqrt(2) * std.
+    points: (k, 2) normal points: means of equal bins of measured points, in order; points_std:
+    (k,) 1 sigma of each across the line. blocks: (m, 2) means of finer bins, whose scatter gives
+    std and points_std. All three are empty if only the line is known.
     """
 
     centre: Array
@@ -120,13 +120,11 @@ class EdgePoint:
     face line, out of the face; std: 1 sigma along the direction; std_across: 1 sigma across it;
     kind: 'step', 'shadow' (a step whose foot is hidden), 'roof' (its wall is seen), 'gap' (nothing
     behind it) or 'open' (the driver does not say).
-    drop: (2,) from the point to the surface below it, of a rounded or bevelled edge whose wall
-    is not in sight, 0 of others; shapes: (k + 1,) logarithms of how likely it is rounded by each
-    of k radii, and bevelled, 0 for the likeliest, empty where nothing bends. arc: (2,) from the
-    point to the middle of the end's arc, were it round; arc_std: 1 sigma of where that is along
-    the direction.
-    shape_std: 1 sigma of how far the edge is off since its shape is not known exactly, which all
-    ends share.
+    drop: (2,) from the point down to where the plate was last seen, for a rounded or bevelled edge
+    without a visible wall, else 0; shapes: (k + 1,) log likelihoods of roundings with k radii and
+    of a bevel, 0 for the best, empty without a bend. arc: (2,) from the point to the middle of the
+    end's arc if it is a rounding; arc_std: 1 sigma of this position along the direction.
+    shape_std: 1 sigma of the edge position from its uncertain shape, common to all ends.
     """
 
     point: Array
@@ -142,7 +140,7 @@ class EdgePoint:
 
     @property
     def bevel(self) -> float:
-        """Return how far below the face line the plate was last seen."""
+        """Return the depth (m) below the face line at which the plate was last seen."""
         return float(np.hypot(*self.drop))
 
 
@@ -169,13 +167,13 @@ Feature: TypeAlias = FaceLine | EdgePoint | Arc
 @dataclass(frozen=True, eq=False)
 class Sample:
     """
-    A station: what was seen while the robot stood still, and where it stood.
+    A station: the features seen while the robot stood still, and its pose.
 
-    Or one profile of a robot that moves. stamp: of the first profile used; T_base_flange: (4, 4).
-    flipped: what its first profile would show if the range were counted the other way, to tell a
-    wrong setting. motion: of a robot that moves (sampling.trajectory); offsets: by how much later
-    than the stamp its pose is, and the rotation than the position (s). single: of a pass, the
-    samples of its profiles; its own is the middle one.
+    Or one profile of a moving robot. stamp: of the first profile used; T_base_flange: (4, 4).
+    flipped: features of the first profile with the opposite range sign, to detect a wrong setting.
+    motion: trajectory of a moving robot (streams.trajectory); offsets: from the stamp to the time
+    of its pose, and of the rotation behind the position (s). single: of a pass, the samples of its
+    profiles; the pass has the features of the middle one.
     """
 
     stamp: int

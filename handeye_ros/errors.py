@@ -22,7 +22,7 @@ class HandeyeError(Exception):
     exit_code = 2
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Let it be copied and pickled: the children are not made from their message."""
+        """Support copy and pickle: the constructors of subclasses do not take the message."""
         return _restored, (type(self), str(self))
 
 
@@ -53,14 +53,14 @@ class FeatureError(DataError):
 
 
 def nearest(word: str, known: Sequence[str]) -> str:
-    """Return a hint at the known word nearest to word, or whose last part it is, or nothing."""
+    """Return a hint at a similar known word, or at a key that ends with the word; '' if none."""
     close = difflib.get_close_matches(word, known, n=1, cutoff=0.65) or [
         other for other in known if other.endswith(f'.{word}')]
     return f'; did you mean "{close[0]}"?' if close else ''
 
 
 class NamedCauseError(DataError):
-    """A refusal with its one cause, beside which no other is looked for."""
+    """A refusal with a known cause: no other cause is searched for."""
 
 
 class UnknownKeyError(InputError):
@@ -86,7 +86,7 @@ def degrees(radians: float) -> str:
 
 
 class ConfigFileError(InputError):
-    """A parameter file that holds nothing for the node, or for several; nodes: their names."""
+    """A parameter file without a section for this node; nodes: names of its sections."""
 
     def __init__(self, path: object, nodes: Sequence[str]) -> None:
         super().__init__(
@@ -97,7 +97,7 @@ class ConfigFileError(InputError):
 
 
 class OnlyFromFilesError(InputError):
-    """A target that no profiles of stations are taken of."""
+    """A target that is solved from files, not from profiles of stations."""
 
     def __init__(self, target: str) -> None:
         super().__init__(f'target.type {target} is solved from files, not from a stream of '
@@ -128,14 +128,14 @@ class UnwritableError(InputError):
 
 
 class TooFewError(DataError):
-    """A published algorithm was given less than it can work from."""
+    """Too few data for a published algorithm."""
 
     def __init__(self, method: str, minimum: int, what: str, count: int) -> None:
         super().__init__(f'{method} needs at least {minimum} {what}, got {count}')
 
 
 class SingularError(DataError):
-    """A published algorithm divides by what the data make zero."""
+    """Data for which a published algorithm is singular, or lacks an input."""
 
     def __init__(self, method: str, reason: str) -> None:
         super().__init__(f'{method} cannot be solved: {reason}')

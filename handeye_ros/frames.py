@@ -23,24 +23,24 @@ def target_frame(config: Config) -> str:
 
 def mounted(samples: Sequence[Sample], config: Config) -> Array:
     """
-    Return the poses (n, 4, 4) of what carries the sensor, in what carries the target.
+    Return the poses (n, 4, 4) of the mount of the sensor in the frame where the target is fixed.
 
-    The flange in the base (eye_in_hand), or the base in the flange (eye_on_base).
+    That is T_base_flange with eye_in_hand, and T_flange_base with eye_on_base.
     """
     return in_mount(np.array([sample.T_base_flange for sample in samples]), config)
 
 
 def in_mount(T_base_flange: Array, config: Config) -> Array:
-    """Return poses (..., 4, 4) of the flange in the base, see mounted."""
+    """Return the poses (..., 4, 4) as in mounted, from T_base_flange (..., 4, 4)."""
     return T_base_flange if config.calibration_type == 'eye_in_hand' else se3.inverse(
         T_base_flange)
 
 
 def sensor_axes(config: Config) -> Array:
     """
-    Return T_sensor_plane, (4, 4): the sensor's plane, along the line x and range z.
+    Return T_sensor_plane (4, 4): the frame with x along the laser line and z along the range.
 
-    Identity for the usual axes [x, z].
+    Identity for the usual profile.axes [x, z].
     """
     along, across = unit_vectors(config.profile.axes).T
     return se3.transform(np.column_stack([along, np.cross(across, along), across]), np.zeros(3))
@@ -55,7 +55,7 @@ def unit_vectors(names: Sequence[str]) -> Array:
 
 
 def name_direction(direction: Array, frame: str) -> str:
-    """Return a direction (3,) as a person would say it: the nearest axis and how near."""
+    """Return a direction (3,) in words: the nearest axis if within 15 degrees, else numbers."""
     axis = int(np.argmax(np.abs(direction)))
     away = np.degrees(np.arccos(min(1.0, abs(direction[axis]) / np.linalg.norm(direction))))
     if away < 15:
@@ -65,7 +65,7 @@ def name_direction(direction: Array, frame: str) -> str:
 
 
 def other_axes(direction: Array, frame: str) -> str:
-    """Return the two axes of a frame that are most across a direction."""
+    """Return in words the two axes of a frame with the largest angles to a direction (3,)."""
     names = [name for _, name in sorted(zip(np.abs(direction), 'xyz', strict=True))]
     return f'{frame} {" or ".join(sorted(names[:2]))}'
 

@@ -22,9 +22,9 @@ class Notation:
     """
     How a controller writes a pose.
 
-    title: in words; labels: of the numbers of an orientation; angle: whether these are angles in
-    deg or in rad, or '' of a quaternion; length: the unit of positions; numbers: of a rotation,
-    (n, k) in units of angle; rotation: of such numbers.
+    title: in words; labels: names of the k numbers of an orientation; angle: their unit, deg or
+    rad, or '' for a quaternion; length: unit of positions; numbers: converts a Rotation to
+    numbers (n, k); rotation: converts such numbers to a Rotation.
     """
 
     title: str
@@ -36,7 +36,7 @@ class Notation:
 
 
 def _euler_numbers(axes: str, rotation: Rotation) -> Array:
-    with warnings.catch_warnings():  # of a gimbal lock, where any of the triples is right
+    with warnings.catch_warnings():  # of gimbal lock, where the angles are not unique
         warnings.simplefilter('ignore', UserWarning)
         return np.asarray(rotation.as_euler(axes, degrees=True))
 

@@ -40,7 +40,7 @@ def write_whole(path: Path, text: str) -> None:
 
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
-    """Give the name of a file that takes the place of another when the block has ended well."""
+    """Give a temporary file that replaces another when the block ends without an error."""
     temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

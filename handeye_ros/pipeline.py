@@ -1,7 +1,7 @@
 """
 From profiles and poses to the hand-eye transform: the whole flow.
 
-`calibrate` is for a recording, `solve` is what it and the node end in.
+`calibrate` takes a recording, `solve` takes samples: both `calibrate` and the node end with it.
 """
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ import numpy as np
 
 Solver = Callable[[Sequence[Sample], Sequence[Reject], Config, str], Calibration]
 
-SEED = 0  # of the searches inside: the same samples give the same answer
+SEED = 0  # of the random searches: the same samples give the same answer
 
 
 def calibrate(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: Config
@@ -65,9 +65,9 @@ def solve_session(session: Session, config: Config, solver: Solver | None = None
     """
     Return the calibration from the samples of a session, as solve does.
 
-    solver: solve itself, or what calls it elsewhere.
-    Raises DataError without one: of a setting or of the clocks where these explain why the
-    samples do not fit.
+    solver: the function that solves, by default solve.
+    Raises DataError if there is no answer: WrongSettingError or ClocksDifferError if one of these
+    explains why the samples do not fit.
     """
     session.require_stations()
     config = session.with_base(config)
@@ -140,9 +140,9 @@ def with_warnings(calibration: Calibration, warnings: Sequence[str]) -> Calibrat
 def evidence(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: Config
              ) -> Evidence:
     """
-    Return what a recording shows, stop by stop, and what answer it gives, for the report.
+    Return the stops of a recording, and its answer or refusal, for the report.
 
-    Raises DataError when it holds no stations; one that is refused later is told with its words.
+    Raises DataError when it holds no stations; a later refusal is in Evidence.refusal.
     """
     session = gather(profiles, poses, config)
     seen = stop_snapshots(session, config)
@@ -179,9 +179,9 @@ def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None,
 def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Config,
              start: Estimate | None = None) -> Consensus:
     """
-    Return which samples agree, with the solution from these, however uncertain.
+    Return the consensus: the samples that agree, and their solution, however uncertain.
 
-    start: from which alone to start, where it is known.
+    start: the only start to use, if it is known.
     Raises DataError when the samples cannot be solved or contradict each other.
     """
     require_solvable(ordered, rejects, config, targets.method_for(config))
@@ -195,7 +195,7 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
 
 
 def flipped(ordered: Sequence[Sample], problem: Problem) -> Problem | None:
-    """Return the problem with the range counted the other way, None if it cannot be posed."""
+    """Return the problem with the opposite profile.range_sign, None with too few samples."""
     config = flipped_range(problem.config)
     others, _ = consistent_edges([replace(s, features=s.flipped) for s in ordered if s.flipped])
     if len(others) < problem.method.minimum:
@@ -204,7 +204,7 @@ def flipped(ordered: Sequence[Sample], problem: Problem) -> Problem | None:
 
 
 def at_stops(samples: Sequence[Sample], config: Config) -> tuple[Sequence[Sample], Problem]:
-    """Return samples as solve takes them, and their problem with each pose by itself."""
+    """Return the samples that solve uses, and their problem with constant poses."""
     ordered, _ = consistent_edges(sorted(samples, key=lambda sample: sample.stamp))
     ordered = synchronised(ordered, config).samples
     return ordered, _at_stops(ordered, config)

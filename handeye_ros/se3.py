@@ -90,8 +90,8 @@ def rpy(T: Array) -> Array:
     """
     Return roll, pitch, yaw (radians; URDF: extrinsic x-y-z) of a (4, 4) transform.
 
-    The roll is that of what the yaw leaves, so that the three give the rotation at a pitch of
-    90 degrees too, where the yaw alone is arbitrary.
+    The roll is computed from the rotation that remains after the yaw. So the three angles are
+    valid even at a pitch of 90 degrees, where the yaw alone is arbitrary.
     """
     R = T[:3, :3]
     yaw = np.arctan2(R[1, 0], R[0, 0])
@@ -114,12 +114,12 @@ def difference(T: Array, T_reference: Array) -> Array:
 
 
 def angle(R: Array) -> Array:
-    """Return by how much (..., 3, 3) rotations turn (radians)."""
+    """Return the rotation angles (radians) of (..., 3, 3) rotations."""
     return cast(Array, np.linalg.norm(log_rotation(R), axis=-1))
 
 
 def skew(v: Array) -> Array:
-    """Return the (..., 3, 3) matrices that are the cross product by (..., 3) vectors."""
+    """Return the matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
     S = np.zeros((*v.shape, 3))
     S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
     return cast(Array, S - np.swapaxes(S, -1, -2))
@@ -151,10 +151,10 @@ def mean_pose(T: Array) -> Array:
 
 def interpolated(times: Array, translations: Array, quaternions: Array, at: Array) -> Array:
     """
-    Return poses (k, 4, 4) at times (k,) within the ascending times (n,), n > 1, of others.
+    Return poses (k, 4, 4) at times `at` (k,), interpolated between poses at times (n,).
 
-    translations: (n, 3); quaternions: (n, 4) x y z w. Linear in the translation, slerp in the
-    rotation. Raises ValueError outside.
+    times: ascending, n > 1; translations: (n, 3); quaternions: (n, 4) x y z w. Linear in the
+    translation, slerp in the rotation. Raises ValueError outside the times.
     """
     rotations = Slerp(times, Rotation.from_quat(quaternions))(at)
     translation = np.column_stack([np.interp(at, times, column) for column in translations.T])

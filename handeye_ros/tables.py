@@ -41,7 +41,7 @@ class TableError(InputError):
 
 
 class Table:
-    """The columns of a file, by name, as they stand there."""
+    """The columns of a file by name, as text or numbers of the file."""
 
     def __init__(self, path: Path) -> None:
         """Read a .csv file, or else YAML; raises TableError."""
@@ -67,11 +67,11 @@ class Table:
         self._columns = dict(zip(self._units, zip(*rows, strict=True), strict=True))
 
     def has(self, names: Sequence[str]) -> bool:
-        """Tell whether all of these columns are there."""
+        """Return whether the table has all of these columns."""
         return all(name in self._columns for name in names)
 
     def kind(self, name: str) -> str:
-        """Return what a column holds, by its unit."""
+        """Return the kind of quantity in a column, from its unit."""
         unit = self._units.get(name)
         return next((kind for kind, units in UNITS.items() if unit in units), NUMBER)
 
@@ -88,7 +88,7 @@ class Table:
         """
         Return columns (n, k) of a kind in SI units; raises TableError.
 
-        unit: of columns whose header names none; None: these are refused.
+        unit: for columns without a unit in the header; None: such columns are refused.
         """
         return np.column_stack([self._values(name, kind, unit) for name in names])
 
@@ -183,7 +183,7 @@ def _csv(path: Path) -> tuple[list[str], list[list[str]]]:
 def _yaml(path: Path) -> tuple[list[str], list[list[Any]]]:
     try:
         content = yaml_content(path.read_text(encoding='utf-8'))
-    except (OSError, ValueError, yaml.YAMLError) as error:  # ValueError: a date that is none
+    except (OSError, ValueError, yaml.YAMLError) as error:  # ValueError: an invalid date
         raise TableError(path, f'cannot be read: {error}') from error
     header, rows = (content.get(key) if isinstance(content, dict) else None
                     for key in ('columns', 'rows'))

@@ -6,7 +6,7 @@ METRES = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254}
 
 
 def limits(texts: Iterable[str], option: str, usual: float) -> list[float]:
-    """Return lengths in metres, of which inf and -inf are none; see length."""
+    """Return limits in metres, see length; inf and -inf mean no limit."""
     return [float(text) if text in ('inf', '-inf') else length(text, option, usual)
             for text in texts]
 
@@ -15,7 +15,7 @@ def length(text: str, option: str, usual: float, least: float = -math.inf) -> fl
     """
     Return a length in metres; raises BadValueError.
 
-    usual: a plain number beyond it is refused, as it was most likely meant in millimetres.
+    usual: a number without a unit above it is refused: it was probably meant in millimetres.
     """
     from handeye_ros.errors import BadValueError
     word = text.strip()

@@ -1,9 +1,9 @@
 """
 The same samples under one changed assumption, and the evidence for it.
 
-The sign of the range is tested without a solution, too. A face ends where the surface turns away
-from the sensor or drops. Read with the wrong sign, a corner that turns away stands in front of the
-face instead, and there is no edge.
+profile.range_sign is also tested without a solution. A face ends where the surface turns away from
+the sensor or drops. With the wrong sign, a corner that turns away appears in front of the face, so
+no edge is found.
 
 Two explanations are compared by twice the logarithm of the Bayes factor, as the Schwarz criterion
 approximates it (Schwarz 1978, Ann. Statist. 6:461; Kass and Raftery 1995, J. Am. Stat. Assoc.
@@ -12,8 +12,8 @@ deviance, (13),
 
     f (log v + s / v) + u log m + sum of the limits of what it leaves out,    v = max(s, 0.01)
 
-A station that is left out costs the limit from which a station is an outlier, and so does an edge
-that a station shows and the explanation does not use.
+Each dropped station adds the limit from which a station is an outlier, a quantile of chi-squared.
+Each used station with edges that are not used adds this limit for 1 degree of freedom.
 """
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ import numpy as np
 RARE = 1e-5  # probability of naming a wrong cause
 # Twice the log of a Bayes factor: very strong by Kass and Raftery; odds of 1 to RARE.
 VERY_STRONG, DECISIVE = 10.0, -2 * float(np.log(RARE))
-LARGEST_DROPPED_SHARE = 0.34  # of the stations, that an explanation may leave out: one third
+LARGEST_DROPPED_SHARE = 0.34  # largest share of the stations that an explanation may leave out
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Fit:
 
     @classmethod
     def of(cls, problem: Problem, all_starts: bool = False) -> Fit | None:
-        """Return the fit of a problem, None if the first starts, or all, lead to none."""
+        """Return the fit of a problem, None without one; all_starts: not only the first two."""
         consensus: Consensus | None
         if all_starts:
             try:
@@ -104,8 +104,8 @@ class Hypothesis:
     """
     One changed assumption.
 
-    refit(): the fit of the same samples under it, None where there is none; refusal(fit): the
-    error that names it.
+    refit(): the fit of the same samples with this change, None without a fit; refusal(fit): the
+    error that names this change.
     """
 
     refit: Callable[[], Fit | None]
@@ -117,7 +117,7 @@ def require_stated(stated: Fit, hypotheses: Iterable[Hypothesis], level: float =
     """
     Raise where one changed assumption explains the samples better than the stated ones.
 
-    Raises the refusal of the hypothesis that explains them best.
+    Raises the refusal of the best one. level: 2 log Bayes factor that it has to exceed.
     """
     fits = [(one, fit) for one in hypotheses if (fit := one.refit()) and fit.believable
             and fit.evidence_against(stated) > level]
@@ -156,7 +156,7 @@ class RangeSignEvidence:
         """
         Return whether the stations contradict profile.range_sign (a sign test at 0.01).
 
-        Not where half of them show an edge as set, or fewer than 0.8 with the other sign.
+        False if over half show an edge as set, or under 0.8 of all show one with the other sign.
         """
         if not self.total or self.as_set > 0.5 * self.total:
             return False
@@ -179,8 +179,8 @@ def range_sign_evidence(stations: Iterable[Sample | Reject]) -> RangeSignEvidenc
     """
     Return the evidence on profile.range_sign from all stations, also those without a sample.
 
-    Ends of faces at the border of the field of view must be left out. For targets without edges
-    the evidence is never against.
+    The caller removes ends of faces at the border of the field of view. For targets without edges
+    `against` is False.
     """
     seen = [(isinstance(s, Sample) and _has_edge(s.features, EDGES),
              _has_edge(s.flipped, TURNED_EDGES)) for s in stations]

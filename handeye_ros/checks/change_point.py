@@ -1,12 +1,12 @@
 """
 Whether sensor or target moved in the middle of a recording.
 
-Where the samples fit no answer, each part of the recording is fitted by itself. Where they do, a
-move after station i is two more blocks of nuisance parameters, linearised at the answer, (14) of
-estimator.md. Two tests have to agree. Noise and scales are estimated again with and without the
-move, as they partly explain it otherwise. And the order of time has to show more than random
-orders of the same stations do: errors of a robot that the model does not contain look like moves
-in any order.
+If the samples fit no answer, two parts of the recording are fitted separately. If they do, a move
+after station i is two more blocks of nuisance parameters, linearised at the answer, (14) of
+estimator.md. Two tests must agree. The Bayes factor: noise and scales are estimated again with and
+without the move, since they absorb part of it otherwise. A permutation test: random orders of the
+stations must seldom show as clear a move, since robot errors that are not in the model look like
+moves in any order.
 """
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ MOST_CHANGES = 40  # possible moments of a small move
 STEP = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 SIZES = (1.0, 0.25)  # factors on it, of equal prior probability
 STRONG = 5.0  # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
-LARGE = 3.0  # times the smooth error of the robot: less may be a part of it
-RARELY, HARDLY_EVER = 0.1, 0.01  # share of them that show as much: to warn, to refuse
+LARGE = 3.0  # smallest move over the robot's smooth error: a smaller one may be part of it
+RARELY, HARDLY_EVER = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
 
 
 def require_unmoved(problem: Problem, agreed: Consensus) -> None:
@@ -102,10 +102,10 @@ class ChangePoint:
     """
     A move of sensor or target between two stations.
 
-    station: the first one after it; sensor: whether the sensor moved, and not the target;
-    step: (6,) translation and rotation in the mount or the base; evidence: twice the log of the
-    Bayes factor against no move; smooth: 1 sigma of the robot's smooth error beside it (m);
-    p_value: the share of random orders of the stations that show a move as clearly.
+    station: the first one after the move; sensor: True: the sensor moved, False: the target; step:
+    (6,) translation (m) and rotation vector (rad) in the mount or the base; evidence: twice the
+    log Bayes factor against no move; smooth: 1 sigma of the robot's smooth error (m); p_value:
+    share of random orders of the stations with at least as clear a move.
     """
 
     station: int
@@ -117,12 +117,12 @@ class ChangePoint:
 
     @property
     def where(self) -> tuple[bool, int]:
-        """Return what moved, and before which station, in words."""
+        """Return whether the sensor moved, and the first station after the move."""
         return self.sensor, self.station
 
     @property
     def clear(self) -> bool:
-        """Return whether a smooth error of the robot is no likely explanation of the move."""
+        """Return whether the robot's smooth error is an unlikely explanation of the move."""
         size = np.hypot(np.linalg.norm(self.step[:3]), TURN_LENGTH * np.linalg.norm(self.step[3:]))
         return bool(self.evidence > DECISIVE or size > LARGE * self.smooth)
 
@@ -130,16 +130,16 @@ class ChangePoint:
 def change_point(solution: Solution) -> ChangePoint | None:
     """Return the most likely move at a solution, None if nothing indicates one."""
     n, reported = len(solution.problem.poses), solution.conservative or solution
-    few = 2 if solution.problem.pose_model is None else n // MOST_CHANGES  # of many a second
+    few = 2 if solution.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
     changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
     if n < solution.problem.method.minimum + 4:  # too few to tell a move from an outlier
         return None
     steps = _Steps.of(reported, changes)
-    if next(steps.peaks()).evidence < -STRONG:  # against a move
+    if next(steps.peaks()).evidence < -STRONG:  # evidence against a move
         return None
     unmoved, tried = reestimated(reported).deviance, set[tuple[bool, int]]()
     best = ChangePoint(0, False, np.zeros(6), -np.inf)
-    # each try costs an estimate of noise and scales: more only where one shows something
+    # each try estimates noise and scales again: 3 tries, 10 once one has positive evidence
     while len(tried) < (10 if best.evidence > 0 else 3):
         peaks = (peak for peak in steps.peaks() if peak.where not in tried)
         if not (one := next(peaks, None)):
@@ -151,7 +151,7 @@ def change_point(solution: Solution) -> ChangePoint | None:
             step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
             smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
             best = replace(one, step=step, evidence=evidence, smooth=smooth)
-            # with noise and scales that do not stand for the move, its moment shows better
+            # noise and scales estimated with the move do not absorb it: its time is clearer
             steps = _Steps.of(evaluated(solution.problem, solution.estimate, moved.noise), changes)
     if best.evidence < STRONG or not best.clear:
         return None
@@ -160,7 +160,7 @@ def change_point(solution: Solution) -> ChangePoint | None:
 
 
 def _blocks(solution: Solution, move: ChangePoint) -> tuple[ParameterBlock, ...]:
-    """Return the blocks of a move: its translation and its rotation."""
+    """Return two blocks of nuisance parameters: translation and rotation of a move."""
     columns = _by_steps(solution)[:, :6] if move.sensor else _by_steps(solution)[:, 6:]
     columns[solution.problem.observations.station < move.station] = 0.0
     return tuple(ParameterBlock(name, columns[:, part], float(STEP[part][0]), largest=1.0)
@@ -181,8 +181,8 @@ class _Steps:
     """
     Sums over the parts of a recording between k possible moves, for (14).
 
-    With the columns D of a move of sensor and target: own: (k + 1, 12, 12) D'D; cross:
-    (k + 1, q, 12) C^(1/2) A'D; slope: (k + 1, 12) D'e.
+    D: derivatives (rows, 12) by a move of sensor and target. own: (k + 1, 12, 12) D'D;
+    cross: (k + 1, q, 12) C^(1/2) A'D; slope: (k + 1, 12) D'e.
     """
 
     changes: NDArray[np.intp]
@@ -207,7 +207,7 @@ class _Steps:
         """
         Return 2 log Bayes factors (2, k) of moves, (14), and the moves (2, k, 6).
 
-        order: (k + 1,) of the parts. The first are of the sensor, the second of the target.
+        order: (k + 1,) of the parts. The first axis of the results: sensor, target.
         """
         own, cross, slope = (np.cumsum(part[order[::-1]], axis=0)[-2::-1]
                              for part in (self.own, self.cross, self.slope))

@@ -35,11 +35,11 @@ from handeye_ros.se3 import worst_rotation, worst_translation
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-FEWEST_REDUNDANT = 3  # conditions that test an answer, and as many each dropped station
+FEWEST_REDUNDANT = 3  # redundant conditions needed, and as many for each dropped station
 CONTAMINATED = 0.1  # largest probability that one of few samples is wrong
-SURE = 0.99  # the same where several were dropped that may show another surface: not all are found
+SURE = 0.99  # the same if several stations were dropped and similar surfaces may be confused
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
-MISFITTING = 9.0  # variance factor (3 sigma), from which another cause than noise is looked for
+MISFITTING = 9.0  # variance factor (3 sigma) above which other causes than noise are tested
 
 
 def require_solvable(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
@@ -58,10 +58,10 @@ def require_answer(agreed: Consensus, config: Config) -> str:
     """
     Raise for an answer that is untestable, too uncertain or ignores edges; return a warning.
 
-    Raises DataError; warning: that something moved a little, '' if not.
+    Raises DataError. The warning says that sensor or target moved slightly, '' if not.
     """
     _require_judged(agreed)
-    warning = moved_slightly(agreed)  # before: what it finds makes an answer uncertain too
+    warning = moved_slightly(agreed)  # first: a move also makes the answer uncertain
     require_certain(agreed, config)
     require_edges(agreed)
     return warning
@@ -77,9 +77,9 @@ def _require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], metho
 
 def require_own_frame(frame_id: str, config: Config) -> None:
     """
-    Raise for profiles in a frame of the robot: sensor and robot frame would be one.
+    Raise SensorFrameError if the profiles are in a frame with the name of a robot frame.
 
-    frame_id: of the profiles. Raises SensorFrameError.
+    frame_id: of the profiles. The answer would relate a frame to itself.
     """
     for key, robots in (('robot_effector_frame', config.robot_effector_frame),
                         ('robot_base_frame', config.base_frame)):
@@ -91,7 +91,7 @@ def require_rotations(poses: Array, frame: str, lost: str) -> None:
     """
     Raise for poses (n, 4, 4) that rotate about no axis, or about only one.
 
-    frame: that the poses turn, for the message; lost: what turns about one axis leave open.
+    frame: the mount frame, in which the axis is reported; lost: what one axis leaves unknown.
     Raises OneOrientationError and OneAxisError.
     """
     turns, axes = turning(poses)
@@ -139,8 +139,8 @@ def _require_judged(agreed: Consensus) -> None:
     """
     Raise for an answer with too few redundant conditions to test it.
 
-    Raises TooFewConditionsError, and UnidentifiedOutlierError where that would be so without the
-    one sample that seems to be wrong.
+    Raises TooFewConditionsError. Raises UnidentifiedOutlierError if a sample is probably wrong,
+    and without it too few conditions would remain or others may be wrong too.
     """
     dropped, left = len(agreed.dropped), agreed.solution.redundancy
     needed = FEWEST_REDUNDANT * (1 + dropped) + bool(dropped)
@@ -198,7 +198,7 @@ def require_consistent(problem: Problem, agreed: Consensus) -> None:
     """
     Raise for an answer that samples or poses contradict.
 
-    Where the poses turn too little, that is the reason given, not what follows from it.
+    Too little rotation of the poses is reported first, since it can cause the other errors.
 
     Raises TooUncertainError, MovedError, ScaleError, InconsistentError,
     ContradictingStationsError or ScatterError.

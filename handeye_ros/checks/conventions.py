@@ -1,8 +1,8 @@
 """
 Tests common errors of conventions where an answer does not fit.
 
-Each is a map of poses (n, 4, 4) to what they would be without the error. The one that makes the
-samples agree names the mistake.
+Each error is a map from the published poses (n, 4, 4) to the poses without this error. The map
+with which the samples agree names the mistake.
 """
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-SIGN_TRIED = 0.6  # variance factor, blocks lumped, from which the other range sign is tried
+SIGN_TRIED = 0.6  # variance factor, with lumped blocks, above which the other range sign is tried
 INVERSE = 'inverse poses'
 
 
@@ -45,7 +45,7 @@ def require_conventions(problem: Problem, agreed: Consensus, flipped: Problem | 
     """
     Raise where an error of conventions explains the samples better.
 
-    flipped: the problem with the range counted the other way, if it can be posed.
+    flipped: the problem with the opposite profile.range_sign, None with too few samples.
 
     Raises RangeSignError, CalibrationTypeError, ConventionError or ScatteredOrientationsError.
     """
@@ -90,7 +90,7 @@ def _mounted_on_base(agreed: Consensus) -> bool:
     """
     Return whether the sensor appears to be fixed to the base instead of the flange.
 
-    What it sees is nearer to the flange than to the base, whichever of them it is fixed to.
+    The observed points are nearer to the flange than to the base, for either mounting.
     """
     problem, X = agreed.solution.problem, agreed.solution.estimate.X
     seen = problem.observations.points @ X[:3, [0, 2]].T + X[:3, 3]
@@ -102,9 +102,9 @@ def orientations_scatter(poses: Array) -> bool:
     """
     Return whether no tool axis stays within one half space over poses (n, 4, 4).
 
-    That of a sensor which sees its target does; wrapped angles are as good as random.
+    The viewing axis of a sensor that sees its target does stay; wrapped angles look random.
     """
-    # the mean cosine between an axis and the direction that it keeps to best
+    # largest mean cosine between a tool axis and one fixed direction
     return float(np.linalg.norm(poses[:, :3, :3].mean(axis=0), 2)) < 0.6
 
 
@@ -113,7 +113,7 @@ class PoseMap:
     """
     undo: maps poses (n, 4, 4) to poses without the error; advice: what to do, in words.
 
-    other: the same, where the error leaves two ways to read the poses.
+    other: a second such map if the error can be undone in two ways, else None.
     """
 
     undo: Callable[[Array], Array]
@@ -170,7 +170,7 @@ def _rpy_as_vectors(T: Array, first: int) -> Array:
 
 
 def _two_ways(undo: Callable[..., Array], advice: str, **values: object) -> PoseMap:
-    """Return the map of an error that is ambiguous by two solutions for each pose."""
+    """Return the PoseMap of an error that can be undone in two ways, chosen at the first pose."""
     one, other = (partial(undo, first=first, **values) for first in range(2))
     return PoseMap(one, advice, other)
 
@@ -189,10 +189,10 @@ def _both_rpy(T: Array) -> Array:
 
 def _chained(R: Array, first: int, valid: NDArray[np.bool_] | None = None) -> Array:
     """
-    Return one of c candidates (c, n, 3, 3) for each pose, each near its neighbour.
+    Return rotations (n, 3, 3), for each pose one of its c candidates (c, n, 3, 3).
 
-    first: which candidate of the first pose is right; valid: (c, n) of the candidates, None: all.
-    From the poses decided so far, the candidate nearest to one of them comes next.
+    first: the candidate of the first pose; valid: (c, n) which candidates are possible, None: all.
+    The pose with a candidate nearest to a decided pose is decided next.
     """
     n = R.shape[1]
     chosen, undecided = np.full(n, first), np.ones(n, dtype=bool)

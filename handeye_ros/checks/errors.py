@@ -54,7 +54,7 @@ class LostEdgesError(DataError):
 
 
 class SensorFrameError(DataError):
-    """The sensor's frame has the name of a frame of the robot; key: which names that one."""
+    """The sensor frame has the name of a robot frame; key: the setting of that frame."""
 
     def __init__(self, frame: str, key: str) -> None:
         super().__init__(f'the profiles have the frame_id "{frame}", and {key} is the same frame, '
@@ -168,7 +168,7 @@ class ScatterError(DataError):
 
 
 class RangeSignError(NamedCauseError):
-    """A range counted the wrong way."""
+    """A wrong profile.range_sign, as the fit shows."""
 
     def __init__(self, sign: int, before: float, after: float) -> None:
         super().__init__(f'the samples do not fit, but with profile.range_sign {sign} the '
@@ -176,7 +176,7 @@ class RangeSignError(NamedCauseError):
 
 
 class CountedWrongWayError(NamedCauseError):
-    """A range that the profiles themselves show to be counted the wrong way."""
+    """A wrong profile.range_sign, as the profiles alone show."""
 
     def __init__(self, hint: str) -> None:
         super().__init__(f'the profiles do not show the target as set: {hint}; or target.type, '

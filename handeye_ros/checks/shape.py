@@ -1,7 +1,7 @@
 """
-Single nuisance parameters against their priors, and edges that no sample explains.
+Checks of single nuisance parameters against their priors, and of edges that are not used.
 
-Measures of the target, scales of robot and sensor, time offset; what is said of them.
+Measures of the target, scales of robot and sensor, time offset, and the notes on them.
 """
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 CONTRADICTION, NOTED_CONTRADICTION = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
-SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # that is named; more is another unit
+SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
     stated = float(problem.method.measures.configured(problem.config)[-1])
     if abs(other.solution.estimate.target[-1] - stated) > 0.5 * stated:
         return agreed  # another target
-    # stations left out as the target is not as stated may show its shape once all is refined
+    # if a free shape explains more stations, the refinement can decide about the shape
     fit = Fit((other,))
     complete = fit.believable and other.explained - agreed.explained > 0.1 * len(problem.poses)
     return other if complete or fit.evidence_against(Fit((agreed,))) > VERY_STRONG else agreed
@@ -87,11 +87,11 @@ def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
 
 def single_parameters(solution: Solution) -> Iterator[tuple[ParameterBlock, float, float, float]]:
     """
-    Yield each block of one parameter: value, 1 sigma, and the contradiction of its prior.
+    Yield block, value, 1 sigma and contradiction with the prior of single-parameter blocks.
 
-    The last is the distance of what the data alone say from what was stated, in sigmas of both.
+    Contradiction: value from the data alone minus stated value, over 1 sigma of both.
     """
-    solution = solution.conservative or solution  # a size kept small contradicts nothing
+    solution = solution.conservative or solution  # a MAP scale near 0 hides it
     first = solution.unknowns
     for block in solution.blocks:
         if block.count == 1:
@@ -118,10 +118,10 @@ def reported_blocks(solution: Solution) -> dict[str, Any]:
 
 def scale_error(solution: Solution) -> tuple[float, float, float]:
     """
-    Return the robot's scale relative to the sensor's, less 1, its 1 sigma, and the squares.
+    Return robot scale over sensor scale less 1, its 1 sigma, and the squares without it.
 
-    To first order the step of one more unknown at the solution, and the sum of squares without
-    it. The stated measures of the target are unknown too: a wrong one is no scale.
+    One more unknown is solved for at the solution, to first order. The target's stated measures
+    are unknown too, so that a wrong measure is not taken for a scale error.
     """
     problem = solution.problem
     positions = problem.robot_poses[:, :3, 3]
@@ -143,7 +143,7 @@ def require_one_scale(agreed: Consensus) -> None:
     """
     Raise for a solution in which robot and sensor differ too much in scale.
 
-    Raises ScaleError, or MovedError where that explains it better.
+    Raises ScaleError, or SmallMoveError where the evidence for a move is decisive.
     """
     for block, value, std, z in single_parameters(agreed.solution):
         if block.name == 'scale' and abs(z) > CONTRADICTION and abs(value) > max(
@@ -156,8 +156,8 @@ def require_not_only_scale(solution: Solution) -> None:
     """
     Raise for a solution in which a small scale error explains most of the residuals.
 
-    By an F-test. Other nuisance parameters could explain much of the scale error, and the answer
-    would be wrong by as much of the lever. Raises ScaleError.
+    Uses an F-test. Other nuisance parameters can absorb much of the scale error; the answer is
+    then wrong by that fraction of the lever arm. Raises ScaleError.
     """
     scale, std, total = scale_error(solution)
     explained, freedom = (scale / std) ** 2, max(solution.redundancy, 1)
@@ -170,7 +170,7 @@ def require_not_only_scale(solution: Solution) -> None:
 
 
 def time_offset_of(solution: Solution) -> TimeOffset | None:
-    """Return the time offset of the stamps as received, None for a robot that only stopped."""
+    """Return the time offset (s) to add to received stamps, None without samples in motion."""
     offset = _estimate_of(solution, TIME_OFFSET)
     return offset and TimeOffset(solution.problem.config.time_offset + offset.value, offset.std)
 
@@ -194,7 +194,7 @@ def offset_notes(solution: Solution) -> list[str]:
 
 
 def _estimate_of(solution: Solution, name: str) -> TimeOffset | None:
-    """Return the value and 1 sigma of a block of one parameter, None where there is none."""
+    """Return value and 1 sigma of the single-parameter block of a name, None without one."""
     best, wide = ({block.name: (value, std) for block, value, std, _ in single_parameters(one)}
                   for one in (replace(solution, conservative=None), solution))
     if name not in best:

@@ -37,10 +37,10 @@ class Row:
     """
     Result of one estimator.
 
-    T_flange_sensor: (4, 4), None when it failed, then failure is the reason. residual_rms: of
-    the residuals of the target's own method with this transform, the target fitted to it;
-    holdout_rms: the same of stations that the estimator was not given (metres; None: not
-    known). errors: against the truth, where that is known. seconds: of one fit.
+    T_flange_sensor: (4, 4), None if the estimator failed; failure: the reason. residual_rms: RMS
+    residual of the target's own method with this transform, the target fitted to it; holdout_rms:
+    the same for stations left out of the estimate (metres; None: unknown). errors: against the
+    true transform, None if unknown. seconds: duration of one fit.
     """
 
     name: str
@@ -57,8 +57,8 @@ class Comparison:
     """
     The rows, the target's own method first.
 
-    used, rejected: how many stations every estimator was given, and how many not. refusal: why
-    the target's own method has no answer, or None. over: of which points the errors are reported.
+    used, rejected: number of stations given to every estimator, and of the others. refusal: why
+    the target's own method has no answer, or None. over: region of the errors, in words.
     """
 
     rows: tuple[Row, ...]
@@ -140,8 +140,8 @@ class _Judge:
     """
     What all rows are compared with: see `compare`.
 
-    T_sensor_plane: (4, 4), the plane that the estimators' X are of; field: points (k, 3) in it
-    over which errors are reported.
+    T_sensor_plane: (4, 4), the sensor plane to which X refers; field: points (k, 3) in it over
+    which errors are reported.
     """
 
     T_true: Array | None
@@ -170,7 +170,7 @@ def _believed(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Conf
         agreed = pipeline.estimate(moved.samples, rejects, config, moved.estimate)
     except DataError as error:
         return Stations(tuple(ordered), config), error
-    ordered = [replace(sample, motion=None) for sample in moved.samples]  # the others know none
+    ordered = [replace(sample, motion=None) for sample in moved.samples]  # others: no motion
     solution = agreed.solution
     known = Known(solution.problem, solution.estimate, solution.noise)
     stations = Stations(tuple(ordered[i] for i in agreed.used), config, known)

@@ -1,9 +1,9 @@
 """
 Inputs of the estimators, and all estimators by target: own methods and published ones.
 
-The published algorithms start from more than a recording holds. What is missing they get from
-the answer of the target's own method: which edge a point is on (Chen 2023), on which side of
-the laser the centre of the ball is (fixed point), where to start (Zheng 2018).
+The published algorithms need more inputs than a recording holds. These come from the answer of the
+target's own method: which edge a point is on (Chen 2023), on which side of the laser the centre of
+the ball is (fixed point), where to start (Zheng 2018).
 """
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 ZHENG_START_OFF = np.repeat([0.01, math.radians(5)], 3) / 3 ** 0.5
-"""From our answer to where Zheng 2018 starts: 10 mm and 5 degrees."""
+"""Offset of the start of Zheng 2018 from our answer: 10 mm and 5 degrees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,8 @@ class Stations:
     """
     The stations for all estimators.
 
-    samples: in the order of their stamps; known: of the same stations, in the same order, None
-    where the target's own method has no answer.
+    samples: in the order of their stamps; known: the solution for the same stations, in the same
+    order, None where the target's own method has no answer.
     """
 
     samples: tuple[Sample, ...]
@@ -68,9 +68,9 @@ class Stations:
     def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]
                   ) -> Array | None:
         """
-        Return the distances (m) of some stations from the target, fitted to others with X.
+        Return the distances (m) of `measured` stations from the target fitted to `fitted` ones.
 
-        None where the target's own method has no answer.
+        X (4, 4) is kept. None where the target's own method has no answer.
         """
         if (known := self.known) is None:
             return None
@@ -107,7 +107,7 @@ class Measurements:
 
     def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]
                   ) -> Array | None:
-        """Return the residuals of some samples with X, the target fitted to others."""
+        """Return distances (m) of `measured` samples for X, the target fitted to `fitted` ones."""
         return self.method.residuals(self.data, X, fitted, measured, self.config)
 
 
@@ -119,8 +119,8 @@ class Estimator:
     """
     One estimator of the transform.
 
-    fit: returns X (4, 4), from the mount to the sensor plane; raises DataError. refit: whether
-    it is quick enough to be done again for every part that is left out.
+    fit: returns X (4, 4), from the mount to the sensor plane; raises DataError. refit: whether it
+    is fast enough for cross-validation.
     """
 
     name: str

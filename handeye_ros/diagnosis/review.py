@@ -166,7 +166,7 @@ def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
 
 
 def _with(problem: Problem, kind: int) -> list[int]:
-    """Return the kinds of all conditions of the edge points of one kind, that one the first."""
+    """Return the kinds of conditions that edge points of a kind have, this kind first."""
     obs = problem.observations
     points = obs.station * (obs.source.max() + 1) + obs.source
     seen = np.unique(obs.kind[np.isin(points, points[obs.kind == kind])])
@@ -175,7 +175,7 @@ def _with(problem: Problem, kind: int) -> list[int]:
 
 def _crossing(samples: Sequence[Sample], points: Array, solution: Solution, name: str,
               config: Config) -> tuple[float, float]:
-    """Return how far the nearest of points (n, 2) is from an edge, and the angle there."""
+    """Return distance to an edge (m) and crossing angle (rad) of the nearest of points (n, 2)."""
     method, estimate = solution.problem.method, solution.estimate
     pose = mounted(samples, config)[0] @ estimate.X
     in_base = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]]

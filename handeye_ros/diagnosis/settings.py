@@ -2,12 +2,11 @@
 Tests whether other settings or another time offset explain a recording without an answer.
 
 Each hypothesis changes one setting, or two that belong together, and reads the same profiles of
-the same stops again. The data then differ, and no likelihoods can be compared: a hypothesis counts
-where nearly all its samples fit about as well as the configured noise allows, and where these are
-most of the stops; of several that with the most conditions beyond its unknowns, a change of two
-settings only where it has clearly more.
+the same stops again. The data then differ, so likelihoods cannot be compared. A hypothesis is
+accepted if most stops give samples and nearly all of these fit about as well as the configured
+noise allows. Of several, the one with the largest redundancy is reported.
 
-Clocks differ where the profiles come to rest or leave it later than the poses, stop after stop,
+Clocks differ if, at stop after stop, the profiles come to rest or leave it later than the poses,
 and the samples fit the poses of that other time.
 """
 from __future__ import annotations
@@ -41,33 +40,32 @@ from handeye_ros.sampling.stops import needed, result_of, Seen, Stop
 from handeye_ros.streams.stream import interpolate
 import numpy as np
 
-MOST_STOPS, MOST_PROFILES = 40, 4  # that are read again, and of each stop
-LEAST_SHARE = 0.7  # of the stops fit, at least
-FEWEST_CONDITIONS = 6  # beyond the unknowns
-# Where the setting as it is fits too: times its conditions at least (also two changes against
-# one), times its variance factor at most.
+MOST_STOPS, MOST_PROFILES = 40, 4  # stops read again, profiles of each
+LEAST_SHARE = 0.7  # smallest share of the stops that fit
+FEWEST_CONDITIONS = 6  # smallest redundancy of a hypothesis
+# If the stated setting fits too: smallest ratio of redundancy (also with the sign to without it),
+# largest of variance factors.
 MORE, WORSE = 1.5, 2.0
-LAG = NS // 20  # between two profiles that are compared
-STILL_SHARE = 0.1  # of the comparisons, at least, are of a robot that stands still
-MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # times the change at rest; m
+LAG = NS // 20  # ns between two profiles that are compared
+STILL_SHARE = 0.1  # smallest share of the comparisons with a robot at rest
+MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # largest change at rest: ratio, and at least (m)
 SMALLEST = 0.05  # s: a smaller time offset is not visible at stops
 
 
 class WrongSettingError(NamedCauseError):
-    """Settings without an answer, where others give one."""
+    """Settings without an answer, where other settings give one."""
 
     def __init__(self, values: dict[str, str], used: int, stops: int, residual: float) -> None:
         to = ' and '.join(f'{key} to {value}' for key, value in values.items())
         if values == {'target.type': 'plane'}:
-            to += ('; or, if the target has edges, cross them with the laser, inside the field of '
-                   'view')
+            to += '; or, if the target has edges, cross them inside the field of view'
         super().__init__(f'the recording does not fit as it is set, but with another setting '
                          f'{used} of {stops} stops agree within {mm(residual)} RMS: set {to}')
 
 
 def require_settings(session: Session, config: Config) -> None:
     """Raise WrongSettingError where other settings explain the stops of a session."""
-    if config.sampling.moving:  # a pass is of many profiles, each with its own pose
+    if config.sampling.moving:  # a pass: many profiles with their own poses
         return
     kept = [outcome.stop for outcome in session.outcomes if not outcome.refused]
     stops = [_thinned(stop, config) for stop in kept[:MOST_STOPS]]
@@ -76,18 +74,19 @@ def require_settings(session: Session, config: Config) -> None:
     if stated and stated.believable:
         least = MORE * stated.solution.redundancy
         most = WORSE * max(stated.variance_factor, 1.0)
-    better: list[tuple[float, DataError]] = []
+    found: dict[tuple[str, ...], tuple[int, DataError]] = {}
     for values in _changes(config):
         hypothesis = _hypothesis(stops, config, values)
         fit = hypothesis.refit()
         if fit and fit.believable and fit.variance_factor < most and (
-                len(fit.parts[0].used) >= LEAST_SHARE * len(stops)) and (
-                fit.solution.redundancy >= least):
-            # the sign of the range is often free: two changes need more evidence than one
-            better.append((fit.solution.redundancy / MORE ** (len(values) - 1),
-                           hypothesis.refusal(fit)))
-    if better:
-        raise max(better, key=lambda one: one[0])[1]
+                len(fit.parts[0].used) >= LEAST_SHARE * len(stops)):
+            change, count = tuple(values.values()), fit.solution.redundancy
+            # the sign of the range is often free, and then no part of the cause
+            without_sign = found[change[:1]][0] if change[:1] in found else 0
+            if count >= max(least, MORE * without_sign):
+                found[change] = count, hypothesis.refusal(fit)
+    if found:
+        raise max(found.values(), key=lambda one: one[0])[1]
 
 
 def _changes(config: Config) -> Iterator[dict[str, str]]:
@@ -147,9 +146,10 @@ def _thinned(stop: Stop, config: Config) -> Stop:
 @dataclass(frozen=True, eq=False)
 class _Still:
     """
-    Profiles of a robot at rest; pose: (4, 4) T_base_flange; start, end: stamps of the stop.
+    The longest time of a stop in which the profiles do not change.
 
-    opened, closed: whether the target was seen to come to rest, and to leave it, within the stop.
+    pose: (4, 4) T_base_flange of the stop; start, end: of its poses (ns); first, last: of this
+    time (ns); opened, closed: whether the profiles change before and after it in the stop.
     """
 
     sample: Sample | None
@@ -168,7 +168,7 @@ def require_same_clock(session: Session, config: Config) -> None:
             and (part := _profiles(outcome.stop, config))]
     if len(seen) < targets.method_for(config).minimum:
         return
-    changes = np.concatenate([_differences(profiles) for profiles, *_ in seen])
+    changes = np.concatenate([[], *(_differences(profiles) for profiles, *_ in seen)])
     rest = float(np.quantile(changes, STILL_SHARE)) if len(changes) else 0.0
     limit = max(MOVING * rest, SMALLEST_CHANGE)
     stills = [_still(*part, limit, config) for part in seen]
@@ -178,9 +178,8 @@ def require_same_clock(session: Session, config: Config) -> None:
 
 
 def _profiles(stop: Stop, config: Config) -> tuple[list[Profile], Array, int, int] | None:
-    """Return a few profiles of a stop, its pose, start and end."""
-    seen = stop.load(config)
-    found: list[Profile] = []
+    """Return some profiles of a stop, its pose (4, 4), start and end (ns); None: too few."""
+    seen, found = stop.load(config), list[Profile]()
     for profile in seen.profiles:
         if not found or profile.stamp - found[-1].stamp >= LAG:
             with suppress(UnusableMessageError):

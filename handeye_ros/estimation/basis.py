@@ -1,13 +1,13 @@
 """
 Smooth functions of few coefficients: of the sensor's plane, of a surface, of the robot's poses.
 
-They are orthogonal to what the unknowns of the problem absorb anyway: a motion of the sensor, a
-tilt of the surface.
+They are orthogonal to motions of the sensor and tilts of the surface, which the unknowns of the
+problem absorb.
 
-Also the best-fit transform under such errors, (9) of estimator.md. Where the robot's error differs
-from station to station, or the sensor's field is distorted, no single transform is right. The one
-that maps the points of the field of view best, over all stations and up to a motion of the target,
-differs from that of the mount by a linear function of the parameters.
+Also the best-fit transform, (9) of estimator.md. If the robot's error differs between stations, or
+the sensor's field is distorted, no single transform is exact. The best-fit one maps the points of
+the field of view best, over all stations and up to a motion of the target. It differs from the
+transform of the mount by a linear function of the parameters.
 """
 from __future__ import annotations
 
@@ -68,9 +68,9 @@ def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
     """
     Return the rigid motion (3, k) of the plane that fits each field of bending best, for (9).
 
-    Along x and z, and the turn about the origin: over the field of view, less the one that fits
-    the points (m, 2) best. The field of view is 1.25 times the box of these points, which are
-    means of many and lie inside it.
+    Rows: along x, along z, and the turn about the origin. It is the best fit over the field of
+    view minus the best fit over the points (m, 2). The field of view is 1.25 times the bounding
+    box of these points, which are means of bins and lie inside it.
     """
     across = np.linspace(-1.25, 1.25, 11)
     u, v = (w.ravel() for w in np.meshgrid(across, across))
@@ -96,7 +96,7 @@ def _rigid(points: Array) -> Array:
 
 
 def _each_way(terms: Sequence[Array]) -> Array:
-    """Return functions (m, k) as displacements (2 m, 2 k in all), all x first."""
+    """Return functions (m, k) of each degree as displacements along x, then z; x rows first."""
     m, counts = len(terms[0]), [some.shape[1] for some in terms]
     both = np.zeros((2, m, 2 * sum(counts)))
     for some, k, last in zip(terms, counts, 2 * np.cumsum(counts), strict=True):
@@ -105,7 +105,7 @@ def _each_way(terms: Sequence[Array]) -> Array:
 
 
 def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]) -> list[Array]:
-    """Return heights (m, k), together of RMS 1, over the plane through points p[on_surface]."""
+    """Return heights (m, k) over the plane through points p[on_surface], each degree of RMS 1."""
     points = p[on_surface]
     if len(points) <= 3:
         return [np.zeros((len(p), 0))] * len(degrees)
@@ -126,7 +126,7 @@ def _each_of_unit_size(columns: Array, counts: Sequence[int], ways: int) -> list
 
 
 def pose_features(poses: Array) -> Array:
-    """Return positions and rotation vectors (n, 6) of poses (n, 4, 4) over their length scales."""
+    """Return positions and rotation vectors (n, 6) of poses (n, 4, 4), over length scales."""
     rotations = Rotation.from_matrix(poses[:, :3, :3])
     vectors = (rotations.mean().inv() * rotations).as_rotvec()
     return np.concatenate([poses[:, :3, 3] / POSITION_LENGTH, vectors / ROTATION_LENGTH], axis=1)
@@ -141,8 +141,8 @@ def gaussian(squared: Array) -> Array:
     """
     Return the correlations at squared distances for errors of long wavelengths (report).
 
-    Those of joints and links are such: with short ones believed to go with them, the missing of
-    short ones would prove the long ones small, which the samples show least.
+    Errors of joints and links have long wavelengths. If short ones were assumed with them, the
+    absence of short ones would prove the long ones small, which the samples show least.
     """
     return np.asarray(np.exp2(-squared))
 
@@ -151,7 +151,7 @@ def process_root(poses: Array, long_errors: bool = False) -> Array:
     """
     Return a square root (n, k) of the kernel at poses (n, 4, 4): k <= 24 basis functions.
 
-    Of many poses, 24 far apart span it (Nystroem).
+    Of many poses, 24 distant ones span it (Nystroem method).
     """
     features = pose_features(poses)
     kernel = gaussian if long_errors else rational_quadratic
@@ -182,9 +182,9 @@ def _root(features: Array, chosen: list[int], kernel: Kernel) -> Array:
 
 def farthest_points(features: Array, most: int) -> list[int]:
     """
-    Return the indices of at most a number of features (n, 6), by farthest-point sampling.
+    Return the indices of at most `most` features (n, 6), by farthest-point sampling.
 
-    Nearer ones than 0.006 (6 mm, 0.5 degrees) are the same pose taken again.
+    Features nearer than 0.006 (6 mm, 0.5 degrees) count as a repeated pose.
     """
     chosen = [0]
     nearest = ((features - features[0]) ** 2).sum(axis=1)

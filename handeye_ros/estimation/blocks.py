@@ -4,10 +4,10 @@ Blocks of nuisance parameters: systematic errors beside the noise (docs/estimato
 With residuals r + J xi + sum of K_b n_b = e, a block gives the columns K_b of its parameters, each
 with a normal prior about 0. The scale of that prior is estimated (see noise).
 
-A new block is one more source: a function that gets the problem linearised at the first estimate,
-and returns a function that gives the blocks at any later one. Those of all targets are in SOURCES,
-those of a target in Method.nuisances. Parameters that the poses depend on (a time offset, the
-joints of the robot) come with the problem instead, as a PoseModel:
+A new block is one more source: a function that takes the problem linearised at the first estimate
+and returns a function that gives the blocks at a later one. SOURCES holds the sources of all
+targets, Method.nuisances those of one. Parameters that the poses depend on (a time offset, the
+joints of the robot) belong to the problem instead, as a PoseModel:
 
     def poses_and_twists(values):  # (k,), so far 0
         return interpolated(stamps + values[0]), velocities(stamps + values[0])[:, :, None]
@@ -16,7 +16,7 @@ joints of the robot) come with the problem instead, as a PoseModel:
     solution = map_solution(Problem(method, poses, observations, config, offset), start)
     solution.problem.pose_values, solution.problem.poses  # as estimated
 
-Poses of an inverted problem (eye_on_base) are the robot's own in a PoseModel, too.
+With eye_on_base, a PoseModel also gives T_base_flange, not the inverted poses.
 """
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ class ParameterBlock:
     """
     Nuisance parameters with one prior, at an estimate.
 
-    columns: (m, k) derivatives of the residuals by the parameters in units of their prior sigma
-    std (m, rad, s or 1). functions: (n, f) at the poses; then each column stands for f parameters,
-    each of which acts by one of the functions. twists: (n, 6, k) change of the poses by the
-    parameters (not in sigmas), as in Linear.by_pose, None where they change none.
-    best_fit(linear): (6, k * f) derivatives of the best-fit transform.
-    retract(problem, estimate, change (k,)): both with the parameters changed, None where they
-    are only taken out of the residuals. parameter: which of the target's it is, None if none.
-    least, largest: bounds of the variance over the configured one. report: the key under which
-    the answer reports it, '' of none; origin: added to the value of one parameter there.
+    columns: (m, k) derivatives of the residuals by the parameters, in units of the prior sigma std
+    (m, rad, s or 1). functions: (n, f) at the poses: each column then stands for f parameters, one
+    for each function. twists: (n, 6, k) change of the poses by the parameters (not in sigmas), as
+    in Linear.by_pose; None: no change. best_fit(linear): (6, k * f) derivatives of the best-fit
+    transform.
+    retract(problem, estimate, change (k,)): both with the parameters changed; None if the
+    parameters only correct the residuals. parameter: index of the target's parameter, or None.
+    least, largest: bounds of the variance over the configured one. report: key in the answer, ''
+    for none; origin: added to the reported value of one parameter.
     """
 
     name: str
@@ -76,14 +76,14 @@ class ParameterBlock:
 Blocks = Callable[[Linear], Iterable[ParameterBlock]]
 """The blocks at an estimate."""
 Source = Callable[[Linear], Blocks]
-"""What prepares them from the first estimate."""
+"""A function that prepares the blocks at the first estimate."""
 
 
 def prepared(first: Linear) -> Callable[[Linear], tuple[ParameterBlock, ...]]:
     """
     Return the function that gives all blocks at an estimate; bases are fixed at the first one.
 
-    Blocks with functions of the poses are the last.
+    Blocks with functions of the poses come last.
     """
     own = (first.problem.method.nuisances, first.problem.pose_model)
     sources = [each.blocks for each in own if each and each.blocks]
@@ -220,8 +220,8 @@ def pose_corrections(problem: Problem, blocks: Sequence[ParameterBlock], values:
     """
     Return the corrections (n, 6) of the reported poses by the parameters of blocks.
 
-    values: (q,) of the parameters of all blocks, one after the other, in their present sigmas; or
-    (n, q), for each pose.
+    values: (q,) parameters of all blocks in order, in their present sigmas, or (n, q) for each
+    pose.
     """
     n = len(problem.poses)
     errors, values = np.zeros((n, 6)), np.broadcast_to(values, (n, values.shape[-1]))

@@ -5,10 +5,10 @@ The first guess that explains nearly all stations is taken. Otherwise further gu
 random subsets, compete by how well all stations are explained. Then stations are dropped one by
 one, worst first.
 
-Of few stations one may be wrong without being seen to be, (10) of estimator.md. That a station is
-wrong, by a small error of its pose, and that all are right are weighed against each other (Box and
-Tiao 1968, Biometrika 55:119), with noise and blocks as configured: were these grown until they
-explain it, a wrong station would hide.
+With few stations, a wrong one may not show in the residuals, (10) of estimator.md. The hypotheses
+that one station has a small pose error and that all are right are compared by their odds (Box and
+Tiao 1968, Biometrika 55:119). Noise and blocks stay as configured: if they could grow with the
+misfit, a wrong station would be hidden.
 """
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from handeye_ros.least_squares.outliers import chi2_sf, GROSS, outliers, shared_
 import numpy as np
 from numpy.typing import NDArray
 
-SUBSETS = 20  # of six stations: where a third are wrong, one is free of them with 0.84
-POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # of a wrong station (m, rad; 1 sigma of each axis)
-WRONG = 0.05  # prior odds of each station being wrong against none
+SUBSETS = 20  # of six stations: if a third are wrong, one subset has no wrong one with p 0.84
+POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # 1 sigma of a wrong station's pose error (m, rad)
+WRONG = 0.05  # prior odds of a station being wrong against all being right
 SURE = 100.0  # posterior odds of one station being wrong, from which it is dropped
-EXPLAINED = 0.2  # p-value of the squares of the others, below which more than one is wrong
+EXPLAINED = 0.2  # p-value of the other squares below which more than one is wrong
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,8 @@ class Consensus:
     """
     A solution from the stations used (ascending), and the squared residuals of those dropped.
 
-    whole: the problem with all stations and all that they show; contaminated: the probability
-    that one of few stations used is wrong.
+    whole: the problem with all stations and observations; contaminated: the probability that one
+    of few used stations is wrong.
     """
 
     whole: Problem
@@ -60,7 +60,7 @@ class Consensus:
 
     @property
     def unused(self) -> NDArray[np.intp]:
-        """Return the used stations of which no essential observation is used."""
+        """Return the used stations that show essential observations, but of which none is used."""
         labelled = self.solution.problem
         whole = self.whole.subset(self.used)
         return self.used[whole.shows_essential & ~labelled.shows_essential]
@@ -81,9 +81,9 @@ class Consensus:
         """
         Return the solution of the stations that agree, from several starts.
 
-        subsets: whether to start from random subsets of the stations, too, where all together do
-        not fit. start: from which alone to start.
-        Raises DataError when no estimate can be started at all.
+        subsets: also start from random subsets of the stations if all together do not fit. start:
+        the only start to use, if given.
+        Raises DataError when there is no start.
         """
         if start is not None:
             return without_outliers(refined(problem, start))
@@ -112,8 +112,8 @@ class Consensus:
         """
         Return the consensus with all nuisance blocks in its solution, outliers dropped.
 
-        Of few stations each may be wrong without being seen to be: the reported covariance holds
-        that.
+        With few stations, each may be wrong without being detected; the reported covariance
+        includes this.
         """
         used, dropped, part = self.used, dict(self.dropped), self.solution.problem
         total, estimate, noise = len(used) + len(dropped), self.solution.estimate, None
@@ -133,7 +133,7 @@ class Consensus:
             dropped |= {int(used[k]): float(mean_square[k]) for k in worst}
             used = np.delete(used, worst)
             part = part.subset(np.delete(np.arange(len(part.poses)), worst))
-            if len(used) > MANY:  # a few of very many do not matter to where the solution lies
+            if len(used) > MANY:  # a few of very many hardly move the solution
                 found = solution.conservative or solution
                 if part.pose_model:
                     part = part.with_pose_values(found.problem.pose_values)
@@ -151,7 +151,7 @@ def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Ite
 def without_outliers(trial: Refined) -> Consensus:
     """Return the consensus after dropping stations that do not fit, one by one."""
     n, minimum = len(trial.problem.poses), trial.problem.method.minimum
-    # least squares with stations on another surface may go over to what lies between
+    # least squares could move to a fit between the target and another surface
     limit = LARGEST_SQUARE if trial.whole.ambiguous else GROSS
     good = trial.squares <= limit * max(1.0, trial.spread)
     good[np.argsort(trial.squares, kind='stable')[:minimum]] = True
@@ -187,7 +187,7 @@ class Contamination:
     The probability that each station is wrong, and the change of the transform if it is.
 
     Of (10), probability: (n,) p_i; shifts: (n, 6) h_i; covariances: (n, 6, 6) Sigma_i. rest: (n,)
-    the p-value of the squared residuals that then remain.
+    p-value of the squared residuals without the error of this station.
     """
 
     probability: Array
@@ -209,7 +209,7 @@ class Contamination:
 
     @property
     def covariance(self) -> Array:
-        """Return the term (6, 6) of the covariance of the transform, (10)."""
+        """Return the term (6, 6) added to the covariance of the transform, (10)."""
         moved = self.covariances + self.shifts[:, :, None] * self.shifts[:, None, :]
         return np.asarray(np.tensordot(self.probability, moved, 1))
 
@@ -218,8 +218,8 @@ def contamination(solution: Solution, dropped: int) -> Contamination | None:
     """
     Return the contamination of a solution, None with very many stations.
 
-    The probabilities fade from MANY stations to 0 at twice as many. dropped: how many stations
-    were dropped as wrong, which makes another one likelier.
+    Between MANY and twice as many stations the probabilities fade to 0. dropped: number of
+    stations dropped as wrong, which make another wrong one likelier.
     """
     n = len(solution.problem.poses)
     weight = min(1.0, 2 - n / MANY)
@@ -250,7 +250,7 @@ def contamination(solution: Solution, dropped: int) -> Contamination | None:
 
 
 def _probabilities(log_odds: Array) -> Array:
-    """Return probabilities (n,) of exclusive cases from their log odds against none of them."""
+    """Return probabilities (n,) of exclusive cases; log_odds (n,): against none of them."""
     most = max(0.0, float(log_odds.max()))
     odds = np.exp(log_odds - most)
     return np.asarray(odds / (np.exp(-most) + odds.sum()))

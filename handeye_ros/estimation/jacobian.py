@@ -1,10 +1,10 @@
 """
 Observations and the Jacobian, by stations.
 
-A smooth error of the robot is a sum of k basis functions over the poses, for each of a of its
-components. The derivative of row i by the coefficient of function j in component l is
-local[i, l] * basis[station(i), j]; only these factors are kept. With 18 stations a dense matrix is
-as fast; with 200 to 1,000 this is 3 to 12 times as fast.
+A smooth error of the robot has a components, each a sum of k basis functions over the poses. The
+derivative of row i by the coefficient of function j in component l is
+local[i, l] * basis[station(i), j]; only these factors are stored. With 18 stations a dense matrix
+is as fast; with 200 to 1,000 the factors are 3 to 12 times as fast.
 """
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Rows = Sequence[NDArray[np.intp]]
 @dataclass(frozen=True, eq=False)
 class Stations:
     """
-    The s stations with equally many observations, c.
+    s stations with c observations each.
 
-    rows: (s, c) of them; near: (s, c, c) correlation of the distortion at each two; shared:
-    (s, c, c) 1 where two share the error of one feature; components: (2, s, c, c) 1 where both
+    rows: (s, c) row numbers; near: (s, c, c) correlations of the distortion; shared: (s, c, c) 1
+    where two observations share the error of one feature; components: (2, s, c, c) 1 where both
     are of the first variance component, or both of the second; mixed: whether some are of the
-    second; alone: whether none shares its error.
+    second; alone: whether no two share an error.
     """
 
     rows: NDArray[np.intp]
@@ -40,7 +40,7 @@ class Stations:
     alone: bool
 
     def of(self, values: Array) -> Array:
-        """Return values (m, k) of all observations by stations, (s, c, k)."""
+        """Return values (m, k) of all observations arranged by stations, (s, c, k)."""
         return _of_rows(values, self.rows)
 
     def every(self, step: int) -> Stations:
@@ -50,7 +50,7 @@ class Stations:
 
 
 def _of_rows(values: Array, rows: NDArray[np.intp]) -> Array:
-    """Return values (m, k) of all observations by stations, (s, c, k)."""
+    """Return values (m, k) of all observations arranged by stations, (s, c, k)."""
     if rows.size == len(values):  # all of them, in their order
         return values.reshape(*rows.shape, -1)
     return values[rows]
@@ -75,11 +75,11 @@ def _with_rows(obs: Observations, rows: NDArray[np.intp]) -> Stations:
 @dataclass(frozen=True, eq=False)
 class FactoredJacobian:
     """
-    A Jacobian (m, p) of p = c + a * k unknowns; the last are ordered component by component.
+    A Jacobian (m, p) with p = c + a * k columns; the last a * k are ordered by component.
 
-    local: (m, c + a), the first c columns and the local factors of a components; basis: (n, k)
-    functions at the n stations; products: (n, k * k) of each two of them. rows: row numbers of
-    the stations, arrays (s, count) by equal count; station: (m,) of each row.
+    local: (m, c + a) the first c columns, then the local factors of a components; basis: (n, k)
+    functions at the n stations; products: (n, k * k) their pairwise products. rows: row numbers,
+    arrays (s, count) of stations with count rows each; station: (m,) of each row.
     """
 
     local: Array
@@ -100,7 +100,7 @@ class FactoredJacobian:
         return self.single + self.axes * int(self.basis.shape[1])
 
     def scaled(self, scales: Array) -> FactoredJacobian:
-        """Return it for unknowns in other units (p,), equal for all functions of a component."""
+        """Return the Jacobian for unknowns in units (p,), equal within a component."""
         each = np.append(scales[:self.single], scales[self.single::max(self.basis.shape[1], 1)])
         return replace(self, local=self.local * each)
 
@@ -172,18 +172,18 @@ class FactoredJacobian:
         cross = (functions @ covariance[:c, c:].reshape(c * a, k).T).reshape(n, c, a)
         both = covariance[c:, c:].reshape(a, k, a, k).swapaxes(1, 2).reshape(a * a, k * k)
         of_axes = (self._at(self.products, rows) @ both.T).reshape(n, a, a)
-        # the first by all rows at once: the others are few numbers at each station
+        # one product for all rows; the other terms are small products at each station
         left = (one.reshape(-1, c) @ covariance[:c, :c]).reshape(one.shape)
         mixed = one @ cross @ np.swapaxes(by_axis, 1, 2)
         return np.asarray(left @ np.swapaxes(one, 1, 2) + mixed + np.swapaxes(mixed, 1, 2)
                           + by_axis @ of_axes @ np.swapaxes(by_axis, 1, 2))
 
     def _at(self, values: Array, rows: NDArray[np.intp]) -> Array:
-        """Return the values (s, j), of all (n, j), at the stations of rows (s, count)."""
+        """Return the rows (s, j) of values (n, j) for the stations of rows (s, count)."""
         return values if len(rows) == len(values) else values[self.station[rows[:, 0]]]
 
 
 def products(functions: Array) -> Array:
-    """Return each two of k basis functions (n, k) multiplied, (n, k * k)."""
+    """Return the pairwise products of k basis functions (n, k), as (n, k * k)."""
     n, k = functions.shape
     return np.asarray((functions[:, :, None] * functions[:, None, :]).reshape(n, k * k))

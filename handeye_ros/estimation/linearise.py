@@ -1,8 +1,8 @@
 """
 The problem, and its residuals and derivatives at an estimate: (1), (2) of estimator.md.
 
-A condition g(p) = 0 holds for a point of the sensor plane s = (x, 0, z) carried to the base,
-p = R_i (X s) + a_i.
+A point s = (x, 0, z) of the sensor plane is mapped to the base, p = R_i (X s) + a_i, and has to
+satisfy a condition g(p) = 0.
 """
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from handeye_ros.estimation.model import Estimate, Method, Observations, PoseMod
 import numpy as np
 from numpy.typing import NDArray
 
-MANY = 200  # stations: further ones change variance factors by less than 1 % of a sigma
+MANY = 200  # stations: more of them change variance factors by less than 1 % of a sigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +27,8 @@ class Problem:
     """
     A calibration problem: poses (n, 4, 4) of the mount, their observations, and settings.
 
-    pose_model: the parameters that the poses depend on, None if on none; pose_values: (k,) their
-    values. long_errors: whether the robot's smooth error has no short waves.
+    pose_model: parameters that the poses depend on, or None; pose_values: (k,) their values.
+    long_errors: whether the robot's smooth error has long wavelengths only.
     """
 
     method: Method
@@ -40,7 +40,7 @@ class Problem:
     long_errors: bool = False
 
     def __post_init__(self) -> None:
-        """Set the values that the poses depend on to 0 where none are given."""
+        """Set pose_values to 0 if there is a pose model and no values are given."""
         if self.pose_model is not None and not len(self.pose_values):
             object.__setattr__(self, 'pose_values', np.zeros(sum(self.pose_model.counts)))
 
@@ -58,7 +58,7 @@ class Problem:
 
     @cached_property
     def by_columns(self) -> Array:
-        """Return the derivatives (9, m * 3) of points turned to the base, by x, z and t of X."""
+        """Return derivatives (9, m * 3) of the points in the base by the columns x, z, t of X."""
         x, z = self.observations.points.T[:, :, None, None]
         R, _ = self.flanges
         return np.stack([R * x, R * z, R]).transpose(0, 3, 1, 2).reshape(9, -1)
@@ -75,7 +75,7 @@ class Problem:
 
     @cached_property
     def ambiguous(self) -> bool:
-        """Return whether stations show several alike surfaces, of which only one is the target."""
+        """Return whether stations show several similar surfaces; only one is the target."""
         return self.method.geometry.ambiguous(self.observations)
 
     @property
@@ -100,12 +100,12 @@ class Problem:
 
     @cached_property
     def smooth_products(self) -> Array:
-        """Return the products (n, r * r) of each two columns of this root."""
+        """Return the pairwise products (n, r * r) of the basis functions `smooth`."""
         return products(self.smooth)
 
     @cached_property
     def of_long_errors(self) -> Problem:
-        """Return the problem for the report: a robot without smooth errors of short wavelength."""
+        """Return the problem for the report, with robot errors of long wavelength only."""
         return replace(self, long_errors=True)
 
     @property
@@ -162,7 +162,7 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """An estimate, and the values of the parameters of blocks that retract, in their units."""
+    """An estimate, and the values of the blocks that retract, by name, in their own units."""
 
     problem: Problem
     estimate: Estimate
@@ -170,7 +170,7 @@ class State:
 
     @classmethod
     def of(cls, problem: Problem, estimate: Estimate) -> State:
-        """Return the state of a problem, its target as stated."""
+        """Return the state of a problem with its pose values; all other blocks are 0."""
         model = problem.pose_model
         split = np.split(problem.pose_values, np.cumsum(model.counts)[:-1]) if model else []
         return cls(problem, estimate, dict(zip(model.names if model else (), split, strict=True)))
@@ -179,10 +179,10 @@ class State:
 @dataclass(frozen=True, eq=False)
 class Linear:
     """
-    Residuals (..., m) at an estimate, their Jacobian (..., m, 6 + k), derivatives by errors.
+    Residuals (..., m) at an estimate, and their Jacobian (..., m, 6 + k) by X and target.
 
-    lever: (..., m, 3) from the sensor to the points, in the mount; by_base: (..., m, 3)
-    derivative by the point in the base.
+    lever: (..., m, 3) from the sensor's origin to the points, in the mount; by_base: (..., m, 3)
+    derivatives by the points in the base.
     """
 
     problem: Problem
@@ -194,19 +194,19 @@ class Linear:
 
     @cached_property
     def by_pose(self) -> Array:
-        """Return the derivative (..., m, 6) by the robot's error, base frame, about the flange."""
+        """Return derivatives (..., m, 6) by pose errors: base frame, rotation about the flange."""
         R, a = self.problem.flanges
         to_point = np.einsum('mij,...mj->...mi', R, self.lever + self.estimate.X[..., None, :3, 3])
         if self.problem.in_hand:
             return np.concatenate([self.by_base, se3.cross(to_point, self.by_base)], axis=-1)
-        # the poses are those of the base in the flange; the robot errs in its base
+        # the poses are T_flange_base; the robot's error is in its base frame
         by_mount = self.jacobian[..., :3]
         p_base = np.einsum('mji,...mj->...mi', R, to_point + a)
         return -np.concatenate([by_mount, se3.cross(p_base, by_mount)], axis=-1)
 
     @cached_property
     def by_values(self) -> Array | None:
-        """Return the derivative (m, k) by white errors of the values of the pose model, sigmas."""
+        """Return derivatives (m, k) by 1 sigma of the white errors of pose values, or None."""
         model = self.problem.pose_model
         if model is None or model.white is None:
             return None
@@ -228,7 +228,7 @@ class Linear:
         """
         Return the points (m, 2) of the sensor's plane moved to where their conditions hold.
 
-        With the measured points, which have errors, least squares would shrink all lengths.
+        Errors of the measured points themselves would make least squares shrink all lengths.
         """
         g = self.by_point
         square = (g ** 2).sum(axis=1)

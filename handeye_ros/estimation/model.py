@@ -11,7 +11,7 @@ from handeye_ros.errors import DataError
 import numpy as np
 from numpy.typing import NDArray
 
-UNUSED = -1  # the kind of an observation that belongs to nothing
+UNUSED = -1  # the kind of an observation that is not part of the target
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,11 +19,11 @@ class Observations:
     """
     Points of the sensor plane, each with one scalar condition.
 
-    station: (m,) index of the pose, ascending; points: (m, 2); kind: (m,) which condition, an
-    index into the method's kinds; noise: (m, 2, 2) factor L, the point's error is L @ e with
-    e of unit covariance; source: (m,) observations of equal source share their e. component:
-    (m,) 0 or 1, which of two variance factors its noise has, by default the first. A target adds
-    further arrays (m, ...) in a subclass.
+    station: (m,) index of the pose, ascending; points: (m, 2) metres; kind: (m,) index of the
+    condition in the method's kinds; noise: (m, 2, 2) factor L: the point's error is L @ e, e of
+    unit covariance; source: (m,) observations of a station with equal source share e. component:
+    (m,) 0 or 1: which variance factor its noise has, by default 0. A target may add arrays (m,
+    ...) in a subclass.
     """
 
     station: NDArray[np.intp]
@@ -70,13 +70,13 @@ class PoseModel:
     """
     Poses that depend on parameters with a prior: a time offset, a robot's joints.
 
-    evaluate(values (k,)): poses T_base_flange (N, 4, 4) of all samples, and their twists
-    (N, 6, k), the derivatives by the values: a translation, and a rotation vector about the
-    flange's origin, both in the base frame. names, counts, stds: of blocks of the parameters, one
-    after the other, each with the 1 sigma of its prior about 0. white: (k,) 1 sigma of the errors
-    that the values have at each station by itself, such as jitter of its stamp; None: none.
-    stations: those of the N that a problem has, None: all. least: of the blocks, see
-    ParameterBlock. blocks: the source of others that come with such poses, None: there are none.
+    evaluate(values (k,)): poses T_base_flange (N, 4, 4) of all samples, and twists (N, 6, k),
+    their derivatives by the values: translation, and rotation vector about the flange's origin,
+    both in the base frame. names, counts, stds: of the blocks of parameters in order, stds: 1
+    sigma of the prior about 0. white: (k,) 1 sigma of independent errors of the values at each
+    station, such as stamp jitter; None: none. stations: indices of the problem's stations among
+    the N, None: all. least: see ParameterBlock. blocks: source of further blocks for such poses,
+    or None.
     """
 
     evaluate: Callable[[Array], tuple[Array, Array]]
@@ -118,23 +118,23 @@ class Conditions:
 
 
 def _never(observations: Observations) -> bool:
-    """Return that no estimate that fits well may be wrong."""
+    """Return False: an estimate that fits well is not on a wrong surface."""
     return False
 
 
 def kind_unchanged(observations: Observations, points: Array, target: Array, config: Config
                    ) -> Observations:
-    """Return the observations as they are: a target whose features cannot be confused."""
+    """Return the observations unchanged, for a target whose features cannot be confused."""
     return observations
 
 
 def observed_points(sample: Sample, points: Array, kind: NDArray[np.intp]
                     ) -> tuple[Array, NDArray[np.intp]]:
-    """Return the observations themselves as the measured points."""
+    """Return points and kinds unchanged: each observation is a measured point."""
     return points, kind
 
 
-# Plain functions, no lambdas: a solution goes from one process to another.
+# Plain functions, no lambdas: solutions are pickled between processes.
 def _nothing_stated(config: Config) -> Array:
     return np.zeros(0)
 
@@ -154,9 +154,9 @@ class FeatureModel:
     What a target shows in profiles.
 
     extract(points, config): features of one profile. observe(samples): their observations.
-    measured(sample, points, kind): all measured points (k, 2) and their kinds that the used
-    observations (points, kind) of a sample stand for. extract_each(profiles, config): the same as
-    extract for many at once, faster: features or the error of each.
+    measured(sample, points, kind): all measured points (k, 2) and their kinds, for the used
+    observations (points, kind) of a sample. extract_each(profiles, config): features, or the
+    error, of each of many profiles; faster than extract.
     """
 
     extract: Callable[[Array, Config], tuple[Feature, ...]]
@@ -212,9 +212,9 @@ class Nuisances:
     """
     Nuisance parameters of a target's own.
 
-    blocks: the source of blocks of nuisance parameters, a Source of blocks.py (which imports
-    this module). feature_errors(linear): (m, 1) derivatives of the residuals by errors of unit
-    variance of each feature, which stand for the blocks during the search.
+    blocks: the Source (see blocks.py, which imports this module) of the target's blocks.
+    feature_errors(linear): (m, 1) derivatives of the residuals by a unit-variance error of each
+    feature, which replaces the blocks during the search.
     """
 
     blocks: Callable[[Any], Any]
@@ -244,5 +244,5 @@ class Method:
 
     @property
     def essential_kinds(self) -> list[int]:
-        """Return the essential ones of the kinds, as observations have them."""
+        """Return the essential kinds as indices into kinds."""
         return [k for k, name in enumerate(self.kinds) if name in self.essential]

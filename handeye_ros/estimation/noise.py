@@ -1,10 +1,10 @@
 """
-The noise: covariances of the residuals, (3), what makes them white, and the scales of priors, (6).
+Covariances of the residuals, (3), whitening, and the scales of priors, (6).
 
-Blocks, which all stations share, are unknowns of the solution (see posterior); during the search
-they count as errors of each station by itself. The scale of a block's parameters, their standard
-deviation over the configured one, has a half-t prior (Gelman 2006, Bayesian Analysis 1:515). The
-most likely scale is zero as soon as few parameters are small by chance: it is summed over.
+Blocks are unknowns of the solution, common to all stations (see posterior). During the search they
+count as independent errors of each station. The scale of a block is the standard deviation of its
+parameters over the configured one; it has a half-t prior (Gelman 2006, Bayesian Analysis 1:515).
+Its most likely value is 0 if few parameters happen to be small, so it is averaged over.
 """
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from handeye_ros.least_squares.covariance import eigen, inverse_roots
 import numpy as np
 from numpy.typing import NDArray
 
-TURN_LENGTH = 0.3  # m: a joint's error that turns the flange by 1 rad shifts it by so much
+TURN_LENGTH = 0.3  # m: a joint error that turns the flange by 1 rad shifts it by this
 PRIOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
 
-SCALES = np.geomspace(0.001, 1e4, 43)  # of blocks, that are summed over
+SCALES = np.geomspace(0.001, 1e4, 43)  # of blocks; quantities are summed over these
 VARIANCES = np.square(SCALES)
 
 
@@ -35,8 +35,8 @@ def _prior(freedom: float, scale: float) -> Array:
 
 # For the report: as configured in the mean square, and with some chance several times as much.
 CONSERVATIVE_PRIOR = _prior(3.0, 0.8)
-# The same for a block of one parameter: one value says little about a scale. Not Cauchy's: with
-# it a sigma grows by half and more as samples come that fit (see estimator.md).
+# The same for a block of one parameter, which says little about a scale. Not a Cauchy prior: a
+# sigma would grow by half or more as samples are added that fit (see estimator.md).
 SINGLE_PRIOR = _prior(2.0, 0.8)
 # For the estimate: zero, unless the data show something.
 MAP_PRIOR = _prior(1.0, 0.01)
@@ -45,12 +45,12 @@ MAP_PRIOR = _prior(1.0, 0.01)
 @dataclass(frozen=True)
 class Noise:
     """
-    Factors on the configured variances, those of (3), and the scales of blocks.
+    Factors on the configured variances in (3), and the scales of blocks.
 
-    feature, feature_2: of the features' own error, by their component; local: of the distortion
-    that differs from station to station; robot: of the pose noise; values: of the white errors of
-    what the poses depend on, such as the time; scales: tau^2 of each block, by its name; lumped:
-    whether blocks count as errors of each station here.
+    feature, feature_2: of the features' own errors, by variance component; local: of the
+    distortion that differs between stations; robot: of the pose noise; values: of the white errors
+    of the pose values, such as time; scales: tau^2 of each block by name; lumped: whether blocks
+    count as errors of each station.
     """
 
     feature: float = 1.0
@@ -75,13 +75,13 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """Per group of stations with equally many observations: their rows and inverse factors."""
+    """Rows and whitening factors of groups of stations with equally many observations."""
 
     rows: tuple[NDArray[np.intp], ...]
     factors: tuple[Array, ...]
 
     def __call__(self, values: Array) -> Array:
-        """Return (m, ...) values with unit covariance."""
+        """Return values (m, ...) whitened to unit covariance."""
         if len(self.rows) == 1:  # all rows, in their order
             return _white(self.factors[0], values)
         white = np.empty_like(values)
@@ -99,8 +99,8 @@ def covariances(linear: Linear, at: Stations) -> Array:
     """
     Return the parts of the covariance, (3), as (p, stations, c, c), for variance factors of 1.
 
-    The p parts: the features' two components, the distortion that differs from station to station,
-    poses, and the values that poses depend on, where there are such.
+    The p parts: two components of the features' errors, the distortion that differs between
+    stations, the poses, and the pose values if they have white errors.
     """
     local, pose = _variances(linear.problem.config.noise)
     # no covariance between the components, so that any factors keep the sum positive
@@ -111,7 +111,7 @@ def covariances(linear: Linear, at: Stations) -> Array:
 
 
 def total_covariance(linear: Linear, at: Stations, noise: Noise) -> Array:
-    """Return the covariance (stations, c, c), (3), with that of the blocks if they are lumped."""
+    """Return the covariance (stations, c, c), (3), including the blocks if they are lumped."""
     problem, config = linear.problem, linear.problem.config.noise
     total = _feature(linear, at)
     first, second = at.components
@@ -139,12 +139,12 @@ def _feature(linear: Linear, at: Stations) -> Array:
         feature[:, every, every] = np.einsum('sck,sck->sc', factor, factor)
     else:
         feature = _squared(factor) * at.shared
-    feature[:, every, every] += 1e-9 ** 2  # m; without any noise it would weigh infinitely
+    feature[:, every, every] += 1e-9 ** 2  # m; without noise its weight would be infinite
     return feature
 
 
 def _variances(noise: NoiseConfig) -> tuple[float, Array]:
-    """Return those of the distortion that differs from station to station, and of a pose (6,)."""
+    """Return the variances of the distortion that differs between stations, and of a pose (6,)."""
     pose = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
     return (0.6 * noise.distortion) ** 2, pose  # the share that differs, as speckle does
 
@@ -156,7 +156,7 @@ def _squared(factor: Array, variances: Array | float = 1.0) -> Array:
 
 
 def whitening(linear: Linear, noise: Noise) -> Whitening:
-    """Return the map to residuals of unit covariance."""
+    """Return the map that whitens residuals to unit covariance."""
     stations = linear.problem.stations
     return Whitening(tuple(at.rows for at in stations), tuple(
         inverse_roots(total_covariance(linear, at, noise)) for at in stations))
@@ -167,9 +167,9 @@ class Scales:
     """
     The prior scales of d blocks, as variances over the configured ones.
 
-    before: (d,) their variances so far; evidence: (s, d) log likelihood (6) at each of SCALES;
-    fitted: (s, d) the gain, the first term of (6); square: (s, d) sum of the second moments of the
-    parameters there; single: (d,) whether a block has one parameter only; prior: (s, d).
+    before: (d,) variances so far; evidence: (s, d) log likelihood (6) at each of the s SCALES;
+    fitted: (s, d) the gain, first term of (6); square: (s, d) sum of second moments of the block's
+    parameters; single: (d,) whether a block has one parameter; prior: (s, d) its log.
     """
 
     before: Array
@@ -194,16 +194,16 @@ class Scales:
     @cached_property
     def _waiting(self) -> NDArray[np.bool_]:
         """
-        Return which of the blocks of one parameter (d,) do not grow while another one does.
+        Return which single-parameter blocks (d,) wait while another one grows.
 
-        Two of them may explain the same, and were both large, neither would seem needed: the one
-        that explains most grows first. One grows if its variance more than doubles.
+        Two of them may explain the same residuals; if both were large, neither would seem needed.
+        So the one that explains most grows first. A block grows if its variance more than doubles.
         """
         each = _matched(self.prior + self.evidence, self.square)
         growing = self.single & (each > 2.0 * self.before)
         if growing.sum() < 2:
             return np.zeros(len(growing), dtype=bool)
-        # how much likelier the data are over all scales than at that before
+        # log likelihood over all scales minus that at the previous scale
         present = np.array([np.interp(np.log(own), np.log(VARIANCES), of_block) for own, of_block
                             in zip(self.before, self.evidence.T, strict=True)])
         posterior = self.prior - np.logaddexp.reduce(self.prior) + self.evidence
@@ -217,9 +217,9 @@ def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], size:
     """
     Return the scales of blocks, (6).
 
-    value (q,) and covariance (q, q) of their parameters in units of their sigma, when the variance
-    of each block is size (d,) times the configured one; first: (d,) ascending, where the
-    parameters of each begin; largest: (d,) bound of the variance.
+    value (q,), covariance (q, q): of the parameters, in units of their sigma when the variance of
+    each block is size (d,) times the configured one; first: (d,) ascending, index of each block's
+    first parameter; largest: (d,) bound of the variance.
     """
     counts = np.diff([*first, len(value)])
     ratios, along = np.diag(covariance).copy(), value.copy()  # posterior over prior variance
@@ -246,7 +246,7 @@ def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], size:
 
 
 def _matched(posterior: Array, moment: Array) -> Array:
-    """Return the variances (d,) whose moments are the means of those (s, d) of all scales."""
+    """Return the variances (d,) where moment (s, d) equals its posterior mean over the scales."""
     weights = np.exp(posterior - posterior.max(axis=0))
     means = (weights * moment).sum(axis=0) / weights.sum(axis=0)
     return np.exp([np.interp(mean, of_block, np.log(VARIANCES))

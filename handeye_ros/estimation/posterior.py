@@ -35,7 +35,7 @@ from handeye_ros.least_squares.covariance import from_information, from_rows
 import numpy as np
 from numpy.typing import NDArray
 
-STEPS, LAST_STEPS = 2, 3  # of estimating scales in each round, and after the last
+STEPS, LAST_STEPS = 2, 3  # iterations of the scales: in each round, in the last
 MAP_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
 
 
@@ -43,7 +43,7 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) 
     """
     Return the MAP solution near a start, with prior scales and noise estimated from residuals.
 
-    noise: to start from, None: as configured. From very many stations, a part comes first.
+    noise: initial noise, None: as configured. With very many stations a part is solved first.
     """
     noise, every = noise or Noise(lumped=False), len(problem.poses) // MANY
     state = State.of(problem, start)
@@ -60,13 +60,13 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) 
 
 
 def _iterated(system: _System) -> tuple[_System, bool]:
-    """Return the system at its solution, and whether the steps diverged before it."""
+    """Return the converged system and False, or the best one before divergence and True."""
     least, best, resting = np.inf, system, False
-    for count in range(10):  # of linearising
+    for count in range(10):  # linearisations
         x, covariance = system.solved
         size = float(np.abs(x[:system.u] / np.sqrt(np.diag(covariance)[:system.u])).max())
         diverged = size > 4.0 * max(least, 1.0)
-        if diverged and count > 1:  # before, a block may turn out so large that the step grows
+        if diverged and count > 1:  # the first steps may grow with the scale of a block
             return best, True
         best, least = best if diverged else system, min(size, least)
         state = system.retracted(x)
@@ -100,8 +100,8 @@ class _System:
     """
     The whitened least squares at an estimate, (4).
 
-    r: (m,) whitened residuals without nuisance parameters; columns: derivatives by u unknowns and
-    q nuisance parameters in prior sigmas; group: (q,) the block of each parameter.
+    r: (m,) whitened residuals with nuisance parameters at 0; columns: derivatives by u unknowns
+    and by q nuisance parameters in prior sigmas; group: (q,) the block of each parameter.
     """
 
     state: State
@@ -116,7 +116,7 @@ class _System:
 
     @classmethod
     def of(cls, state: State, noise: Noise) -> _System:
-        """Return the system at the first state."""
+        """Return the system at a first state, which fixes the bases of the blocks."""
         linear = linearise(state.problem, state.estimate)
         blocks_at = prepared(linear)
         return cls.built(state, linear, noise, blocks_at(linear), blocks_at)
@@ -158,7 +158,7 @@ class _System:
 
     @property
     def first(self) -> NDArray[np.intp]:
-        """Return the first parameter of each block (d,), counted over all blocks."""
+        """Return the index (d,) of each block's first parameter among those of all blocks."""
         return np.searchsorted(self.group, np.arange(len(self.blocks)))
 
     @property
@@ -181,9 +181,9 @@ class _System:
 
     def rescaled(self, steps: int) -> tuple[_System, Scales | None]:
         """
-        Return the system with the conservative prior scales estimated, and these scales.
+        Return the system at estimated conservative prior scales, and these scales.
 
-        A last step that changes next to nothing is not made; without blocks there are no scales.
+        Ends early if a step hardly changes the variances. Without blocks the scales are None.
         """
         system, scales = self, None
         for _ in range(steps if self.blocks else 0):
@@ -219,7 +219,7 @@ class _System:
         return self.noise.with_factors(np.clip(after, 1e-4, 1e8))
 
     def retracted(self, x: Array) -> State:
-        """Return the state after a step to a solution."""
+        """Return the state after a step x (u + q,) of the unknowns and the blocks that retract."""
         problem, values = self.problem, dict(self.state.values)
         estimate = problem.retracted(self.state.estimate, x[:self.u])
         scaled = x * self.scales

@@ -1,9 +1,9 @@
 """
 From starts to a robustly refined estimate.
 
-Many starts go down together, each its own way, and the poor ones are given up early: plain
-residuals decide, which far from the solution say more than whitened ones. One start is then
-refined while stations that do not fit lose weight.
+Many starts are iterated independently, and poor ones are given up early, by plain residuals: far
+from the solution these say more than whitened ones. One start is then refined robustly: stations
+that do not fit lose weight.
 """
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from handeye_ros.least_squares.solver import (
 )
 import numpy as np
 
-# Squared whitened residuals: of a good estimate, with blocks lumped (4: 2 sigma); of one that no
-# other is as good as; of a station that is far from it, over that of the believed share (16: 4
-# sigma). SMALL_SQUARE: what the loss adds, as the robot is seldom as inaccurate as configured: it
-# tells stations that fit to a fifth of a sigma from those that fit to a half.
+# Limits of squared whitened residuals: of a good estimate, with lumped blocks (4: 2 sigma); of one
+# that no other can beat; of a station far from it, over the believed quantile (16: 4 sigma).
+# SMALL_SQUARE is added in the loss: as the robot is seldom as inaccurate as configured, fits to a
+# fifth of a sigma are distinguished from fits to a half.
 CONVINCING, UNRIVALLED, LARGEST_SQUARE, SMALL_SQUARE = 4.0, 0.1, 16.0, 0.03
 
 
@@ -40,8 +40,8 @@ class Refined:
     """
     A robust estimate and the mean squared whitened residuals (n,) of all stations.
 
-    problem: whole with its observations labelled as they fit, without those that do not. free:
-    whether observations were left out, and the others do not determine all directions.
+    problem: whole with labelled observations, without those that do not fit. free: whether
+    observations were left out and the others leave a direction undetermined.
     """
 
     whole: Problem
@@ -57,15 +57,15 @@ class Refined:
 
     @property
     def misfit(self) -> float:
-        """Return the spread, penalised where many observations are left out."""
+        """Return the spread, penalised if the used observations leave a direction undetermined."""
         return max(self.spread, 2 * LARGEST_SQUARE) if self.free else self.spread
 
     @property
     def loss(self) -> float:
         """
-        Return a robust mean of all squares, penalised where many observations are left out.
+        Return a robust mean of all squares, penalised if a direction is undetermined.
 
-        Its logarithm orders estimates alike whatever the size of the noise, from SMALL_SQUARE on.
+        Its logarithm ranks estimates independently of the noise level above SMALL_SQUARE.
         """
         loss = float(np.log(SMALL_SQUARE + self.squares).mean())
         return max(loss, float(np.log(2 * LARGEST_SQUARE))) if self.free else loss
@@ -75,8 +75,8 @@ class Refined:
         """
         Return whether nearly all stations fit, within the errors of an inaccurate robot.
 
-        Where stations show several surfaces they must fit better: a plane that is partly on one
-        and partly on another, near one, fits within such errors too.
+        If stations show several surfaces, a better fit is required: a plane partly on one and
+        partly on another near surface also fits within such errors.
         """
         enough = UNRIVALLED if self.whole.ambiguous else CONVINCING
         return self.misfit <= enough and self.far_share <= 0.1
@@ -90,7 +90,7 @@ class Refined:
 
 
 def refined(problem: Problem, estimate: Estimate) -> Refined:
-    """Return the estimate that graduated non-convexity reaches from another one."""
+    """Return the robust estimate that graduated non-convexity reaches from a start."""
     def refit(at: Weighed, weights: Array) -> Weighed:
         before = at.linear.problem
         at = system(before, at.noise).reweighted(at, weights)
@@ -110,10 +110,10 @@ def refined(problem: Problem, estimate: Estimate) -> Refined:
 
 def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = None) -> Problem:
     """
-    Return the problem with its observations assigned again, misfits unused.
+    Return the problem with its observations assigned again, without those that do not fit.
 
-    before: with the labels of another estimate; it is returned where these are the same, as what
-    it has found out about its stations still holds.
+    before: the problem labelled at another estimate; it is returned itself if the labels are the
+    same, to keep its cached properties.
     """
     p = problem.points_in_base(estimate.X)
     labelled = problem.method.geometry.relabel(problem.observations, p, estimate.target,
@@ -146,7 +146,7 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
     """
     Return the estimates reached from the starts, best first; poor ones are given up early.
 
-    more: times as many go on.
+    more: factor on the number of starts that continue.
     """
     def linear(states: States) -> tuple[Array, Array]:
         at = linearise(problem, Estimate(*states))
@@ -158,7 +158,7 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
 
     states: States = (np.array([start.X for start in starts]),
                       np.array([start.target for start in starts]))
-    for iterations, kept in ((2, 6), (3, 3), (10, 2)):  # and how many starts go on after them
+    for iterations, kept in ((2, 6), (3, 3), (10, 2)):  # iterations, and starts kept after them
         kept = max(more * kept, 6 if problem.few else 0)
         states, cost = many_least_squares(linear, retract, states, iterations, 1e-6)
         order = np.argsort(cost, kind='stable')

@@ -27,11 +27,11 @@ class Solution:
     """
     An estimate with its residuals, covariance and statistics.
 
-    white: whitened residuals (m,) without what the blocks explain; columns: whitened derivatives
-    by u unknowns, X's six first, then by q nuisance parameters in sigmas; covariance: C of (5) for
-    both, infinite variances cut at LARGEST_STD; nuisance: (q,) estimates; blocks: their sigmas are
-    tau times the configured; conservative: the solution at conservative scales, which moves the
-    estimate further than it should, but says how uncertain it is; contamination: (6, 6) of (10).
+    white: (m,) whitened residuals minus the contribution of the blocks; columns: whitened
+    derivatives by u unknowns (first six: X), then by q nuisance parameters in sigmas; covariance:
+    (u + q, u + q) C of (5), sigmas at most LARGEST_STD; nuisance: (q,) estimates; blocks: their
+    sigmas are tau times the configured ones; conservative: solution at conservative scales: its
+    estimate moves too far, its covariance is realistic; contamination: (6, 6) of (10).
     """
 
     problem: Problem
@@ -51,7 +51,7 @@ class Solution:
         """
         Return the reported covariance (u, u) of the unknowns, (8).
 
-        Both the transform of the mount and the one that maps points best are within it.
+        It covers the errors of both the mount's transform and the best-fit transform.
         """
         conservative = self.conservative
         if conservative is None:
@@ -92,7 +92,7 @@ class Solution:
         """
         Return the rank (n,) of each station's derivatives by the unknowns.
 
-        Many points of one line say two: where it is, and how it is turned.
+        Many points of one line have rank two: the offset and the direction of the line.
         """
         station = self.problem.observations.station
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
@@ -100,7 +100,7 @@ class Solution:
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         for at in self.problem.stations:
             s = np.linalg.svd(J[at.rows], compute_uv=False)
-            # 1e-3: less is what a station says twice, but for its noise
+            # smaller singular values are repeated information with other noise
             ranks[station[at.rows[:, 0]]] = (s > 1e-3 * s[:, :1]).sum(axis=1)
         return ranks
 
@@ -139,7 +139,7 @@ class Solution:
         """
         Return the number of independent conditions in excess of the unknowns.
 
-        A pose that is taken again says nothing new; of very many poses some are counted.
+        A repeated pose adds no information; of very many poses only some are counted.
         """
         return int(self.ranks[self.problem.distinct].sum()) - self.unknowns
 
@@ -171,7 +171,7 @@ class Solution:
         nuisance: (n, q) parameters of the blocks at each pose, None: as estimated.
         """
         problem, estimated = self.problem, self.nuisance
-        # what retracts is in the poses already
+        # the poses already include the blocks that retract
         inside = [np.full(b.count, float(b.retract is not None)) for b in self.blocks]
         values = (estimated if nuisance is None else nuisance) - estimated * np.concatenate(
             [[], *inside])
@@ -184,8 +184,8 @@ class Solution:
         """
         Return the estimate without each fold of stations, to first order.
 
-        fold: (n,) from 0, that each station is of. And the poses (n, 4, 4) of the stations without
-        the smooth error of the robot that those of the other folds show.
+        fold: (n,) fold of each station, from 0. Also returns the poses (n, 4, 4), corrected by the
+        robot's smooth error as estimated from the other folds.
         """
         folds = np.arange(fold.max() + 1)
         steps = _steps_without_one(self)[np.argsort(fold)] if len(folds) == len(fold) else (
@@ -196,7 +196,7 @@ class Solution:
 
 
 def columns_of(problem: Problem, own: Array, axes: int) -> FactoredJacobian:
-    """Return derivatives, the last axes of own (m, c + axes) by the robot's smooth errors."""
+    """Return the Jacobian of own (m, c + axes), whose last axes columns are factored."""
     nothing = np.empty((len(problem.poses), 0))
     shared, both = (problem.smooth, problem.smooth_products) if axes else (nothing, nothing)
     return FactoredJacobian(own, shared, both, axes, [at.rows for at in problem.stations],
@@ -207,8 +207,8 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
     """
     Return the squared leave-one-out residual of each station, and its degrees of freedom.
 
-    The deleted residual is that against the solution without the station, to first order;
-    squared and whitened it is chi-squared distributed when the station is good.
+    It is whitened, and to first order from the fit without the station: chi-squared distributed
+    when the station is good.
     """
     station, n = solution.problem.observations.station, len(solution.problem.poses)
     statistic = np.zeros(n)
@@ -221,7 +221,7 @@ def station_statistic(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
 
 
 def _steps_without_one(solution: Solution) -> Array:
-    """Return the changes (n, u + q) of the unknowns without each station."""
+    """Return the changes (n, u + q) of the unknowns when each station is left out."""
     columns, station = solution.columns, solution.problem.observations.station
     slopes = np.zeros((len(solution.problem.poses), columns.count))
     for rows in columns.rows:
@@ -232,7 +232,7 @@ def _steps_without_one(solution: Solution) -> Array:
 
 
 def _step_without(solution: Solution, stations: NDArray[np.intp]) -> Array:
-    """Return the change (u + q,) of the unknowns without some stations."""
+    """Return the change (u + q,) of the unknowns when some stations are left out."""
     columns, part = solution.columns, solution.columns.of(stations)
     left = solution.information - columns.gram_of(part)
     return inverse(left) @ columns.gradient_of(solution.white, part)

@@ -1,9 +1,9 @@
 """
 A X = X B from any number of poses of robot and target (CN105021139A).
 
-A closed form starts (rotation axes of all pairs of poses, then linear), and least squares over
-the poses finish, on rotation and translation together: with Z the fixed target, the pose that
-T_base_flange, X and Z predict for each view is compared with the measured one.
+The start is a closed form: rotation from the rotation axes of all pairs of poses, then a linear
+translation. Least squares over rotation and translation together follow: for each view the pose
+predicted by T_base_flange, X and the fixed target Z is compared with the measured one.
 """
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ __all__ = ['HandEyeResult', 'PoseNoise', 'closed_form', 'read', 'residuals', 'so
 
 NAME = 'A X = X B'
 MOST_PAIRS = 2000
-LARGEST_ANGLE = 3.0  # of a turn whose axis is still certain (rad)
+LARGEST_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
 SUBSETS = 20
 SUBSET_SIZE = 4
 BELIEVED_SHARE = 0.7
-SUSPECT = 16.0  # squared residual over the median that no good pose reaches
+SUSPECT = 16.0  # squared residual over the median above which outliers are suspected
 LARGEST_DROPPED_SHARE = 0.34
-LARGEST_RMS = (1e-2, 0.05)  # of an answer that can be trusted (m, rad)
-LENGTH = 0.1  # m that weigh as much as a radian, until the residuals say better
+LARGEST_RMS = (1e-2, 0.05)  # largest of a trusted answer (m, rad)
+LENGTH = 0.1  # m that weigh as much as a radian, until the noise is estimated
 ROUNDS = 2  # of estimating the noise
 LOST = 'the position along it is free'
 
@@ -58,9 +58,9 @@ class HandEyeResult:
     The result.
 
     T_flange_camera, T_base_target: (4, 4), with eye_on_base T_base_camera and T_flange_target;
-    covariance: (6, 6) of the first, x y z rx ry rz in its parent; used: indices of the poses
-    used; noise: given or estimated; rms, holdout_rms: (translation (m), rotation (rad)) of the
-    used views, the latter each against the answer without it.
+    covariance: (6, 6) of the first, x y z rx ry rz in its parent; used: indices of the used poses;
+    noise: given or estimated; rms: RMS (translation (m), rotation (rad)) of the used views;
+    holdout_rms: the same, each view predicted without itself.
     """
 
     T_flange_camera: Array
@@ -88,9 +88,9 @@ def solve(T_base_flange: Array, T_camera_target: Array, noise: PoseNoise | None 
     """
     Return the hand-eye transform.
 
-    T_base_flange, T_camera_target: (n, 4, 4) of the same moments; noise: estimated from the
-    residuals when not given; eye_on_base: the camera stands, the target is on the flange;
-    frame: what the camera is fixed in, as it is told (flange, or base).
+    T_base_flange, T_camera_target: (n, 4, 4), pairwise at the same times; noise: estimated if not
+    given; eye_on_base: the camera is fixed to the base, the target to the flange; frame: name of
+    the frame that the camera is fixed in, for messages.
     Raises TooFewError, OneOrientationError, OneAxisError, DegenerateError.
     """
     T = se3.inverse(T_base_flange) if eye_on_base else T_base_flange

@@ -25,7 +25,7 @@ class PoseNoise:
     """
     1 sigma per axis: of the target's pose in the camera frame, and of the robot's pose.
 
-    Where it is estimated, target_translation holds that of both, which look alike.
+    If estimated, target_translation includes the robot's: their effects are the same.
     """
 
     target_translation: float
@@ -47,7 +47,7 @@ def derivatives(T: Array, state: State, eye_on_base: bool = False) -> tuple[Arra
     """
     Return the derivatives of the residuals by X and Z (n, 6, 12), and by the poses (n, 6, 6).
 
-    A pose errs by a shift and a turn about the flange, along the axes of T's parent.
+    A pose error is a shift and a rotation about the flange, along the axes of T's parent.
     """
     X, Z = state
     to_camera = np.swapaxes(T[:, :3, :3] @ X[:3, :3], 1, 2)
@@ -92,8 +92,8 @@ def causes(T: Array, state: State, eye_on_base: bool) -> Array:
     """
     Return the covariances (3, n, 6, 6) of the residuals for unit variances of each cause.
 
-    Of translation, of the target's rotation, of the robot's, which shifts the target too. The
-    translations of target and robot have the same effect: they are one.
+    Causes: translation (of target and robot together, as their effects are the same), rotation of
+    the target, rotation of the robot (which also shifts the target).
     """
     own = np.broadcast_to(np.eye(6), (len(T), 6, 6))
     by_turn = derivatives(T, state, eye_on_base)[1][:, :, 3:]

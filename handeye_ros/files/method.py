@@ -67,9 +67,9 @@ class Answer(Generic[D]):
     """
     The transform X (4, 4) from the mount to the frame of the values, with its statistics.
 
-    covariance: (6, 6), x y z rx ry rz in the mount; used: (n,) of the samples; off: (n,) by which
-    each misses (m); residual_rms, holdout_rms: of the used (m), the latter each against the
-    answer without it. agreed: what of the data is believed. target: what else was estimated, as
+    covariance: (6, 6), x y z rx ry rz in the mount; used: (n,) whether each sample is used; off:
+    (n,) their residuals (m); residual_rms, holdout_rms: of the used samples (m), the latter with
+    each predicted without itself. agreed: the data without outliers. target: other estimates, as
     plain values.
     """
 
@@ -88,15 +88,15 @@ class FileMethod(Generic[D]):
     """
     Reader and estimator of one target, as functions.
 
-    mounts: the calibration types it can be of; advice: what makes an answer more certain.
-    read(path, config, how to read a bag): the input; raises InputError, DataError.
+    mounts: supported calibration types; advice: what makes an answer more certain.
+    read(path, config, read_bag): the input; raises InputError, DataError.
     solve(data, config): the answer; raises DataError.
-    samples(data): for each sample its stamp, or the number of its row in a file, and its kind.
-    subset(data, indices of samples (ascending)): these alone.
-    residuals(data, X, indices fitted, indices measured, config): the distances (k,) in metres of
-    the latter with a transform, the target fitted to the former.
+    samples(data): of each sample its stamp, or its row number in a file, and its kind.
+    subset(data, indices (ascending)): the data of these samples.
+    residuals(data, X, fitted, measured, config): distances (k,) in metres of the samples
+    `measured` for X, the target fitted to the samples `fitted` (both are indices).
     field(data): points (k, 3) in the sensor frame over which errors are reported; over: in words.
-    profiles: whether the values are of profiles, in their plane.
+    profiles: whether the values are points of profiles in the sensor plane.
     """
 
     name: str

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 NAME = 'the transform between two sets of points'
 MINIMUM = 4
-ALL_TRIPLES = 40  # up to so many points every three of them are tried as a start
+ALL_TRIPLES = 40  # up to this number of points, all triples are tried as a start
 TRIPLES = 2000
-JUDGES = 500  # points that at most are asked which three they believe
+JUDGES = 500  # largest number of points that judge the triples
 BELIEVED_SHARE = 0.7
-SMALLEST_ANGLE = 0.05  # of a triangle, spread across over along (rad)
+SMALLEST_ANGLE = 0.05  # smallest spread across over spread along (rad)
 LARGEST_DROPPED_SHARE = 0.34
 LARGEST_RMS = 5e-3  # of an answer that can be trusted (m)
 
@@ -34,10 +34,10 @@ class PointsResult:
     """
     The result.
 
-    T_base_camera: (4, 4); covariance: (6, 6) of x y z rx ry rz in the base; used: indices of
-    the points used; residuals: (n,) distances of all points (m); noise: 1 sigma per axis of a
-    difference (m); rms, holdout_rms: of the used ones (m), the latter each against the answer
-    without it.
+    T_base_camera: (4, 4); covariance: (6, 6) of x y z rx ry rz in the base; used: indices of the
+    used points; residuals: (n,) distances of all points (m); noise: 1 sigma per axis of a
+    difference (m); rms, holdout_rms: of the used points (m), the latter with each predicted
+    without itself.
     """
 
     T_base_camera: Array
@@ -65,8 +65,8 @@ def solve(in_camera: Array, in_base: Array, noise: float | None = None,
     """
     Return the transform from the same points (n, 3) in both frames (metres).
 
-    noise: 1 sigma per axis of the difference of a pair, estimated when not given; rng: of the
-    search among more than ALL_TRIPLES points. Raises TooFewError, DegenerateError.
+    noise: 1 sigma per axis of the difference of a pair (m), estimated when not given; rng: for
+    random triples of more than ALL_TRIPLES points. Raises TooFewError, DegenerateError.
     """
     if len(in_base) < MINIMUM:
         raise TooFewError(NAME, MINIMUM, 'points', len(in_base))
@@ -102,7 +102,7 @@ def _system(in_camera: Array, in_base: Array, sigma: float) -> System[Array]:
 
 
 def fit_rigid(a: Array, b: Array) -> Array:
-    """Return the T (..., 4, 4) with the least squares of b - T a, (..., n, 3) each (Kabsch)."""
+    """Return T (..., 4, 4) that minimises |b - T a|^2 over points (..., n, 3) (Kabsch)."""
     mean_a, mean_b = a.mean(axis=-2), b.mean(axis=-2)
     M = np.swapaxes(b - mean_b[..., None, :], -1, -2) @ (a - mean_a[..., None, :])
     U, _, Vt = np.linalg.svd(M)
@@ -112,7 +112,7 @@ def fit_rigid(a: Array, b: Array) -> Array:
 
 
 def _start(in_camera: Array, in_base: Array, rng: np.random.Generator) -> Array:
-    """Return the transform of three points with the smallest BELIEVED_SHARE residual."""
+    """Return the three-point transform with the smallest BELIEVED_SHARE residual quantile."""
     n = len(in_base)
     if n <= ALL_TRIPLES:
         triples = np.array(list(combinations(range(n), 3)))

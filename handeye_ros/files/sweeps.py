@@ -1,8 +1,8 @@
 """
 A sweep of the profiler over ball and block: from profiles and poses to points (Jing 2020).
 
-The flange moves along a line without turning. Profiles that show two faces which meet in a ridge
-are of the block, those that show an arc of the ball; all others are passed over.
+The flange moves along a line without rotation. Profiles with two faces that meet in a ridge show
+the block, profiles with an arc the ball; all others are ignored.
 """
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from handeye_ros.streams.stream import interpolate
 import numpy as np
 
 NAME = 'the sweep over ball and block'
-RIDGE_ANGLE = 0.35  # at which two pieces are faces that meet (rad)
-SHARE = 0.6  # of the points of a profile that the two faces hold together, or the arc
-STRAIGHT = 1.5  # scatter of a straight face over the noise; pieces of an arc have more
-STEEP = 0.5  # cosine of the angle of incidence from which a point of the ball is used
-END = 0.1  # of a face left out at either end, where mixed points are
-BINS = 12  # mean points that stand for a face in one profile
-LARGEST_TURN = 2e-3  # of a flange that only moves along a line (rad)
-LARGEST_ASIDE = 2e-4  # of its way (m, RMS)
+RIDGE_ANGLE = 0.35  # smallest angle between two faces that meet (rad)
+SHARE = 0.6  # smallest share of a profile's points on the two faces, or on the arc
+STRAIGHT = 1.5  # largest scatter of a straight face over the noise; pieces of an arc exceed it
+STEEP = 0.5  # smallest cosine of the incidence angle at a used point of the ball
+END = 0.1  # share of a face left out at each end, where points are mixed
+BINS = 12  # largest number of mean points of a face in one profile
+LARGEST_TURN = 2e-3  # largest rotation of the flange during a sweep (rad)
+LARGEST_ASIDE = 2e-4  # largest deviation of the flange from its line (m, RMS)
 SMALLEST_WAY = 0.02
 FEWEST_PROFILES = 5
-MISSED = 3  # so many profiles without two faces do not end a run of those that show them
-STRAYS = 0.2  # of the longest run: a shorter one is not of the block
+MISSED = 3  # consecutive profiles without two faces that do not end a run of block profiles
+STRAYS = 0.2  # share of the longest run: a shorter run is not of the block
 
 
 def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], config: Config,
@@ -40,8 +40,8 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
     """
     Return the points of a sweep.
 
-    profiles, poses: in the order of their stamps; q3_first: the reading of P3 at the first pose,
-    q30: that at which the flange is taken (m), the middle of all when not given. config:
+    profiles, poses: in the order of their stamps; q3_first: reading of P3 at the first pose (m);
+    q30: reading at which the flange frame is taken (m), by default the middle. config:
     noise.sensor, target.radius of the ball (0: unknown), sampling.min_points. Raises
     DegenerateError.
     """
@@ -61,7 +61,7 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
 
 def _found(profiles: Sequence[AnyProfile], ways: Array, config: Config
            ) -> dict[str, list[tuple[int, Array]]]:
-    """Return for each part of the sweep the stamps and rows of its profiles."""
+    """Return stamp and rows (k, 4) of each profile, by the part of the sweep."""
     runs: list[list[tuple[int, list[Array]]]] = [[]]  # of profiles that show two faces
     arcs: list[tuple[int, float, Arc]] = []
     missed = 0
@@ -92,7 +92,7 @@ def _found(profiles: Sequence[AnyProfile], ways: Array, config: Config
 
 
 def _ways(T: Array) -> Array:
-    """Return the distances (n - 1,) of poses (n, 4, 4) from the first along the flange's z."""
+    """Return the travel (n - 1,) along the flange's z from the first of poses (n, 4, 4), m."""
     turn = float(np.max(se3.angle(T[:, :3, :3] @ T[0, :3, :3].T)))
     if turn > LARGEST_TURN:
         raise DegenerateError(NAME, f'the flange turns by {np.degrees(turn):.2f} degrees',
@@ -149,7 +149,7 @@ def _arc(points: Array, config: Config) -> Arc | None:
 
 
 def _ball(arcs: Sequence[tuple[int, float, Arc]], radius: float) -> list[tuple[int, Array]]:
-    """Return stamps and rows of the arcs without points at grazing incidence."""
+    """Return stamp and rows (k, 4) of each arc, without points at grazing incidence."""
     radius = radius or max((arc.radius for *_, arc in arcs), default=0.0)
     found = []
     for stamp, q3, arc in arcs:
@@ -160,5 +160,5 @@ def _ball(arcs: Sequence[tuple[int, float, Arc]], radius: float) -> list[tuple[i
 
 
 def _at(q3: float, points: Array, std: Array) -> Array:
-    """Return rows x, z, q3, sigma."""
+    """Return rows (k, 4): x, z, q3, 1 sigma (m)."""
     return np.column_stack([points, np.full(len(points), q3), std])

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 REFLECTED = {'arc': 'arc', 'line': 'line', 'spots_c': 'face_c', 'spots_d': 'face_d'}
-CENTRE = 'centre'  # of the ball, by the tracker: all its rows make one point, always used
+CENTRE = 'centre'  # of the ball, by the tracker: the mean of its rows, always used
 NO_SAMPLE = -1
 
 Masks = Mapping[str, NDArray[np.bool_]]
@@ -33,8 +33,8 @@ class Session:
     """
     The measurements of both instruments.
 
-    of: index of the sample of each point, by the name of the part; samples: row of the file or
-    stamp of the profile, and what it is of.
+    of: for each part by name, the index of each point's sample; samples: row of the file or
+    stamp of the profile, and its kind.
     """
 
     reflector: jing2020.Tracker
@@ -52,7 +52,7 @@ class Session:
 
 
 def direction(config: Config) -> Array:
-    """Return which way (3,) the sweep runs, x along the line and z the range."""
+    """Return the direction of the sweep as a unit vector (3,): x along the line, z the range."""
     given = np.array(config.tracker.direction)
     if not given.any():
         raise BadValueError('tracker.direction', list(given), 'a direction that is not zero')
@@ -108,7 +108,7 @@ def _rms(values: Array) -> float:
 
 
 def _agreed(data: Session, good: NDArray[np.bool_], used: NDArray[np.bool_]) -> Session:
-    """Return the session without the points left out; good: (n,) of all distances."""
+    """Return the session of used samples, without wrong points; good: (n,) of all distances."""
     ends = np.cumsum([len(of) for of in data.of.values()])
     points = dict(zip(data.of, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
     wrong = tracker_model.sources(points)[~good]

@@ -28,10 +28,10 @@ from numpy.typing import NDArray
 NAME = 'the chain through the laser tracker'
 KINDS = ('arc', 'line', 'ball', 'face_c', 'face_d')
 TOO_FEW = {'arc': 6, 'line': 3, 'ball': 1, 'face_c': 3, 'face_d': 3}
-SMALLEST_ANGLE = 0.17  # between the faces, and of the arc (rad)
-ORDERED = 20  # points of arc and line whose order is looked at
-ONE_WAY = 0.75  # of the steps between them; of points in no order hardly more than half
-LARGEST_TURN = 0.35  # between the sweep as the ball shows it and the line of the reflector (rad)
+SMALLEST_ANGLE = 0.17  # smallest angle between the faces, and of the arc (rad)
+ORDERED = 20  # points of arc and line whose order is checked
+ONE_WAY = 0.75  # smallest share of steps in one direction; about half for unordered points
+LARGEST_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
 LARGEST_STD = (5e-3, 1e-2)  # of an answer (m, rad)
 LARGEST_VARIANCE = 9.0
 LARGEST_DROPPED_SHARE = 0.34
@@ -42,11 +42,11 @@ class TrackerResult:
     """
     The result.
 
-    T_flange_sensor, T_tracker_flange at q30: (4, 4); covariance: (6, 6) of the first, x y z rx
-    ry rz in the flange; skew: by which R2 and P3 are not square, face_angle: between the
-    normals (rad); radius: of the ball; variance_factor; distances: (n,) of all points, as of
-    tracker_model.distances; used: indices among them; left_out: (used,) those of the used, each
-    against the answer without it (m); holdout_rms: of the same (sigmas); state: all unknowns.
+    T_flange_sensor, T_tracker_flange (at q30): (4, 4); covariance: (6, 6) of the first, x y z rx
+    ry rz in the flange; skew: deviation of R2 and P3 from a right angle; face_angle: between the
+    face normals (rad); radius: of the ball (m); distances: (n,) of all points, see
+    tracker_model.distances; used: indices of the used ones; left_out: (used,) leave-one-out
+    distances (m); holdout_rms: their RMS (sigmas); state: all unknowns.
     """
 
     T_flange_sensor: Array

@@ -31,8 +31,8 @@ class Sweep:
     """
     Points of the profiles of the sweep, (n, 4) each: x, z in the sensor plane, q3, 1 sigma (m).
 
-    face_c is the face at smaller x. q30: the reading of P3 at which the flange is taken. stamps:
-    of the profile of each point, by the name of the part; empty where they are not known.
+    face_c is the face at smaller x. q30: reading of P3 at which the flange frame is taken. stamps:
+    of each point's profile, by the name of the part; empty if unknown.
     """
 
     ball: Array
@@ -43,7 +43,7 @@ class Sweep:
 
     @property
     def published(self) -> jing2020.Sweep:
-        """Return the same in the form of the published algorithm, without sigmas."""
+        """Return the points in the form of the published algorithm, without sigmas."""
         return jing2020.Sweep(self.ball[:, :3], self.face_c[:, :3], self.face_d[:, :3], self.q30)
 
 
@@ -61,9 +61,9 @@ class State:
     """
     The unknowns.
 
-    T_tracker_2, X: (4, 4), the link's frame 2 and T_flange_sensor; rest: (14,) angle by which R2
-    and P3 are not square, radius of the arc, x and z of the line in frame 2, centre and radius of
-    the ball and both faces m . p = 1 in the sensor at q30.
+    T_tracker_2, X: (4, 4), frame 2 of the arm and T_flange_sensor; rest: (14,) deviation of R2 and
+    P3 from a right angle, arc radius, x and z of the line in frame 2, ball centre and radius, and
+    m of both faces (m . p = 1), in the sensor frame at q30.
     """
 
     T_tracker_2: Array
@@ -122,7 +122,7 @@ def system(seen: Seen, given_X: bool = False) -> System[State]:
 
 
 def distances(state: State, seen: Seen) -> tuple[Array, Array]:
-    """Return how far (n,) each point is from where it should be, and its 1 sigma (n,); metres."""
+    """Return the residual distance (n,) of each point from the model, and its 1 sigma (n,); m."""
     by_tracker = _of_tracker(state, seen)
     parts = [_of_sensor(state, seen.sweep, part) for part in SWEPT]
     r, sigma = (np.concatenate(columns) for columns in zip(*parts, strict=True))
@@ -131,14 +131,14 @@ def distances(state: State, seen: Seen) -> tuple[Array, Array]:
 
 
 def sources(of: Mapping[str, NDArray[np.intp]]) -> NDArray[np.intp]:
-    """Return for each of the distances (n,) what its point is of, by the name of the part."""
+    """Return, for each distance (n,), the value that `of` holds for its point, by part."""
     return np.concatenate([of['arc'], of['arc'], np.repeat(of['line'], 2),
                            np.repeat(of['centre'], 3), of['spots_c'], of['spots_d'],
                            *(of[part] for part in SWEPT)])
 
 
 def parts(seen: Seen) -> NDArray[np.intp]:
-    """Return for each of the distances (n,) the part that its point is of, an index into PARTS."""
+    """Return, for each distance (n,), the part of its point as an index into PARTS."""
     tracker, sweep = seen.tracker, seen.sweep
     points = (tracker.arc, tracker.line, tracker.ball[None], tracker.face_c, tracker.face_d,
               sweep.ball, sweep.face_c, sweep.face_d)
@@ -162,7 +162,7 @@ def _of_tracker(state: State, seen: Seen) -> Array:
 
 
 def _of_sensor(state: State, sweep: Sweep, part: str) -> tuple[Array, Array]:
-    """Return the distances of a swept part and their sigmas: points err in the sensor plane."""
+    """Return distances (n,) of a swept part and 1 sigma (n,), for errors in the sensor plane."""
     points: Array = getattr(sweep, part)
     cloud = jing2020.swept(points[:, :3], sweep.q30, state.X[2, :3])
     if part == 'ball':

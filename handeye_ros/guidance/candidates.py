@@ -22,10 +22,10 @@ import numpy as np
 TEMPLATES, DRAWN = 6, 240  # stations; candidates of each
 ROUNDS, REFINED = 4, 80  # of refinement; candidates of each, around the best
 LARGEST_TWIST = 1.6  # rad: about the viewing direction, from the template's
-LARGEST_SHIFT = 0.2  # of the anchor across the laser line, in widths of the view
-USEFUL = 0.5  # of the gain of the best: of those that gain as much, the nearest is taken
+LARGEST_SHIFT = 0.2  # largest shift of the anchor across the laser line, in widths of the view
+USEFUL = 0.5  # share of the largest gain: the nearest candidate with as much is taken
 LEVER = 0.3  # m/rad: a rotation counts as a distance of so much
-NEAR = np.array([0.15, 0.1, 0.1, 0.1, 0.1, 0.3])  # 1 sigma of the choices of a round
+NEAR = np.array([0.15, 0.1, 0.1, 0.1, 0.1, 0.3])  # 1 sigma of the choices in each round
 
 
 @dataclass(frozen=True, eq=False)

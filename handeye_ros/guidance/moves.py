@@ -55,12 +55,12 @@ TWO_EDGES = np.array([
     [0.1, 0.95, 0.0, -0.7, 0.7, 0.0],
     [1.0, 0.0, -0.95, 0.0, 0.7, 0.0],
 ])
-PER_EDGE = 3  # stations before the other edge of a plate has its turn
-SPARE_TURN = 0.26  # rad: how much less than the largest, for who moves the robot
+PER_EDGE = 3  # stations before the next edge of a plate
+SPARE_TURN = 0.26  # rad: margin to the largest, for the operator
 WANTED_TILT = 0.6  # of the largest tilt, to either side
 WANTED_TURN = 0.52  # rad to either side
 WANTED_PLACES = 0.5  # of the view
-FILLING = 0.6  # of the view's width: what fills it has no place along the line
+FILLING = 0.6  # of the view's width: a larger feature has no place along the line
 WANTED_PER_EDGE = 3
 
 

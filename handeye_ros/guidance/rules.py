@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 ERROR = (5e-3, 0.053)  # m and rad (3 degrees) by which a stop may be off
 REFUSED = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gave no sample
 SMALLEST_CORNER = 0.6  # rad between two faces in a profile; the finder needs 0.26
-SMALLEST_COSINE = 0.5  # of the incidence on a face, where the template saw it so
-SHORTEST = 0.25  # of the length of a face that the template saw, beside the corner
-SMALLEST_FACE = 0.2  # of the view's width: how far a face goes on beside its edge, to be found
+SMALLEST_COSINE = 0.5  # smallest cosine of the incidence on a face, if the template has it
+SHORTEST = 0.25  # smallest visible part of a face, over that in the template
+SMALLEST_FACE = 0.2  # smallest visible length of a face beside its edge, over the view's width
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +30,9 @@ class Limits:
     """
     The limits of guidance.* around the first sample.
 
-    first: (4, 4) pose of what carries the sensor in what carries the target; in_hand: whether
-    that is the flange in the base, and not the base in the flange. reach: metres; tilt (of the
-    viewing direction), turn (about it): radians.
+    first: (4, 4) pose of the mount in the target frame; in_hand: True: the flange in the base,
+    False: the base in the flange. Largest differences: reach (m), tilt of the viewing direction
+    (rad), turn about it (rad).
     """
 
     first: Array
@@ -74,7 +74,7 @@ def limits_of(first: Array, config: Config) -> Limits:
 
 @dataclass(frozen=True, eq=False)
 class Visited:
-    """Flange poses with a sample (n, 4, 4), and of stops without one (k, 4, 4)."""
+    """Flange poses of stops: with a sample, taken (n, 4, 4); without, refused (k, 4, 4)."""
 
     taken: Array
     refused: Array
@@ -87,12 +87,12 @@ class Visited:
         return any(self.margin)
 
     def allow(self, poses: Array) -> NDArray[np.bool_]:
-        """Return which poses (m, 4, 4) of the flange are distinct from these, with a margin."""
+        """Return which flange poses (m, 4, 4) differ from all visited ones, with a margin."""
         sampling = self.config.sampling
         new = (sampling.new_translation, sampling.new_rotation)
         apart = (new[0] + self.margin[0], new[1] + self.margin[1])
         allowed = np.ones(len(poses), dtype=bool)
-        if new[0] and new[1]:  # with either of them 0, every stop is used
+        if new[0] and new[1]:  # if either is 0, every stop is used
             allowed &= _away(poses, self.taken, apart)
         return allowed & _away(poses, self.refused, REFUSED)
 
@@ -123,8 +123,8 @@ def crossing_steeply(linear: Linear, count: int) -> NDArray[np.bool_]:
     """
     Return at which of n stations the laser line crosses the edges at a sufficient angle.
 
-    linear: with count conditions a station. All conditions of one edge point count together, as
-    single distances from a line in space depend on the axes across it.
+    linear: with count conditions at each station. The conditions of one edge point are combined:
+    alone, each distance from a line in space depends on the choice of axes across the line.
     """
     problem = linear.problem
     _, point = np.unique(problem.observations.points, axis=0, return_inverse=True)

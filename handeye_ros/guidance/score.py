@@ -21,7 +21,7 @@ from handeye_ros.estimation.solution import Solution
 import numpy as np
 
 DIRECTIONS = 32  # of the tangents that bound the view
-ROOM = 0.88  # of the view that a feature is put into: the rest is for who moves the robot
+ROOM = 0.88  # share of the view for features: the rest is a margin for the operator
 STEPS = 13  # points of the field of view along each side: fewer would be mostly its corners
 # Beginnings of the names of blocks: what they are, and the setting of their prior.
 CAUSES = (
@@ -33,7 +33,7 @@ CAUSES = (
     ('incidence', 'how far faces end before their edges', 'target.setback_std'),
     ('shape', 'the rounding of the edges', 'target.setback_std'),
 )
-SMALLEST = 0.5  # of the variance: a smaller cause is not named
+SMALLEST = 0.5  # share of the variance: a smaller cause is not named
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class View:
         return np.asarray(self.high - self.low)
 
     def shrunk(self, border: float) -> View:
-        """Return the view without a border (m), nowhere less than half of it."""
+        """Return the view without a border (m), at least half of its width and depth."""
         border = min(border, float(self.size.min()) / 4)
         return View(self.normals, self.offsets - border, self.low + border, self.high - border)
 
@@ -113,15 +113,15 @@ def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
 @dataclass(frozen=True, eq=False)
 class Mapping:
     """
-    Points of the field of view, mapped by the transform.
+    k points of the field of view, mapped by the transform.
 
-    by_transform: (k, 3, 6) their derivative by the transform's perturbation.
+    by_transform: (k, 3, 6) derivatives of the mapped points by a perturbation of the transform.
     """
 
     by_transform: Array
 
     def variance(self, covariance: Array) -> Array:
-        """Return the mean squared error (...) of the points for covariances (..., 6, 6)."""
+        """Return the mean squared error (...) (m^2) of the points for covariances (..., 6, 6)."""
         G = self.by_transform
         M = np.einsum('kij,kil->jl', G, G) / len(G)
         return np.asarray(np.einsum('...ij,ij->...', covariance, M))
@@ -149,14 +149,14 @@ def mapping(X: Array, view: View) -> Mapping:
 
 def with_rows(solution: Solution, rows: Array) -> Array:
     """
-    Return the covariances (n, 6, 6) of the transform for n alternatives of added conditions.
+    Return covariances (n, 6, 6) of the transform, each after adding one of n sets of conditions.
 
-    rows: (n, c, u) whitened derivatives by the unknowns.
+    rows: (n, c, u) whitened derivatives of the c conditions of each set by the unknowns.
     """
     if not len(rows):
         return np.zeros((0, 6, 6))
     covariance = solution.reported
-    # (N + A'A)^-1 = C - C A' (1 + A C A')^-1 A C: of the size of the new conditions only
+    # (N + A'A)^-1 = C - C A' (1 + A C A')^-1 A C inverts only a (c, c) matrix
     carried = rows @ covariance
     inner = carried @ np.swapaxes(rows, 1, 2) + np.eye(rows.shape[1])
     X = carried[:, :, :6]
@@ -173,7 +173,7 @@ class Cause:
 
 
 def largest_cause(solution: Solution, mapped: Mapping) -> Cause | None:
-    """Return the nuisance with the largest share of the uncertainty, None if it is noise."""
+    """Return the largest nuisance if it causes most of the uncertainty, else None (noise)."""
     source = solution.conservative or solution
     C, first = source.covariance, source.unknowns
     rows: dict[tuple[str, str], list[int]] = {}

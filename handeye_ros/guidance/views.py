@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 ON_TARGET = 1e-4  # m: largest residual of a point on the target
-SMALLEST_SHARE = 0.5  # of a feature's length that must stay in the view
+SMALLEST_SHARE = 0.5  # smallest share of a feature's length in the view
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,10 @@ class Batch:
     """
     n stations at other poses that show the same parts of the target as a template.
 
-    problem: c observations for each station; anchored: which of them define the anchor
-    (anchor_rows); groups: arrays (points, r) of the observations of one point, by their number r;
-    seen: (c,) the template's derivatives of the conditions by the range; corner: where its two
-    faces meet, None for other targets; face: beside the edge where it shows an edge alone.
+    problem: c observations for each station; anchored: indices of those that define the anchor
+    (see anchor_rows); groups: arrays (points, r), the observations of points with r of them each;
+    seen: (c,) derivatives of the template's conditions by the range; corner: of its two faces,
+    None for other targets; face: beside the edge if only an edge is visible, else None.
     """
 
     problem: Problem
@@ -80,7 +80,7 @@ def batch_of(template: Problem, estimate: Estimate, poses: Array, anchors: Array
     """
     Return a batch at poses (n, 4, 4), its points not yet moved onto the target.
 
-    template: of one station; anchors: (n, 2) of the sensor plane, to which its anchor goes.
+    template: problem of one station; anchors: (n, 2) new places of its anchor in the sensor plane.
     """
     obs, n, linear = template.observations, len(poses), linearise(template, estimate)
     anchored = anchor_rows(template, int(obs.station[0]))
@@ -178,7 +178,7 @@ def _steep(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
 def _facing(batch: Batch, by_point: Array) -> NDArray[np.bool_]:
     """Return which stations see the target from the same side as the template."""
     good = np.ones(len(batch), dtype=bool)
-    for rows in batch.groups:  # conditions of one point together, in whatever axes they are
+    for rows in batch.groups:  # all conditions of a point: independent of the choice of axes
         size = np.linalg.norm(batch.seen[rows], axis=1)
         along_range = (by_point[:, rows, 1] * batch.seen[rows]).sum(axis=2)
         towards = along_range > rules.SMALLEST_COSINE * size

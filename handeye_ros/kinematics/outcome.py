@@ -42,9 +42,9 @@ FEWEST_OF_REGION = 3
 FOLD_ROUNDS = 2
 MOST_FREEDOM = 6  # independent conditions of a stop: a pose has no more
 MOST_SHARE = 0.8  # largest ratio of parameters to conditions
-AGREEING = 0.5  # of the configurations must agree
-HOPELESS = 20.0  # times the limit of a corrected arm: no arm is so inaccurate
-LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF is of the robot
+AGREEING = 0.5  # smallest share of the configurations that agree
+HOPELESS = 20.0  # times the limit of the residual: no arm is so inaccurate
+LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs to the robot
 LARGEST_TURN, LARGEST_SHIFT = 0.02, 0.01  # 1 sigma of the sensor's pose (rad, m)
 
 
@@ -77,9 +77,9 @@ class Outcome:
     """
     The chosen model, and all models; the simplest has no errors of the arm.
 
-    covariance: (u, u) of X, the targets, the parameters; sigma_ratios: (k,) posterior over prior
-    sigma of each parameter; smooth: RMS (m) of the remaining error of the robot; warnings:
-    sentences.
+    covariance: (u, u) of X, the targets, and the k parameters of the arm; sigma_ratios: (k,)
+    posterior over prior sigma of each parameter; smooth: RMS of the smooth remaining error of
+    the robot (m); warnings: sentences.
     """
 
     models: tuple[Model, ...]
@@ -96,7 +96,7 @@ class Outcome:
 
     @property
     def stds(self) -> Array:
-        """Return 1 sigma (k,) of its parameters."""
+        """Return 1 sigma (k,) of the parameters of the arm."""
         first = self.chosen.fit.data.unknowns
         return np.sqrt(np.diag(self.covariance)[first:first + len(self.arm.values)])
 

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 import yaml
 
 TRIES = 12  # starts of the inverse kinematics for each view
-STEPS, LARGEST_STEP = 40, 0.3  # of the inverse kinematics; rad or m
-REACHED = 1e-5  # m and rad
+STEPS, LARGEST_STEP = 40, 0.3  # iterations of the inverse kinematics; largest step (rad or m)
+REACHED = 1e-5  # largest error of the inverse kinematics (m and rad)
 OTHER = 0.5  # smallest difference of a joint between postures (rad or m)
-MARGIN = 0.05  # to the limits of the joints (rad or m)
+MARGIN = 0.05  # smallest distance to the limits of the joints (rad or m)
 WIDE = math.pi  # default limits
 SECONDS = 5.0  # from one configuration to the next
 SEED = 0

@@ -16,7 +16,7 @@ NOTHING = 1e-280  # smallest information: its inverse is still a number
 
 def covariance_of(J: Array) -> Array:
     """Return the covariance (u, u) of the unknowns of a whitened J (m, u), sigmas bounded."""
-    few = len(J) < J.shape[1]  # only the full decomposition has the free directions then
+    few = len(J) < J.shape[1]  # then only the full SVD of J has the free directions
     _, s, Vt = np.linalg.svd(J if few else np.linalg.qr(J, mode='r'))
     values = np.pad(s, (0, len(Vt) - len(s)))
     root = Vt / np.maximum(values, 1 / LARGEST_STD)[:, None]
@@ -30,7 +30,7 @@ def inverse(information: Array) -> Array:
 
 
 def _inverse_of_scaled(scaled: Array, scale: Array) -> Array:
-    """Return the inverse of a matrix that has a unit diagonal once scaled by scale (p,)."""
+    """Return the inverse of M (p, p), given scaled = scale * M * scale with a unit diagonal."""
     np.einsum('ii->i', scaled)[:] += FREE
     root, failed = lapack.dpotrf(scaled.T, lower=1)  # and zeros above it
     if not failed:
@@ -49,9 +49,9 @@ def from_information(N: Array, b: Array, units: Array, priors: int) -> tuple[Arr
     """
     Return the solution -C b (p,) of normal equations, and its covariance C (p, p), as in (5).
 
-    N (p, p), b (p,): information and gradient of whitened residuals; units: (p,) the units that
-    the solution is in, 1 for unknowns and tau for nuisance parameters; the last so many, priors,
-    have a prior of unit variance in these.
+    N (p, p), b (p,): information and gradient of whitened residuals; units: (p,) units of the
+    solution, 1 for unknowns and tau for nuisance parameters; priors: number of last parameters,
+    which have a prior of unit variance in these units.
     """
     diagonal = np.diag(N) * units ** 2
     diagonal[len(b) - priors:] += 1.0
@@ -66,10 +66,10 @@ def from_information(N: Array, b: Array, units: Array, priors: int) -> tuple[Arr
 
 def from_rows(A: Array, r: Array, priors: int) -> tuple[Array, Array]:
     """
-    Return the same from few residuals r (m,) and their derivatives A (m, p): m is inverted, not p.
+    Return the same as from_information, from few residuals r (m,) and derivatives A (m, p).
 
-    Parameters with a prior count as errors of the residuals first, and are what these errors then
-    show of them (as in a Kalman filter).
+    Inverts m x m, not p x p. Parameters with a prior first count as errors of the residuals, and
+    are then estimated from these errors (as in a Kalman filter).
     """
     u = A.shape[1] - priors
     V = A[:, u:] @ A[:, u:].T
@@ -98,6 +98,6 @@ def eigen(A: Array) -> tuple[Array, Array]:
 
 def inverse_roots(covariance: Array) -> Array:
     """Return the whitening factors (n, c, c) of covariances (n, c, c)."""
-    size = 1e-12 * np.einsum('nii->n', covariance)[:, None, None]  # of many points: of rank 6
+    size = 1e-12 * np.einsum('nii->n', covariance)[:, None, None]  # many points: rank 6
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance + size * np.eye(
         covariance.shape[1]))))

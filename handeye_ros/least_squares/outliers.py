@@ -1,13 +1,13 @@
 """
 Leave-one-out residuals of blocks, (12) of estimator.md, and which blocks are outliers.
 
-A block is what stands or falls together: a station, a point, a pair of poses. `adjust` is the
-robust least squares of what is no profile on a flange: blocks that do not fit lose weight, then
-those that the others do not explain are left out, worst first.
+A block is a group of residuals that is used or dropped as a whole: a station, a point, a pair of
+poses. `adjust` is the robust least squares for data other than profiles: blocks that do not fit
+lose weight, then those that the others do not predict are dropped, worst first.
 
 Variance components by restricted maximum likelihood (Patterson and Thompson 1971, Biometrika
-58:545), in multiplicative fixed-point steps. A weak prior keeps few residuals from proving a cause
-absent.
+58:545), in multiplicative fixed-point steps. A weak prior prevents zero variances from few
+residuals.
 
 Quantiles of chi-squared: scipy.stats has them too, but it takes longer to import than the rest of
 a command to start.
@@ -26,7 +26,7 @@ from scipy.special import chdtrc, chdtri
 
 S = TypeVar('S')
 
-GROSS = 64.0  # squared residual over that of the believed share (8 sigma): wrong at once
+GROSS = 64.0  # squared residual over the believed quantile (8 sigma): dropped at once
 FALSE_ALARM = 1e-3  # probability that good data lose one block
 
 
@@ -39,9 +39,9 @@ def groups(block: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
 def leave_one_out(white: Array, jacobian: Array, covariance: Array, block: NDArray[np.intp]
                   ) -> Array:
     """
-    Return residuals (m,), each from the fit without its own block, to first order.
+    Return leave-one-out residuals (m,), to first order: each from the fit without its block.
 
-    white: (m,) against that of all blocks; jacobian: (m, u), covariance: (u, u).
+    white: (m,) of the fit to all blocks; jacobian: (m, u), covariance: (u, u) of this fit.
     """
     left_out = np.empty_like(white)
     for rows in groups(block):
@@ -56,7 +56,7 @@ def leave_own_out(predicted_covariance: Array, white: Array) -> Array:
 
     predicted_covariance: (s, c, c) H_i; white: (s, c) the residuals e_i of the fit to all.
     """
-    # what a block fixes alone is not to be divided by zero
+    # avoids division by zero for what a block determines alone
     regular = (1 + ROUNDING) * np.eye(predicted_covariance.shape[1]) - predicted_covariance
     return np.asarray(np.linalg.solve(regular, white[..., None])[..., 0])
 
@@ -66,8 +66,8 @@ def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, s
     """
     Return the blocks to drop in this round, worst first, at most one in 50.
 
-    mean_squares: (n,) squared leave-one-out residuals per degree of freedom; total: how many
-    blocks there were at first; spare: how many there are beyond what is needed.
+    mean_squares: (n,) squared leave-one-out residuals per degree of freedom; total: initial number
+    of blocks; spare: number of blocks beyond those needed.
     """
     probability = chi2_sf(mean_squares * freedom, freedom)
     most = max(1, min(len(mean_squares) // 50, spare)) if spare > 0 else 0
@@ -84,11 +84,11 @@ def shared_scale(mean_squares: Array, freedom: NDArray[np.intp] | int) -> float:
 @dataclass(frozen=True, eq=False)
 class Adjusted(Generic[S]):
     """
-    Result of n blocks of k residuals.
+    Result of robust least squares over n blocks of k residuals.
 
-    used: indices of the blocks used, ascending; residuals (n, k): whitened, of all blocks;
-    left_out (used, k): those of the used, each against the answer without it, to first order;
-    covariance: (u, u), times the variance factor where that exceeds 1.
+    used: ascending indices of the used blocks; residuals (n, k): whitened, of all blocks; left_out
+    (used, k): leave-one-out residuals of the used blocks, to first order; covariance: (u, u),
+    multiplied by the variance factor if that exceeds 1.
     """
 
     state: S
@@ -103,7 +103,7 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
     """
     Return the least-squares state without outliers, from a start near it.
 
-    minimum: of the blocks that are left; all have equally many rows.
+    minimum: smallest number of blocks that remain; all have equally many rows.
     """
     n = int(system.block[-1]) + 1
 
@@ -157,11 +157,11 @@ def chi2_sf(value: ArrayLike, freedom: ArrayLike) -> Array:
 
 def variance_components(residuals: Array, jacobian: Array, parts: Array, start: Array) -> Array:
     """
-    Return the variances (c,) of c causes.
+    Return the variances (c,) of c causes of error.
 
-    residuals: (n, k) of n independent blocks, at an adjusted state; jacobian: (n, k, u) of
-    them; parts: (c, n, k, k) the covariances that a unit variance of each cause makes, which
-    together are regular; start: (c,) a guess of the variances, all positive.
+    residuals: (n, k) of n independent blocks, at an adjusted state; jacobian: (n, k, u) their
+    derivatives; parts: (c, n, k, k) covariances of the residuals for unit variance of each cause,
+    whose sum is regular; start: (c,) initial variances, all positive.
     """
     variances = start
     for _ in range(30):
@@ -184,10 +184,10 @@ def variance_components(residuals: Array, jacobian: Array, parts: Array, start: 
 
 def first_variances(residuals: Array, parts: Array) -> Array:
     """
-    Return half of the variance (c,) that each cause alone would need.
+    Return start values (c,): half of the variance that each cause alone would need.
 
-    residuals: (n, k), threes of which are vectors, such as translation and rotation; some may
-    be wrong. parts as for variance_components.
+    residuals: (n, k), in threes of vectors (such as translation, rotation); some may be wrong.
+    parts: as for variance_components.
     """
     n = len(residuals)
     lengths = np.linalg.norm(residuals.reshape(n, -1, 3), axis=2)

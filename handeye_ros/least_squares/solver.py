@@ -24,7 +24,7 @@ BELIEVED_SHARE = 0.65  # of the blocks that a good answer must explain
 
 States: TypeAlias = tuple[NDArray[Any], ...]
 White: TypeAlias = Callable[[Array], Array]
-"""A linear map of (m, ...) values to such of unit covariance."""
+"""A linear map of values (m, ...) to values of unit covariance."""
 Attempt: TypeAlias = tuple[States, Array, Callable[[], tuple[Array, Array]]]
 """Moved states, their sums of squares (k,), a function for residuals and derivatives there."""
 
@@ -39,8 +39,8 @@ class Rows:
     """
     Residuals (m,) of a state; the rest is computed on demand.
 
-    jacobian(): their derivatives (m, u) by a step; white(): the map that whitens both, kept while
-    a step is tried; by default both are white.
+    jacobian(): derivatives (m, u) by a step of the state; white(): the map that whitens both, kept
+    while steps are tried; by default both are white already.
     """
 
     residuals: Array
@@ -65,8 +65,8 @@ class System(Generic[S]):
         """
         Return the state with the least squared whitened residuals.
 
-        weights: (n,) of the blocks' squared residuals; converged: the iteration ends with a step
-        that changes the residuals (sigmas) by less.
+        weights: (n,) on the squared residuals of the blocks; converged: the iteration ends when a
+        step changes the residuals by less than this (sigmas).
         """
         root = np.ones(len(self.block)) if weights is None else np.sqrt(weights)[self.block]
         white: White = as_they_are
@@ -195,8 +195,8 @@ def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array
     """
     Return the state that graduated non-convexity reaches from a start, (11).
 
-    squares(state): (n,) mean squared whitened residuals of the blocks; refit(state, weights
-    (n,)): the state some steps nearer to the least weighted squares.
+    squares(state): (n,) mean squared whitened residuals of the blocks; refit(state, weights (n,)):
+    the state after some steps of the weighted least squares.
     """
     state, current = start, squares(start)
     # where a start explains most blocks, the few others have little weight from the first step on

@@ -26,23 +26,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 SMALLEST_RADIUS, LARGEST_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown radius (m)
-SMALLEST_SHARE = 0.29  # of an arc's radius in that of the sphere: less is seen too steeply
-LARGEST_SHARE = 1.05  # the same, for short and noisy arcs
+SMALLEST_SHARE = 0.29  # smallest radius of an arc over that of the sphere: less is too steep
+LARGEST_SHARE = 1.05  # the largest, for short and noisy arcs
 TOLERANCE_SIGMAS = 6.0
 SIGMA_OF_MEDIAN = 1.4826  # 1 sigma of a normal distribution over its median absolute deviation
-NOISIER, RESCALED = 2.0, 4  # times more noise than believed are looked into; so often at most
+NOISIER, RESCALED = 2.0, 4  # noise over assumed noise that starts a new search; searches at most
 NORMAL_POINTS = 12
-BLOCKS = 4  # of each bin of an arc, whose scatter tells that of its normal point
-MOST_SCATTER = 2.5  # RMS distance of an arc's points from their circle, in sigmas
+BLOCKS = 4  # per bin of an arc: their scatter gives the variance of its normal point
+MOST_SCATTER = 2.5  # largest RMS distance of an arc's points from their circle, in sigmas
 BELIEVED_SCATTER = 1.5  # the same, in sigmas of the configured noise, that needs no test
-SLOWEST = 0.5  # share of the scatter that the normal points may have
-SMALLEST_DENSITY = 0.5  # of an arc's points among those between its ends
-LEAST_SAGITTA = 2.5  # tolerances that an arc must bulge, or a corner is as well one
-SMALLEST_ANGLE = 0.5  # of an arc that fixes its circle (rad)
-ROUNDER = 2.0  # times the squares of the circle are those of two lines, at least
-LINE_POINTS = 4  # fewest of each of the two
-MOST_AWAY = 3.0  # sigmas of a point, that normal points of the same arc are apart
-JUDGED_POINTS = 128  # of the arc, that are looked at for that
+SLOWEST = 0.5  # largest share of the normal points in the scatter
+SMALLEST_DENSITY = 0.5  # smallest share of an arc's points among those between its ends
+LEAST_SAGITTA = 2.5  # smallest sagitta of an arc, in tolerances: less may be a corner
+SMALLEST_ANGLE = 0.5  # smallest angle of an arc that determines its circle (rad)
+ROUNDER = 2.0  # smallest ratio of the squares of two lines to those of the circle
+LINE_POINTS = 4  # fewest points of each line
+MOST_AWAY = 3.0  # largest distance of normal points from a similar arc, in sigmas of a point
+JUDGED_POINTS = 128  # points of an arc, at most, that the corner test uses
 TINY = 1e-30  # (m^2)
 
 
@@ -87,7 +87,7 @@ def _returns(points: Array, config: Config) -> tuple[Array, float]:
     valid = points.take(without_clutter(returned(points), points, config.noise.sensor), axis=0)
     if len(valid) < config.sampling.min_points:
         raise FeatureError(f'fewer than {config.sampling.min_points} returns in the profile')
-    # speckle that is alike over some columns does not show in the noise level
+    # speckle that is correlated over some columns does not show in the noise level
     noise = noise_level(valid[:, 1], config.noise.sensor)
     return valid, max(noise, config.noise.sensor / 2)
 
@@ -101,7 +101,7 @@ def _alike(points: Array, known: _Seen, config: Config) -> _Seen | None:
     with suppress(FeatureError):
         one = _arc(valid, used, noise, config)
         away = np.linalg.norm(one.points - arc.centre, axis=1) - arc.radius
-        # of one that has moved only a part would be near enough
+        # a part of an arc that has moved would be near enough
         if np.abs(away).max() < MOST_AWAY * noise:
             return _Seen(one, noise)
     return None
@@ -127,8 +127,8 @@ def _rescaled(points: Array, used: NDArray[np.bool_], noise: float, config: Conf
     """
     Return the arc of some points, with the noise of all points between its ends.
 
-    Noise that is alike over some columns, and more than configured, is not seen by noise_level:
-    it would cut an arc to the part of it that happens to lie near the circle.
+    noise_level does not see noise that is correlated over some columns and larger than configured.
+    Then only the part of an arc that happens to lie near the circle would be found.
     """
     most = MOST_NOISE * config.noise.sensor
     for _ in range(RESCALED):
@@ -178,7 +178,7 @@ def _wanders(arc: Arc, noise: float, config: Config) -> bool:
     """
     Return whether residuals from a circle are correlated along it, unlike noise.
 
-    So do those of a corner, or of two surfaces that a circle happens to touch.
+    The residuals of a corner, or of two surfaces that a circle touches, are correlated too.
     """
     x, z = (arc.raw - arc.centre).T
     off = np.sqrt(x * x + z * z) - arc.radius
@@ -195,8 +195,8 @@ def _is_corner(arc: Arc) -> bool:
     """
     Return whether two straight lines fit the points of an arc about as well as a circle.
 
-    A circle that lies in a corner, or passes through two surfaces, finds many points near it; but
-    the halves of an arc are bent as well.
+    A circle in a corner, or through two surfaces, also has many points near it. But two lines do
+    not fit a true arc, whose halves are curved.
     """
     x, z = (arc.raw[::-(-len(arc.raw) // JUDGED_POINTS)] - arc.centre).T
     off = np.sqrt(x * x + z * z) - arc.radius
@@ -212,7 +212,7 @@ def _is_corner(arc: Arc) -> bool:
 
 
 def _squares_of_lines(sums: Array) -> Array:
-    """Return the squared distances (k,) of points from their lines, from sums of 1, u, v, ..."""
+    """Return the summed squares (k,) about fitted lines; sums: of 1, u, v, uu, uv and vv."""
     n, u, v, uu, uv, vv = sums
     uu, uv, vv = np.maximum(uu - u * u / n, TINY), uv - u * v / n, vv - v * v / n
     slope = uv / uu
@@ -223,8 +223,8 @@ def normal_points(raw: Array) -> Arc:
     """
     Return the arc of (n, 2) raw points, with at most NORMAL_POINTS normal points.
 
-    The points of several profiles may be mixed: what repeats in all of them scatters from one
-    part of the arc to the next, and so is not taken for something that averages out.
+    The points of several profiles may be mixed. Errors common to all profiles scatter between
+    parts of the arc, so they are not taken for noise that averages out.
     """
     circle = fit_circle(raw)
     x, z = raw[:, 0] - circle[0], raw[:, 1] - circle[1]

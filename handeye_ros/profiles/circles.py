@@ -10,24 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgesv
 
-SPANS = np.array([2.5, 4, 8, 16, 32])  # a hypothesis spans one of these parts of the profile
+SPANS = np.array([2.5, 4, 8, 16, 32])  # profile length over the length that a hypothesis spans
 HYPOTHESES = 72  # per span
-KEPT_TRIPLES = 1000  # sizes of profiles whose triples of points are remembered
+KEPT_TRIPLES = 1000  # profile sizes whose triples are cached
 SEARCH_POINTS = 256  # points that vote
-FIRST_VOTERS = 64  # points that vote first, and
-BEST_HYPOTHESES = 40  # how many hypotheses the others vote on
+FIRST_VOTERS = 64  # points that vote first
+BEST_HYPOTHESES = 40  # hypotheses on which the other points vote
 TRIES = 5  # circles tried, in the order of their votes
 FEWEST_VOTES = 5
-LEAST_SAGITTA = 4.0  # of the points on a circle, in tolerances: less is as well a line
+LEAST_SAGITTA = 4.0  # smallest sagitta of points on a circle, in tolerances: less is a line
 TINY = 1e-12
 SMALLEST = float(np.finfo(float).tiny)
-CONVERGED = 1e-6  # a step of a fit, as a share of the radius, after which none is needed
+CONVERGED = 1e-6  # step of a converged fit, as a share of the radius
 STEEP = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its rim
-RIM_WIDTH = 0.24  # of the arc before its rim (rad) that is not used
-RIM_COSINE = 0.5  # points at a larger angle of incidence, the rim of the arc, are bad
-FEWEST_FITTED = 5  # points on a circle, with which it is fitted again
-WIDTHS = (3.0, 2.0, 1.0, 1.0)  # tolerances of a circle that was guessed
-REFIT_WIDTHS = (2.0, 1.0)  # the same of one that was fitted, if only to another profile
+RIM_WIDTH = 0.24  # angle of the arc before its rim that is not used (rad)
+RIM_COSINE = 0.5  # smallest cosine of the incidence of a usable point: the rim is bad
+FEWEST_FITTED = 5  # fewest points for another fit of a circle
+WIDTHS = (3.0, 2.0, 1.0, 1.0)  # of successive fits from a guessed circle, in tolerances
+REFIT_WIDTHS = (2.0, 1.0)  # the same from a fitted circle, also of another profile
 
 
 def fit_circle(points: Array, steps: int = 4) -> Array:
@@ -48,7 +48,7 @@ def fit_circle(points: Array, steps: int = 4) -> Array:
     for _ in range(steps):
         dx, dz = x - x_c, z - z_c
         distance = np.sqrt(dx * dx + dz * dz)
-        away = np.maximum(distance, TINY)  # equal points have their centre in them
+        away = np.maximum(distance, TINY)  # a point may equal the centre
         np.divide(dx, away, out=J[0])
         np.divide(dz, away, out=J[1])
         by_x, by_z, by_r = _solved(J @ J.T, J @ (distance - r))
@@ -71,7 +71,7 @@ def candidates(points: Array, smallest: float, largest: float, tolerance: float
     """
     Yield circles (x, z, r) through many of the points (n, 2), the most points first.
 
-    smallest, largest: of the radius. The points of a circle have no say for those after it.
+    smallest, largest: of the radius (m). Points of a circle do not vote for later ones.
     """
     circles = _hypotheses(points)
     r = circles[:, 2]
@@ -94,8 +94,8 @@ def candidates(points: Array, smallest: float, largest: float, tolerance: float
 
 def _on_circle(circles: Array, points: Array, tolerance: float) -> NDArray[np.bool_]:
     """Return (n, k) which points are near which circles."""
-    # d - r < t and d - r > -t are together |d^2 - r^2 - t^2| < 2 r t, which is a product of
-    # matrices; of a circle smaller than t every point inside is near
+    # |d - r| < t is the same as |d^2 - r^2 - t^2| < 2 r t, which is a product of matrices; for r <
+    # t every point inside the circle is near
     x, z, r = circles.T
     of_circles = np.stack([-x / r, -z / r, 0.5 / r,
                            (x * x + z * z - r * r - tolerance ** 2) / (2 * r)], axis=1)
@@ -159,7 +159,7 @@ def arc_points(points: Array, circle: Array, tolerance: float,
     """
     Return which points (n, 2) are on a circle refitted to them, without its rims.
 
-    widths: tolerances, within which points are taken for the next circle.
+    widths: of successive fits, in tolerances: nearer points are used for the next circle.
     """
     used = on = np.zeros(len(points), dtype=bool)
     x, z = points.T.copy()
@@ -183,8 +183,8 @@ def _rim(points: Array, on: NDArray[np.bool_], circle: Array) -> NDArray[np.bool
     """
     Return which points are near an end of the arc, at grazing incidence.
 
-    The light comes back badly before it stops to come back at all; how steep that is depends on
-    the part of the tilt that a profile does not show, so it is reported by where the arc ends.
+    Few returns come from near the rim, and then none. The angle at which they end depends on the
+    tilt across the profile, which is unknown; so the end of the arc is used instead.
     """
     if not on.any():
         return on

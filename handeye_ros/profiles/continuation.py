@@ -11,9 +11,9 @@ from handeye_ros.profiles.segment import Segment, STEEPEST
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_LOST = 4  # rows from one point of the plate to the next
-SLACK_SIGMAS = 6.0  # of the range between two neighbours on a surface
-CONTINUATION_ROWS = 80  # behind a face that may still be the bent end of its plate, or its wall
+MOST_LOST = 4  # largest number of rows between neighbouring points of the plate
+SLACK_SIGMAS = 6.0  # of the range difference between two neighbours on a surface
+CONTINUATION_ROWS = 80  # rows behind a face that may still be its bent end or its wall
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,8 +21,8 @@ class Returns:
     """
     A profile with its returns, for the search of ends of faces.
 
-    points: (n, 2) of the profile; rows: (k,) of those that came back; near: multiplied with a
-    range, larger is nearer: -1 where it grows away from the sensor.
+    points: (n, 2) of the profile; rows: (k,) with a return; near: sign for which near * range is
+    larger for nearer points: -1 if the range grows away from the sensor.
     """
 
     points: Array
@@ -113,8 +113,8 @@ def continuation(end: End) -> NDArray[np.intp]:
     """
     Return the rows behind the last point of a segment that continue its surface, outwards.
 
-    The surface turns away from the sensor, as steeply as light comes back from it at most; one
-    wrong point does not end it.
+    The surface may turn away from the sensor, up to the slope from which light returns. One wrong
+    point does not end it.
     """
     rows = end.seen.outwards(end.row, end.outward)
     # mostly there is nothing, or only the drop

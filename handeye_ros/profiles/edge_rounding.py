@@ -1,9 +1,9 @@
 """
 The rounded or bevelled end of a plate: its shape, and the position of the edge.
 
-The edge is where the planes of face and wall meet. A rounding of radius r that was seen down to a
-depth d ends r - sqrt(2 r d - d^2) before it; a bevel of 45 degrees and legs r, which is seen
-whole (d = r) or not at all (d = 0), ends as far before it as a rounding of that radius.
+The edge is where the planes of face and wall meet. A rounding of radius r that is visible down to
+depth d ends r - sqrt(2 r d - d^2) before it. A bevel of 45 degrees and legs r is visible
+completely (d = r) or not at all (d = 0), and ends as far before it as a rounding of that radius.
 """
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 SMALLEST, LARGEST = 5e-5, 4e-3  # radius of a rounding (m)
 RADII = np.geomspace(SMALLEST, LARGEST, 40)[:, None]  # of roundings that are tried
 SLOPES = np.geomspace(0.6, 1.7, 8)[:, None]  # of bevels
-STEEPEST = 0.97  # sine of the slope where an arc ends that is fitted: no light comes back beyond
+STEEPEST = 0.97  # largest sine of the slope of a fitted arc: no light returns beyond
 ALONG_STD = 0.3  # 1 sigma of where a point lies along the laser line, in columns
-STRAY = 3.0  # sigmas beyond which a point counts ever less: near the rim most are wrong
-LOW = 2.0  # sigmas below the face line, where points tell of a bend
-STEPS = 6  # of fitting where a bend begins
-LEAST = -100.0  # logarithm of how likely a shape is, below which it does not matter
-TINY = 1e-30  # of the slopes of points that all lie on the face
+STRAY = 3.0  # sigmas beyond which a point loses weight: near the rim most are wrong
+LOW = 2.0  # sigmas below the face line from which points indicate a bend
+STEPS = 6  # iterations of the start of a bend
+LEAST = -100.0  # smallest log likelihood of a shape that matters
+TINY = 1e-30  # smallest information, for points that all lie on the face
 
 
 def reach(radius: float, depth: float) -> float:
@@ -36,11 +36,11 @@ class EndRounding:
     """
     The rounding at the end of a face in one profile.
 
-    depth: of its end (m); shapes: (k + 1,) logarithms of how likely roundings of the k RADII
-    are, and a bevel, 0 for the likeliest.
-    middle: (out, below) of the part of the rounding that says best where it is (m); middle_std:
-    1 sigma of that outwards, the radius given. The points that are steepest say most, so the
-    middle hardly depends on the radius that fits them best.
+    depth: of its end (m); shapes: (k + 1,) log likelihoods of roundings with the k RADII, and of a
+    bevel, 0 for the best.
+    middle: (out, below) of the part of the rounding that is located best (m); middle_std: 1 sigma
+    of its outward position for a given radius. The steepest points have most weight, so the middle
+    hardly depends on the best radius.
     """
 
     depth: float
@@ -54,8 +54,8 @@ class _Fits:
     """
     Roundings of RADII, then bevels of SLOPES, each fitted to an end of a face.
 
-    begin: (k, 1) where each leaves the face line; slope, weights: (k, n) of each at the points,
-    and what these count; misfit: (k,) twice the logarithm of how unlikely each is.
+    begin: (k, 1) where each shape leaves the face line; slope, weights: (k, n) of each shape at
+    the points, and weights of the points; misfit: (k,) -2 log likelihood of each shape.
     """
 
     begin: Array
@@ -68,8 +68,8 @@ def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> E
     """
     Return the rounding at an end of a face.
 
-    u (n,): outwards along the face; v (n,): below it; pitch: of the points along it; noise: 1
-    sigma of v. Circles that leave the face line, and straight lines that do, as they are likely.
+    u (n,): outwards along the face; v (n,): below it; end: u of its end; pitch: of the points
+    along it; noise: 1 sigma of v (m). Roundings and bevels are weighted by their likelihoods.
     """
     fits, k = _fitted(u, v, pitch, noise), len(RADII)
     out = np.maximum(end - fits.begin, 0.0)

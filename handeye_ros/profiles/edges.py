@@ -18,25 +18,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 WALL_SLOPE = 0.45  # largest |tangent| between a wall in the profile and the face's normal
-SMALLEST_WALL = 1.2e-3  # of a wall in sight, from the face down (m)
+SMALLEST_WALL = 1.2e-3  # smallest depth of a visible wall below the face (m)
 WALL_POINTS = 4
 ROUNDED_SIGMAS = 2.0  # an end that is lower than this is bent
-FLAT_SIGMAS = 3.0  # below the face line, up to which its points are on it
+FLAT_SIGMAS = 3.0  # largest distance of a face point below the face line
 STEEPEST_ROUNDING = 1.5  # slope of a bent end from where it leaves the face line
-SHORTEST_ROUNDING = 20  # points of the face before its last one that may be bent
-RIM_SHARE, LARGEST_RIM = 4, 3  # of a bent end: its last points, where hardly any light comes back
-LOST_STD = 0.17  # 1 sigma of what lost points do to an edge, in columns
-LAST_POINTS = 3  # that tell how deep the end lies
-MOST_STRAY = 2  # points between two levels that only straddle the edge
+SHORTEST_ROUNDING = 20  # points before the last one of a face that may be bent
+RIM_SHARE, LARGEST_RIM = 4, 3  # last points of a bent end that are not used: 1 in so many; at most
+LOST_STD = 0.17  # 1 sigma of an edge due to lost points, in columns
+LAST_POINTS = 3  # last points that give the depth of an end
+MOST_STRAY = 2  # most points between two levels that are only mixed at the edge
 MOST_MIXED = 16  # points between two levels: a wider transition is a surface
-RAMP_STD = 0.1  # 1 sigma of where the edge is within a wide transition, of its width
+RAMP_STD = 0.1  # 1 sigma of the edge within a wide transition, over its width
 
 
 def wall_edge(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
     """
-    Return the intersection of a wall in the continuation (rows) with the face line, 1 sigma.
+    Return position and 1 sigma (m) where a wall in the continuation (rows) meets the face line.
 
-    The place is along the face from its last point on. None when no wall is in sight.
+    The position is along the face from its last point. None without a visible wall.
     """
     if len(rows) < WALL_POINTS:
         return None
@@ -69,8 +69,8 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: str
     """
     Return the end of a plate before a drop, its continuation (rows) included.
 
-    ground: what is seen below, if anything. How far a bent end is from its edge is judged later,
-    from all stations (see all_edges).
+    ground: the surface seen below, or None. The distance of a bent end from its edge is determined
+    later from all stations (see sampling/edge_shapes.py).
     """
     segment = end.segment
     plate = segment.rows[::end.outward][-LAST_POINTS:]
@@ -100,7 +100,7 @@ def _rounded(end: End, edge: EdgePoint, rows: NDArray[np.intp], place: float, be
     rows = np.concatenate([segment.rows[::end.outward][-before:], believed])
     rounding = rounding_of(*end.along_and_below(rows), place,
                            end.column * math.hypot(1.0, segment.slope), segment.noise)
-    # what goes down without going out is no bend, but a wall that is hardly seen
+    # an end that goes down but not outwards is no bend, but a hardly visible wall
     depth = min(rounding.depth, STEEPEST_ROUNDING * beyond + FLAT_SIGMAS * segment.noise)
     out, below = rounding.middle
     arc = (out - place) * end.frame.along + below * end.frame.below
@@ -110,12 +110,12 @@ def _rounded(end: End, edge: EdgePoint, rows: NDArray[np.intp], place: float, be
 
 def _transition(end: End, last: int, ground: Segment | None) -> tuple[int, float]:
     """
-    Return the number of points between plate and ground, and the middle of their ramp.
+    Return the number of mixed points between plate and ground, and the middle of their ramp.
 
-    A column whose spot straddles the edge returns something between the levels: the edge is as
-    likely on its one side as on the other. A sensor that smooths, or whose spot is wide, makes a
-    ramp of them: the second value is how many columns behind the last point of the plate it is
-    at half its height, 0 without a ramp.
+    A column whose spot straddles the edge returns a range between the levels; the edge is equally
+    likely on both of its sides. A sensor that smooths, or has a wide spot, makes a ramp: the
+    second value is the number of columns from the last point of the plate to half height, 0
+    without a ramp.
     """
     between = abs(end.start_of(ground) - last) - 1 if ground else 0
     if ground is None or not 0 < between <= MOST_MIXED:
@@ -136,7 +136,7 @@ def _transition(end: End, last: int, ground: Segment | None) -> tuple[int, float
 
 
 def edge_point(frame: Frame, place: float, std: float, kind: str) -> EdgePoint:
-    """Return the edge at a distance along the face from its last point, on its line."""
+    """Return the edge point on the face line, at a place (m) from the last point of the face."""
     return EdgePoint(frame.origin + place * frame.along, frame.along, std, 0.0, kind)
 
 

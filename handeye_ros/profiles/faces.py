@@ -24,13 +24,13 @@ GAP_COLUMNS = 3  # missing returns behind a face that make its end an edge
 ROOF_ANGLE = 0.15  # two pieces that meet at a smaller angle (rad) are one bent face
 ROOF_REACH = 8.0  # they meet when their ends are this many columns from the crossing
 MIN_STEP_SIGMAS = 8.0
-SURE_EDGE = 1.5  # a face with a sure edge is worth this many times its points
-BEHIND = 0.02  # a surface with a nearer one beside it, this many times: all stations are to agree
-SHADOW_SLOPE = 2.0  # a step hides less than this many times its height behind it
-WIDEST_GAP, SPLINTER = 0.02, 0.002  # between surfaces side by side; one that is none (m)
-LARGEST_BEVEL = 2.5e-3  # of the piece between a face and its wall; a larger one is a face (m)
-STEEP_ERROR = 1.0  # of a surface seen steeply, as a share of the noise that it adds
-MOST_SURFACES, SMALLEST_SURFACE = 3, 0.1  # that may be a plane; of the longest's points
+SURE_EDGE = 1.5  # weight of a face with a sure edge
+BEHIND = 0.02  # weight of a surface beside a nearer one: all stations should choose the same
+SHADOW_SLOPE = 2.0  # largest width hidden behind a step, over its height
+WIDEST_GAP, SPLINTER = 0.02, 0.002  # largest gap between adjacent surfaces; largest splinter (m)
+LARGEST_BEVEL = 2.5e-3  # of a bevel between a face and its wall; a larger piece is a face (m)
+STEEP_ERROR = 1.0  # error of a steep surface, as a share of its additional noise
+MOST_SURFACES, SMALLEST_SURFACE = 3, 0.1  # surfaces that may be the plane; size over the longest
 EDGE_KINDS = ('roof', 'step', 'gap', 'open')  # a step may turn out as a shadow
 
 
@@ -87,7 +87,7 @@ def _preferred(segments: Sequence[Segment], seen: Returns
 
 
 def _preference(segment: Segment, edges: Sequence[EdgePoint], behind: bool) -> float:
-    """Return a score of a segment as the face: its number of points, more with a sure edge."""
+    """Return the score of a segment as the face: its number of points, weighted by its edges."""
     sure = any(edge.kind in ('step', 'shadow', 'roof') for edge in edges)
     return len(segment.rows) * (SURE_EDGE if sure else 1.0) * (BEHIND if behind else 1.0)
 
@@ -202,8 +202,8 @@ def _roof_crossing(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
 def _roof_edge(end: End, other: Segment) -> EdgePoint:
     a, b, points = end.segment, other, end.seen.points
     x = (b.offset - a.offset) / (a.slope - b.slope)
-    # offset errors of both lines, carried to where they cross; a surface seen so steeply that
-    # it is noisier than the face is off by as much
+    # offset errors of both lines, extrapolated to their crossing; a steep surface that is noisier
+    # than the face has an additional error of that size
     steep = max(b.noise ** 2 - a.noise ** 2, 0.0) ** 0.5 * STEEP_ERROR
     offset_std = np.sqrt(std_at(a, x, points) ** 2 + std_at(b, x, points) ** 2 + steep ** 2)
     length = math.hypot(1.0, a.slope)

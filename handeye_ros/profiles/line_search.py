@@ -1,9 +1,9 @@
 """
 Finds the line with the most points of a profile among clutter.
 
-A line is (3,): offset, slope and -1, so that its product with (3, n) 1, x and z tells how far it
-is from points in z. Pairs of points vote, and the best pair is fitted again to the points near
-it, as RANSAC does (Fischler and Bolles 1981), but with the same pairs every time.
+A line is (3,): offset, slope and -1. Its product with (3, n) 1, x and z is its distance in z from
+n points. Pairs of points vote, and the best line is fitted again to the points near it, as RANSAC
+does (Fischler and Bolles 1981), but with the same pairs every time.
 """
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 HYPOTHESES = 48  # pairs of points tried per span and search for a line
-SPANS = np.array([3, 8, 20])  # of the pairs, parts of the profile
-KEPT_PAIRS = 1000  # sizes of profiles whose pairs are remembered
+SPANS = np.array([3, 8, 20])  # profile length over the distance of a pair
+KEPT_PAIRS = 1000  # profile sizes whose pairs are cached
 SEARCH_POINTS = 256  # points that vote for a hypothesis
-FIRST_VOTERS = 64  # of these that vote first, and
-BEST_HYPOTHESES = 24  # how many hypotheses all of them vote on, unless
-SURE = 0.5  # of the first ones agree: then no other line has more
-LEAST_SPREAD = 1e-9  # of points along x, as a share of that from the middle: less is rounding
-NARROWEST = 1e-6  # part of the laser line that points of a line lie on (m)
+FIRST_VOTERS = 64  # points that vote first
+BEST_HYPOTHESES = 24  # lines on which the other points vote
+SURE = 0.5  # share of the first votes that decides at once: no other line has more
+LEAST_SPREAD = 1e-9  # smallest spread of points along x, relative: less is rounding
+NARROWEST = 1e-6  # smallest length of a line along x (m)
 
 
 def line_terms(x: Array, z: Array) -> Array:
     """
-    Return (5, n) 1, x, z, xx, xz of points relative to their centre.
+    Return (5, n): 1, x, z, xx and xz of points relative to their centroid.
 
-    Sums of them give the line through some; far from the middle they would cancel each other.
+    Sums over some of the points give their line. The centroid avoids loss of digits.
     """
     terms = np.empty((5, len(x)))
     ones, dx, dz, squares, products = terms
@@ -44,8 +44,8 @@ def dominant_line(terms: Array, tolerance: float, min_points: int) -> NDArray[np
     """
     Return which points are on the line with the most points; None if these are too few.
 
-    terms: (5, n) of the points, see line_terms; tolerance: of a point on a line; min_points:
-    fewest of a line.
+    terms: (5, n) of the points, see line_terms; tolerance: largest distance of a point from the
+    line (m); min_points: fewest points of a line.
     """
     lines = _hypotheses(terms[1], terms[2])
     if not lines.size:

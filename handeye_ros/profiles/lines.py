@@ -1,11 +1,11 @@
 """
 The line of a face with its normal points, and corners of two such lines.
 
-Normal points are means of equal bins of points. Speckle is alike over some columns, and stays
-while the robot stands: the scatter of single points, divided by the root of their number, says
-too little. So the means themselves are looked at; their second differences do not see the smooth
-shape below. What lies between the ends of the two faces of a corner (a bevel, a rounding, a weld)
-belongs to neither.
+Normal points are means of equal bins of points. Speckle is correlated over some columns and
+constant while the robot stands, so the scatter of single points over the root of their number is
+too small an uncertainty. The scatter of the means is used instead: second differences remove the
+smooth shape. Points between the ends of the two faces of a corner (bevel, rounding, weld) belong
+to neither.
 """
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 NORMAL_POINTS = 6
-BLOCKS = 24  # whose scatter tells that of the normal points
+BLOCKS = 24  # blocks whose scatter gives the variance of the normal points
 FEWEST_POINTS = 4  # of a block
-KEPT = 1000  # numbers of points whose bins are remembered
+KEPT = 1000  # numbers of points whose bins are cached
 FEWEST_BLOCKS = 6
-SURELY_MORE = 1.7  # times the variance of white noise: what chance seldom makes
-MOST_CORNERS, SMALLEST_CORNER = 3, 0.25  # of a profile; shorter face, over the best one's
-FAR_END = 0.75  # of its length, that its other end is away: faces that cross are no edge
+SURELY_MORE = 1.7  # ratio to the variance of white noise that chance seldom exceeds
+MOST_CORNERS, SMALLEST_CORNER = 3, 0.25  # of a profile; of shorter faces, over the best
+FAR_END = 0.75  # distance of a face's other end, over its length: faces that cross are no edge
 SMALLEST_ANGLE = 0.26  # between two faces (rad): less is one bent face
-REACH = 0.5  # of a face's length: its end is at most so far from where the two cross, for a
+REACH = 0.5  # largest distance of a face's end from the crossing, over its length: a
 # groove can hide its own bottom from the camera
-SMALLEST_REACH = 2e-3  # m: of faces however short
+SMALLEST_REACH = 2e-3  # m: its lower bound, for short faces
 
 
 def face_line(segment: Segment, points: Array) -> FaceLine:
@@ -52,8 +52,8 @@ def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoi
     """
     Return an edge with the uncertainty of the line across it.
 
-    correlated: how many times more than for white noise the line is uncertain; a corner of two
-    lines is so too.
+    correlated: uncertainty of the line over that for white noise; an edge that is the crossing of
+    two lines has the same factor.
     """
     away = float((edge.point - line.centre) @ line.direction) / line.spread
     across = line.std * (1 + away ** 2) ** 0.5
@@ -71,8 +71,8 @@ def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatte
     """
     Return one line from those of several profiles of a stop.
 
-    centre (2,), slope: of it; scatter: 1 sigma of their offsets. What repeats from profile to
-    profile, such as the speckle of a face, does not average out.
+    centre (2,), slope: of the combined line; scatter: 1 sigma of the lines' offsets (m). Errors
+    that repeat in every profile, such as speckle, do not average out.
     """
     size = min(len(line.blocks) for line in lines)
     same = [line for line in lines if len(line.blocks) == size]
@@ -129,8 +129,8 @@ def variance_of_bins(blocks: Array, white: float) -> float:
     """
     Return the variance of the means (k,) of neighbouring blocks of residuals.
 
-    white: what it would be if the residuals were white noise; it holds unless the blocks surely
-    scatter more.
+    white: the variance for white noise; it is returned unless the blocks scatter significantly
+    more.
     """
     if len(blocks) < FEWEST_BLOCKS:
         return white
@@ -151,9 +151,9 @@ def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     """
     Return the lines of adjacent faces that meet, in pairs ordered by x.
 
-    points: (n, 2) in the sensor plane, NaN where there was no return. Any two of them may be the
-    edge: a block on a table makes a groove with it. First come those whose shorter face is the
-    longest. Raises FeatureError where no two faces meet.
+    points: (n, 2) in the sensor plane, NaN where there was no return. Any two adjacent faces may
+    form the edge: a block on a table also makes a groove. Pairs whose shorter face is longest come
+    first. Raises FeatureError where no two faces meet.
     """
     segments = straight_segments(points, config.noise.sensor, config.sampling.min_points)
     pairs = [pair for pair in combinations(segments, 2) if _meet(*pair, points)]

@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_LINES = 5
-FOREIGN_POINTS = 5  # this many points of something else between two of a line part it
-STRAY_GAP = 2  # an end point this far from its neighbour is on the line by chance
+FOREIGN_POINTS = 5  # largest number of other points between two of a line; more split it
+STRAY_GAP = 2  # an end point further than this from its neighbour is on the line by chance
 INLIER_SIGMAS = 4.0
 MOST_NOISE = 30.0  # times the configured noise: more is no surface
 STEEPEST = 4.0  # slope of a surface from which light still comes back
-MOST_JUMPS = 0.1  # of all steps from point to point, that do not yet make a profile cluttered
-NEIGHBOURS, FEWEST_NEIGHBOURS = 5, 4  # on either side of a point, and of all near its range
-END_POINTS = 5  # at an end, whose mean tells whether it is bent
+MOST_JUMPS = 0.1  # largest share of jumps from point to point in a profile without clutter
+NEIGHBOURS, FEWEST_NEIGHBOURS = 5, 4  # compared on either side; fewest of all at a similar range
+END_POINTS = 5  # points of a group whose mean shows a bent end
 ROUNDED_SIGMAS = 3.0
 LARGEST_END = 6  # a bent end has at most one part in so many of the points
 
@@ -72,10 +72,10 @@ def noise_level(z: Array, configured: float) -> float:
 
 def without_clutter(rows: NDArray[np.intp], points: Array, noise: float) -> NDArray[np.intp]:
     """
-    Return those of rows (k,) whose points are on a surface, where many are clutter.
+    Return the rows (k,) whose points are on a surface; all rows if few points are clutter.
 
-    A sensor may return random ranges where nothing reflects. The points of a surface have
-    neighbours about as far away as they are; noise: the configured one, 1 sigma.
+    A sensor may return random ranges where nothing reflects. A point of a surface has neighbours
+    at a similar range. noise: configured, 1 sigma (m).
     """
     z, slack = points[:, 1].take(rows), MOST_NOISE * noise
     if np.count_nonzero(np.abs(z[1:] - z[:-1]) > slack) <= MOST_JUMPS * len(rows):
@@ -130,7 +130,7 @@ def segments_among(rows: NDArray[np.intp], points: Array, noise: float, min_poin
 
 def _is_wide(x: Array) -> bool:
     """Return whether points cover a sufficient length of the laser line."""
-    # the ends alone say so mostly
+    # mostly the ends alone suffice
     return bool(abs(x[-1] - x[0]) > NARROWEST or x.max() - x.min() > NARROWEST)
 
 
@@ -156,7 +156,7 @@ def _segment(rows: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> 
     """
     Return the segment fitted to the points x, z of rows.
 
-    least_noise: a sensor that rounds may show no noise where there is some.
+    least_noise: lower bound of the noise (m), as a sensor that rounds may show none.
     """
     # the last points at an end are the worst: the line is fitted without them
     margin = min(max(2, len(rows) // 50), (len(rows) - 3) // 2)
@@ -190,7 +190,7 @@ def _rounded_end(residual: Array, noise: float) -> int:
     """Return the number of leading residuals (n,) that indicate a rounded end."""
     most, least = len(residual) // LARGEST_END // END_POINTS, ROUNDED_SIGMAS * noise
     if abs(sum(residual[:END_POINTS].tolist())) / END_POINTS <= least / END_POINTS ** 0.5:
-        return 0  # as it is mostly
+        return 0  # the usual case
     sums = np.add.reduce(residual[:most * END_POINTS].reshape(most, END_POINTS), axis=1)
     off = np.abs(sums / END_POINTS) > least / END_POINTS ** 0.5
     return END_POINTS * (int(off.argmin()) if not off.all() else most)

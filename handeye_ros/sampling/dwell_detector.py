@@ -1,8 +1,8 @@
 """
 Cuts the streams of poses and profiles into stops of the robot, with the profiles of each.
 
-Stops come from the pose stream alone, and one is over only when both streams have passed its
-end, so they do not depend on how poses and profiles were interleaved on arrival.
+Stops come from the pose stream alone. A stop is complete only when both streams have passed its
+end, so the result does not depend on the order of arrival.
 """
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from handeye_ros.sampling.profile_buffer import ProfileBuffer
 from handeye_ros.sampling.stops import beside, Stop, stop_of
 from handeye_ros.streams.stream import LARGEST_STEP, Stream
 
-SILENCE = 0.25  # s without a pose, while profiles come, after which the robot may be anywhere
+SILENCE = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
 
 
 class DwellDetector:
@@ -47,9 +47,9 @@ class DwellDetector:
         self._finder = finder_of(self._config.sampling)
         self._waiting: list[Dwell] = []
         self._profiles = ProfileBuffer()
-        self._taken: set[int] = set()  # when the stops began that were given
-        self._passed_by = 0  # stops at which no sample was to be taken by itself
-        self._unseen = 0  # stops given up as no profiles came
+        self._taken: set[int] = set()  # start stamps of the stops already returned
+        self._passed_by = 0  # stops in manual mode
+        self._unseen = 0  # stops dropped while waiting for profiles
         self._largest_position = 0.0
         self._beside = 0.0
         self._pose_stream: Stream[TimedPose] = Stream('pose')

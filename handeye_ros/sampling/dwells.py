@@ -11,7 +11,7 @@ from handeye_ros.data import TimedPose
 import numpy as np
 
 NS = 1_000_000_000
-MOTION_TIME = 3 * NS // 10  # over which the speed of the robot is reported
+MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
 MAX_DWELL = 10 * NS  # more of one stop adds nothing but memory
 MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
 FOREVER = 2**63
@@ -22,7 +22,7 @@ class Dwell:
     """
     A time during which the robot stood still; poses in order of their stamps.
 
-    began: the stamp of the first pose of this stop, which poses may no longer hold.
+    began: stamp of the first pose of this stop (ns), which may no longer be among poses.
     """
 
     poses: tuple[TimedPose, ...]

@@ -10,12 +10,12 @@ from handeye_ros.sampling.field_of_view import without_border_ends
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-SHARPEST = 2.5e-5  # depth of ends that are as good as sharp (m)
-SURE = 8.0  # logarithm of odds: the most that one end says against a shape
-SHAPE_STD = 0.2  # 1 sigma of a radius or of the legs of a bevel, relative: it may be an ellipse
-SLANT_STD = 0.1  # the same of the radius that a laser sees that crosses at a slant
-NOTHING = [np.zeros(len(RADII) + 1)]  # said of the shape
-OBLIQUE_STD = 0.03  # the same of the radius: a laser that crosses at a slant sees an ellipse
+SHARPEST = 2.5e-5  # largest depth of ends that count as sharp (m)
+SURE = 8.0  # largest log odds of one end against a shape
+SHAPE_STD = 0.2  # relative 1 sigma of a radius or a bevel's legs: it may be an ellipse
+SLANT_STD = 0.1  # 1 sigma of the log radius of one end: an oblique laser sees an ellipse
+NOTHING = [np.zeros(len(RADII) + 1)]  # no information on the shape
+OBLIQUE_STD = 0.03  # 1 sigma of an edge over the radius: an oblique laser sees an ellipse
 DEPTH_STD = 1.5e-5  # 1 sigma of the depth of an end (m)
 
 
@@ -24,7 +24,7 @@ class EdgeShape:
     """
     Shape of the target's edges.
 
-    size: radius or legs (m), 0 of sharp ones; relative_std: 1 sigma of it over it.
+    size: radius, or legs of the bevel (m), 0 if sharp; relative_std: 1 sigma of size over size.
     """
 
     size: float = 0.0
@@ -33,7 +33,7 @@ class EdgeShape:
 
 
 def consistent_edges(samples: Sequence[Sample]) -> tuple[list[Sample], list[Reject]]:
-    """Return the samples with the edges of the common shape, and those left without any."""
+    """Return the samples with edges of the common shape; rejects: those without any edge left."""
     kept, rejects = without_border_ends(samples)
     return with_common_shape(kept), rejects
 
@@ -42,9 +42,9 @@ def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
     """
     Return the samples with edge points where the planes of face and wall intersect.
 
-    How a rounded or bevelled end bends is alike at all stations, but one profile shows it only
-    roughly, or not at all when the bevel sends no light back. So the shape that is likeliest for
-    all ends together is taken; where a wall was seen nothing is to be done.
+    All stations share the shape of rounded or bevelled ends, but one profile shows it only
+    roughly, or not at all if a bevel returns no light. So the shape that is likeliest for all ends
+    together is used. Edges with a visible wall need no correction.
     """
     shape = common_shape(samples)
     return [replace(s, features=tuple(_moved(f, shape) for f in s.features)) for s in samples]
@@ -60,7 +60,7 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     if np.logaddexp.reduce(log_odds[:-1]) - np.log(len(RADII)) > log_odds[-1]:
         return EdgeShape(*_radius(log_odds[:-1]))
     depth = np.array([end.bevel for end in ends])
-    # what was seen further down tells more of its shape
+    # deeper ends say more about the shape
     order = np.argsort(depth)
     share = np.cumsum(depth[order] ** 2)
     most = depth[order][np.searchsorted(share, share[-1] / 2)]
@@ -106,7 +106,7 @@ def _from_arc(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
     """
     Return the edge of a rounding: the middle of the visible arc, extrapolated to the wall.
 
-    That is a point of the wall however the laser crosses the edge, since the middle was measured.
+    The middle is measured, so the result is on the wall for any crossing angle of the laser.
     """
     radius, back = shape.size, float(edge.arc @ edge.direction)
     below = edge.arc - back * edge.direction
@@ -121,7 +121,7 @@ def _from_end(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
     """
     Return the edge of a bevel or a barely visible rounding: the end, extrapolated to the wall.
 
-    A bevel sends light back as a whole or not at all, and leads as far outwards as down.
+    A bevel returns light as a whole or not at all; it is as wide as it is deep.
     """
     size, depth = shape.size, min(max(edge.bevel, DEPTH_STD), shape.size)
     if shape.is_round:

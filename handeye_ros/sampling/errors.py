@@ -6,7 +6,7 @@ from handeye_ros.sampling.dwells import Motion
 
 
 class BaseFrameError(InputError):
-    """Poses that are given in another frame than the robot's base as it is set."""
+    """Poses in another frame than the configured robot_base_frame."""
 
     def __init__(self, frame: str, wanted: str) -> None:
         super().__init__(f'the poses are given in "{frame}", but robot_base_frame is "{wanted}": '
@@ -24,7 +24,7 @@ class NoPosesError(DataError):
 
 
 class MovingError(DataError):
-    """A sample was asked for while the robot moved, or had only just stopped."""
+    """A sample was requested while the robot moved, or too soon after it stopped."""
 
     def __init__(self, still_time: float, motion: Motion | None) -> None:
         if motion is None:
@@ -36,7 +36,7 @@ class MovingError(DataError):
 
 
 class SilentPosesError(DataError):
-    """A sample was asked for while no poses came."""
+    """A sample was requested while no poses arrived."""
 
     def __init__(self, seconds: float) -> None:
         super().__init__(f'no pose has come for {seconds:.1f} s, so the robot position is not '
@@ -44,7 +44,7 @@ class SilentPosesError(DataError):
 
 
 class LatePosesError(DataError):
-    """A sample was asked for while poses come with stamps of another time."""
+    """A sample was requested while the poses had stamps of another time."""
 
     def __init__(self) -> None:
         super().__init__('the poses come with older stamps than those before, so the robot '
@@ -53,14 +53,14 @@ class LatePosesError(DataError):
 
 
 class NothingNewError(DataError):
-    """A sample was asked for where one was taken before; reason: which one."""
+    """A sample was requested at a pose that has one already; reason: which one."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(f'{reason}: move on, and turn the tool')
 
 
 class FlatCrossingError(DataError):
-    """A sample was asked for where the laser crosses the edge too flatly; reason: how flatly."""
+    """A sample where the laser crosses the edge at too small an angle; reason: the angle."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(f'{reason}, and take the sample again')
@@ -83,7 +83,7 @@ class NothingToRemoveError(DataError):
 
 
 class NotAskedError(DataError):
-    """Nobody asked for a sample; reason: how often it would have been possible."""
+    """No sample was requested; reason: how often it would have been possible."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -121,7 +121,7 @@ class ClocksDifferError(DataError):
     """
     Samples that fit the poses of another time.
 
-    late: by how much the profiles are (s); offset: time_offset as it is set.
+    late: delay of the profiles (s); offset: the configured time_offset (s).
     """
 
     def __init__(self, late: float, offset: float) -> None:

@@ -1,9 +1,9 @@
 """
 Detects ends of faces that are only the border of the sensor's field of view.
 
-The border of the field of view is learnt from where its profiles end. Where a face leaves the
-field of view it looks like an edge with nothing behind it. The border is straight: many ends on
-one line, with everything that was ever seen on one side of it, are no edges.
+The border of the field of view is learnt from the ends of profiles. Where a face leaves the field
+of view, its end looks like an edge with nothing behind it. The border is straight: many ends on
+one line, with all points ever seen on one side of it, are not edges.
 """
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ OPEN_KINDS = ('gap', 'open')  # ends with nothing behind them
 TOLERANCE = 2e-4
 FEWEST_ENDS = 5
 SHARE_OF_ENDS = 0.3
-SHARE_LEFT = 0.5  # of the samples with ends at a border keep an edge
-NEAREST = 1e-3  # m from the end of the view to an edge
+SHARE_LEFT = 0.5  # smallest share of the samples with ends at a border that keep an edge
+NEAREST = 1e-3  # smallest distance of an edge from the end of the view (m)
 
 
 def without_border_ends(samples: Sequence[Sample]) -> tuple[list[Sample], list[Reject]]:
@@ -47,9 +47,9 @@ def _believed(lines: Array, ends: Array, samples: Sequence[Sample]) -> Array:
     """
     Return the lines (k, 3) that are borders of the view and not edges of the target.
 
-    A programme that brings an edge to the same place of the field of view every time makes a
-    line too. But most stations show an edge beside a border, and the ends at a border scatter
-    less: the straightest lines are believed first, as long as their samples keep an edge.
+    A robot programme that brings an edge to the same place of the view every time also makes a
+    line. But at a true border most stations keep another edge, and the ends scatter less. So the
+    straightest lines are accepted first, as long as their samples keep an edge.
     """
     found: Array = np.empty((0, 3))
     for group in sorted(_groups(lines, ends), key=lambda group: _scatter(group, ends)):
@@ -128,8 +128,8 @@ def require_inside(features: Sequence[Feature], profiles: Sequence[Profile]) -> 
     """
     Reject a stop if all its edges may be cut off by the border of the view.
 
-    The end of the view is where the columns of a profile end. A driver that leaves columns
-    without a return out of its messages does not show it; then nothing is refused.
+    The view ends where the columns of a profile end. A driver that omits columns without a return
+    hides this; then nothing is refused.
     profiles: those of the stop that show the features. Raises FeatureError.
     """
     edges = [feature for feature in features if isinstance(feature, EdgePoint)]

@@ -1,8 +1,8 @@
 """
 Samples of a moving robot: single profiles with the poses at their own times.
 
-A recording is cut into passes, two seconds of motion each, or one rest. A pass is kept, numbered
-and left out as a stop is. The poses depend on the time offset, which is unknown.
+A recording is cut into passes: two seconds of motion each, or one rest. Passes are stored,
+numbered and left out like stops. Their poses depend on the unknown time offset.
 """
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 PASS = 2 * NS  # of motion
-MOST_SINGLE = 32  # profiles of a pass that are looked at, twice as many where few show the target
+MOST_SINGLE = 32  # profiles of a pass that are evaluated, twice as many if few show the target
 
 
 class PassFinder(DwellFinder):
@@ -91,7 +91,7 @@ def _found(messages: Iterable[AnyProfile], config: Config
 
 
 def single_samples(samples: Sequence[Sample]) -> tuple[Sample, ...]:
-    """Return passes as one sample per profile, with the common trajectory; others unchanged."""
+    """Return one sample per profile of passes, with their common trajectory; others unchanged."""
     passes = [sample for sample in samples if sample.single]
     if not passes:
         return tuple(samples)
@@ -135,7 +135,7 @@ class Pairing:
         return _evaluated(self, tuple(values.tolist()))
 
 
-@lru_cache(maxsize=8)  # of a step the poses are asked for first, the twists later
+@lru_cache(maxsize=8)  # poses, then twists, are requested for the same values
 def _evaluated(pairing: Pairing, values: tuple[float, ...]) -> tuple[Array, Array]:
     poses = pairing.at(*values)
     twists = np.stack([poses.twists] * len(values), axis=2)
@@ -181,10 +181,10 @@ def errors_in_motion(stamps: NDArray[np.int64], first: Linear) -> Blocks:
 
 def _exposure(linear: Linear) -> ParameterBlock:
     """
-    Return the block of the shortening of faces during an exposure.
+    Return the block of the apparent shortening of faces during an exposure.
 
-    What a profile averages over is of the face only as long as the face is seen: the end moves by
-    up to half the exposure times the velocity at which the edge passes, always the same way.
+    A profile averages over the exposure, and shows a face only while the face is seen. So an end
+    shifts by up to half the exposure times the velocity across the edge, always inwards.
     """
     problem, std = linear.problem, linear.problem.config.profile.exposure / 2
     assert problem.pose_model is not None and problem.method.nuisances is not None

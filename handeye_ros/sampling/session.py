@@ -27,7 +27,7 @@ from handeye_ros.sampling.stops import (
     Stop,
 )
 
-# s after a dwell is long enough, and profiles that its sample needs to be taken then
+# time after a dwell is long enough (s), and profiles needed for a sample at that time
 EARLY_CHECKS = ((0.0, MOST_PROFILES), (0.3, 1), (1.3, 0), (3.3, 0), (7.3, 0))
 
 
@@ -42,10 +42,10 @@ class Session(DwellDetector):
     def clear(self) -> None:
         """Forget all samples and all messages."""
         super().clear()
-        self._checks = 0  # by early(), in the dwell of now; the next one, and the first (ns)
+        self._checks = 0  # checks by early() in this dwell; next one, and the first (ns)
         self._early_at = self._early_from = 0
         self._outcomes: list[Outcome] = []
-        self._numbers = 0  # given so far
+        self._numbers = 0  # assigned so far
 
     @property
     def base_frame(self) -> str:
@@ -165,8 +165,9 @@ class Session(DwellDetector):
         """
         Return the current stop as soon as it has enough profiles for a sample.
 
-        That is MOST_PROFILES soon, or one after a second. A stop that gave no sample is returned
-        a few times more: what hindered may be gone. passed() returns it again when it is over.
+        It needs MOST_PROFILES at first, and fewer later (EARLY_CHECKS). A stop without a sample is
+        returned a few more times, as the cause may be gone. passed() returns it again when it is
+        over.
         """
         stood = self._finder.stood
         if stood < self._early_at:

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 LARGEST_DISAGREEMENT = 5e-4  # between profiles of a robot that stands still (m)
-SMALLEST_DISAGREEMENT = 1e-4  # the same of arcs, beyond their scatter
-LEAST_AGREEING = 0.6  # of the profiles of a stop
-ALONG = 0.1  # of a distance along a surface, in one across it, that tells two surfaces apart
-MOST_TIMES = 4  # that profiles of one stop say more of an edge than a single one
+SMALLEST_DISAGREEMENT = 1e-4  # the same for arcs, beyond their own scatter
+LEAST_AGREEING = 0.6  # smallest share of the profiles of a stop
+ALONG = 0.1  # weight of a distance along a surface against one across, to match lines
+MOST_TIMES = 4  # profiles of one stop count as at most this many for an edge
 
 
 class DisagreeingProfilesError(FeatureError):
@@ -102,9 +102,8 @@ def combine(found: Sequence[tuple[Feature, ...]], together: int = 1) -> tuple[Fe
     """
     Return the features of a station from those of its profiles (one tuple each).
 
-    Features are matched by kind, place, and the way they face; together: of so many lines one
-    after the other none is used without the others. Raises FeatureError when the
-    profiles of the station do not agree.
+    Features are matched by kind, place and facing direction; together: number of consecutive lines
+    that are used only together. Raises FeatureError when the profiles of the station do not agree.
     """
     if len(found) == 1:
         return found[0]
@@ -130,7 +129,7 @@ def _combined_lines(seen: Sequence[Sequence[FaceLine]], together: int) -> list[F
     """
     Return one line for each surface that most of the profiles show.
 
-    Raises DisagreeingProfilesError when they agree on fewer than every one of them shows.
+    Raises DisagreeingProfilesError if fewer lines agree than each profile shows.
     """
     usual = Counter(map(len, seen)).most_common(1)[0][0]
     lines = next(lines for lines in seen if len(lines) == usual)
@@ -170,7 +169,7 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
 
 def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     kind = Counter(e.kind for e in edges).most_common(1)[0][0]
-    edges = [e for e in edges if e.kind == kind]  # each kind has its own way of being off
+    edges = [e for e in edges if e.kind == kind]  # each kind has its own bias
     points = np.array([e.point for e in edges])
     direction = np.median([e.direction for e in edges], axis=0)
     direction /= np.linalg.norm(direction)
@@ -205,10 +204,10 @@ def _combined_ends(points: Array, edges: Sequence[EdgePoint], good: NDArray[np.b
 
 def _agreeing(values: Array, times: float, least: float, what: str) -> NDArray[np.bool_]:
     """
-    Return which values (n,) are within some scatters, or a least distance, of the median.
+    Return which values (n,) are near the median: within `times` scatters, or `least`.
 
-    Raises DisagreeingProfilesError when too many do not, or they scatter more than a robot may
-    move that stands still.
+    Raises DisagreeingProfilesError when too few are, or when they scatter more than a robot at
+    rest may move.
     """
     middle = np.quantile(values, 0.5, method='lower')
     scatter = 1.4826 * np.median(np.abs(values - middle))  # 1 sigma of a normal distribution
@@ -223,7 +222,7 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     """Return one arc from all points of the profiles of a station."""
     centres = np.array([a.centre for a in arcs])
     centre, radius = np.median(centres, axis=0), np.median([a.radius for a in arcs])
-    # the centre of a short arc is known less well than where its points are
+    # a short arc determines its centre worse than the position of its points
     away = np.array([_scatter(a, centre, radius) for a in arcs])
     own = float(np.median([_scatter(a, a.centre, a.radius) for a in arcs]))
     good = away < min(LARGEST_DISAGREEMENT, own + max(3.0 * own, SMALLEST_DISAGREEMENT))

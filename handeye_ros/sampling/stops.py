@@ -23,9 +23,9 @@ from handeye_ros.sampling.station_features import evenly, flipped_features, of_s
 from handeye_ros.streams.stream import around, interpolate
 import numpy as np
 
-# Of one stop, evenly spread. A robot that stands still sees the same speckle, and 32 profiles
-# bring the noise of single ones far below that of its poses: a sample is of no more. What is kept
-# leaves room for other settings, and for what is compared (in clocks.py, 50 ms apart) in 3.75 s.
+# Profiles of a sample, evenly spread. A robot at rest sees the same speckle, and 32 profiles
+# reduce the noise of single ones far below that of the poses. A stop keeps more: for other
+# settings, and for the test of the clocks (50 ms apart, see diagnosis/settings.py) in 3.75 s.
 MOST_PROFILES = 32
 
 
@@ -42,8 +42,8 @@ class Stop:
     """
     A time during which the robot stood still.
 
-    began: the stamp of its first pose, which tells stops apart; load: gives what was seen, for
-    a configuration to read.
+    began: stamp of its first pose, which identifies the stop; load: returns its poses and profiles
+    for a configuration.
     """
 
     began: int
@@ -60,8 +60,8 @@ class Outcome:
     """
     Result of a stop: a sample, or the reason why there is none.
 
-    number: counted from 1, never given twice in a session; refused: why its sample is none,
-    whatever the profiles show.
+    number: from 1, never reused in a session; refused: why the stop gives no sample, whatever its
+    profiles show, '' if it may.
     """
 
     number: int
@@ -81,7 +81,7 @@ def stop_of(station: Dwell, profiles: Sequence[AnyProfile], config: Config) -> S
     first, last = steady_span(station.start, station.end, config)
     begin, end = (bisect_left(inside, first, key=_stamp), bisect_right(inside, last, key=_stamp))
     kept = (*_kept(inside[:begin], 8), *_kept(inside[begin:end], 64),
-            *_kept(inside[max(begin, end):], 8))  # few of when the robot may swing
+            *_kept(inside[max(begin, end):], 8))  # few from times with vibration
     seen = Seen(station.poses, kept)
     return Stop(station.began, partial(_held, seen))
 
@@ -161,7 +161,7 @@ def _still(seen: Seen, config: Config) -> list[Profile]:
 
 
 def _unread(seen: Seen, config: Config) -> list[AnyProfile]:
-    """Return the same as undecoded messages."""
+    """Return the profiles of the time without vibration, not yet decoded."""
     first, last = steady_span(seen.poses[0].stamp, seen.poses[-1].stamp, config)
     return evenly([p for p in seen.profiles if first <= p.stamp <= last], MOST_PROFILES)
 
@@ -192,7 +192,7 @@ def result_of(stop: Stop, config: Config) -> Sample | Reject:
 
 
 def judged(outcome: Outcome, config: Config) -> Outcome:
-    """Return the outcomes of the same stops with another configuration."""
+    """Return the outcome of the same stop with another configuration."""
     if outcome.refused:
         stamp = outcome.stop.load(config).poses[0].stamp
         return replace(outcome, result=Reject(stamp, outcome.refused))

@@ -1,10 +1,10 @@
 """
-Finds the time offset of profiles of a moving robot from nothing, with the calibration.
+Finds the time offset of a moving robot's profiles without a start value.
 
-A profile of stamp t has the pose T(t + dt). The derivative of a condition by dt is that by the
-flange's pose times its twist, one more column. A robot may report its rotation later than its
-position: T has the position of t + dt and the rotation of t + dt + lag. Far from the truth a fit
-with these columns is made from several offsets, on some of the samples, until one explains them.
+A profile with stamp t has the pose T(t + dt). The derivative of a condition by dt is its
+derivative by the flange pose times the twist: one more column. A robot may report its rotation
+later than its position: T then has the position at t + dt and the rotation at t + dt + lag. Far
+from the solution, fits start from several offsets, on some of the samples, until one is good.
 """
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Synchronised:
     """
     Samples with the poses at one time offset, and an estimate near their solution.
 
-    rejects: samples at whose time no poses tell where the flange was.
+    rejects: samples without poses at their time.
     """
 
     samples: list[Sample]
@@ -45,7 +45,7 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
     """
     Return samples of a moving robot with the poses at the most likely time offset.
 
-    Of very many some are taken. Raises DataError where no estimate can be started.
+    At most 400 samples are used. Raises DataError where no estimate can be started.
     """
     if not any(sample.motion for sample in samples):
         return Synchronised(list(samples), [])

@@ -114,8 +114,8 @@ def _best_mount(T: Array, error: Array, X: Array, scenario: Scenario) -> Array:
     """
     Return the best-fit mount (4, 4) for poses T (n, 4, 4) reported with errors (n, 6).
 
-    It maps points of the field of view with the smallest errors, except for a common motion of all
-    points, which is that of the target.
+    It minimises the errors of points mapped from the field of view, up to a common motion of all
+    points, which the pose of the target absorbs.
     """
     (near, far), w = scenario.sensor.range, scenario.sensor.half_width
     field = np.array([[x * z, 0.0, z] for z in (near, far) for x in (-w, 0.0, w)])

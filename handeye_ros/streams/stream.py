@@ -1,10 +1,10 @@
 """
 Messages of one topic in the order of their stamps; implausible ones are dropped.
 
-A message with a stamp far ahead of the one before may come after a pause, or be one whose
-stamp is wrong; the next message tells, so it is held back until then. Believed at once, a
-wrong one would make all others late. Where all messages are late for a while, the clock was set
-back: restart() goes on in its new time.
+A message whose stamp is far ahead may follow a pause, or have a wrong stamp. It is held back until
+the next message decides: if a wrong stamp were accepted at once, all later messages would seem
+late. If all messages are late for a while, the clock was set back: restart() continues in the new
+time.
 """
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from handeye_ros.data import Array, Profile, RawProfile, TimedPose
 from handeye_ros.streams.errors import TwoFramesError
 import numpy as np
 
-LARGEST_STEP = 1_000_000_000  # ns; what steps back by less was only reordered on its way
+LARGEST_STEP = 1_000_000_000  # ns; a smaller step back is only a reordering in transit
 
 MOST_REASONS = 10  # that are distinguished: a damaged topic may give each message another frame
 OTHER_FRAME = 'some other frame'
-FEW = 3  # messages with wrong stamps that a recording may hold, and
-FEW_SHARE = 0.05  # this share of many; more, and it is no longer known which ones are right
+FEW = 3  # messages with wrong stamps that a recording may hold: this number,
+FEW_SHARE = 0.05  # or this share of many; with more, the right order is unknown
 
 Stamped = TypeVar('Stamped', bound=Profile | RawProfile | TimedPose)
 
@@ -34,10 +34,10 @@ class Stream(Generic[Stamped]):
     """
     Passes on the messages of one topic, or drops them with a warning.
 
-    latest: the stamp of the last one passed on, -1 before the first; count: how many were;
-    late: whether the last one that came was dropped because it is older than that;
-    frame: that of the first one, or of the most where these were few; set_back: by how much the
-    clock was set back (ns), 0 while no messages show that it was.
+    latest: stamp of the last message passed on, -1 before the first; count: number passed on;
+    late: whether the last received message was dropped because it is older than `latest`; frame:
+    of the first message, or of the majority if the first ones were strays; set_back: by how much
+    the clock was set back (ns), 0 if it was not.
     """
 
     def __init__(self, kind: str) -> None:
@@ -52,9 +52,9 @@ class Stream(Generic[Stamped]):
         self.late = False
         self.frame: str | None = None
         self.set_back = 0
-        self._late_since = -1  # the stamp of the first of the late messages in a row
+        self._late_since = -1  # stamp of the first of consecutive late messages
         self._late_last = self._late_count = 0
-        self._strays: Counter[str] = Counter()  # messages by their frames, which are others
+        self._strays: Counter[str] = Counter()  # number of messages by other frame
         self._strays_in_a_row = 0
 
     def copied(self) -> Stream[Stamped]:
@@ -107,7 +107,7 @@ class Stream(Generic[Stamped]):
         return passed
 
     def _adopted(self, frame: str) -> bool:
-        """Count a message of another frame; return whether the few before were the strays."""
+        """Count a message of another frame; return whether the stream now takes that frame."""
         known = len(self._strays) < MOST_REASONS or frame in self._strays
         self._strays[frame if known else OTHER_FRAME] += 1
         self._strays_in_a_row += 1
@@ -169,7 +169,7 @@ def in_order(stamps: Sequence[int]) -> list[bool] | None:
     """
     Return which messages fit the order of the majority; None if too many do not.
 
-    stamps: in the order of recording. One that lies within LARGEST_STEP of its place fits.
+    stamps: in the order of recording (ns); deviations up to LARGEST_STEP from the order fit.
     """
     if never_falls(stamps):
         return [True] * len(stamps)
@@ -210,7 +210,7 @@ def _longest_rising(stamps: Sequence[int]) -> list[bool]:
 
 
 def around(poses: Sequence[TimedPose], stamps: Sequence[int]) -> list[TimedPose]:
-    """Return the poses next to stamps, and the first and last: the input of interpolate."""
+    """Return the poses next to each stamp, the first and the last: enough for interpolate."""
     last = len(poses) - 1
     indices = {0, last}
     for stamp in stamps:

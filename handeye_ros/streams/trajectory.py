@@ -1,11 +1,11 @@
 """
 Pose and velocity of the flange as a function of time, with their uncertainty.
 
-Reported poses have errors of their own, are rounded, and their stamps jitter. They are fitted by
-cubic splines, twice differentiable: of the translation, and of the four numbers of the quaternion,
-normalised afterwards (between two poses that differ by an angle a the error is of order a^4).
-Least squares with knots as far apart as the poses allow averages their white errors; how far is
-told by generalised cross-validation (Craven and Wahba 1979, Numer. Math. 31:377).
+Reported poses have errors, are rounded, and their stamps jitter. Cubic splines are fitted to the
+translation and to the four numbers of the quaternion, which is normalised afterwards (between two
+poses that differ by an angle a the error is of order a^4). Least squares with knots as far apart
+as the poses allow averages white errors. Generalised cross-validation determines the spacing of
+the knots (Craven and Wahba 1979, Numer. Math. 31:377).
 """
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from scipy.interpolate import BSpline
 from scipy.sparse.linalg import splu
 
 DEGREE = 3
-# of knots, that are tried (s)
+# spacings of knots that are tried (s)
 SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
-FEWEST = 8  # poses of a piece
+FEWEST = 8  # fewest poses of a piece
 REACH = 10  # coefficients to either side that matter to the variance of the spline at a time
-AVERAGED = 0.004  # s, over which many poses are averaged
-GROSS = 8.0  # residual of a pose, in robust scatters, that is no pose of the robot
+AVERAGED = 0.004  # time over which many poses are averaged (s)
+GROSS = 8.0  # residual, in robust scatters, above which a pose is an outlier
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,8 @@ class Instants:
     """
     The flange at n times: poses (n, 4, 4), twists (n, 6).
 
-    twist: velocity of its origin and angular velocity, base frame. inside: (n,) whether poses
-    around the time tell; elsewhere the values are those of the nearest time at which they do.
+    twist: velocity of its origin (m/s) and angular velocity (rad/s), base frame. inside: (n,)
+    whether there are poses around the time; elsewhere the values of the nearest end are used.
     """
 
     T_base_flange: Array
@@ -112,8 +112,8 @@ class _Piece:
     """
     A spline of translation and quaternion over seconds since first.
 
-    std: (2,) of single poses; bands: (4, k) diagonals of the information of the coefficients, for
-    a pose of unit variance.
+    std: (2,) 1 sigma of single poses (m, rad); bands: (4, k) diagonals of the information of the
+    spline coefficients, for poses of unit variance.
     """
 
     first: int
@@ -126,7 +126,7 @@ class _Piece:
         return np.asarray((np.clip(stamps, self.first, self.last) - self.first) * 1e-9)
 
     def at(self, stamps: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Return poses (n, 4, 4) and twists (n, 6), outside those at the nearest end."""
+        """Return poses (n, 4, 4) and twists (n, 6); outside the piece those of its nearest end."""
         t = self._time(stamps)
         value, rate = self.spline(t), self.spline(t, 1)
         length = np.linalg.norm(value[:, 3:], axis=1, keepdims=True)
@@ -190,7 +190,7 @@ def _averaged(t: Array, values: Array) -> tuple[Array, Array]:
     """
     Return means of consecutive poses over a time of nearly constant speed.
 
-    The first and the last stay as they are: a trajectory reaches from the one to the other.
+    The first and last pose are kept, so that the trajectory covers the same time.
     """
     count = int(AVERAGED * (len(t) - 1) / max(t[-1], AVERAGED))
     if count < 2:
@@ -210,12 +210,12 @@ def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
     values[1:, 3:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
     t, values = _averaged(t, values)
     spline, best, bands = _smoothed(t, values)
-    # in 1 mm and 5 mrad: a smaller error is no gross one
+    # in units of 1 mm and 5 mrad: smaller residuals are no outliers
     off = np.abs(values - spline(t)) / np.repeat([1e-3, 5e-3 / 2], [3, 4])
     usual = 1.4826 * np.median(off, axis=0)
     good = (off <= np.maximum(GROSS * usual, 1.0)).all(axis=1)
     good[[0, -1]] = True
-    if not good.all() and good.mean() > 0.95:  # else the spline is wrong and not they
+    if not good.all() and good.mean() > 0.95:  # else the spline is wrong, not the poses
         spline, best, bands = _smoothed(t[good], values[good])
     return _Piece(int(stamps[0]), int(stamps[-1]), spline, best, bands)
 

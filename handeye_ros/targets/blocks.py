@@ -13,8 +13,8 @@ import numpy as np
 
 FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}  # share of the RMS of each degree: the first are the largest
 
-GRAZING = 0.64  # cosine of the incidence from which on the range of a face may be wrong
-STEEPNESS = np.array([8, 16, 32])  # powers of the least cosine over that of a point: how it grows
+GRAZING = 0.64  # cosine of the incidence below which the range of a face may be wrong
+STEEPNESS = np.array([8, 16, 32])  # exponents of the smallest cosine over that of a point
 
 
 def of_faces_and_edges(first: Linear) -> Blocks:
@@ -32,7 +32,7 @@ def setbacks(first: Linear) -> Blocks:
     std = first.problem.config.target.setback_std
     obs = edges_of(first.problem.observations)
     ends, kinds = ends_of(obs), first.problem.method.kinds
-    # what of a bevel or of a blurred step is seen depends on the tilt
+    # the visible part of a bevel or a blurred step depends on the tilt
     by_slope = np.column_stack([ends.slope, 2 * ends.slope ** 2])
 
     def at(linear: Linear) -> Iterator[ParameterBlock]:
@@ -57,7 +57,7 @@ def edge_shapes(first: Linear) -> Blocks:
     def at(linear: Linear) -> Iterator[ParameterBlock]:
         outwards = ends.outwards(linear) * obs.shape
         for kind, rows in of_kind.items():
-            # it comes from few points of a curve, whatever that really goes on as
+            # it comes from few points of a curve, and is extrapolated
             yield ParameterBlock(f'shape_{first.problem.method.kinds[kind]}',
                                  np.where(rows, outwards, 0.0)[:, None], 1.0, least=1.0)
     return at if obs.shape.any() else _none

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 ENDS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
-NOWHERE = np.zeros(2)  # is out of a face at points that are no edges
+NOWHERE = np.zeros(2)  # the outward direction at points that are no edges
 FACE = 0  # the kind of a condition on a face, in every method that has them
-SOURCES = 64  # of one feature at most
-GUESS_STATIONS = 40  # more add time to a guess, nothing else
-SAME_SURFACE = 3e-4  # m: pieces of one surface may lie so far from one plane
-FINER = 4  # times as many directions tried, and candidates refined, when the first do not do
+SOURCES = 64  # per feature, at most
+GUESS_STATIONS = 40  # more only take longer
+SAME_SURFACE = 3e-4  # m: largest distance between pieces of one surface
+FINER = 4  # factor on directions and candidates if the first do not fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,9 +25,9 @@ class EdgeObservations(Observations):
     """
     Observations, some of which are edge points; these are of the second variance component.
 
-    end: (m,) how the face ends where an edge point is, 0 of any other point; outward: (m, 2) unit
-    vector out of the face there; shape: (m,) 1 sigma of how far outwards its edge is off since
-    the edge's shape is not known exactly, alike at all.
+    end: (m,) how the face ends at an edge point (numbered as in ENDS), 0 for other points;
+    outward: (m, 2) unit vector out of the face; shape: (m,) 1 sigma of the outward edge position
+    from the uncertain shape, common to all edges (m).
     """
 
     end: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
@@ -40,8 +40,8 @@ class Ends:
     """
     The ends of faces, m observations in all.
 
-    feature: (m,) which feature each is of; parts: the kind (0 where an end has several) and the
-    way in which a face ends, and which observations (m,) these are; slope: (m,) of the face
+    feature: (m,) index of the feature of each observation; parts: for each (kind, way the face
+    ends), which observations (m,) these are, kind 0 if an end has several; slope: (m,) of the face
     there, against the line of sight.
     """
 
@@ -50,7 +50,7 @@ class Ends:
     slope: Array
 
     def outwards(self, linear: Linear) -> Array:
-        """Return derivatives (m,) by the points out of their faces, of unit length by feature."""
+        """Return derivatives (m,) by outward moves of the ends, of unit length per feature."""
         along = out_of_face(linear)
         length = np.sqrt(np.bincount(self.feature, along ** 2))[self.feature]
         return np.divide(along, length, out=np.zeros(len(along)), where=length > 0)
@@ -63,7 +63,7 @@ def out_of_face(linear: Linear) -> Array:
 
 
 def edges_of(obs: Observations) -> EdgeObservations:
-    """Return the observations with edge points, possibly none."""
+    """Return the observations as EdgeObservations, without edge points if they have none."""
     if isinstance(obs, EdgeObservations):
         return obs
     none = np.zeros(len(obs))
@@ -94,7 +94,7 @@ class ObservationRows:
 
     def add(self, station: int, point: Array, kind: int, noise: Array, source: int,
             edge: EdgePoint | None = None) -> None:
-        """Append one condition; see Observations. edge: whether the point is on an edge."""
+        """Append one condition; see Observations. edge: the edge that the point is on, or None."""
         self.add_points(station, point[None], kind, noise[None], source, edge)
 
     def add_points(self, station: int, points: Array, kind: int, noise: Array, source: int = 0,
@@ -151,7 +151,7 @@ def edge_noise(edge: EdgePoint) -> Array:
 
 
 def some_of(problem: Problem, rng: np.random.Generator) -> Problem:
-    """Return the problem with at most the number of stations used to search for a start."""
+    """Return the problem with at most GUESS_STATIONS stations, to search for a start."""
     return problem.subset(some_stations(len(problem.poses), GUESS_STATIONS, rng))
 
 
@@ -160,7 +160,7 @@ def nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: 
     """
     Return which observations (m,) belong to the nearest piece of their station.
 
-    piece: (m,) the number of each one's; squares: (m,) its squared distance from the target.
+    piece: (m,) the piece of each observation; squares: (m,) its squared distance (m^2).
     """
     count = int(piece.max()) + 1
     group, size = observations.station * count + piece, (int(observations.station.max()) + 1)
@@ -186,11 +186,11 @@ def hemisphere(count: int) -> Array:
 
 def best_linear(products: Array, rows: int, count: int) -> tuple[NDArray[np.intp], Array]:
     """
-    Return the indices of the best of k linear systems, in order, and all solutions (k, u).
+    Return the indices of the `count` best of k linear systems A x = b, and all x (k, u).
 
-    products: (k, u + 1, u + 1) of each two columns of A and b of systems A x = b of so many
-    rows. The first six unknowns are r1 and r3 of the sensor: systems with small residuals and
-    these near orthonormal come first.
+    products: (k, u + 1, u + 1) of all pairs of columns of A and b; rows: number of rows of A. The
+    first six unknowns are r1 and r3 of the sensor. Systems with small residuals and with r1, r3
+    near orthonormal come first.
     """
     N, right = products[:, :-1, :-1], products[:, :-1, -1:]
     scale = np.sqrt(np.einsum('kii->ki', N))

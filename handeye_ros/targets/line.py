@@ -1,11 +1,11 @@
 """
 One straight edge: every edge point lies on one line of the base frame.
 
-Frame of the target: x along the line, the origin the point of it nearest to the mean of the
-points the guess saw. An edge point gives two conditions, its distance from the line in y and in
-z, which share the point's error. On demand (target.use_face) the face beside the edge takes
-part: then z is its normal, and the two decorrelated points of each face line take the place of
-the edge point's z, which is measured on that same line.
+Frame of the target: x along the line, the origin its point nearest to the mean position of the
+mount in the guess. An edge point gives two conditions, its distances from the line along y and z,
+which share the point's error. With target.use_face, the face beside the edge takes part: then z is
+its normal, and the points of each face line replace the z condition of the edge point, which is
+measured on that line.
 """
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ DIRECTIONS = 400
 CANDIDATES = 24
 MINIMUM = 7  # samples
 BELIEVED_SHARE = 0.7
-SAME_FACE = 0.25  # rad that faces of two stations may be turned against each other about the edge
+SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
 
 
 def observe(samples: Sequence[Sample]) -> Observations:
@@ -99,8 +99,8 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
     """
     Return the observations labelled, unused ones marked.
 
-    Of several edge points of one station only the nearest to the line is on it. A station that
-    shows another face, as the edge of a block has two, takes part with its edge point alone.
+    Of several edge points of a station, only the nearest to the line is used. A station that shows
+    another face (the edge of a block has two) takes part with its edge point alone.
     """
     edge, away = observations.kind != FACE, _away(p, target)
     nearest = np.full(observations.station.max() + 1, np.inf)
@@ -115,7 +115,7 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
 
 
 def _turns(observations: Observations, p: Array, target: Array) -> Array:
-    """Return the angle (n,) of the face of each station about the line, from its y."""
+    """Return the angle (n,) of the face of each station about the line, from y (rad)."""
     T, face = target.reshape(4, 4), observations.kind == FACE
     local = ((p[face] - T[:3, 3]) @ T[:3, :3])[:, 1:]
     y, z = (np.bincount(observations.station[face], values, observations.station.max() + 1)
@@ -127,9 +127,9 @@ def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     """
     Yield starts, best first, from a sweep of the direction of the line.
 
-    Where several ends of a face are in sight it is not told which of them is the edge: the same
-    kind in all stations first, or the same side; only when none of these will do, other ways to
-    choose.
+    If a face has several visible ends, it is unknown which one is the edge. First the same kind of
+    end, or the same side, is chosen in all stations; only if none of these fits, other choices
+    follow.
     """
     target = whole.config.target
     alone = replace(whole.config, target=replace(target, use_face=False))
@@ -142,7 +142,7 @@ def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
 
 
 def _nearness(problem: Problem, estimate: Estimate) -> float:
-    """Return the distance from the line of the nearest edge points of most stations."""
+    """Return the distance (m) from the line within which most stations have an edge point."""
     edge = problem.observations.select(problem.observations.kind == EDGE_Y)
     away = _away(edge.in_base(problem.poses, estimate.X), estimate.target)
     nearest = np.full(len(problem.poses), np.inf)
@@ -160,7 +160,7 @@ def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:
     """
     Return the best linear solutions over a sweep of the direction of the line.
 
-    finer: so many times the usual number. For a known direction d, (I - d d') (R (x r1 + z r3
+    finer: factor on the number of directions. For a known direction d, (I - d d') (R (x r1 + z r3
     + t) + a - c) = 0 is linear in r1, r3, t and the two coordinates of c across d.
     """
     obs = problem.observations

@@ -1,8 +1,8 @@
 """
 A plane: one straight piece of each profile lies on it; its border is not used.
 
-Where other surfaces are in view too, the same one is chosen in all stations: that of each which
-fits the plane.
+If several surfaces are visible, each station uses the one that fits the plane, so that all
+stations use the same surface.
 
 Frame of the target: any point of the plane as origin, z its normal, towards the sensor.
 """
@@ -46,11 +46,11 @@ from numpy.typing import NDArray
 
 NORMALS = 400
 CANDIDATES = 10
-SWEEPS = ((1, 1), (FINER, FINER))  # finer, and more candidates
+SWEEPS = ((1, 1), (FINER, FINER))  # factors on directions and candidates
 BELIEVED_SHARE = 0.7  # of the stations
-AS_NEAR = 2.0  # times the distance of the best start: the order of the surfaces decides
+AS_NEAR = 2.0  # ratio to the smallest distance of a start, up to which the surfaces' order decides
 TINY = 1e-30  # m^2
-CROWD = 10  # times as many where few stations nearly fit in many wrong ways
+CROWD = 10  # factor on candidates: few stations nearly fit in many wrong ways
 
 
 def observe(samples: Sequence[Sample]) -> Observations:
@@ -87,7 +87,7 @@ def free(config: Config) -> NDArray[np.bool_]:
 
 def relabel(observations: Observations, p: Array, target: Array, config: Config
             ) -> Observations:
-    """Return the observations with one surface per station: the longest of those near."""
+    """Return the observations with one surface per station: the longest of the near ones."""
     if not several_surfaces(observations):
         return observations
     surface = observations.source // SOURCES
@@ -105,7 +105,7 @@ def one_surface(problem: Problem) -> list[Problem]:
     """
     Return problems with one surface per station: the nearest, longest, or farthest.
 
-    Only the problem itself where no station shows several.
+    Only the problem itself if no station shows several surfaces.
     """
     obs, sign = problem.observations, problem.config.profile.range_sign
     if not several_surfaces(obs):
@@ -118,7 +118,7 @@ def one_surface(problem: Problem) -> list[Problem]:
                        for values in (np.ones_like(x), x, z, x * x, x * z))
     some = np.maximum(n, 1.0)
     slope = ((xz - x * z / some) / np.maximum(xx - x * x / some, TINY))[:, :1]
-    # of surfaces that are tilted, that is nearer which lies above the line of the longest
+    # of tilted surfaces, the nearer one lies above the extended line of the longest
     depth = sign * (z / some - slope * x / some)
     ranks = [depth, np.broadcast_to(np.arange(count), shape), -depth]
     chosen = [np.where(n, rank, np.inf).argmin(axis=1) for rank in ranks]
@@ -142,7 +142,7 @@ def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
 
 
 def _typical_distance(problem: Problem, estimate: Estimate) -> float:
-    """Return the distance (m) from the plane of the nearest surface of most stations."""
+    """Return the distance (m) from the plane within which most stations have a surface."""
     p = problem.points_in_base(estimate.X)
     labelled = relabel(problem.observations, p, estimate.target, problem.config)
     used = labelled.kind != UNUSED
@@ -156,14 +156,14 @@ def linear_candidates(problem: Problem, finer: int = 1, more: int = 1) -> list[E
     """
     Return the best linear solutions over a sweep of plane normals.
 
-    finer: so many times the usual number of normals; more: the same of solutions. For a known
-    normal n, n . (R (x r1 + z r3 + t) + a) = d is linear in r1, r3, t, d.
+    finer: factor on the number of normals; more: on the number of solutions. For a known normal n,
+    n . (R (x r1 + z r3 + t) + a) = d is linear in r1, r3, t, d.
     """
     obs = problem.observations
     R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
     a_mean = problem.poses[:, :3, 3].mean(axis=0)
     normals = hemisphere(NORMALS * finer)
-    # a row of A and b is (n, 1) times what stands here: its products are sums, formed once
+    # each row of A and b is (n, 1) times these arrays: their products are summed only once
     rows = np.zeros((len(R), 4, 11))
     u, v = obs.points.T[:, :, None, None]
     rows[:, :3, :9] = np.concatenate([u * R, v * R, R], axis=2)

@@ -39,10 +39,10 @@ OUTWARD = np.array([[0, 0], [0, -1.0], [-1.0, 0], [0, 1.0], [1.0, 0]])  # by kin
 KINDS = ('face', 'p', 'q', 'p_far', 'q_far')
 LABELS = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
 SIZE, ANGLE = slice(16, 18), 18  # of the target's state, after its pose
-GATE = 10.0  # an edge point this many times further from its edge than most is no edge of ours
+GATE = 10.0  # an edge point this many times further from its edge than most is not used
 SMALLEST_GATE = 1e-3
-SMALLEST_SIZE = 0.02  # of a plate: what ends nearer to an edge of it is something beside it
-BELIEVED_SHARE = 0.3  # of the edge points that are surely on an edge of ours
+SMALLEST_SIZE = 0.02  # of a plate: an end nearer to one of its edges is another object
+BELIEVED_SHARE = 0.3  # of the edge points are surely on an edge of the plate
 
 
 def observe(samples: Sequence[Sample]) -> Observations:
@@ -54,7 +54,7 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
     if isinstance(feature, FaceLine):
         add_face(rows, station, feature, source)
     elif isinstance(feature, EdgePoint):
-        # the wall below is as far out as the edge, however the laser crosses it
+        # the wall below is as far out as the edge, for any crossing angle
         rows.add(station, feature.point + feature.drop, P, edge_noise(feature), source, feature)
 
 
@@ -105,8 +105,8 @@ def relabel(observations: Observations, p: Array, target: Array, config: Config
     """
     Return the observations with each edge point assigned to the nearest edge.
 
-    Only an edge that the face lies on the right side of, crossed steeply enough, can be it. One
-    far from all is not used: where a face leaves the sensor's range, say, it ends too.
+    An edge is possible if the face is on its right side and the laser crosses it steeply enough.
+    Points far from all edges are not used, such as face ends at the limit of the sensor's range.
     """
     rows, outward = _edge_points(observations, p, target)
     kinds = np.array([P, Q] + ([P_FAR, Q_FAR] if config.target.size else []))
@@ -143,7 +143,7 @@ def guess(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     for plane in plane_guess(replace(problem, observations=faces), rng):
         estimate = _with_edges(problem, plane, rng)
         yield estimate
-        if problem.config.target.size:  # whose edge p may run along either of the two
+        if problem.config.target.size:  # edge p may run along either of the two
             yield _turned_around_corner(estimate)
 
 
@@ -187,12 +187,12 @@ def _face_centres(observations: Observations, flat: Array, rows: NDArray[np.intp
 
 
 def _oriented(points: Array, inward: Array, corner: Array, turn: float) -> Array:
-    """Return T_plane_target, of four candidates the one with the face at x, y > 0."""
+    """Return T_plane_target (4, 4): of four quarter turns the one with the face at x, y > 0."""
     best, best_votes = np.eye(4), -1
     for quarter in range(4):
         R = turned(turn + quarter * np.pi / 2)
         local, to_face = points @ R, inward @ R
-        off = np.abs(local).min(axis=1)  # points on neither line have no say
+        off = np.abs(local).min(axis=1)  # points on neither line do not vote
         on_p = np.abs(local[:, 1]) < np.abs(local[:, 0])
         inside = np.where(on_p, to_face[:, 1], to_face[:, 0]) > 0
         votes = int((inside & (off <= _gate(off))).sum())
@@ -217,9 +217,9 @@ def configured(config: Config) -> Array:
 
 def elsewhere(observations: Observations, p: Array, target: Array, config: Config) -> str:
     """
-    Return the distance from the opposite edge of the edge points on no edge of the plate.
+    Return in words where edge points lie that are on no edge of the plate, '' if unknown.
 
-    observations, p: all that their stations show; where several agree, it is another edge.
+    observations, p: all of these stations; where several points agree, it is another edge.
     """
     rows, outward = _edge_points(observations, p, target)
     size, found = config.target.size, []

@@ -1,8 +1,8 @@
 """
 A sphere: all points of all arcs are at the radius from one centre.
 
-Unknown beside X: the centre in the base frame and, on demand, the radius. Neither the side of
-the sensor plane that the centre lies on nor any other sign is asked for.
+Unknown beside X: the centre in the base frame and, on demand, the radius. The side of the sensor
+plane on which the centre lies need not be given.
 """
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from scipy.spatial.transform import Rotation
 
 ROTATIONS = 600
 CANDIDATES = 16
-LONG = 9  # points, of an arc of which some are enough for a start
-REGULAR = 1e-9  # stations more, that see every centre at the middle of the poses
-AT_ONCE = 50  # rotations, of which the offset across the plane is looked for
+LONG = 9  # points: of longer arcs every third is used for a start
+REGULAR = 1e-9  # weight of a centre at the middle of the poses (regularisation)
+AT_ONCE = 50  # rotations for which the offset across the plane is searched together
 
 
 def observe(samples: Sequence[Sample]) -> Observations:
@@ -83,8 +83,8 @@ def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     """
     Yield starts, best first, from a sweep of rotations of the sensor.
 
-    For a given rotation the centre's projections onto the sensor plane are linear in the
-    remaining unknowns, whatever the side of the plane that the centre lies on.
+    For a given rotation, the centre's coordinates in the sensor plane are linear in the other
+    unknowns, on whichever side of the plane the centre lies.
     """
     problem = some_of(whole, rng)
     some = replace(problem, observations=_fewer(problem.observations))
@@ -93,7 +93,7 @@ def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
 
 
 def _fewer(observations: Observations) -> Observations:
-    """Return the problem with every third point of long arcs, enough for a start."""
+    """Return the observations with every third point of long arcs, enough for a start."""
     station = observations.station
     place = np.arange(len(station)) - np.searchsorted(station, station)
     short = np.bincount(station)[station] < LONG
@@ -114,7 +114,7 @@ def _candidates(problem: Problem, radius: float, finer: int) -> list[Estimate]:
     k = len(R_sensor)
     rms_y = np.full(k, np.inf)
     count, order = CANDIDATES * finer, np.argsort(rms)
-    for first in range(0, k, AT_ONCE):  # those that fit poorly whatever the side are not tried
+    for first in range(0, k, AT_ONCE):  # poor fits for any side are skipped
         some = order[first:first + AT_ONCE]
         if np.partition(np.hypot(rms, rms_y), count)[count] < rms[some[0]]:
             break
@@ -130,10 +130,10 @@ def _centres(R_sensor: Array, R: Array, a: Array, circles: Array
     """
     Return the linear solutions from circles (n, 3) for k rotations of the sensor.
 
-    R (n, 3, 3), a (n, 3): of the poses, about their middle. The centre in base (k, 3), the
-    position of the sensor (k, 3), that across its plane 0, the RMS (k,) of what remains in the
-    plane, and the coordinates (k, n) of the centre across it. Sums over the stations are formed
-    first: what they are for a rotation is then a product with its axes.
+    R (n, 3, 3), a (n, 3): of the poses, about their mean position. Returned: centre in the base
+    (k, 3); sensor position (k, 3), 0 across its plane; RMS (k,) of the residuals in the plane;
+    coordinates (k, n) of the centre across it (m). Sums over the stations are formed first, and
+    then multiplied by the axes of each rotation.
     """
     n, turns, own = len(R), R.transpose(2, 1, 0).reshape(9, -1), np.einsum('nlj,nl->jn', R, a)
     x, y, z = np.moveaxis(R_sensor, 2, 0)
@@ -162,7 +162,7 @@ def _outer(a: Array, b: Array) -> Array:
 
 
 def _side(y: Array, height: Array) -> tuple[Array, Array]:
-    """Return the offset (k,) with |y - offset| nearest to height (n,) for y (k, n), and RMS."""
+    """Return offsets (k,) with |y - offset| nearest to height (n,), and RMS; y: (k, n)."""
     offsets = np.concatenate([y - height, y + height], axis=1)
     misfit = np.abs(np.abs(y[:, None, :] - offsets[:, :, None]) - height)
     total = (misfit ** 2).mean(axis=2)

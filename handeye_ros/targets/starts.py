@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 CONDITIONS = 2  # of one edge point
 GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDS)])
-# of ends, by their number in observations: corners, steps, and ends with nothing behind them
+# of ends, by their number in observations: 1 corner, 2 step, 3 nothing behind
 
 
 def same_kind(problem: Problem, fewest: int) -> list[Problem]:
     """
     Return problems with edge points of one group of kinds each, the most frequent first.
 
-    A corner is seen as one in nearly all stations, whatever else ends a face in sight: the reach
-    of the sensor, a step. Where several of a kind are in sight, those of either side follow.
+    Nearly all stations see a corner as a corner, whatever else ends a face (the sensor's reach, a
+    step). If a station shows several of a kind, those of either side follow.
     """
     obs = problem.observations
     group = np.where(obs.kind == FACE, 0, GROUPS[edges_of(obs).end])
@@ -49,8 +49,8 @@ def other_choices(problem: Problem, fewest: int) -> list[Problem]:
     """
     Return problems with other choices of one end per station.
 
-    The best known one, as that where two faces meet; the most central, nearest, and farthest one;
-    or the side that changes where the sensor is turned around.
+    The end with the smallest error, such as one where two faces meet; the most central, nearest,
+    and farthest one; or the side that changes where the sensor is turned around.
     """
     if not _several(problem):
         return []
@@ -104,15 +104,15 @@ def _part(problem: Problem, chosen: NDArray[np.bool_], fewest: int) -> Problem |
 
 
 DIRECTIONS = 120  # tried, over a quarter turn
-VOTERS = 24  # points that take part in that search
+VOTERS = 24  # points that this search uses
 
 
 def two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
     """
     Return corner (2,) and direction (rad) of the best two perpendicular lines through points.
 
-    points: (m, 2). Every direction is tried, and every pair of points to put the lines through;
-    a point costs its distance to the nearer line, limited.
+    points: (m, 2). All directions, and all pairs of points for the lines, are tried. The cost of a
+    point is its distance to the nearer line, limited.
     """
     voters = points[some_stations(len(points), VOTERS, rng)]
     angles = np.linspace(0.0, np.pi / 2, DIRECTIONS, endpoint=False)

@@ -1,10 +1,10 @@
 """
 The edge of a block, or a groove: two faces, both visible in every profile.
 
-Frame of the target: x along the edge, the origin a point of it; each face goes through the edge
-and is turned about it by an angle. Unknown beside X: the edge as a line (4) and the turn of each
-face about it (2). A profile gives two face lines, each lies in its face; that they cross on the
-edge follows. Which face is which follows from the sides, so it need not be told.
+Frame of the target: x along the edge, the origin on it. Each face contains the edge and is turned
+about it by an angle. Unknown beside X: the edge as a line (4) and the angles of the two faces (2).
+A profile gives two face lines, each in its face, so they cross on the edge. The sides tell which
+face is which, so it need not be stated.
 """
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ from numpy.typing import NDArray
 
 KINDS = ('face_1', 'face_2')
 LABELS = ('y', 'z', 'ry', 'rz', 'turn', 'angle')
-SHARE = np.array([-0.5, 0.5])  # of a change of the angle between them, by which each face turns
+SHARE = np.array([-0.5, 0.5])  # turn of each face for a change of the angle between them by 1
 MINIMUM = 6  # samples
-SWEEP = 24  # turns of the pair of faces tried about an edge that is known
+SWEEP = 24  # angles tried for the pair of faces about a known edge
 
 
 def observe(samples: Sequence[Sample]) -> Observations:
@@ -158,8 +158,8 @@ def _guess(problem: Problem) -> Iterator[Estimate]:
     """
     Yield starts from two lines per station.
 
-    Their crossings lie on one straight edge, whatever the labels; and where the labels are right
-    by chance, the left lines lie in one plane and so do the right ones.
+    The crossings of the lines lie on one straight edge, for any labels. If the labels happen to be
+    right, the left lines lie in one plane and the right lines in another.
     """
     corners = crossings(problem.observations)
     edges = replace(problem, method=edge_line.LINE, observations=corners)
@@ -176,7 +176,7 @@ def _guess(problem: Problem) -> Iterator[Estimate]:
 
 def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
     """Return the estimates reached from the starts, with their labels, best first."""
-    alike: dict[bytes, tuple[Problem, list[Estimate]]] = {}  # starts that make the same labels
+    alike: dict[bytes, tuple[Problem, list[Estimate]]] = {}  # by their labels
     for start in starts:
         p = problem.observations.in_base(problem.poses, start.X)
         labelled = relabel(problem.observations, p, start.target, problem.config)

@@ -36,7 +36,7 @@ REFITS = 5  # iterations for the calibration's error
 FARTHEST = 0.1  # m: no calibration error is larger
 LEAST_NOISE = 1e-8  # m: 1 sigma added to every distance
 DRAWS = 4000  # for the distribution of an RMS
-MOST_DISTANCES = 1500  # whose distribution is simulated
+MOST_DISTANCES = 1500  # largest number whose distribution is simulated
 NOTHING_KNOWN = VerifyConfig()
 LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
 RANK = 1e-8  # relative singular value of an unknown that the points do not show
@@ -50,16 +50,16 @@ class FixedFit:
     """
     Result of a fit.
 
-    values (v,), covariance (v, v): by sensor and robot; claimed (v, v): by the calibration's
-    covariance. distances (m,): residuals, distance_std (m,): their 1 sigma by sensor and robot;
-    rms_expected: the 95 % quantile of their RMS; p: of the distances, with the calibration's
-    covariance. information (6, 6): of the distances, and of the values with a nominal, about an
-    error of the calibration; shift (6, 6): quadratic form of its mean square displacement of the
-    points. region: (v - nominal)' cov^-1 (v - nominal) by both covariances, of freedom values.
-    error (6,): the estimated error of the calibration, p_error: of the distances with it,
-    p_no_error: of the distances without it; implied: its largest displacement of a point (m), and
-    implied_std. left_out (g, 3): of each group of poses its number, the squared leave-one-out
-    residual that no calibration error explains, and the count of its distances.
+    values (v,): fitted; covariance, claimed (v, v): due to sensor and robot, and due to the
+    calibration. distances (m,): residuals; distance_std (m,): 1 sigma due to sensor and robot;
+    rms_expected: 95 % quantile of their RMS; p: p-value of the distances with the calibration's
+    covariance. information (6, 6): of the distances and of the values with a nominal, about an
+    error of the calibration; shift (6, 6): quadratic form that gives the mean square displacement
+    of the points. region: (v - nominal)' cov^-1 (v - nominal), cov the sum of both covariances,
+    of `freedom` values. error (6,): estimated error of the calibration; p_error, p_no_error:
+    p-values of the distances with and without it; implied, implied_std: its largest displacement
+    of a point (m). left_out (g, 3): for each group of poses its number, the squared leave-one-out
+    residual that no calibration error explains, and the number of its distances.
     """
 
     values: Array
