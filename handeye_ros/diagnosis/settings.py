@@ -14,17 +14,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import permutations
 import math
 
 from handeye_ros import se3, targets
-from handeye_ros.checks.alternatives import (
-    Fit,
-    Hypothesis,
-    range_sign_evidence,
-    require_stated,
-)
+from handeye_ros.checks.alternatives import Fit, Hypothesis, range_sign_evidence, require_stated
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Array, Profile, Reject, Sample
 from handeye_ros.errors import DataError, FeatureError, mm, NamedCauseError, UnusableMessageError
@@ -46,6 +40,7 @@ FEWEST_CONDITIONS = 6  # smallest redundancy of a hypothesis
 # If the stated setting fits too: smallest ratio of redundancy (also with the sign to without it),
 # largest of variance factors.
 MORE, WORSE = 1.5, 2.0
+SIGN = 'profile.range_sign'
 LAG = NS // 20  # ns between two profiles that are compared
 STILL_SHARE = 0.1  # smallest share of the comparisons with a robot at rest
 MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # largest change at rest: ratio, and at least (m)
@@ -74,41 +69,42 @@ def require_settings(session: Session, config: Config) -> None:
     if stated and stated.believable:
         least = MORE * stated.solution.redundancy
         most = WORSE * max(stated.variance_factor, 1.0)
-    found: dict[tuple[str, ...], tuple[int, DataError]] = {}
+    better: list[tuple[int, DataError]] = []
     for values in _changes(config):
-        hypothesis = _hypothesis(stops, config, values)
-        fit = hypothesis.refit()
-        if fit and fit.believable and fit.variance_factor < most and (
-                len(fit.parts[0].used) >= LEAST_SHARE * len(stops)):
-            change, count = tuple(values.values()), fit.solution.redundancy
+        fit = _explanation(stops, config, values, most)
+        if fit and fit.solution.redundancy >= least:
             # the sign of the range is often free, and then no part of the cause
-            without_sign = found[change[:1]][0] if change[:1] in found else 0
-            if count >= max(least, MORE * without_sign):
-                found[change] = count, hypothesis.refusal(fit)
-    if found:
-        raise max(found.values(), key=lambda one: one[0])[1]
+            without = {key: value for key, value in values.items() if key != SIGN}
+            if without and len(without) < len(values):
+                simpler = _explanation(stops, config, without, most, all_starts=True)
+                if simpler and fit.solution.redundancy < MORE * simpler.solution.redundancy:
+                    fit, values = simpler, without
+            better.append((fit.solution.redundancy, WrongSettingError(
+                values, len(fit.parts[0].used), len(stops), fit.solution.residual_rms)))
+    if better:
+        raise max(better, key=lambda one: one[0])[1]
+
+
+def _explanation(stops: Sequence[Stop], config: Config, values: dict[str, str], most: float,
+                 all_starts: bool = False) -> Fit | None:
+    """Return the fit of stops with other values of settings, or None; most: variance factor."""
+    fit = _fit(stops, _changed(config, values), all_starts)
+    if not fit or not fit.believable or fit.variance_factor >= most:
+        return None
+    return fit if len(fit.parts[0].used) >= LEAST_SHARE * len(stops) else None
 
 
 def _changes(config: Config) -> Iterator[dict[str, str]]:
     """Yield the likely corrections of settings, the most likely first."""
     profile = config.profile
-    sign = {'profile.range_sign': str(-profile.range_sign)}
+    sign = {SIGN: str(-profile.range_sign)}
     kinds = [{'target.type': name} for name in targets.METHODS if name != config.target.type]
-    other = {'m': 'mm', 'mm': 'm'}[profile.unit]
-    on_base = config.calibration_type == 'eye_on_base'
+    unit = {'m': 'mm', 'mm': 'm'}[profile.unit]
+    kind = {'eye_on_base': 'eye_in_hand', 'eye_in_hand': 'eye_on_base'}[config.calibration_type]
     axes = [{'profile.axes': f'[{a}, {b}]'} for a, b in permutations('xyz', 2)
             if (a, b) != tuple(profile.axes)]
-    yield from (sign, {'profile.unit': other}, *kinds, *axes,
-                {'calibration_type': 'eye_in_hand' if on_base else 'eye_on_base'})
+    yield from (sign, {'profile.unit': unit}, *kinds, *axes, {'calibration_type': kind})
     yield from (change | sign for change in (*kinds, *axes))
-
-
-def _hypothesis(stops: Sequence[Stop], config: Config, values: dict[str, str]) -> Hypothesis:
-    """Return the hypothesis of other values of settings."""
-    def refusal(fit: Fit) -> DataError:
-        used = len(fit.parts[0].used)
-        return WrongSettingError(values, used, len(stops), fit.solution.residual_rms)
-    return Hypothesis(partial(_fit, stops, _changed(config, values)), refusal)
 
 
 def _changed(config: Config, values: dict[str, str]) -> Config:
