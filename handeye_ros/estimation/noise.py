@@ -168,8 +168,8 @@ class Scales:
     The prior scales of d blocks, as variances over the configured ones.
 
     before: (d,) variances so far; evidence: (s, d) log likelihood (6) at each of the s SCALES;
-    fitted: (s, d) the gain, first term of (6); square: (s, d) sum of second moments of the block's
-    parameters; single: (d,) whether a block has one parameter; prior: (s, d) its log.
+    fitted: (s, d) the gain, twice the first term of (6); square: (s, d) sum of second moments of
+    the block's parameters; single: (d,) whether it has one parameter; prior: (s, d) its log.
     """
 
     before: Array
