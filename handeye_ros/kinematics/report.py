@@ -26,7 +26,7 @@ svg{max-width:100%;height:auto}</style><h1>{{ title }}</h1><p>{{ sentence }}.</p
 <h2>Error over the workspace</h2><p>Each dot is the flange of the uncorrected arm at one
 configuration. Its colour is the error of what the sensor sees there, predicted from the other
 regions of the joint space. Crosses contradict the others and are left out.</p>
-{{ picture | safe }}
+<div role="img" aria-label="error over the workspace">{{ picture | safe }}</div>
 {% for rows in tables %}<table>{% for row in rows %}<tr>{% for cell in row %}
 <td>{{ cell }}{% endfor %}{% endfor %}</table>
 {% endfor %}<p>Zero offset: add it to the reading of the joint.</p></html>

@@ -1,8 +1,8 @@
 """Common to the targets: ends of faces, collecting observations, linear search for a start."""
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
@@ -169,6 +169,21 @@ def nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: 
     away = np.sqrt(mean).reshape(-1, count)
     near = away <= away.min(axis=1, keepdims=True) + SAME_SURFACE
     return np.asarray(near.argmax(axis=1)[observations.station] == piece)
+
+
+def with_one_piece(problem: Problem, piece: NDArray[np.intp],
+                   choices: Iterable[tuple[Array, NDArray[np.bool_]]]) -> list[Problem]:
+    """
+    Return problems with one piece per station, one problem for each choice that differs.
+
+    piece: (m,) the piece of each observation; choices: ranks (n, k) of the pieces at each station,
+    of which the least is chosen, and which pieces (n, k) may be. Stations without one are dropped.
+    """
+    obs = problem.observations
+    chosen = [np.where(able.any(axis=1), np.where(able, rank, np.inf).argmin(axis=1), -1)
+              for rank, able in choices]
+    return [replace(problem, observations=obs.select(each[obs.station] == piece)).subset(
+        np.flatnonzero(each >= 0)) for each in {each.tobytes(): each for each in chosen}.values()]
 
 
 def some_stations(count: int, most: int, rng: np.random.Generator) -> NDArray[np.intp]:

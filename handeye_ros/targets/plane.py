@@ -40,6 +40,7 @@ from handeye_ros.targets.common import (
     ObservationRows,
     some_of,
     SOURCES,
+    with_one_piece,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -120,10 +121,8 @@ def one_surface(problem: Problem) -> list[Problem]:
     slope = ((xz - x * z / some) / np.maximum(xx - x * x / some, TINY))[:, :1]
     # of tilted surfaces, the nearer one lies above the extended line of the longest
     depth = sign * (z / some - slope * x / some)
-    ranks = [depth, np.broadcast_to(np.arange(count), shape), -depth]
-    chosen = [np.where(n, rank, np.inf).argmin(axis=1) for rank in ranks]
-    return [replace(problem, observations=obs.select(one[obs.station] == surface))
-            for one in chosen]
+    order = np.broadcast_to(np.arange(count, dtype=float), shape)
+    return with_one_piece(problem, surface, [(rank, n > 0) for rank in (depth, order, -depth)])
 
 
 def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:

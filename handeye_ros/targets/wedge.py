@@ -38,6 +38,7 @@ from handeye_ros.targets.common import (
     ObservationRows,
     some_of,
     SOURCES,
+    with_one_piece,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +119,7 @@ def one_corner(problem: Problem) -> list[Problem]:
     groove, where the faces meet on the other side; or any, that of the longest faces.
     """
     obs, pair = problem.observations, _pair(problem.observations)
-    if not pair.any():
+    if not several_corners(obs):
         return [problem]
     shape = (len(problem.poses), int(pair.max()) + 1)
     depth = np.full(shape, np.nan)  # of the corners over the range axis
@@ -135,11 +136,7 @@ def one_corner(problem: Problem) -> list[Problem]:
     convex = middle > depth
     choices = [(order, convex), (depth, convex), (-depth, convex), (order, middle <= depth),
                (order, ~np.isnan(depth))]
-    chosen = [np.where(able.any(axis=1), np.where(able, rank, np.inf).argmin(axis=1), -1)
-              for rank, able in choices]
-    different = {each.tobytes(): each for each in chosen}
-    parts = [replace(problem, observations=obs.select(each[obs.station] == pair)).subset(
-        np.flatnonzero(each >= 0)) for each in different.values()]
+    parts = with_one_piece(problem, pair, choices)
     return [part for part in parts if len(part.poses) >= MINIMUM]
 
 

@@ -17,12 +17,16 @@ from handeye_ros.errors import DataError
 from handeye_ros.sampling.errors import ClocksDifferError
 from handeye_ros.simulate import (
     FAULTS,
+    Scenario,
     SCENARIOS,
+    scenes,
     settings,
     simulate,
     simulate_samples,
     Simulated,
 )
+from handeye_ros.simulate.scenario import Layout
+from handeye_ros.simulate.solids import Box, Solid
 import numpy as np
 import pytest
 
@@ -52,6 +56,26 @@ def test_two_wrong_settings_are_named_together() -> None:
     with pytest.raises(WrongSettingError,
                        match='set target.type to plate and profile.range_sign to 1$'):
         solved('baseline', target__type='wedge', profile__range_sign=-1)
+
+
+def beside_another(scenario: Scenario) -> tuple[Solid, ...]:
+    """Return a block, and 2 mm beside it another one that is 1 mm lower: a plane fits both."""
+    length, width = scenario.target.length, 0.05
+    return (Box((0.0, 0.0, -width), (length, width, 0.0)),
+            Box((0.0, -0.022, -width), (length, -0.002, -0.001)))
+
+
+@pytest.mark.thorough
+def test_a_sign_that_changes_nothing_is_not_part_of_the_proposal(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(scenes.SCENES, 'beside', replace(
+        scenes.SCENES['wedge'], solids=beside_another))
+    cell = replace(FAULTS['wedge'], scene='beside', stated=(('target.type', 'wedge'),),
+                   layout=Layout(no_return='omit'), stations=(18, 0))
+    config = with_values(Config(), settings(cell), 'the test')
+    recording = simulate(cell, np.random.default_rng(11))
+    with pytest.raises(WrongSettingError, match='set target.type to plane; or'):
+        pipeline.calibrate(recording.profiles, recording.poses, config)
 
 
 def test_what_no_setting_mends_is_not_blamed_on_one() -> None:
