@@ -29,7 +29,7 @@ PROCESSORS ?= Haswell Zen $(shell grep -qw avx512f /proc/cpuinfo 2>/dev/null && 
 
 demo:
 	@tools/environment.sh .venv ros
-	.venv/bin/python -m handeye_ros.ros.demo --bag '$(BAG)' --config '$(CONFIG)' --out '$(OUT)'
+	.venv/bin/python -m handeye_ros.node.demo --bag '$(BAG)' --config '$(CONFIG)' --out '$(OUT)'
 
 # Every part of the product, in the environment of the demo; without the long tests, and with
 # fewer examples of each property.
@@ -72,11 +72,11 @@ lint:
 	.venv/bin/ruff check
 	.venv/bin/flake8
 	.venv/bin/mypy
+	.venv/bin/lint-imports
 
 # What the documentation draws and lists from the code.
 figures:
 	@tools/environment.sh .venv ros,kinematics,test,dev
-	.venv/bin/python tools/draw_architecture.py
 	.venv/bin/python tools/draw_targets.py
 	.venv/bin/python tools/draw_routines.py
 	.venv/bin/python tools/draw_demo.py

@@ -16,7 +16,7 @@ setup(
     maintainer_email='maintainers@handeye-ros.example.org',
     python_requires='>=3.11',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'results/assets/*', 'ros/page/assets/*']},
+    package_data={NAME: ['py.typed', 'results/assets/*', 'page/assets/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -36,16 +36,17 @@ setup(
         'dev': ['colcon-common-extensions', 'flake8', 'flake8-blind-except', 'flake8-builtins',
                 'flake8-class-newline', 'flake8-comprehensions', 'flake8-deprecated',
                 'flake8-docstrings', 'flake8-import-order', 'flake8-quotes', 'foxglove-sdk',
-                'mkdocs', 'mypy', 'pymdown-extensions', 'ruff', 'types-PyYAML', 'wheel'],
+                'import-linter', 'mkdocs', 'mypy', 'pymdown-extensions', 'ruff', 'types-PyYAML',
+                'wheel'],
     },
     entry_points={
         'console_scripts': [
             'handeye = handeye_ros.cli:main',
-            'calibrate = handeye_ros.ros.node.__main__:main',
-            'corrected_pose = handeye_ros.ros.corrected_pose:main',
-            'publish = handeye_ros.ros.publish:main',
-            'replay = handeye_ros.ros.replay:main',
-            'scan = handeye_ros.ros.scan:main',
+            'calibrate = handeye_ros.node.__main__:main',
+            'corrected_pose = handeye_ros.node.corrected_pose:main',
+            'publish = handeye_ros.node.publish:main',
+            'replay = handeye_ros.node.replay:main',
+            'scan = handeye_ros.node.scan:main',
         ],
     },
 )

@@ -29,10 +29,10 @@ import tempfile
 import time
 from typing import Any
 
+from handeye_ros.bags.bag_write import write
 from handeye_ros.batch.jobs import Job, Row, run
 from handeye_ros.batch.run import client_of, jobs_of, rows_of
 from handeye_ros.cli.batch import run_verb
-from handeye_ros.ros.bags.bag_write import write
 from handeye_ros.simulate import SCENARIOS, simulate
 import numpy as np
 import psutil

@@ -18,8 +18,8 @@ from collections import defaultdict
 import math
 
 from handeye_ros import config as configs
-from handeye_ros.comparison.compare import compare, Row
 from handeye_ros.config import Config
+from handeye_ros.published.compare import compare, Row
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
 import numpy as np
 from paired import print_header, print_nearest, print_table

@@ -38,20 +38,20 @@ import sys
 
 from handeye_ros import config as configs
 from handeye_ros import se3, targets
+from handeye_ros.checks.review import flat_crossing
 from handeye_ros.config import Config
 from handeye_ros.data import EdgePoint, Feature, Profile, Sample
-from handeye_ros.diagnosis.review import flat_crossing
 from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.estimation.consensus import Consensus, without_outliers
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.search import refined
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.formats.truth_file import mapped_point_error
 from handeye_ros.frames import mounted
 from handeye_ros.guidance.advice import advise
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.rules import limits_of
 from handeye_ros.guidance.score import extremes, learn_view, mapping, View
+from handeye_ros.results.truth_file import mapped_point_error
 from handeye_ros.sampling import station_features
 from handeye_ros.sampling.edge_shapes import consistent_edges
 from handeye_ros.sampling.field_of_view import require_inside

@@ -26,9 +26,9 @@ import time
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
+from handeye_ros.bags.bag_write import cloud_cdr
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
-from handeye_ros.ros.bags.bag_write import cloud_cdr
 from kills import check, KILLS_OF_A_SESSION, NS, profile, SETTINGS, stop, Tally
 import numpy as np
 import rclpy
@@ -131,7 +131,7 @@ def killed(parent: Path, rng: random.Random) -> tuple[Tally, float]:
     """Let a node work for a while and kill it; return what it acknowledged, and s to restore."""
     given = SETTINGS | {'output_dir': str(parent)}
     words = [word for key, value in given.items() for word in ('-p', f'{key}:={value}')]
-    process = subprocess.Popen([sys.executable, '-m', 'handeye_ros.ros.node', '--ros-args', *words,
+    process = subprocess.Popen([sys.executable, '-m', 'handeye_ros.node', '--ros-args', *words,
                                 '--log-level', 'fatal'])
     operator = Operator(process, rng)
     worker = threading.Thread(target=operator.work)

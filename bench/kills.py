@@ -4,7 +4,7 @@ Kills a running session at random moments, and counts what is lost of what was a
     .venv/bin/python bench/kills.py
 
 The process runs the session of the node, fed directly instead of over ROS;
-test/ros/node/test_cell.py kills the node itself. After each SIGKILL the session has to be
+test/node/test_cell.py kills the node itself. After each SIGKILL the session has to be
 readable, by handeye and by stock readers of rosbag2 and mcap, hold every sample that was
 acknowledged and not removed, and go on.
 """
@@ -22,15 +22,15 @@ import tempfile
 import time
 import traceback
 
+from handeye_ros.bags.bag_write import cloud_cdr
+from handeye_ros.bags.session_files import files_of
+from handeye_ros.bags.session_reading import read_session
+from handeye_ros.bags.session_store import OutputFolders, resumed
+from handeye_ros.bags.session_writing import SessionStore
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Profile, TimedPose
 from handeye_ros.errors import HandeyeError
-from handeye_ros.ros.bags.bag_write import cloud_cdr
-from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.sessions.bag_files import files_of
-from handeye_ros.ros.sessions.reading import read_session
-from handeye_ros.ros.sessions.store import OutputFolders, resumed
-from handeye_ros.ros.sessions.writing import SessionStore
+from handeye_ros.node.live import LiveSession
 from handeye_ros.sampling.stops import sample_of
 from mcap.reader import make_reader
 import numpy as np

@@ -21,12 +21,12 @@ from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.linearise import Problem
-from handeye_ros.kinematics.estimate import adjusted, fit_of, fitted, State, Weights
-from handeye_ros.kinematics.model import Arm, GEOMETRY, ON_DEMAND, parameters
-from handeye_ros.kinematics.outcome import Outcome, solve, solve_points
-from handeye_ros.kinematics.points import Points
-from handeye_ros.kinematics.profiles import profiles_of
-from handeye_ros.kinematics.urdf import chain_of
+from handeye_ros.robot.estimate import adjusted, fit_of, fitted, State, Weights
+from handeye_ros.robot.model import Arm, GEOMETRY, ON_DEMAND, parameters
+from handeye_ros.robot.outcome import Outcome, solve, solve_points
+from handeye_ros.robot.points import Points
+from handeye_ros.robot.profiles import profiles_of
+from handeye_ros.robot.urdf import chain_of
 from handeye_ros.simulate import arm, SCENARIOS, settings
 from handeye_ros.simulate import cell as cells
 from handeye_ros.simulate.scenes import anywhere, SCENES

@@ -28,8 +28,8 @@ import time
 from typing import Any
 
 from handeye_ros import se3
+from handeye_ros.bags.bag_write import LAYOUTS, serialised
 from handeye_ros.data import Array, Profile, TimedPose
-from handeye_ros.ros.bags.bag_write import LAYOUTS, serialised
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
@@ -177,7 +177,7 @@ def listener(kind: str, folder: str, *settings: str
              ) -> Iterator[tuple[subprocess.Popen[str], Path]]:
     """Run the empty subscriber, or the node with settings; what it prints goes to a file."""
     log = Path(folder) / f'{kind}.log'
-    node = ['-m', 'handeye_ros.ros.node', '--ros-args', '-p', 'target.type:=sphere', '-p',
+    node = ['-m', 'handeye_ros.node', '--ros-args', '-p', 'target.type:=sphere', '-p',
             'target.radius:=0.04', '-p', f'output_dir:={folder}',
             *(word for setting in settings for word in ('-p', setting))]
     with log.open('w') as stream:

@@ -37,7 +37,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
-from handeye_ros.formats.truth_file import errors_against, field_points
+from handeye_ros.results.truth_file import errors_against, field_points
 from handeye_ros.simulate import (
     FAULTS,
     Scenario,

@@ -21,10 +21,10 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.config import Config, with_values
-from handeye_ros.files import hand_eye_estimate, points, tracker_estimate
-from handeye_ros.files.sweeps import sweep_from
 from handeye_ros.published import cn105021139a, jing2020, wu2017
 from handeye_ros.simulate.measured import RADIUS, SENSOR, simulate_tracker
+from handeye_ros.tabulated import hand_eye_estimate, points, tracker_estimate
+from handeye_ros.tabulated.sweeps import sweep_from
 import numpy as np
 from paired import errors, grid, print_header, print_nearest, print_table
 from scipy.spatial.transform import Rotation

@@ -23,10 +23,10 @@ import sys
 import tempfile
 import time
 
+from handeye_ros.bags import bag
+from handeye_ros.bags.bag_write import LAYOUTS, serialised
 from handeye_ros.config import Config, load
 from handeye_ros.data import Profile, TimedPose
-from handeye_ros.ros.bags import bag
-from handeye_ros.ros.bags.bag_write import LAYOUTS, serialised
 from handeye_ros.simulate import SCENARIOS, simulate
 from mcap.writer import CompressionType, Writer
 import numpy as np

@@ -13,7 +13,7 @@ import argparse
 from handeye_ros import config as configs
 from handeye_ros import pipeline
 from handeye_ros.config import Config
-from handeye_ros.formats.truth_file import mapped_point_error
+from handeye_ros.results.truth_file import mapped_point_error
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 import numpy as np
 

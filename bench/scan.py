@@ -19,13 +19,13 @@ import sys
 import tempfile
 import time
 
+from handeye_ros.bags import bag_write
+from handeye_ros.bags.bag import flow
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, Profile, Quality, TimedPose
-from handeye_ros.ros.bags import bag_write
-from handeye_ros.ros.bags.bag import flow
+from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.cloud_files import cloud_writer
 from handeye_ros.scanning.scan import Scanner, ScanOptions
-from handeye_ros.streams.trajectory import track_of
 import numpy as np
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores

@@ -26,7 +26,7 @@ from typing import Any
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import HandeyeError
-from handeye_ros.formats.truth_file import errors_against
+from handeye_ros.results.truth_file import errors_against
 from handeye_ros.simulate import FAULTS, Scenario, settings, simulate
 from handeye_ros.simulate.scenario import Layout, PlateTarget, WedgeTarget
 from handeye_ros.simulate.scenes import SCENES

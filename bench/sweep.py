@@ -31,7 +31,7 @@ from accuracy import NO_PRIORS
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import HandeyeError
-from handeye_ros.formats.truth_file import errors_against, field_points
+from handeye_ros.results.truth_file import errors_against, field_points
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate
 from handeye_ros.simulate.scenario import Sweep
 import numpy as np

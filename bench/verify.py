@@ -24,11 +24,11 @@ from itertools import product
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, NoiseConfig, VerifyConfig
 from handeye_ros.data import Array, Calibration, Quality, Sample
+from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.simulate import gauges
 from handeye_ros.simulate.measuring import Pass, rendered
 from handeye_ros.simulate.scenario import RobotModel, Scenario, SensorModel
 from handeye_ros.simulate.stations import Stops
-from handeye_ros.streams.trajectory import track_of
 from handeye_ros.verification.routines import Routine, ROUTINES, TEETH
 from handeye_ros.verification.shapes import StationSet
 from handeye_ros.verification.tooth_gauge import stations_of_pass

@@ -18,10 +18,10 @@ import re
 import tempfile
 
 from handeye_ros import pipeline, se3
+from handeye_ros.bags import bag, bag_write
 from handeye_ros.config import Config, with_assignments, with_values
 from handeye_ros.data import Calibration
 from handeye_ros.errors import HandeyeError
-from handeye_ros.ros.bags import bag, bag_write
 from handeye_ros.simulate import FAULTS, SCENARIOS, settings, simulate
 import numpy as np
 

@@ -10,13 +10,13 @@ from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from handeye_ros.bags.bag import read as read_bag
     from handeye_ros.config import Config
     from handeye_ros.config import load as load_config
     from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
     from handeye_ros.errors import DataError, HandeyeError, InputError
-    from handeye_ros.formats.calibration_file import read_calibration, write_calibration
     from handeye_ros.pipeline import calibrate, gather, solve
-    from handeye_ros.ros.bags.bag import read as read_bag
+    from handeye_ros.results.calibration_file import read_calibration, write_calibration
 
 __all__ = [
     'calibrate', 'Calibration', 'Config', 'DataError', 'gather', 'HandeyeError', 'InputError',
@@ -29,9 +29,9 @@ _HOMES = {
     'data': {name: name for name in ('Calibration', 'Profile', 'Reject', 'Sample', 'TimedPose')},
     'errors': {name: name for name in ('DataError', 'HandeyeError', 'InputError')},
     'pipeline': {name: name for name in ('calibrate', 'gather', 'solve')},
-    'formats.calibration_file': {
+    'results.calibration_file': {
         name: name for name in ('read_calibration', 'write_calibration')},
-    'ros.bags.bag': {'read_bag': 'read'},
+    'bags.bag': {'read_bag': 'read'},
 }
 
 

@@ -12,6 +12,8 @@ from handeye_ros import targets
 from handeye_ros.checks.consistency import require_answer, require_own_frame, require_solvable
 from handeye_ros.checks.conventions import require_agreement
 from handeye_ros.checks.errors import CountedWrongWayError, LeftOutError, TooUncertainError
+from handeye_ros.checks.review import stop_snapshots
+from handeye_ros.checks.settings import require_same_clock, require_settings
 from handeye_ros.checks.shape import (
     believable_shape,
     notes_of,
@@ -22,16 +24,14 @@ from handeye_ros.checks.shape import (
 )
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
-from handeye_ros.diagnosis.review import stop_snapshots
-from handeye_ros.diagnosis.settings import require_same_clock, require_settings
 from handeye_ros.errors import DataError, NamedCauseError
 from handeye_ros.estimation.consensus import Consensus
+from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mounted
 from handeye_ros.guidance import advice
-from handeye_ros.least_squares.solver import single_threaded
 from handeye_ros.results.evidence import Evidence, evidence_of
 from handeye_ros.results.outcome import describe_calibration, NuisanceReport
 from handeye_ros.sampling.edge_shapes import consistent_edges

@@ -9,7 +9,7 @@ import signal
 import sys
 from typing import Any
 
-from handeye_ros.ros.domain import claimed_domain
+from handeye_ros.node.domain import claimed_domain
 from hypothesis import settings
 import pytest
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 from command import assert_refused, handeye, PLATE
 from handeye_ros import simulate
-from handeye_ros.formats.calibration_file import read_calibration
-from handeye_ros.ros.bags import bag_write, storage
+from handeye_ros.bags import bag_write, storage
+from handeye_ros.results.calibration_file import read_calibration
 import numpy as np
 import pytest
 from recordings import rewrite

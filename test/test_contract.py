@@ -12,7 +12,7 @@ import sys
 import handeye_ros
 from handeye_ros import config as configs
 from handeye_ros.cli import command
-from handeye_ros.files import FILE_METHODS
+from handeye_ros.tabulated import FILE_METHODS
 from handeye_ros.targets import METHODS
 import pytest
 import typer.main

@@ -4,9 +4,9 @@ from __future__ import annotations
 from pathlib import Path
 import sys
 
+from handeye_ros.bags.session_reading import read_session
 from handeye_ros.config import Config, load, with_assignments
 from handeye_ros.errors import BagError, InputError
-from handeye_ros.ros.sessions.reading import read_session
 import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / 'bench'))

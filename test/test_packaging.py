@@ -95,7 +95,7 @@ def test_launch_and_config_files_are_installed(workspace: Path, folder: str) -> 
     assert installed == expected
 
 
-@pytest.mark.parametrize('folder', ['ros/page/assets', 'results/assets'])
+@pytest.mark.parametrize('folder', ['page/assets', 'results/assets'])
 def test_what_pages_are_made_of_is_installed(workspace: Path, folder: str) -> None:
     expected = {file.name for file in (ROOT / NAME / folder).iterdir()}
     assert expected

@@ -15,15 +15,15 @@ from handeye_ros.checks.errors import (
     TooFewEdgesError,
     TooFewSamplesError,
 )
+from handeye_ros.checks.settings import WrongSettingError
 from handeye_ros.config import load, with_values
 from handeye_ros.data import Calibration, Profile, TimedPose
-from handeye_ros.diagnosis.settings import WrongSettingError
 from handeye_ros.errors import DataError
-from handeye_ros.formats.calibration_file import read_calibration, write_calibration
+from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.sampling.errors import NoPosesError, NoStationsError
+from handeye_ros.sampling.stream_errors import TwoFramesError
 from handeye_ros.simulate import FAULTS, SCENARIOS, settings
 from handeye_ros.simulate.scenario import PlateTarget
-from handeye_ros.streams.errors import TwoFramesError
 import numpy as np
 import pytest
 
@@ -290,7 +290,7 @@ def test_profiles_without_any_noise_are_no_trouble(scene: str) -> None:
 
 @pytest.mark.skipif(not REAL.exists(), reason=f'the real recording is not at {REAL}')
 def test_the_real_sphere_is_better_than_the_published_transform() -> None:
-    from handeye_ros.ros.bags import bag
+    from handeye_ros.bags import bag
     config = load(ROOT / 'config' / 'sphere.yaml')
     read = bag.read(REAL, config)
     found = pipeline.calibrate(read.profiles, read.poses, config)

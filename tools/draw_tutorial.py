@@ -16,10 +16,9 @@ import tempfile
 
 from handeye_ros import config as configs
 from handeye_ros import pipeline
-from handeye_ros.formats import exports
-from handeye_ros.results import figures, pages
+from handeye_ros.bags.bag import read
+from handeye_ros.results import exports, figures, pages
 from handeye_ros.results.evidence import Evidence
-from handeye_ros.ros.bags.bag import read
 
 ROOT = Path(__file__).parents[1]
 STOP = 5  # shown as an example

@@ -54,7 +54,7 @@ def main(path: Path) -> None:
     from rclpy.node import Node
     rclpy.init()
     observer = Node('observer')
-    with subprocess.Popen([sys.executable, '-m', 'handeye_ros.ros.node']) as process:
+    with subprocess.Popen([sys.executable, '-m', 'handeye_ros.node']) as process:
         try:
             path.write_text(policy(steady(observer, process)), encoding='utf-8')
         finally:

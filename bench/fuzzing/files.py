@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from fuzzing.damage import Case, damaged
+from handeye_ros.bags import bag
+from handeye_ros.bags.session_reading import read_session
 from handeye_ros.config import Config, load
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
-from handeye_ros.formats.calibration_file import read_calibration
-from handeye_ros.formats.truth_file import true_transform
-from handeye_ros.ros.bags import bag
-from handeye_ros.ros.sessions.reading import read_session
+from handeye_ros.results.calibration_file import read_calibration
+from handeye_ros.results.truth_file import true_transform
 from handeye_ros.tables import Table
 import numpy as np
 

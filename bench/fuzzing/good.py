@@ -7,12 +7,12 @@ import shutil
 
 from fuzzing.messages import X
 from handeye_ros import pipeline
+from handeye_ros.bags import bag, bag_write
+from handeye_ros.bags.contents import CLOUD, POSE, Raw
+from handeye_ros.bags.session_writing import SessionStore
 from handeye_ros.config import Config, load
 from handeye_ros.data import Profile, TimedPose
-from handeye_ros.formats.calibration_file import write_calibration
-from handeye_ros.ros.bags import bag, bag_write
-from handeye_ros.ros.bags.contents import CLOUD, POSE, Raw
-from handeye_ros.ros.sessions.writing import SessionStore
+from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.sampling.stops import Stop
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter

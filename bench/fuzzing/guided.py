@@ -11,19 +11,20 @@ from typing import Any
 
 import atheris
 from fuzzing.messages import check_cloud, CONFIGS, GOOD_CLOUD, GOOD_POSE
+from handeye_ros.bags import bag
+from handeye_ros.bags.messages import pose_from_cdr
 from handeye_ros.config import Config
 from handeye_ros.errors import HandeyeError
-from handeye_ros.ros.bags import bag
-from handeye_ros.ros.bags.messages import pose_from_cdr
 
 
 def read_functions() -> list[Any]:
     """Return the functions and methods of what reads messages and bags."""
-    modules = [m for name, m in sys.modules.items() if name.startswith('handeye_ros.ros.bags.')]
+    modules = [m for name, m in sys.modules.items() if name.startswith('handeye_ros.bags.')]
     classes = [c for module in modules for c in vars(module).values()
                if inspect.isclass(c) and c.__module__ == module.__name__]
     return [function for owner in (*modules, *classes) for function in vars(owner).values()
-            if inspect.isfunction(function) and function.__module__.startswith('handeye_ros.ros.')]
+            if inspect.isfunction(function)
+            and function.__module__.startswith('handeye_ros.bags.')]
 
 
 def guided(seconds: float) -> None:

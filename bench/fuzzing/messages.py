@@ -7,14 +7,14 @@ import struct
 from types import SimpleNamespace
 
 from fuzzing.damage import Case, damaged, size
+from handeye_ros.bags import bag_write
+from handeye_ros.bags.contents import CLOUD
+from handeye_ros.bags.messages import deserialised, pose_from_cdr, returns_from_cloud
+from handeye_ros.bags.profile_reader import ProfileReader, split
+from handeye_ros.bags.transforms import FlangeTracker, Transforms
 from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.data import Profile, TimedPose
 from handeye_ros.errors import HandeyeError
-from handeye_ros.ros.bags import bag_write
-from handeye_ros.ros.bags.contents import CLOUD
-from handeye_ros.ros.bags.messages import deserialised, pose_from_cdr, returns_from_cloud
-from handeye_ros.ros.bags.profile_reader import ProfileReader, split
-from handeye_ros.ros.bags.transforms import FlangeTracker, Transforms
 from handeye_ros.sampling.session import Session
 import numpy as np
 

@@ -14,8 +14,8 @@ from typing import Any
 from handeye_ros import output
 from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
-from handeye_ros.formats.verification_file import FORMAT as VERIFICATION
-from handeye_ros.formats.verification_file import formatted
+from handeye_ros.results.verification_file import FORMAT as VERIFICATION
+from handeye_ros.results.verification_file import formatted
 from handeye_ros.verification.check import FORMAT as CHECK
 from handeye_ros.verification.verification import time_of
 import numpy as np

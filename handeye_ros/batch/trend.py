@@ -9,9 +9,9 @@ from typing import Any
 from handeye_ros import output, se3
 from handeye_ros.batch.errors import NoTrendError
 from handeye_ros.data import Array, Calibration
-from handeye_ros.formats.calibration_file import read_calibration
-from handeye_ros.formats.errors import CalibrationFileError
-from handeye_ros.least_squares.outliers import chi2_isf, chi2_sf
+from handeye_ros.estimation.outliers import chi2_isf, chi2_sf
+from handeye_ros.results.calibration_file import read_calibration
+from handeye_ros.results.errors import CalibrationFileError
 from handeye_ros.verification.verification import time_of
 import numpy as np
 from rich.markup import escape

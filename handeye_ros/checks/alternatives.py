@@ -26,9 +26,9 @@ from handeye_ros.data import EdgePoint, Feature, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.outliers import chi2_isf, FALSE_ALARM
 from handeye_ros.estimation.search import CONVINCING
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.least_squares.outliers import chi2_isf, FALSE_ALARM
 import numpy as np
 
 RARE = 1e-5  # probability of naming a wrong cause

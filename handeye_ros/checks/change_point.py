@@ -29,10 +29,10 @@ from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.noise import TURN_LENGTH, whitening
+from handeye_ros.estimation.outliers import chi2_isf
 from handeye_ros.estimation.posterior import evaluated, reestimated
 from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, target_frame
-from handeye_ros.least_squares.outliers import chi2_isf
 import numpy as np
 from numpy.typing import NDArray
 

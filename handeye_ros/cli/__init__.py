@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from typer import Typer
 
-OFFERED = ('main',)
-
 
 def command() -> 'Typer':
     """Return the command; importing a module adds its verbs."""

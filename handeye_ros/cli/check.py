@@ -127,8 +127,8 @@ def trend(folder: TrendFolder, against: TrendAgainst = None, picture: TrendPictu
     from handeye_ros.batch import charts
     from handeye_ros.batch import trend as trends
     from handeye_ros.batch.errors import NoTrendError
-    from handeye_ros.formats.calibration_file import read_calibration
     from handeye_ros.output import write_whole
+    from handeye_ros.results.calibration_file import read_calibration
     measured, bad = charts.charts(folder)
     try:
         entries, warnings = trends.trend(folder, read_calibration(against) if against else None)

@@ -17,9 +17,9 @@ import typer
 from typer.core import TyperGroup
 
 if TYPE_CHECKING:
+    from handeye_ros.bags.bag import Recording
+    from handeye_ros.bags.session_reading import Stored
     from handeye_ros.config import Config
-    from handeye_ros.ros.bags.bag import Recording
-    from handeye_ros.ros.sessions.reading import Stored
 
 NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
 Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
@@ -59,7 +59,7 @@ def with_kinematics(assignments: list[str], file: Path | None) -> list[str]:
     """Return assignments, preceded by those of a kinematics.yaml."""
     if file is None:
         return assignments
-    from handeye_ros.kinematics.urdf import read_arm
+    from handeye_ros.robot.urdf import read_arm
     chain = read_arm(file).chain
     return [f'kinematics={file.absolute()}', f'robot_base_frame={chain.base}',
             f'robot_effector_frame={chain.flange}', *assignments]
@@ -69,14 +69,14 @@ def stored_session(path: Path) -> 'Stored | None':
     """Return the session in a folder, None if there is none."""
     if not path.is_dir():
         return None
-    from handeye_ros.ros.sessions.reading import is_session, read_session
+    from handeye_ros.bags.session_reading import is_session, read_session
     return read_session(path) if is_session(path) else None
 
 
 def read_bag(bag: Path, settings: 'Config') -> 'Recording':
     """Return the contents of a bag; print its warnings."""
     with advancing('reading the recording') as progress:
-        from handeye_ros.ros.bags.bag import read
+        from handeye_ros.bags.bag import read
         recording = read(bag, settings, progress)
     for warning in recording.warnings:
         warn(warning)

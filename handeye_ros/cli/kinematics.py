@@ -18,9 +18,9 @@ import typer
 
 if TYPE_CHECKING:
     from handeye_ros.config import Config
-    from handeye_ros.kinematics.answer import Answer
-    from handeye_ros.kinematics.model import Chain
-    from handeye_ros.kinematics.samples import Source
+    from handeye_ros.robot.answer import Answer
+    from handeye_ros.robot.model import Chain
+    from handeye_ros.robot.samples import Source
 
 
 @app.command()
@@ -52,7 +52,7 @@ def kinematics(
     files = _for_each(sources, configs)
     settings = configuration(files[0], assignments)
     _require_kinds(parameters)
-    from handeye_ros.kinematics.urdf import read_chain
+    from handeye_ros.robot.urdf import read_chain
     text, chain = read_chain(urdf, base, flange)
     answer = (_solve_table(sources[0], urdf, chain, parameters, settings) if _table(sources) else
               _solve_profiles(zip(sources, files, strict=True), urdf, chain, parameters,
@@ -80,7 +80,7 @@ def _for_each(sources: list[Path], configs: list[Path]) -> Sequence[Path | None]
 
 
 def _write(answer: 'Answer', urdf: str, out: Path, settings: 'Config') -> None:
-    from handeye_ros.kinematics.report import table, write_page
+    from handeye_ros.robot.report import table, write_page
     for warning in answer.warnings:
         warn(warning)
     show(table(answer))
@@ -90,7 +90,7 @@ def _write(answer: 'Answer', urdf: str, out: Path, settings: 'Config') -> None:
 
 def _require_kinds(kinds: list[str]) -> None:
     from handeye_ros.errors import UnknownNameError
-    from handeye_ros.kinematics.model import ON_DEMAND
+    from handeye_ros.robot.model import ON_DEMAND
     for kind in kinds:
         if kind not in ON_DEMAND:
             raise UnknownNameError('kind of parameter', kind, ON_DEMAND)
@@ -98,8 +98,8 @@ def _require_kinds(kinds: list[str]) -> None:
 
 def _solve_table(source: Path, urdf: Path, chain: 'Chain', extra_kinds: list[str],
                  settings: 'Config') -> 'Answer':
-    from handeye_ros.formats.calibration_file import input_values
-    from handeye_ros.kinematics.answer import solve_table
+    from handeye_ros.results.calibration_file import input_values
+    from handeye_ros.robot.answer import solve_table
     with doing('solving'):
         return solve_table(source, chain, extra_kinds, settings,
                            [input_values(source), input_values(urdf)])
@@ -107,8 +107,8 @@ def _solve_table(source: Path, urdf: Path, chain: 'Chain', extra_kinds: list[str
 
 def _solve_profiles(paths: Iterable[tuple[Path, Path | None]], urdf: Path, chain: 'Chain',
                     extra_kinds: list[str], assignments: list[str]) -> 'Answer':
-    from handeye_ros.formats.calibration_file import input_values
-    from handeye_ros.kinematics.samples import solve_sources
+    from handeye_ros.results.calibration_file import input_values
+    from handeye_ros.robot.samples import solve_sources
     sources = [_source(path, chain, config, assignments) for path, config in paths]
     with doing('solving'):
         return solve_sources(sources, chain, extra_kinds, [input_values(urdf)])
@@ -116,9 +116,9 @@ def _solve_profiles(paths: Iterable[tuple[Path, Path | None]], urdf: Path, chain
 
 def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[str]) -> 'Source':
     """Return the samples of a bag or a session; the settings of a session are the default."""
-    from handeye_ros.kinematics.samples import source_of
-    from handeye_ros.ros.bags.bag import read_with_joints
-    from handeye_ros.ros.sessions.reading import source_of_session
+    from handeye_ros.bags.bag import read_with_joints
+    from handeye_ros.bags.session_reading import source_of_session
+    from handeye_ros.robot.samples import source_of
     stored = stored_session(path)
     settings = configuration(config, assignments, stored.config if stored else None)
     if stored:
@@ -131,8 +131,8 @@ def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[s
 
 def _proposed(answer: 'Answer', count: int, out: Path) -> str:
     """Write the most useful next configurations; return their predicted gain."""
-    from handeye_ros.kinematics.programme import programme
     from handeye_ros.output import write_whole
+    from handeye_ros.robot.programme import programme
     proposal = programme(answer.outcome.models[-1].fit, count)
     write_whole(out / 'programme.csv', proposal.as_csv())
     write_whole(out / 'programme.yaml', proposal.as_trajectory())

@@ -14,7 +14,7 @@ def replay(
 ) -> None:
     """Publish a recording on its topics, with /clock (needs ROS)."""
     try:
-        from handeye_ros.ros.replay import replay as publish
+        from handeye_ros.node.replay import replay as publish
     except ModuleNotFoundError as error:
         raise NoRosError('replay', str(error.name)) from error
     publish(bag, rate)

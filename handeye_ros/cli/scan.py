@@ -33,7 +33,7 @@ def calibrated(file: Path, config: Path | None, assignments: list[str]
                ) -> tuple['Calibration', 'Config']:
     """Return a calibration, and the settings to measure with it."""
     from handeye_ros.config import load, with_assignments
-    from handeye_ros.formats.calibration_file import read_calibration
+    from handeye_ros.results.calibration_file import read_calibration
     from handeye_ros.results.evidence import use_config
     calibration = read_calibration(file)
     settings = use_config(calibration, load(config) if config else None)
@@ -61,10 +61,10 @@ def scan(
         '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
 ) -> None:
     """Put the profiles of a recording into the robot's base: a cloud of points."""
-    from handeye_ros.ros.bags.bag import flow
+    from handeye_ros.bags.bag import flow
+    from handeye_ros.sampling.trajectory import track_of
     from handeye_ros.scanning.cloud_files import cloud_writer, header_of
     from handeye_ros.scanning.scan import Scanner, ScanOptions
-    from handeye_ros.streams.trajectory import track_of
     header_of(out)
     answer, settings = calibrated(calibration, config, with_kinematics(assignments, kinematics))
     scanner = Scanner(answer, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
@@ -193,9 +193,9 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
         return read_cloud(path), 'base'
     if calibration is None:
         raise NeedsCalibrationError(path)
-    from handeye_ros.ros.bags.bag import flow
+    from handeye_ros.bags.bag import flow
+    from handeye_ros.sampling.trajectory import track_of
     from handeye_ros.scanning.scan import Scanner, ScanOptions
-    from handeye_ros.streams.trajectory import track_of
     answer, settings = calibrated(calibration, config, assignments)
     scanner = Scanner(answer, settings, ScanOptions(voxel=THINNED))
     with doing('scanning'):
@@ -217,7 +217,7 @@ def _write_others(result: 'Seam', frames: 'ToolFrames', frame: str, out: Path,
     if bag:
         import time
 
-        from handeye_ros.ros.bags.bag_write import write_path
+        from handeye_ros.bags.bag_write import write_path
         write_path(out / 'path', frames.T_base_tool, frame, time.time_ns(), force=True)
     if picture:
         from handeye_ros.scanning.seam import draw_seam

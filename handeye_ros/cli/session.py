@@ -44,7 +44,7 @@ def calibrate(
     for text in [*assignments, *(['session=last'] if resume else [])]:
         key, _, value = text.partition('=')
         arguments += ['-p', f'{key.strip()}:={value}']
-    command = [sys.executable, '-m', 'handeye_ros.ros.node']
+    command = [sys.executable, '-m', 'handeye_ros.node']
     os.execv(sys.executable, [*command, *(['--ros-args', *arguments] if arguments else [])])
 
 
@@ -56,7 +56,7 @@ def samples(
     assignments: Assignments = [],  # noqa: B006 - never changed
 ) -> None:
     """Show the samples of a session, and how well each agrees with the others."""
-    from handeye_ros.diagnosis.review import review
+    from handeye_ros.checks.review import review
     from handeye_ros.errors import DataError
     stored = stored_session(path)
     settings = configuration(config, assignments, stored.config if stored else None)
@@ -83,7 +83,7 @@ def _gathered(path: Path, settings: 'Config') -> 'Session':
 
 def _table(session: 'Session', agreements: dict[int, tuple[float, float, bool]]) -> 'Table':
     """Return the table of the samples, the largest left-out residuals first."""
-    from handeye_ros.diagnosis.review import sample_summary
+    from handeye_ros.checks.review import sample_summary
     from rich import box
     from rich.table import Table
     columns = Table(box=box.SIMPLE_HEAD, pad_edge=False)
@@ -112,8 +112,8 @@ def export(
         'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
 ) -> None:
     """Write a saved calibration for other programs: URDF, launch file, shell line, ..."""
-    from handeye_ros.formats import exports
-    from handeye_ros.formats.calibration_file import file_of, read_calibration
+    from handeye_ros.results import exports
+    from handeye_ros.results.calibration_file import file_of, read_calibration
     form, file = exports.format_of(name), file_of(path)
     calibration = read_calibration(file)
     if str(out) == '-':
@@ -135,13 +135,12 @@ def report(
     )] = [],  # noqa: B006 - never changed
 ) -> None:
     """Show a saved calibration or verification, and its evidence, in one HTML file."""
-    from handeye_ros.formats import exports
-    from handeye_ros.formats.calibration_file import file_of, read_calibration
-    from handeye_ros.formats.verification_file import content_of as verification_in
-    from handeye_ros.formats.verification_file import read
+    from handeye_ros.bags.bag import evidence
     from handeye_ros.output import write_whole
-    from handeye_ros.results import pages
-    from handeye_ros.ros.bags.bag import evidence
+    from handeye_ros.results import exports, pages
+    from handeye_ros.results.calibration_file import file_of, read_calibration
+    from handeye_ros.results.verification_file import content_of as verification_in
+    from handeye_ros.results.verification_file import read
     if path.is_file() and (values := verification_in(path)):
         html = (out or path.with_suffix('.html')).absolute()
         write_whole(html, pages.protocol(values))

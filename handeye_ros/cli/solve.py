@@ -24,12 +24,12 @@ from handeye_ros.errors import TableForProfilesError
 import typer
 
 if TYPE_CHECKING:
+    from handeye_ros.bags.bag import Recording
+    from handeye_ros.bags.session_reading import Stored
     from handeye_ros.config import Config
     from handeye_ros.data import Array, Calibration
-    from handeye_ros.files.method import FileMethod
-    from handeye_ros.files.method import Input as Given
-    from handeye_ros.ros.bags.bag import Recording
-    from handeye_ros.ros.sessions.reading import Stored
+    from handeye_ros.tabulated.method import FileMethod
+    from handeye_ros.tabulated.method import Input as Given
 
 
 TableFile = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the table as YAML too.')]
@@ -51,10 +51,9 @@ def solve(
     assignments = with_kinematics(assignments, kinematics)
     settings = configuration(config, assignments, stored.config if stored else None, angles)
 
-    from handeye_ros.formats import exports
-    from handeye_ros.formats.truth_file import errors_against, true_transform
     from handeye_ros.output import folder_name
-    from handeye_ros.results import table
+    from handeye_ros.results import exports, table
+    from handeye_ros.results.truth_file import errors_against, true_transform
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
     method, T_true = _file_method(path, settings), true_transform(path)
     calibration, field = (_solve_files(method, path, settings) if method else
@@ -70,10 +69,10 @@ def solve(
 
 def _file_method(path: Path, settings: 'Config') -> 'FileMethod[Any] | None':
     """Return the method of a target that is solved from files, None for one of profiles."""
-    from handeye_ros import files
-    method = files.of(settings)
+    from handeye_ros import tabulated
+    method = tabulated.of(settings)
     if method is None and path.suffix in TABLES and path.is_file():
-        raise TableForProfilesError(path, settings.target.type, list(files.FILE_METHODS))
+        raise TableForProfilesError(path, settings.target.type, list(tabulated.FILE_METHODS))
     return method
 
 
@@ -102,7 +101,7 @@ def _with_inputs(calibration: 'Calibration', inputs: list[dict[str, str]]) -> 'C
 def _read_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
                 ) -> 'Given[Any]':
     def read(bag: Path, settings: 'Config') -> 'Recording':
-        from handeye_ros.ros.bags import bag as bags
+        from handeye_ros.bags import bag as bags
         return bags.read(bag, settings)
 
     with doing('reading the files'):
@@ -117,7 +116,7 @@ def _solve_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
     """Return the calibration, and the points over which its errors are reported."""
     content = _read_files(method, path, settings)
     with doing('solving'):
-        from handeye_ros.files.method import calibrate
+        from handeye_ros.tabulated.method import calibrate
         return calibrate(method, content, settings), method.field(content.data)
 
 
@@ -132,10 +131,10 @@ def compare(
     """Put the same samples through every estimator that applies, ours and published ones."""
     settings = configuration(config, assignments, angles=angles)
 
-    from handeye_ros.comparison import compare as comparing
-    from handeye_ros.comparison import table
-    from handeye_ros.formats.truth_file import true_transform
     from handeye_ros.output import write_whole
+    from handeye_ros.published import compare as comparing
+    from handeye_ros.published import table
+    from handeye_ros.results.truth_file import true_transform
     import yaml
     method, T_true = _file_method(path, settings), true_transform(path)
     if method:

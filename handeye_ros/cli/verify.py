@@ -164,8 +164,8 @@ def _verified(routine: 'Routine', bags: list[Path], calibration: 'Calibration',
 
 def _pass(bag: Path, config: 'Config') -> 'StationSet':
     """Return the points of a scan in one pass."""
-    from handeye_ros.ros.bags.bag import flow
-    from handeye_ros.streams.trajectory import track_of
+    from handeye_ros.bags.bag import flow
+    from handeye_ros.sampling.trajectory import track_of
     from handeye_ros.verification.tooth_gauge import stations_of_pass
     with doing('reading the recording'):
         source = flow(bag, config)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.least_squares.covariance import eigen
+from handeye_ros.estimation.linalg import eigen
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray

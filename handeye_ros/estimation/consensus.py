@@ -22,6 +22,7 @@ from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.linearise import MANY, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
+from handeye_ros.estimation.outliers import chi2_sf, GROSS, outliers, shared_scale
 from handeye_ros.estimation.posterior import evaluated, map_solution
 from handeye_ros.estimation.search import (
     evaluate,
@@ -32,7 +33,6 @@ from handeye_ros.estimation.search import (
     refined,
 )
 from handeye_ros.estimation.solution import Solution, station_statistic
-from handeye_ros.least_squares.outliers import chi2_sf, GROSS, outliers, shared_scale
 import numpy as np
 from numpy.typing import NDArray
 

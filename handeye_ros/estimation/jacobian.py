@@ -14,7 +14,7 @@ from functools import cached_property
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.model import Observations
-from handeye_ros.least_squares.outliers import groups
+from handeye_ros.estimation.outliers import groups
 import numpy as np
 from numpy.typing import NDArray
 

@@ -15,8 +15,8 @@ from functools import cached_property
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
 from handeye_ros.estimation.jacobian import Stations
+from handeye_ros.estimation.linalg import eigen, inverse_roots
 from handeye_ros.estimation.linearise import Linear
-from handeye_ros.least_squares.covariance import eigen, inverse_roots
 import numpy as np
 from numpy.typing import NDArray
 

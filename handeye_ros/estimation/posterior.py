@@ -19,6 +19,7 @@ from functools import cached_property
 from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import ParameterBlock, prepared
 from handeye_ros.estimation.jacobian import FactoredJacobian
+from handeye_ros.estimation.linalg import from_information, from_rows
 from handeye_ros.estimation.linearise import Linear, linearise, MANY, Problem, State
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import (
@@ -31,7 +32,6 @@ from handeye_ros.estimation.noise import (
     whitening,
 )
 from handeye_ros.estimation.solution import columns_of, Solution
-from handeye_ros.least_squares.covariance import from_information, from_rows
 import numpy as np
 from numpy.typing import NDArray
 

@@ -12,12 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.linearise import Linear, linearise, Problem
-from handeye_ros.estimation.model import Estimate, UNUSED
-from handeye_ros.estimation.noise import Noise, Whitening, whitening
-from handeye_ros.estimation.solution import columns_of, Solution
-from handeye_ros.least_squares.covariance import covariance_of
-from handeye_ros.least_squares.solver import (
+from handeye_ros.estimation.least_squares import (
     believed,
     BELIEVED_SHARE,
     graduated,
@@ -26,6 +21,11 @@ from handeye_ros.least_squares.solver import (
     States,
     System,
 )
+from handeye_ros.estimation.linalg import covariance_of
+from handeye_ros.estimation.linearise import Linear, linearise, Problem
+from handeye_ros.estimation.model import Estimate, UNUSED
+from handeye_ros.estimation.noise import Noise, Whitening, whitening
+from handeye_ros.estimation.solution import columns_of, Solution
 import numpy as np
 
 # Limits of squared whitened residuals: of a good estimate, with lumped blocks (4: 2 sigma); of one

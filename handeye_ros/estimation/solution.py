@@ -8,6 +8,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.blocks import best_fit_motions, ParameterBlock, pose_corrections
 from handeye_ros.estimation.jacobian import FactoredJacobian
+from handeye_ros.estimation.linalg import FREE, inverse
 from handeye_ros.estimation.linearise import Linear, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import (
@@ -16,8 +17,7 @@ from handeye_ros.estimation.noise import (
     total_covariance,
     whitening,
 )
-from handeye_ros.least_squares.covariance import FREE, inverse
-from handeye_ros.least_squares.outliers import leave_own_out
+from handeye_ros.estimation.outliers import leave_own_out
 import numpy as np
 from numpy.typing import NDArray
 

@@ -3,8 +3,3 @@ The next pose that helps most.
 
 What is determined so far, what is missing, and poses within the limits of the robot.
 """
-
-OFFERED = (
-    'advice', 'advice.Advice', 'moves.Move', 'score.extremes',
-    'views.anchor_of',
-)

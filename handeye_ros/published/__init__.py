@@ -4,5 +4,3 @@ The published algorithms, one file per paper, as their authors wrote them, for c
 They take plain arrays, know nothing of the rest of the package and refuse nothing that the
 papers do not refuse; where a print is wrong the docstring says so and what was done.
 """
-
-OFFERED = ('chen2023', 'cn105021139a', 'fixed_point', 'jing2020', 'wu2017', 'zheng2018')

@@ -17,10 +17,8 @@ from handeye_ros import __version__
 from handeye_ros import config as configuration
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
-from handeye_ros.formats import export_formats
-from handeye_ros.formats.verification_file import COLUMNS, formatted, rows_of, title_of, Verified
 from handeye_ros.output import style, write_whole
-from handeye_ros.results import figures, table
+from handeye_ros.results import export_formats, figures, table
 from handeye_ros.results.evidence import (
     config_of,
     Evidence,
@@ -30,6 +28,7 @@ from handeye_ros.results.evidence import (
     verdict,
 )
 from handeye_ros.results.scene import in_sensor, legend, scene
+from handeye_ros.results.verification_file import COLUMNS, formatted, rows_of, title_of, Verified
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 import numpy as np

@@ -10,7 +10,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import RECORD
 from handeye_ros.data import Array, Calibration, Quality, SampleReport
-from handeye_ros.formats.truth_file import Errors
+from handeye_ros.results.truth_file import Errors
 import numpy as np
 from rich import box
 from rich.console import Group, RenderableType

@@ -29,7 +29,7 @@ from handeye_ros.sampling.errors import (
 from handeye_ros.sampling.passes import finder_of
 from handeye_ros.sampling.profile_buffer import ProfileBuffer
 from handeye_ros.sampling.stops import beside, Stop, stop_of
-from handeye_ros.streams.stream import LARGEST_STEP, Stream
+from handeye_ros.sampling.stream import LARGEST_STEP, Stream
 
 SILENCE = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
 

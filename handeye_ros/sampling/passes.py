@@ -33,8 +33,8 @@ from handeye_ros.frames import mounted
 from handeye_ros.sampling.dwells import DwellFinder, NS
 from handeye_ros.sampling.errors import NoProfilesError
 from handeye_ros.sampling.station_features import evenly, features_of_each, flipped_features
-from handeye_ros.streams.stream import interpolate
-from handeye_ros.streams.trajectory import Instants, joined, Trajectory, trajectory_of
+from handeye_ros.sampling.stream import interpolate
+from handeye_ros.sampling.trajectory import Instants, joined, Trajectory, trajectory_of
 import numpy as np
 from numpy.typing import NDArray
 

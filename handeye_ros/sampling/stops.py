@@ -20,7 +20,7 @@ from handeye_ros.sampling.errors import NoProfilesError
 from handeye_ros.sampling.field_of_view import require_inside
 from handeye_ros.sampling.passes import pass_sample
 from handeye_ros.sampling.station_features import evenly, flipped_features, of_station
-from handeye_ros.streams.stream import around, interpolate
+from handeye_ros.sampling.stream import around, interpolate
 import numpy as np
 
 # Profiles of a sample, evenly spread. A robot at rest sees the same speckle, and 32 profiles

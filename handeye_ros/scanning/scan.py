@@ -16,9 +16,9 @@ from handeye_ros import units
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
 from handeye_ros.frames import in_mount, target_frame, unit_vectors
+from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.scanning.cloud_files import Points
 from handeye_ros.scanning.errors import EmptyScanError, NoPosesAroundError
-from handeye_ros.streams.trajectory import Trajectory
 import numpy as np
 from numpy.typing import NDArray
 

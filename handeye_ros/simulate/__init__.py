@@ -11,9 +11,5 @@ from handeye_ros.simulate.scenario import Scenario
 from handeye_ros.simulate.scenarios import FAULTS, SCENARIOS
 from handeye_ros.simulate.stations import settings
 
-OFFERED = (
-    'arm', 'gauges', 'measuring', 'measuring.MEASURING_CELL', 'scenario.RobotModel',
-)
-
 __all__ = ['FAULTS', 'FILE_SCENES', 'Measured', 'SCENARIOS', 'Scenario', 'Simulated', 'Station',
            'Truth', 'settings', 'simulate', 'simulate_samples']

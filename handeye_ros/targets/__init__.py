@@ -10,11 +10,6 @@ from handeye_ros.targets.plate import PLATE
 from handeye_ros.targets.sphere import SPHERE
 from handeye_ros.targets.wedge import WEDGE
 
-OFFERED = (
-    'METHODS', 'common.ObservationRows', 'common.edge_noise',
-    'common.EdgeObservations', 'common.edges_of', 'line', 'plate',
-)
-
 METHODS: dict[str, Method] = {
     'plate': PLATE, 'line': LINE, 'plane': PLANE, 'sphere': SPHERE, 'wedge': WEDGE}
 FROM_FILES = ('points', 'hand_eye', 'tracker')  # see files

@@ -16,8 +16,8 @@ from typing import TypeAlias
 from handeye_ros import se3
 from handeye_ros.config import NoiseConfig, VerifyConfig
 from handeye_ros.data import Array
-from handeye_ros.least_squares.outliers import chi2_sf
-from handeye_ros.least_squares.solver import White
+from handeye_ros.estimation.least_squares import White
+from handeye_ros.estimation.outliers import chi2_sf
 from handeye_ros.verification.errors import BadCovarianceError
 from handeye_ros.verification.shapes import (
     by_point,

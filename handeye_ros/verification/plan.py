@@ -9,8 +9,8 @@ from handeye_ros import output, se3
 from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import mm
-from handeye_ros.formats.verification_file import formatted
 from handeye_ros.frames import sensor_axes
+from handeye_ros.results.verification_file import formatted
 from handeye_ros.simulate import gauges, SCENARIOS
 from handeye_ros.simulate.scenario import RobotModel
 from handeye_ros.verification.errors import NoPlanError

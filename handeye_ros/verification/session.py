@@ -15,7 +15,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stops import result_of, Stop
-from handeye_ros.streams.trajectory import track_of
+from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.verification.errors import NoRoutineError, TooLongPassError
 from handeye_ros.verification.routines import Routine, routine_of, TEETH
 from handeye_ros.verification.shapes import StationSet

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from handeye_ros import __version__, output
-from handeye_ros.formats.verification_file import COLUMNS, FORMAT, formatted, rows_of, title_of
+from handeye_ros.results.verification_file import COLUMNS, FORMAT, formatted, rows_of, title_of
 from rich.table import Table
 import yaml
 

@@ -5,8 +5,8 @@ from collections.abc import Collection, Iterator, Sequence
 
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array, Calibration, Sample
+from handeye_ros.estimation.outliers import chi2_sf
 from handeye_ros.frames import mounted, sensor_axes
-from handeye_ros.least_squares.outliers import chi2_sf
 from handeye_ros.verification.decision import claim_p, decide, FOREIGN, sensitivity
 from handeye_ros.verification.errors import (
     any_of,

@@ -11,11 +11,11 @@ import sys
 
 from command import assert_refused, handeye, PATIENCE, PLATE, ROOT, running
 from handeye_ros import __version__, pipeline
+from handeye_ros.bags import bag
 from handeye_ros.cli import main
 from handeye_ros.config import Config, load
-from handeye_ros.formats import calibration_file
-from handeye_ros.formats.truth_file import mapped_point_error, true_transform
-from handeye_ros.ros.bags import bag
+from handeye_ros.results import calibration_file
+from handeye_ros.results.truth_file import mapped_point_error, true_transform
 import numpy as np
 import pytest
 import yaml

@@ -7,7 +7,7 @@ import re
 
 from command import handeye
 from handeye_ros.data import TimeOffset
-from handeye_ros.formats.calibration_file import read_calibration, write_calibration
+from handeye_ros.results.calibration_file import read_calibration, write_calibration
 import pytest
 
 BAG = str(Path(__file__).parents[2] / 'bags' / 'plate_sweep')

@@ -18,7 +18,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.search import evaluate
-from handeye_ros.formats.truth_file import errors_against
+from handeye_ros.results.truth_file import errors_against
 from handeye_ros.simulate import FAULTS, SCENARIOS, settings, simulate, simulate_samples
 import numpy as np
 import pytest

@@ -3,8 +3,8 @@ from __future__ import annotations
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.jacobian import FactoredJacobian, products
-from handeye_ros.least_squares.covariance import eigen, from_information, from_rows, LARGEST_STD
-from handeye_ros.least_squares.outliers import groups
+from handeye_ros.estimation.linalg import eigen, from_information, from_rows, LARGEST_STD
+from handeye_ros.estimation.outliers import groups
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np

@@ -17,10 +17,10 @@ from handeye_ros.estimation.basis import (
     rational_quadratic,
 )
 from handeye_ros.estimation.blocks import ParameterBlock, prepared
+from handeye_ros.estimation.linalg import inverse
 from handeye_ros.estimation.linearise import linearise
 from handeye_ros.estimation.posterior import map_solution
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.least_squares.covariance import inverse
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate_samples
 import numpy as np
 import pytest

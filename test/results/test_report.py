@@ -10,11 +10,10 @@ from typing import Any
 from browser import chromium, complaints
 from command import assert_refused, handeye, ROOT
 from handeye_ros import config, se3
+from handeye_ros.bags.bag import evidence
 from handeye_ros.data import Calibration
-from handeye_ros.formats import calibration_file
-from handeye_ros.results import pages
+from handeye_ros.results import calibration_file, pages
 from handeye_ros.results.evidence import Evidence, mapped_std, verdict
-from handeye_ros.ros.bags.bag import evidence
 import numpy as np
 import pytest
 

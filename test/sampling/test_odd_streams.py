@@ -16,7 +16,7 @@ from handeye_ros.sampling.errors import (
 )
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import result_of
-from handeye_ros.streams.errors import TwoFramesError
+from handeye_ros.sampling.stream_errors import TwoFramesError
 import numpy as np
 from profiles import drawn, step_up_to, with_lost
 import pytest

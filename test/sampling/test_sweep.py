@@ -5,15 +5,15 @@ from dataclasses import replace
 import math
 
 from handeye_ros import pipeline, se3
+from handeye_ros.checks.review import review
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, TimedPose
-from handeye_ros.diagnosis.review import review
 from handeye_ros.errors import HandeyeError
-from handeye_ros.formats.truth_file import errors_against
+from handeye_ros.results.truth_file import errors_against
 from handeye_ros.sampling.passes import finder_of
+from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate
 from handeye_ros.simulate.scenario import Sweep
-from handeye_ros.streams.trajectory import trajectory_of
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -6,15 +6,15 @@ import tracemalloc
 
 from command import assert_refused, handeye
 from handeye_ros import se3
+from handeye_ros.bags import bag_write
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Profile, TimedPose
-from handeye_ros.formats.calibration_file import write_calibration
+from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.results.evidence import config_of
-from handeye_ros.ros.bags import bag_write
+from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.cloud_files import cloud_writer, read_cloud
 from handeye_ros.scanning.errors import CloudFileError, EmptyScanError, NoPosesAroundError
 from handeye_ros.scanning.scan import point_std, Scanner, ScanOptions, variance_polynomial
-from handeye_ros.streams.trajectory import track_of
 from moving_scan import calibration, moving, plane_profiles, STEP, T0, true_flange
 import numpy as np
 from plyfile import PlyData, PlyElement

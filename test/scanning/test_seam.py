@@ -9,10 +9,10 @@ import sys
 
 from command import assert_refused, handeye
 from handeye_ros import se3
+from handeye_ros.bags import bag_write
 from handeye_ros.data import Calibration, Profile, Quality, TimedPose
 from handeye_ros.errors import DataError
-from handeye_ros.formats.calibration_file import write_calibration
-from handeye_ros.ros.bags import bag_write
+from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.scanning import seam_files
 from handeye_ros.scanning.cloud_files import cloud_writer
 from handeye_ros.scanning.curves import cubic, spline, through

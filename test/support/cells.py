@@ -12,8 +12,8 @@ from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Method
 from handeye_ros.estimation.solution import Solution
-from handeye_ros.formats.truth_file import mapped_point_error
 from handeye_ros.frames import mounted
+from handeye_ros.results.truth_file import mapped_point_error
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.stations import FRAMES
 import numpy as np

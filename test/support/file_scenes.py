@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from command import ROOT
-from handeye_ros.files import FILE_METHODS
+from handeye_ros.tabulated import FILE_METHODS
 
 TABLES = {'points': 'points.csv', 'hand_eye': 'poses.csv', 'tracker': 'tracker.csv'}
 Run = Callable[..., tuple[int, str, str]]

@@ -4,10 +4,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cells import recorded
+from handeye_ros.bags.session_store import OutputFolders
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
-from handeye_ros.ros.node.live import LiveSession
-from handeye_ros.ros.sessions.store import OutputFolders
+from handeye_ros.node.live import LiveSession
 
 SPHERE = recorded('sphere')
 

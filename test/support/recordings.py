@@ -3,10 +3,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from handeye_ros.bags import bag_write
+from handeye_ros.bags.storage import scan
 from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import Profile, TimedPose
-from handeye_ros.ros.bags import bag_write
-from handeye_ros.ros.bags.storage import scan
 from handeye_ros.sampling.dwells import DwellFinder
 from mcap.writer import CompressionType, IndexType, Writer
 import numpy as np

@@ -3,8 +3,8 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+from handeye_ros.bags.messages import DATATYPES, profile_from_cloud
 from handeye_ros.config import ProfileConfig
-from handeye_ros.ros.bags.messages import DATATYPES, profile_from_cloud
 import numpy as np
 
 METRES = ProfileConfig()

@@ -31,7 +31,7 @@ XZ = {'x': (0, 7), 'z': (4, 7)}
 @contextmanager
 def running_node(tmp_path: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     """Run the node; what it prints goes to node.log, what it saves below tmp_path."""
-    command = [sys.executable, '-m', 'handeye_ros.ros.node', '--ros-args',
+    command = [sys.executable, '-m', 'handeye_ros.node', '--ros-args',
                '-p', f'output_dir:={tmp_path}', *arguments]
     with ((tmp_path / 'node.log').open('w') as log,
           running(command, cwd=ROOT, stdout=log, stderr=log, text=True) as process):
@@ -39,9 +39,9 @@ def running_node(tmp_path: Path, *arguments: str) -> Iterator[subprocess.Popen[s
 
 
 def run_module(module: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run a module of handeye_ros.ros to its end."""
+    """Run a module of handeye_ros.node to its end."""
     return subprocess.run(
-        [sys.executable, '-m', f'handeye_ros.ros.{module}', *arguments], cwd=ROOT,
+        [sys.executable, '-m', f'handeye_ros.node.{module}', *arguments], cwd=ROOT,
         capture_output=True, text=True, check=False, timeout=PATIENCE)
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from command import assert_refused, handeye
 from handeye_ros import pipeline, se3
+from handeye_ros.bags import bag_write
 from handeye_ros.batch import trend
 from handeye_ros.batch.errors import NoTrendError
 from handeye_ros.data import Calibration, Quality, SampleReport
-from handeye_ros.formats.calibration_file import read_calibration, write_calibration
-from handeye_ros.ros.bags import bag_write
+from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.simulate import gauges, simulate
 from handeye_ros.simulate.scenario import RobotModel
 from handeye_ros.simulate.scenarios import SCENARIOS

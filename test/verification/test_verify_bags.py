@@ -7,13 +7,13 @@ from pathlib import Path
 
 from command import assert_refused, handeye
 from handeye_ros import se3
+from handeye_ros.bags import bag_write
 from handeye_ros.cli import command
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Calibration, Quality
-from handeye_ros.formats import verification_file
-from handeye_ros.formats.calibration_file import write_calibration
-from handeye_ros.formats.errors import VerificationFileError
-from handeye_ros.ros.bags import bag_write
+from handeye_ros.results import verification_file
+from handeye_ros.results.calibration_file import write_calibration
+from handeye_ros.results.errors import VerificationFileError
 from handeye_ros.simulate import simulate
 from handeye_ros.simulate.measuring import measuring_cell
 from handeye_ros.simulate.scenarios import SCENARIOS

@@ -1,0 +1,192 @@
+"""Writes rosbag2 folders (mcap): profiles and poses as drivers publish them, and paths."""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+import shutil
+import tempfile
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.bags.contents import CLOUD, full_name, JOINTS, POSE, STRING
+from handeye_ros.bags.messages import DATATYPES, to_cdr, typestore, UNITS
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Profile, TimedPose
+from handeye_ros.errors import BagError, UnwritableError
+from handeye_ros.results import truth_file
+import numpy as np
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+OURS = ('metadata.yaml', 'truth.yaml')  # a folder with one of these may be replaced
+PATH, POSE_ARRAY = 'nav_msgs/msg/Path', 'geometry_msgs/msg/PoseArray'
+
+# The points of real drivers: dtypes with the fields x, y and z.
+LAYOUTS: dict[str, np.dtype[Any]] = {
+    'xyz': np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4')]),
+    'double': np.dtype([('x', '<f8'), ('y', '<f8'), ('z', '<f8')]),
+    'big_endian': np.dtype([('x', '>f4'), ('y', '>f4'), ('z', '>f4')]),
+    'padded': np.dtype({'names': ['x', 'y', 'z', 'intensity'], 'formats': ['<f4'] * 4,
+                        'offsets': [0, 4, 8, 16], 'itemsize': 32}),
+    'scancontrol': np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('intensity', '<u2'),
+                             ('reflection_width', '<u2'), ('threshold', '<u2'),
+                             ('moment0', '<u4'), ('moment1', '<u4')]),
+}
+
+
+def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
+          config: Config | None = None, *, truth: Mapping[str, Any] | None = None,
+          tables: Mapping[str, str] | None = None, layout: str = 'xyz', force: bool = False,
+          joints: Sequence[tuple[int, Array]] = ()) -> None:
+    """
+    Write a rosbag2 folder, including truth.yaml if the truth is given.
+
+    config: gives the topics and the unit of the coordinates; tables: texts of other files in the
+    folder, by name; layout: a key of LAYOUTS. force: an existing bag is replaced. joints: stamps
+    and values of joint_1, joint_2, ... Raises BagError if the path exists, UnwritableError if it
+    cannot be written.
+
+    """
+    texts = dict(tables or {})
+    if truth is not None:
+        texts[truth_file.NAME] = truth_file.text(truth)
+    write_folder(path, texts, lambda folder: _write_messages(
+        folder, profiles, poses, config or Config(), LAYOUTS[layout], joints), force)
+
+
+def _write_messages(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
+                    config: Config, dtype: np.dtype[Any], joints: Sequence[tuple[int, Array]]
+                    ) -> None:
+    items: list[Profile | TimedPose] = sorted([*profiles, *poses], key=lambda item: item.stamp)
+    messages = chain(
+        ((full_name(config.profile_topic if isinstance(item, Profile) else config.pose_topic),
+          item.stamp, serialised(item, dtype, config.profile.unit)) for item in items),
+        ((full_name(config.joint_topic), stamp, joints_cdr(stamp, values))
+         for stamp, values in joints))
+    kinds = {config.profile_topic: CLOUD, config.pose_topic: POSE,
+             **({config.joint_topic: JOINTS} if joints else {})}
+    _write_bag(path, {full_name(topic): kind for topic, kind in kinds.items()}, messages, True)
+
+
+def _write_bag(path: Path, kinds: Mapping[str, str], messages: Iterable[tuple[str, int, bytes]],
+               compressed: bool) -> None:
+    """Write messages (topic, stamp, data); kinds: the types of the topics."""
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    if compressed:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        connections = {topic: writer.add_connection(topic, kind, typestore=typestore())
+                       for topic, kind in kinds.items()}
+        for topic, stamp, data in messages:
+            writer.write(connections[topic], stamp, data)
+
+
+def serialised(item: Profile | TimedPose, dtype: np.dtype[Any], unit: str) -> bytes:
+    """Return the message of a profile, with layout and unit, or of a pose."""
+    if isinstance(item, Profile):
+        return to_cdr(_cloud(item, dtype, unit))
+    return pose_cdr(item)
+
+
+def pose_cdr(pose: TimedPose) -> bytes:
+    """Return a pose as a serialised geometry_msgs/PoseStamped."""
+    header = _header(pose.stamp, pose.parent_frame)
+    return to_cdr(_new(POSE, header, _pose(pose.translation, pose.quaternion)))
+
+
+def string_cdr(text: str) -> bytes:
+    """Return a text as a serialised std_msgs/String."""
+    return to_cdr(_new(STRING, text))
+
+
+def cloud_cdr(profile: Profile, config: Config) -> bytes:
+    """Return a profile as a serialised sensor_msgs/PointCloud2 in double precision."""
+    return serialised(profile, LAYOUTS['double'], config.profile.unit)
+
+
+def _new(kind: str, *values: Any) -> Any:
+    """Return a message of a type."""
+    return typestore().types[kind](*values)
+
+
+def _header(stamp: int, frame_id: str) -> Any:
+    time = _new('builtin_interfaces/msg/Time', *divmod(stamp, 1_000_000_000))
+    return _new('std_msgs/msg/Header', time, frame_id)
+
+
+def joints_cdr(stamp: int, values: Array, names: Sequence[str] = ()) -> bytes:
+    """Return a serialised JointState; names: joint_1, joint_2, ... if not given."""
+    names, empty = names or [f'joint_{k}' for k in range(1, len(values) + 1)], np.zeros(0)
+    return to_cdr(_new(JOINTS, _header(stamp, ''), names, values, empty, empty))
+
+
+def _cloud(profile: Profile, dtype: np.dtype[Any], unit: str) -> Any:
+    signs = np.array([-1.0 if axis[0] == '-' else 1.0 for axis in profile.axes])
+    points = np.zeros(len(profile.points), dtype)
+    for axis, column in zip(profile.axes, (profile.points * signs).T / UNITS[unit], strict=True):
+        points[axis[-1]] = column
+    codes = {name: code for code, name in DATATYPES.items()}
+    fields = [_new('sensor_msgs/msg/PointField', name, offset, codes[kind.str[1:]], 1)
+              for name, (kind, offset, *_) in (dtype.fields or {}).items()]
+    return _new(CLOUD, _header(profile.stamp, profile.frame_id), 1, len(points), fields,
+                dtype['x'].byteorder == '>', dtype.itemsize, dtype.itemsize * len(points),
+                points.view(np.uint8).ravel(), bool(np.isfinite(profile.points).all()))
+
+
+def _pose(translation: Array, quaternion: Array) -> Any:
+    return _new('geometry_msgs/msg/Pose',
+                _new('geometry_msgs/msg/Point', *map(float, translation)),
+                _new('geometry_msgs/msg/Quaternion', *map(float, quaternion)))
+
+
+def write_path(path: Path, T: Array, frame_id: str, stamp: int, name: str = 'seam',
+               force: bool = False) -> None:
+    """
+    Write poses (n, 4, 4) on the topics NAME/path and NAME/poses.
+
+    stamp: of the messages (ns). Raises BagError if the path exists, UnwritableError.
+    """
+    header = _header(stamp, frame_id)
+    poses = [_pose(*pair) for pair in zip(T[:, :3, 3], se3.quaternion(T), strict=True)]
+    stamped = [_new(POSE, header, pose) for pose in poses]
+    by_topic = {full_name(f'{name}/path'): _new(PATH, header, stamped),
+                full_name(f'{name}/poses'): _new(POSE_ARRAY, header, poses)}
+    write_folder(path, {}, lambda folder: _write_bag(
+        folder, {topic: message.__msgtype__ for topic, message in by_topic.items()},
+        [(topic, stamp, to_cdr(message)) for topic, message in by_topic.items()], False), force)
+
+
+def write_folder(path: Path, texts: Mapping[str, str],
+                 fill: Callable[[Path], None] = Path.mkdir, force: bool = False) -> None:
+    """
+    Write a folder of recordings or measured values, completely or not at all.
+
+    A hidden folder beside the final one is filled and then renamed. fill: makes the folder and its
+    files except texts, which are by file name. force: an existing recording is replaced. Raises
+    BagError if the path exists or is the current folder, UnwritableError if it cannot be written.
+    """
+    path = path.resolve()
+    try:
+        _check_free(path, force)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix='.', suffix='.tmp', dir=path.parent) as folder:
+            new_folder = Path(folder) / path.name
+            fill(new_folder)
+            for name, text in texts.items():
+                (new_folder / name).write_text(text, encoding='utf-8')
+            if path.exists():  # it is deleted with the temporary folder
+                shutil.move(path, Path(folder) / 'replaced')
+            new_folder.rename(path)
+    except OSError as error:
+        raise UnwritableError(path, error.strerror or str(error)) from error
+
+
+def _check_free(path: Path, force: bool) -> None:
+    free = not path.exists() or path.is_dir() and not any(path.iterdir())
+    if not (free or force):
+        raise BagError(path, 'is there already: choose another place, or replace it with --force')
+    if path == Path.cwd():  # a shell in it would lose its folder
+        raise BagError(path, 'is the current folder, which is not replaced: name one in it')
+    if not (free or any((path / name).is_file() for name in OURS)):
+        raise BagError(path, 'is there already and is no bag, so it is not replaced: choose '
+                             'another place')

@@ -1,0 +1,256 @@
+"""
+Tests whether other settings or another time offset explain a recording without an answer.
+
+Each hypothesis changes one setting, or two that belong together, and reads the same profiles of
+the same stops again. The data then differ, so likelihoods cannot be compared. A hypothesis is
+accepted if most stops give samples and nearly all of these fit about as well as the configured
+noise allows. Of several, the one with the largest redundancy is reported.
+
+Clocks differ if, at stop after stop, the profiles come to rest or leave it later than the poses,
+and the samples fit the poses of that other time.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import permutations
+import math
+
+from handeye_ros import se3, targets
+from handeye_ros.checks.alternatives import Fit, Hypothesis, range_sign_evidence, require_stated
+from handeye_ros.config import Config, with_assignments
+from handeye_ros.data import Array, Profile, Reject, Sample
+from handeye_ros.errors import DataError, FeatureError, mm, NamedCauseError, UnusableMessageError
+from handeye_ros.estimation.linearise import Problem
+from handeye_ros.frames import mounted
+from handeye_ros.sampling import station_features
+from handeye_ros.sampling.dwells import NS
+from handeye_ros.sampling.edge_shapes import consistent_edges
+from handeye_ros.sampling.errors import ClocksDifferError
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.station_features import evenly
+from handeye_ros.sampling.stops import needed, result_of, Seen, Stop
+from handeye_ros.sampling.stream import interpolate
+import numpy as np
+
+MOST_STOPS, MOST_PROFILES = 40, 4  # stops read again, profiles of each
+LEAST_SHARE = 0.7  # smallest share of the stops that fit
+FEWEST_CONDITIONS = 6  # smallest redundancy of a hypothesis
+# If the stated setting fits too: smallest ratio of redundancy (also with the sign to without it),
+# largest of variance factors.
+MORE, WORSE = 1.5, 2.0
+SIGN = 'profile.range_sign'
+LAG = NS // 20  # ns between two profiles that are compared
+STILL_SHARE = 0.1  # smallest share of the comparisons with a robot at rest
+MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # largest change at rest: ratio, and at least (m)
+SMALLEST = 0.05  # s: a smaller time offset is not visible at stops
+
+
+class WrongSettingError(NamedCauseError):
+    """Settings without an answer, where other settings give one."""
+
+    def __init__(self, values: dict[str, str], used: int, stops: int, residual: float) -> None:
+        to = ' and '.join(f'{key} to {value}' for key, value in values.items())
+        if values == {'target.type': 'plane'}:
+            to += '; or, if the target has edges, cross them inside the field of view'
+        super().__init__(f'the recording does not fit as it is set, but with another setting '
+                         f'{used} of {stops} stops agree within {mm(residual)} RMS: set {to}')
+
+
+def require_settings(session: Session, config: Config) -> None:
+    """Raise WrongSettingError where other settings explain the stops of a session."""
+    if config.sampling.moving:  # a pass: many profiles with their own poses
+        return
+    kept = [outcome.stop for outcome in session.outcomes if not outcome.refused]
+    stops = [_thinned(stop, config) for stop in kept[:MOST_STOPS]]
+    stated = _fit(stops, config, all_starts=True)  # as a solve starts
+    least, most = float(FEWEST_CONDITIONS), math.inf
+    if stated and stated.believable:
+        least = MORE * stated.solution.redundancy
+        most = WORSE * max(stated.variance_factor, 1.0)
+    better: list[tuple[int, DataError]] = []
+    for values in _changes(config):
+        fit = _explanation(stops, config, values, most)
+        if fit and fit.solution.redundancy >= least:
+            # the sign of the range is often free, and then no part of the cause
+            without = {key: value for key, value in values.items() if key != SIGN}
+            if without and len(without) < len(values):
+                simpler = _explanation(stops, config, without, most, all_starts=True)
+                if simpler and fit.solution.redundancy < MORE * simpler.solution.redundancy:
+                    fit, values = simpler, without
+            better.append((fit.solution.redundancy, WrongSettingError(
+                values, len(fit.parts[0].used), len(stops), fit.solution.residual_rms)))
+    if better:
+        raise max(better, key=lambda one: one[0])[1]
+
+
+def _explanation(stops: Sequence[Stop], config: Config, values: dict[str, str], most: float,
+                 all_starts: bool = False) -> Fit | None:
+    """Return the fit of stops with other values of settings, or None; most: variance factor."""
+    fit = _fit(stops, _changed(config, values), all_starts)
+    if not fit or not fit.believable or fit.variance_factor >= most:
+        return None
+    return fit if len(fit.parts[0].used) >= LEAST_SHARE * len(stops) else None
+
+
+def _changes(config: Config) -> Iterator[dict[str, str]]:
+    """Yield the likely corrections of settings, the most likely first."""
+    profile = config.profile
+    sign = {SIGN: str(-profile.range_sign)}
+    kinds = [{'target.type': name} for name in targets.METHODS if name != config.target.type]
+    unit = {'m': 'mm', 'mm': 'm'}[profile.unit]
+    kind = {'eye_on_base': 'eye_in_hand', 'eye_in_hand': 'eye_on_base'}[config.calibration_type]
+    axes = [{'profile.axes': f'[{a}, {b}]'} for a, b in permutations('xyz', 2)
+            if (a, b) != tuple(profile.axes)]
+    yield from (sign, {'profile.unit': unit}, *kinds, *axes, {'calibration_type': kind})
+    yield from (change | sign for change in (*kinds, *axes))
+
+
+def _changed(config: Config, values: dict[str, str]) -> Config:
+    """Return the configuration with other values; measures of another target are reset."""
+    if 'target.type' in values:
+        config = replace(config, method='auto', target=replace(config.target, radius=0.0, size=()))
+    return with_assignments(config, [f'{key}={value}' for key, value in values.items()])
+
+
+def _fit(stops: Sequence[Stop], config: Config, all_starts: bool = False) -> Fit | None:
+    """Return the fit of stops under a configuration, or None; see Fit.of."""
+    results: list[Sample | Reject] = [result_of(stop, config) for stop in stops]
+    if range_sign_evidence(results).against:
+        return None
+    return fit_of([one for one in results if isinstance(one, Sample)], config, all_starts)
+
+
+def fit_of(samples: Sequence[Sample], config: Config, all_starts: bool = False) -> Fit | None:
+    """Return the fit of samples, None if they are too few or do not fit; see Fit.of."""
+    method = targets.method_for(config)
+    ordered, _ = consistent_edges(samples)
+    if len(ordered) < method.minimum:
+        return None
+    observations = method.features.observe(ordered)
+    return Fit.of(Problem(method, mounted(ordered, config), observations, config), all_starts)
+
+
+def _thinned(stop: Stop, config: Config) -> Stop:
+    """Return a stop with a few of its profiles."""
+    seen = needed(stop, config).load(config)
+    few = Seen(seen.poses, tuple(evenly(seen.profiles, MOST_PROFILES)))
+    return Stop(stop.began, lambda config: few)
+
+
+@dataclass(frozen=True, eq=False)
+class _Still:
+    """
+    The longest time of a stop in which the profiles do not change.
+
+    pose: (4, 4) T_base_flange of the stop; start, end: of its poses (ns); first, last: of this
+    time (ns); opened, closed: whether the profiles change before and after it in the stop.
+    """
+
+    sample: Sample | None
+    pose: Array
+    start: int
+    end: int
+    first: int
+    last: int
+    opened: bool
+    closed: bool
+
+
+def require_same_clock(session: Session, config: Config) -> None:
+    """Raise ClocksDifferError where the samples fit poses of another time better."""
+    seen = [part for outcome in session.outcomes if not outcome.refused
+            and (part := _profiles(outcome.stop, config))]
+    if len(seen) < targets.method_for(config).minimum:
+        return
+    changes = np.concatenate([[], *(_differences(profiles) for profiles, *_ in seen)])
+    rest = float(np.quantile(changes, STILL_SHARE)) if len(changes) else 0.0
+    limit = max(MOVING * rest, SMALLEST_CHANGE)
+    stills = [_still(*part, limit, config) for part in seen]
+    stated = fit_of(session.samples, config)
+    require_stated(stated or Fit(()), [_late(stills, behind, config) for behind in (0, 1, -1)
+                                       if abs(_offset(stills, behind)) > SMALLEST])
+
+
+def _profiles(stop: Stop, config: Config) -> tuple[list[Profile], Array, int, int] | None:
+    """Return some profiles of a stop, its pose (4, 4), start and end (ns); None: too few."""
+    seen, found = stop.load(config), list[Profile]()
+    for profile in seen.profiles:
+        if not found or profile.stamp - found[-1].stamp >= LAG:
+            with suppress(UnusableMessageError):
+                found.append(profile.read(config.profile))
+    if len(found) < 2:
+        return None
+    pose = se3.mean_pose(interpolate(seen.poses, [pose.stamp for pose in seen.poses]))
+    return found, pose, seen.poses[0].stamp, seen.poses[-1].stamp
+
+
+def _differences(profiles: Sequence[Profile]) -> Array:
+    """Return the difference of each profile from the one before, (n - 1,) in metres."""
+    return np.array([_change(a.points, b.points)
+                     for a, b in zip(profiles[:-1], profiles[1:], strict=True)])
+
+
+def _change(a: Array, b: Array) -> float:
+    a, b = (points[np.isfinite(points).all(axis=1)] for points in (a, b))
+    if min(len(a), len(b)) < 2:
+        return 0.0 if len(a) == len(b) else np.inf
+    low, high = (max(a[:, 0].min(), b[:, 0].min()), min(a[:, 0].max(), b[:, 0].max()))
+    x = np.linspace(low, high, 60)
+    (za, zb) = (np.interp(x, *points[np.argsort(points[:, 0])].T) for points in (a, b))
+    return float(np.quantile(np.abs(za - zb), 0.8))  # an edge that passes changes a part only
+
+
+def _still(profiles: list[Profile], pose: Array, start: int, end: int, limit: float,
+           config: Config) -> _Still:
+    """Return the profiles of the longest time of a stop without a change."""
+    moving = np.flatnonzero(np.append(_differences(profiles) > limit, True))
+    before = np.append(-1, moving[:-1])
+    k = int(np.argmax(moving - before))
+    first, last = int(before[k]) + 1, int(moving[k])
+    opened, closed = first > 0, last < len(profiles) - 1
+    used = profiles[first + opened:last + 1 - closed]
+    return _Still(_sample(used, pose, config), pose, start, end, profiles[first].stamp,
+                  profiles[last].stamp, opened, closed)
+
+
+def _sample(profiles: list[Profile], pose: Array, config: Config) -> Sample | None:
+    with suppress(FeatureError):
+        if len(profiles) > 2:
+            method = targets.method_for(config)
+            used, features = station_features.of_station(profiles, method, config)
+            return Sample(used[0].stamp, pose, features, len(used))
+    return None
+
+
+def _offset(stills: Sequence[_Still], behind: int) -> float:
+    """
+    Return the delay of the profiles (s) if they belong a given number of stops earlier.
+
+    Where the clocks differ, most stops show it; a few stops without rest prove nothing.
+    """
+    found, about = [], []
+    for still, stop in _pairs(stills, behind):
+        found += [still.first - stop.start] if still.opened else []
+        found += [still.last - stop.end] if still.closed else []
+        about.append(still.start - stop.start)
+    return float(np.median(found if 2 * len(found) > len(about) else about or [0])) / NS
+
+
+def _pairs(stills: Sequence[_Still], behind: int) -> list[tuple[_Still, _Still]]:
+    """Return the profiles of each stop with the stop whose pose may belong to them."""
+    return [(still, stills[k - behind]) for k, still in enumerate(stills)
+            if 0 <= k - behind < len(stills)]
+
+
+def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
+    """Return the hypothesis that profiles belong a given number of stops earlier."""
+    def refit() -> Fit | None:
+        fit = fit_of([replace(still.sample, T_base_flange=stop.pose)
+                      for still, stop in _pairs(stills, behind) if still.sample], config)
+        return fit if fit and fit.solution.redundancy >= FEWEST_CONDITIONS else None
+
+    def refusal(fit: Fit) -> DataError:
+        return ClocksDifferError(_offset(stills, behind), config.time_offset)
+    return Hypothesis(refit, refusal)

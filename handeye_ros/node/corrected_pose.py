@@ -1,0 +1,93 @@
+"""
+Publishes the flange pose of a corrected arm: `ros2 run handeye_ros corrected_pose`.
+
+usage: ros2 run handeye_ros corrected_pose (--urdf FILE | --kinematics FILE) [--base LINK]
+           [--flange LINK] [--joint-topic TOPIC] [--pose-topic TOPIC] [--frame NAME]
+
+FILE is the corrected.urdf or the kinematics.yaml of `handeye kinematics`. The node publishes one
+PoseStamped for every JointState, with its stamp, and a transform on /tf from the base to a
+separate frame, besides that of the controller.
+"""
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import sys
+
+from geometry_msgs.msg import PoseStamped, TransformStamped
+from handeye_ros.bags.poses import pose_from_joints
+from handeye_ros.node.errors import MessageError, TopicsError
+from handeye_ros.node.executable import exit_code, RCLError, ros, spin
+from handeye_ros.node.intake import STREAM, TFMessage, THROTTLE
+from handeye_ros.node.publishers import pose_stamped, time_message
+from handeye_ros.robot.model import Arm
+from handeye_ros.robot.urdf import read_arm, read_chain
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.utilities import remove_ros_args
+from sensor_msgs.msg import JointState
+
+
+class CorrectedPose(Node):
+    """Subscribes to joint values and publishes flange poses at the same rate."""
+
+    def __init__(self, arm: Arm, options: argparse.Namespace) -> None:
+        """Subscribe."""
+        super().__init__('handeye_corrected_pose')
+        self._arm, self._frame = arm, options.frame
+        self._poses = self.create_publisher(PoseStamped, options.pose_topic, QoSProfile(depth=100))
+        self._tree = (self.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
+                      if TFMessage else None)
+        self.create_subscription(JointState, options.joint_topic, self._on_joints, STREAM,
+                                 raw=True)
+
+    def _on_joints(self, data: bytes) -> None:
+        try:
+            pose = pose_from_joints(self._arm, data)
+        except MessageError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+            return
+        message = pose_stamped(pose.translation, pose.quaternion, pose.parent_frame,
+                               time_message(pose.stamp))
+        self._poses.publish(message)
+        if self._tree:
+            transform = TransformStamped(header=message.header, child_frame_id=self._frame)
+            p = message.pose.position
+            transform.transform.translation.x, transform.transform.translation.y = p.x, p.y
+            transform.transform.translation.z = p.z
+            transform.transform.rotation = message.pose.orientation
+            self._tree.publish(TFMessage(transforms=[transform]))
+
+
+def run(options: argparse.Namespace) -> None:
+    """Run the node until Ctrl-C; raises InputError."""
+    arm = read_arm(options.kinematics) if options.kinematics else Arm(
+        read_chain(options.urdf, options.base, options.flange)[1])
+    with ros():
+        try:
+            node = CorrectedPose(arm, options)
+        except RCLError as error:
+            raise TopicsError(str(error)) from error
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        node.get_logger().info(f'{options.joint_topic} becomes {options.pose_topic}: '
+                               f'{arm.chain.flange} in {arm.chain.base}')
+        spin(executor)
+
+
+def main() -> int:
+    """Run the executable `corrected_pose`."""
+    parser = argparse.ArgumentParser(prog='corrected_pose', description=__doc__)
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument('--urdf', type=Path, metavar='FILE', help='a corrected.urdf')
+    source.add_argument('--kinematics', type=Path, metavar='FILE', help='a kinematics.yaml')
+    for name, default in (('base', ''), ('flange', ''), ('joint-topic', 'joint_states'),
+                          ('pose-topic', 'corrected_pose'), ('frame', 'corrected_flange')):
+        parser.add_argument(f'--{name}', default=default)
+    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    return exit_code(lambda: run(options))
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,92 @@
+"""Publishes saved calibrations on /tf_static: `ros2 run handeye_ros publish FILE...`."""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+import sys
+
+from handeye_ros.data import Calibration
+from handeye_ros.errors import HandeyeError, NoRosError
+from handeye_ros.node.errors import SameFrameError, TopicsError, UnpublishedError
+from handeye_ros.node.executable import exit_code, InvalidHandle, RCLError, ros
+from handeye_ros.node.intake import TFMessage
+from handeye_ros.node.publishers import LATCHED, transform_stamped
+from handeye_ros.results.calibration_file import file_of, read_calibration
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+
+
+def publish(paths: Sequence[Path]) -> None:
+    """
+    Publish the calibrations of files or folders until Ctrl-C.
+
+    An unusable file is reported on stderr at once, and the others are published; raises
+    UnpublishedError at the end.
+    """
+    if not TFMessage:
+        raise NoRosError('publish', 'tf2_msgs')
+    calibrations: list[Calibration] = []
+    failed: list[HandeyeError] = []
+    for path in paths:
+        try:
+            calibrations.append(_read(path, calibrations))
+        except HandeyeError as error:
+            failed.append(error)
+            print(error, file=sys.stderr, flush=True)
+    if calibrations:
+        _spin(calibrations)
+    if failed:
+        raise UnpublishedError(len(failed), len(paths))
+
+
+def _read(path: Path, calibrations: Sequence[Calibration]) -> Calibration:
+    """Return a calibration; raises SameFrameError if its sensor has a frame already."""
+    file = file_of(path).absolute()
+    calibration = read_calibration(file)
+    if any(known.child_frame == calibration.child_frame for known in calibrations):
+        raise SameFrameError(file, calibration.child_frame)
+    return calibration
+
+
+def _spin(calibrations: Sequence[Calibration]) -> None:
+    with ros():
+        try:
+            node = Node('handeye_publish')
+        except RCLError as error:
+            raise TopicsError(str(error)) from error
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
+        stamp = node.get_clock().now().to_msg()
+        # in one message: a latched topic keeps only the last
+        publisher.publish(TFMessage(transforms=[transform_stamped(calibration, stamp)
+                                                for calibration in calibrations]))
+        for calibration in calibrations:
+            node.get_logger().info(f'{calibration.child_frame} in {calibration.parent_frame} is '
+                                   f'on /tf_static (calibration {calibration.name})')
+        try:
+            executor.spin()
+        except (KeyboardInterrupt, ExternalShutdownException):
+            pass
+        except (RCLError, InvalidHandle):
+            if rclpy.ok():  # else a signal came before it began to wait
+                raise
+        finally:
+            executor.shutdown()
+            node.destroy_node()
+
+
+def main() -> int:
+    """Run the executable `publish`."""
+    parser = argparse.ArgumentParser(prog='publish', description=__doc__)
+    parser.add_argument('files', nargs='+', type=Path, metavar='FILE',
+                        help='a calibration.yaml, or the folder that holds it')
+    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    return exit_code(lambda: publish(options.files))
+
+
+if __name__ == '__main__':
+    sys.exit(main())

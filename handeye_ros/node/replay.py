@@ -1,0 +1,145 @@
+"""Publishes a bag on its own topics with /clock, at a given rate."""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+import math
+from pathlib import Path
+import sys
+import time
+from typing import Any
+
+from handeye_ros.bags.contents import Raw
+from handeye_ros.bags.storage import scan
+from handeye_ros.errors import InputError
+from handeye_ros.node.executable import exit_code, ros
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.utilities import remove_ros_args
+from rich.console import Console
+from rich.progress import Progress
+from rosgraph_msgs.msg import Clock
+
+TICK = 0.02  # s between two messages on /clock
+# s before the first message and after the last one: a publisher discovers a subscriber slightly
+# before the subscriber discovers it, and best-effort subscribers acknowledge nothing.
+DISCOVERY = 0.5
+LONGEST_END = Duration(seconds=10)
+
+
+def replay(bag: Path, rate: float = 1.0, wait_for: int | None = None, timeout: float = 5.0,
+           ros_args: list[str] | None = None) -> None:
+    """
+    Publish a bag at rate times its recorded speed, and return when all messages are sent.
+
+    Starts once wait_for of its topics (None: all) have a subscriber, or after timeout seconds.
+    Raises InputError when the bag cannot be read or holds nothing to publish.
+
+    """
+    if not (math.isfinite(rate) and rate > 0):
+        raise InputError(f'the rate is {rate:g}, expected a number above 0')
+    contents = scan(bag)
+    for warning in contents.warnings:
+        print(warning, file=sys.stderr)
+    with ros(ros_args or [], interruptible=True):
+        node = Node('handeye_replay')
+        clock = node.create_publisher(Clock, '/clock', 10)
+        publishers = _publishers(node, contents.topics)
+        messages = sorted((m for m in contents.messages if m.topic in publishers),
+                          key=lambda message: message.log_time)
+        if not messages:
+            raise InputError(f'{bag} holds no messages of a type that is installed here')
+        _wait_for_subscribers(publishers, wait_for, timeout)
+        _publish_all(messages, publishers, clock, rate)
+        for publisher in publishers.values():
+            publisher.wait_for_all_acked(LONGEST_END)
+        time.sleep(DISCOVERY)
+
+
+def _publishers(node: Node, topics: Mapping[str, str]) -> dict[str, Publisher]:
+    """Return a publisher for each topic with an installed type; report the others."""
+    publishers = {}
+    for topic, type_name in topics.items():
+        message_type = _message_type(type_name)
+        if message_type is None:
+            print(f'{topic} is left out: {type_name} is not installed', file=sys.stderr)
+        else:
+            durability = (DurabilityPolicy.TRANSIENT_LOCAL if topic == '/tf_static'
+                          else DurabilityPolicy.VOLATILE)
+            publishers[topic] = node.create_publisher(
+                message_type, topic, QoSProfile(depth=1000, durability=durability))
+    return publishers
+
+
+def _message_type(name: str) -> Any:
+    package, _, kind = name.replace('/msg/', '/').partition('/')
+    try:
+        return getattr(import_module(f'{package}.msg'), kind, None)
+    except ImportError:
+        return None
+
+
+def _wait_for_subscribers(publishers: dict[str, Publisher], wait_for: int | None,
+                          timeout: float) -> None:
+    needed = len(publishers) if wait_for is None else min(wait_for, len(publishers))
+    end = time.monotonic() + timeout
+    while len(unsubscribed := _without_subscriber(publishers)) > len(publishers) - needed:
+        if time.monotonic() > end:
+            print(f'no subscriber on {", ".join(unsubscribed)}; starting anyway',
+                  file=sys.stderr)
+            break
+        time.sleep(TICK)
+    if len(unsubscribed) < len(publishers):
+        time.sleep(DISCOVERY)
+
+
+def _without_subscriber(publishers: dict[str, Publisher]) -> list[str]:
+    return [t for t, publisher in publishers.items() if not publisher.get_subscription_count()]
+
+
+def _publish_all(messages: Sequence[Raw], publishers: Mapping[str, Publisher],
+                 clock: Publisher, rate: float) -> None:
+    """Publish every message at its time; rate: of the bag's time to real time."""
+    first, last = messages[0].log_time, messages[-1].log_time
+    begin = time.monotonic()
+
+    def bag_time() -> int:
+        return first + round((time.monotonic() - begin) * rate * 1e9)
+
+    console = Console(stderr=True)
+    with Progress(console=console, disable=not console.is_terminal, transient=True) as progress:
+        task = progress.add_task('replay', total=last - first)
+        for message in messages:
+            while (ahead := (message.log_time - bag_time()) * 1e-9 / rate) > 0:
+                clock.publish(_clock(bag_time()))
+                progress.update(task, completed=bag_time() - first)
+                time.sleep(min(ahead, TICK))
+            publishers[message.topic].publish(message.data)
+        clock.publish(_clock(last))
+
+
+def _clock(stamp: int) -> Clock:
+    msg = Clock()
+    msg.clock.sec, msg.clock.nanosec = divmod(stamp, 1_000_000_000)
+    return msg
+
+
+def main() -> int:
+    """Run the executable `replay`."""
+    parser = argparse.ArgumentParser(prog='replay', description=__doc__)
+    parser.add_argument('bag', type=Path, help='a rosbag2 folder, or an .mcap or .db3 file')
+    parser.add_argument('--rate', type=float, default=1.0, help='speed; 1: as recorded')
+    parser.add_argument('--wait-for', type=int, metavar='N',
+                        help='start once N of the topics have a subscriber (default: all)')
+    parser.add_argument('--timeout', type=float, default=5.0,
+                        help='start after so many seconds in any case (default: 5)')
+    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    return exit_code(lambda: replay(options.bag, options.rate, options.wait_for,
+                                    options.timeout, sys.argv))
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,167 @@
+"""
+Publishes laser points in the base frame: `ros2 run handeye_ros scan`.
+
+usage: ros2 run handeye_ros scan CALIBRATION [--set KEY=VALUE]... [--range NEAR FAR]
+           [--incidence DEGREES] [--voxel EDGE] [--std] [--ros-args ...]
+
+CALIBRATION is a calibration.yaml, or the folder that holds one; its settings (topics, unit,
+frames) are used, and --set changes them. The points are published on ~/points, in the base, a
+cloud for the profiles of every 50 ms. Each profile is placed by the pose at its stamp plus
+time_offset, and waits for the pose after it. The number of dropped profiles is logged.
+"""
+from __future__ import annotations
+
+import argparse
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+import sys
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from handeye_ros.bags.messages import pose_from_stamped
+from handeye_ros.bags.poses import pose_from_joints
+from handeye_ros.bags.profile_reader import returns_of
+from handeye_ros.bags.transforms import FlangeTracker
+from handeye_ros.config import Config, with_assignments
+from handeye_ros.data import Calibration, Profile, TimedPose
+from handeye_ros.errors import DataError, NoRosError
+from handeye_ros.node.errors import MessageError, TopicsError
+from handeye_ros.node.executable import exit_code, RCLError, ros
+from handeye_ros.node.intake import LATCHED_TREE, STREAM, TFMessage, THROTTLE
+from handeye_ros.node.publishers import cloud
+from handeye_ros.results.calibration_file import file_of, read_calibration
+from handeye_ros.results.evidence import use_config
+from handeye_ros.robot.model import Arm
+from handeye_ros.robot.urdf import read_arm
+from handeye_ros.sampling.trajectory import track_of
+from handeye_ros.scanning.scan import Scanner, ScanOptions
+import rclpy
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+from sensor_msgs.msg import JointState, PointCloud2
+
+PERIOD = 0.05  # s between two clouds
+KEPT_POSES = 2000  # profiles may still need them: 20 s of 100 Hz
+AROUND = 1_000_000_000  # ns of poses before a profile, for the interpolation
+KEPT_PROFILES = 4000  # may wait for a pose; the oldest are dropped first
+
+
+class ScanNode(Node):
+    """Subscribes to profiles and poses, and publishes points."""
+
+    def __init__(self, calibration: Calibration, config: Config, options: ScanOptions) -> None:
+        """Subscribe; raises NoRosError for poses from transforms without tf2_msgs."""
+        super().__init__('handeye_scan')
+        self._config = config
+        self._scanner = Scanner(calibration, config, options)
+        self._offset = round((config.time_offset + max(self._scanner.lag, 0.0)) * 1e9)
+        self._profiles: deque[Profile] = deque(maxlen=KEPT_PROFILES)
+        self._poses: deque[TimedPose] = deque(maxlen=KEPT_POSES)
+        self._dropped = 0
+        self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
+        self._points = self.create_publisher(PointCloud2, '~/points', 10)
+        self.create_subscription(PointCloud2, config.profile_topic, self._on_profile, STREAM,
+                                 raw=True)
+        self._listen_to_poses()
+        self.create_timer(PERIOD, self._publish_ready)
+
+    def _listen_to_poses(self) -> None:
+        if self._config.kinematics:
+            arm = read_arm(Path(self._config.kinematics))
+            self.create_subscription(JointState, self._config.joint_topic,
+                                     lambda data: self._on_joints(arm, data), STREAM, raw=True)
+        elif self._config.pose_source == 'topic':
+            self.create_subscription(PoseStamped, self._config.pose_topic, self._on_pose, STREAM)
+        elif not TFMessage:
+            raise NoRosError('scan with pose_source tf', 'tf2_msgs')
+        else:
+            for topic, qos in (('/tf_static', LATCHED_TREE), ('/tf', STREAM)):
+                self.create_subscription(
+                    TFMessage, topic, lambda msg, static=topic != '/tf': self._on_transforms(
+                        msg, static), qos)
+
+    def _on_profile(self, data: bytes) -> None:
+        try:
+            self._profiles.extend(returns_of(data, self._config.profile))
+        except MessageError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+
+    def _on_pose(self, msg: PoseStamped) -> None:
+        try:
+            pose = pose_from_stamped(msg)
+            if pose.parent_frame.lstrip('/') not in ('', self._config.base_frame):
+                raise MessageError('PoseStamped', f'it is given in "{pose.parent_frame}", but '
+                                   f'robot_base_frame is "{self._config.base_frame}"')
+            self._poses.append(pose)
+        except MessageError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+
+    def _on_joints(self, arm: Arm, data: bytes) -> None:
+        try:
+            self._poses.append(pose_from_joints(arm, data))
+        except MessageError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+
+    def _on_transforms(self, msg: Any, static: bool) -> None:
+        try:
+            self._poses.extend(self._tracker.add(msg.transforms, static))
+        except MessageError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+
+    def _publish_ready(self) -> None:
+        """Publish the points of profiles older than the last pose."""
+        if not self._poses:
+            return
+        latest = self._poses[-1].stamp
+        ready = [p for p in self._profiles if p.stamp + self._offset <= latest]
+        if not ready:
+            return
+        for profile in ready:
+            self._profiles.remove(profile)
+        try:
+            span = latest - ready[0].stamp - self._offset + AROUND
+            track = track_of([pose for pose in self._poses if abs(latest - pose.stamp) <= span],
+                             self._config.sampling.max_pose_gap)
+        except DataError as error:  # the clock was set back
+            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+            self._poses.clear()
+            return
+        points = self._scanner.points(ready, track)
+        lost = self._scanner.count.without_pose
+        if lost > self._dropped:
+            self._dropped = lost
+            self.get_logger().warning(f'{lost} profiles without a pose before and after them were '
+                                      'dropped so far', throttle_duration_sec=THROTTLE)
+        if len(points):
+            self._points.publish(cloud(points, self._scanner.frame, ready[-1].stamp))
+
+
+def scan(path: Path, assignments: Sequence[str], options: ScanOptions) -> None:
+    """Run the node until Ctrl-C; raises InputError for an invalid calibration."""
+    calibration = read_calibration(file_of(path))
+    config = with_assignments(use_config(calibration), assignments)
+    with ros():
+        try:
+            node = ScanNode(calibration, config, options)
+        except RCLError as error:
+            raise TopicsError(str(error)) from error
+        rclpy.spin(node)
+
+
+def main() -> None:
+    """Run the executable."""
+    parser = argparse.ArgumentParser(prog='scan', description=(__doc__ or '').splitlines()[1])
+    parser.add_argument('calibration', type=Path)
+    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE')
+    parser.add_argument('--range', nargs=2, default=('-inf', 'inf'), metavar=('NEAR', 'FAR'))
+    parser.add_argument('--incidence', type=float, default=90.0, metavar='DEGREES')
+    parser.add_argument('--voxel', default='0', metavar='EDGE')
+    parser.add_argument('--std', action='store_true')
+    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    sys.exit(exit_code(lambda: scan(options.calibration, options.set, ScanOptions.of_texts(
+        options.range, options.incidence, options.voxel, options.std))))
+
+
+if __name__ == '__main__':
+    main()

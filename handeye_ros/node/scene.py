@@ -1,0 +1,207 @@
+"""Markers: poses of samples, their features, and the current profile."""
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from geometry_msgs.msg import Point
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.frames import in_mount, target_frame
+from handeye_ros.node.streams import Current
+from handeye_ros.results.evidence import stated_noise
+from handeye_ros.results.scene import enlargement, half_axes, in_sensor, shape
+import numpy as np
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+
+def _color(red: float, green: float, blue: float, alpha: float = 1.0) -> ColorRGBA:
+    return ColorRGBA(r=red, g=green, b=blue, a=alpha)
+
+
+FLANGES, NUMBERS, LINES = _color(0.5, 0.5, 0.5), _color(0.9, 0.9, 0.9), _color(0.2, 0.6, 1.0)
+TARGET, EDGES, BALL = _color(0.1, 0.8, 0.3, 0.4), _color(0.0, 0.6, 0.5), _color(1.0, 0.7, 0.1, 0.5)
+UNKNOWN, LASER, FOUND = _color(0.7, 0.7, 0.7), _color(0.9, 0.1, 0.1), _color(1.0, 0.6, 0.0)
+AXES = (_color(0.9, 0.2, 0.2), _color(0.2, 0.8, 0.2), _color(0.2, 0.4, 0.9))
+
+LISTS = (Marker.SPHERE_LIST, Marker.LINE_LIST)  # markers that RViz refuses without points
+AXIS = 0.03  # m, of a drawn frame
+ELLIPSOID = 0.02  # m, the largest drawn half axis of the uncertainty
+DOT, LINE, TEXT = 0.003, 0.001, 0.012  # m
+ARM = 0.2  # m from the flange to the target, for the stated noise at the target
+WORST = 3.0  # times the stated noise: residuals drawn red
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnSample:
+    """A sample with its number and its residual (m), None without a review."""
+
+    number: int
+    sample: Sample
+    residual: float | None = None
+
+
+def session_markers(samples: Sequence[DrawnSample], calibration: Calibration | None, config: Config
+                    ) -> MarkerArray:
+    """Return the poses of samples and, with an answer, their features."""
+    markers = [Marker(action=Marker.DELETEALL)]
+    poses = [in_mount(drawn.sample.T_base_flange, config) for drawn in samples]
+    if samples:
+        markers.append(_points('flanges', FLANGES, np.array(poses)[:, :3, 3], 0.01))
+        markers += [_text('numbers', str(drawn.number), T[:3, 3], NUMBERS)
+                    for drawn, T in zip(samples, poses, strict=True)]
+    if calibration:
+        markers += _answer_markers(samples, poses, calibration, config)
+    return _array(markers, config)
+
+
+def current_markers(current: Current | None, calibration: Calibration | None, config: Config
+                    ) -> MarkerArray:
+    """Return the current profile and its features, placed by the answer."""
+    markers = [Marker(action=Marker.DELETEALL)]
+    if current and calibration:
+        T = in_mount(current.T_base_flange, config) @ calibration.T_flange_sensor
+        for name, color, size, plane in (('profile', LASER, DOT / 2, current.points),
+                                         ('feature', FOUND, 2 * DOT, _spots(current.features))):
+            if len(plane):
+                markers.append(_points(name, color, se3.apply(T, in_sensor(plane, config)), size))
+        lines = ends(current.features)
+        if len(lines):
+            markers.append(_lines('feature', FOUND, se3.apply(T, in_sensor(lines, config))))
+        markers += _sensor(T, calibration)
+    return _array(markers, config)
+
+
+def _answer_markers(samples: Sequence[DrawnSample], poses: Sequence[Array],
+                    calibration: Calibration, config: Config) -> list[Marker]:
+    """Return markers of target, samples and sensor for an answer; poses: of the mount, (4, 4)."""
+    T_sensors = [T @ calibration.T_flange_sensor for T in poses]
+    spots = [se3.apply(T, in_sensor(_spots(drawn.sample.features), config))
+             for drawn, T in zip(samples, T_sensors, strict=True)]
+    lines = [se3.apply(T, in_sensor(ends(drawn.sample.features), config))
+             for drawn, T in zip(samples, T_sensors, strict=True)]
+    visible = np.concatenate([*spots, *lines]) if samples else np.empty((0, 3))
+    markers = _target(calibration.target, config, visible)
+    if len(visible):
+        scale = WORST * stated_noise(config.noise, ARM)
+        markers.append(_points('samples', UNKNOWN, np.concatenate(spots), DOT, [
+            _by_residual(drawn.residual, scale)
+            for drawn, points in zip(samples, spots, strict=True) for _ in points]))
+        markers.append(_lines('face lines', LINES, np.concatenate(lines)))
+        markers += [_text('numbers at the target',
+                          f'{drawn.number}{_residual_label(drawn.residual)}', points.mean(axis=0),
+                          _by_residual(drawn.residual, scale))
+                    for drawn, points in zip(samples, spots, strict=True) if len(points)]
+        markers += _sensor(T_sensors[-1], calibration)
+    return [marker for marker in markers if marker.type not in LISTS or marker.points]
+
+
+def _residual_label(residual: float | None) -> str:
+    return '' if residual is None else f': {residual * 1e3:.3f} mm'
+
+
+def _by_residual(residual: float | None, worst: float) -> ColorRGBA:
+    """Return green for 0, yellow, red for the largest; grey for None."""
+    if residual is None:
+        return UNKNOWN
+    ratio = min(residual / worst, 1.0)
+    return _color(min(1.0, 2 * ratio), min(1.0, 2 * (1 - ratio)), 0.1)
+
+
+def _target(target: Mapping[str, Any], config: Config, visible: Array) -> list[Marker]:
+    form = shape(target, config.target.size, visible)
+    markers = [_lines('target', TARGET, _pairs(line)) for line in form.outline]
+    markers += [_lines('edges', EDGES, _pairs(line), 2 * LINE) for line in form.edges]
+    if form.ball:
+        centre, radius = form.ball
+        markers.append(_ellipsoid('target', TARGET, centre, np.eye(3) * radius))
+    return markers
+
+
+def _sensor(T: Array, calibration: Calibration) -> list[Marker]:
+    """Return the axes of the sensor and its uncertainty ellipsoid, enlarged to be visible."""
+    R_mount = T[:3, :3] @ calibration.T_flange_sensor[:3, :3].T
+    axes = R_mount @ half_axes(calibration.covariance[:3, :3])
+    factor = enlargement(float(np.linalg.norm(axes, axis=0).max()), ELLIPSOID)
+    markers = [_lines('sensor', color, np.array([T[:3, 3], T[:3, 3] + AXIS * T[:3, i]]))
+               for i, color in enumerate(AXES)]
+    return [*markers, _ellipsoid('uncertainty', BALL, T[:3, 3], axes * factor),
+            _text('uncertainty', f'1 sigma x {factor:g}', T[:3, 3] + ELLIPSOID * T[:3, 1], BALL)]
+
+
+def _spots(features: Iterable[Feature]) -> Array:
+    """Return the edge points, centres of faces without one, and points of arcs, (k, 2)."""
+    features = tuple(features)
+    edges = [f.point for f in features if isinstance(f, EdgePoint)]
+    faces = [f.centre for f in features if isinstance(f, FaceLine)]
+    arcs = [p for f in features if isinstance(f, Arc) for p in f.points]
+    return np.array((edges or faces) + arcs).reshape(-1, 2)
+
+
+def ends(features: Iterable[Feature]) -> Array:
+    """Return two points (2, 2) for each face line, two spreads from its centre."""
+    return np.array([f.centre + side * f.spread * f.direction for f in features
+                     if isinstance(f, FaceLine) for side in (-2, 2)]).reshape(-1, 2)
+
+
+def _pairs(line: Array) -> Array:
+    """Return the ends (2 (n - 1), 3) of the segments of a polyline (n, 3)."""
+    return np.repeat(line, 2, axis=0)[1:-1]
+
+
+def _points(name: str, color: ColorRGBA, points: Array, size: float,
+            colors: Sequence[ColorRGBA] = ()) -> Marker:
+    marker = _marker(name, Marker.SPHERE_LIST, color, (size, size, size))
+    marker.points, marker.colors = _messages(points), list(colors)
+    return marker
+
+
+def _lines(name: str, color: ColorRGBA, points: Array, width: float = LINE) -> Marker:
+    marker = _marker(name, Marker.LINE_LIST, color, (width, 0.0, 0.0))
+    marker.points = _messages(points)
+    return marker
+
+
+def _text(name: str, text: str, position: Array, color: ColorRGBA) -> Marker:
+    marker = _marker(name, Marker.TEXT_VIEW_FACING, color, (0.0, 0.0, TEXT))
+    marker.text = text
+    set_fields(marker.pose.position, 'xyz', position + [0.0, 0.0, TEXT])
+    return marker
+
+
+def _ellipsoid(name: str, color: ColorRGBA, centre: Array, axes: Array) -> Marker:
+    """Return an ellipsoid with half axes in columns (3, 3)."""
+    lengths = np.linalg.norm(axes, axis=0)
+    R = axes / np.maximum(lengths, 1e-12)
+    R[:, 2] = np.cross(R[:, 0], R[:, 1])
+    marker = _marker(name, Marker.SPHERE, color, np.maximum(2 * lengths, 1e-6))
+    set_fields(marker.pose.position, 'xyz', centre)
+    set_fields(marker.pose.orientation, 'xyzw', se3.quaternion(se3.transform(R, centre)))
+    return marker
+
+
+def _marker(name: str, kind: int, color: ColorRGBA, scale: Iterable[float]) -> Marker:
+    marker = Marker(type=kind, action=Marker.ADD, color=color, ns=name)
+    marker.pose.orientation.w = 1.0
+    set_fields(marker.scale, 'xyz', scale)
+    return marker
+
+
+def _messages(points: Array) -> list[Point]:
+    return [set_fields(Point(), 'xyz', point) for point in points]
+
+
+def set_fields(msg: Any, names: str, values: Iterable[float]) -> Any:
+    """Set fields with names of one letter each; return the message."""
+    for name, value in zip(names, values, strict=True):
+        setattr(msg, name, float(value))
+    return msg
+
+
+def _array(markers: list[Marker], config: Config) -> MarkerArray:
+    for number, marker in enumerate(markers):
+        marker.header.frame_id, marker.id = target_frame(config), number
+    return MarkerArray(markers=markers)

@@ -1,0 +1,247 @@
+"""Writes and reads calibration.yaml."""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from datetime import datetime, UTC
+import hashlib
+import math
+from pathlib import Path
+from typing import Any
+
+from handeye_ros import __version__, se3
+from handeye_ros.config import yaml_content
+from handeye_ros.data import Array, Calibration, Quality, SampleReport, TimeOffset
+from handeye_ros.output import write_whole
+from handeye_ros.results.errors import CalibrationFileError
+import numpy as np
+from scipy.spatial.transform import Rotation
+import yaml
+
+FORMAT = 'handeye_ros/calibration/'
+NEWEST = 1
+NAME = 'calibration.yaml'
+
+HEADER = """\
+# Hand-eye calibration. T is the pose of {child} in {parent}: it maps points of {child}
+# into {parent}, p_{parent} = T @ p_{child}. Metres and radians; quaternion x y z w; rpy is
+# that of URDF; the covariance (6x6) is of x y z rx ry rz, in {parent}.
+"""
+
+SAME_ROTATION = 1e-5  # rad between rpy and quaternion: written with few digits
+ROUNDING = 1e-12  # of a rotation that goes through a quaternion and back
+
+
+class Section:
+    """A mapping in a file; each value is checked on access."""
+
+    def __init__(self, path: Path, prefix: str, values: Any) -> None:
+        if not isinstance(values, dict):
+            section_name = prefix.rstrip('.') or 'the file'
+            raise CalibrationFileError(path, f'{section_name} is no mapping')
+        self.path, self._prefix, self._values = path, prefix, values
+
+    def get(self, key: str, kind: type, default: Any = None) -> Any:
+        """Return a value of a type, or the default if it is missing."""
+        value = self._values.get(key, default)
+        if value is None:
+            raise self.error(key, 'is missing')
+        if kind is float and type(value) is int:
+            value = float(value)
+        if type(value) is not kind:
+            raise self.error(key, f'is {value!r}, expected {kind.__name__}')
+        return value
+
+    def number(self, key: str) -> float:
+        """Return a finite number."""
+        value = float(self.get(key, float))
+        if not math.isfinite(value):
+            raise self.error(key, f'is {value}')
+        return value
+
+    def has(self, key: str) -> bool:
+        """Return whether there is a value."""
+        return self._values.get(key) is not None
+
+    def section(self, key: str) -> Section:
+        """Return a nested mapping."""
+        return Section(self.path, f'{self._prefix}{key}.', self.get(key, dict))
+
+    def error(self, key: str, problem: str) -> CalibrationFileError:
+        """Return the error for a key."""
+        return CalibrationFileError(self.path, f'{self._prefix}{key} {problem}')
+
+
+def write_calibration(calibration: Calibration, path: Path) -> None:
+    """
+    Write a calibration as YAML; the time is added to the provenance if missing.
+
+    Raises UnwritableError; then nothing is left behind.
+
+    """
+    write_whole(path, text(dated(calibration)))
+
+
+def dated(calibration: Calibration) -> Calibration:
+    """Return a calibration with the version and the time in its provenance."""
+    first = {'version': __version__, 'created': datetime.now(UTC).isoformat(timespec='seconds')}
+    return replace(calibration, provenance={**first, **calibration.provenance})
+
+
+def text(calibration: Calibration) -> str:
+    """Return the content of the file."""
+    header = HEADER.format(parent=calibration.parent_frame, child=calibration.child_frame)
+    return header + str(yaml.safe_dump(_content(calibration), sort_keys=False, width=100,
+                                       default_flow_style=None, allow_unicode=True))
+
+
+def _content(calibration: Calibration) -> dict[str, Any]:
+    T, offset = calibration.T_flange_sensor, calibration.time_offset
+    return {
+        'format': f'{FORMAT}{NEWEST}',
+        'name': calibration.name, 'method': calibration.method,
+        'parent_frame': calibration.parent_frame, 'child_frame': calibration.child_frame,
+        'transform': transform_values(T), 'rpy': _plain(se3.rpy(T)),
+        'covariance': _plain(calibration.covariance.ravel()),
+        'target': _plain(calibration.target),
+        **({'time_offset': _plain(asdict(offset))} if offset else {}),
+        'quality': _plain(asdict(calibration.quality)),
+        'samples': [{key: _plain(value) for key, value in asdict(report).items()
+                     if value is not None and value != ''} for report in calibration.samples],
+        'provenance': _provenance(calibration.provenance),
+    }
+
+
+def transform_values(T: Array) -> dict[str, dict[str, float]]:
+    """Return a transform (4, 4) as plain values: translation x y z, rotation x y z w."""
+    return {'translation': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
+            'rotation': dict(zip('xyzw', map(float, se3.quaternion(T)), strict=True))}
+
+
+def input_values(file: Path) -> dict[str, str]:
+    """Return path and sha256 of an input file, as in the provenance."""
+    with file.open('rb') as stream:
+        return {'path': str(file), 'sha256': hashlib.file_digest(stream, 'sha256').hexdigest()}
+
+
+def _provenance(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    merged: dict[str, Any] = _plain(provenance)
+    merged['config'] = merged.pop('config', {})  # long: after all others
+    return merged
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with types of YAML."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value
+
+
+def file_of(path: Path) -> Path:
+    """Return the file of a calibration from its path or that of its folder."""
+    return path / NAME if path.is_dir() else path
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Return the calibration in a file; raises CalibrationFileError."""
+    try:
+        content = yaml_content(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise CalibrationFileError(path, error.strerror or str(error)) from error
+    except (UnicodeDecodeError, yaml.YAMLError, ValueError) as error:
+        raise CalibrationFileError(path, 'it is not valid YAML') from error
+    file = Section(path, '', content)
+    _check_format(path, file.get('format', str))
+    T = _transform(file.section('transform'))
+    _check_rpy(file, T)
+    return Calibration(
+        name=file.get('name', str),
+        method=file.get('method', str),
+        parent_frame=file.get('parent_frame', str),
+        child_frame=file.get('child_frame', str),
+        T_flange_sensor=T,
+        covariance=_covariance(file),
+        target=file.get('target', dict),
+        quality=_quality(file.section('quality')),
+        samples=tuple(_sample(Section(path, f'samples[{i}].', item))
+                      for i, item in enumerate(file.get('samples', list))),
+        provenance=file.get('provenance', dict), time_offset=_time_offset(file))
+
+
+def _time_offset(file: Section) -> TimeOffset | None:
+    section = file.section('time_offset') if file.has('time_offset') else None
+    return TimeOffset(section.number('value'), section.number('std')) if section else None
+
+
+def transform_from(path: Path, key: str, values: Any) -> Array:
+    """Return the transform (4, 4) of plain values, which a file holds under a key."""
+    return _transform(Section(path, f'{key}.', values))
+
+
+def _check_format(path: Path, text: str) -> None:
+    number = text.removeprefix(FORMAT)
+    if number == text or not number.isdecimal():
+        raise CalibrationFileError(path, f'its format is "{text}", expected {FORMAT}{NEWEST}')
+    if int(number) > NEWEST:
+        raise CalibrationFileError(path, f'its format {text} is newer than this version of '
+                                   f'handeye_ros ({__version__}) can read; update the package')
+
+
+def _transform(section: Section) -> Array:
+    translation, rotation = section.section('translation'), section.section('rotation')
+    quaternion = np.array([rotation.number(key) for key in 'xyzw'])
+    length = float(np.linalg.norm(quaternion))
+    if abs(length - 1) > 1e-6:
+        raise section.error('rotation', f'is a quaternion of length {length:.6g}, expected 1')
+    return se3.from_quaternion(np.array([translation.number(key) for key in 'xyz']), quaternion)
+
+
+def _check_rpy(file: Section, T: Array) -> None:
+    """Raise for angles that were edited without the quaternion, which is the one used."""
+    if not file.has('rpy'):
+        return
+    rpy = file.get('rpy', list)
+    if len(rpy) != 3 or not all(type(v) in (int, float) and math.isfinite(v) for v in rpy):
+        raise file.error('rpy', 'does not hold 3 numbers')
+    R = Rotation.from_euler('xyz', rpy).inv() * Rotation.from_matrix(T[:3, :3])
+    if R.magnitude() > SAME_ROTATION:
+        raise file.error('rpy', f'and transform.rotation differ by '
+                         f'{math.degrees(R.magnitude()):.4g} degrees. The quaternion counts: '
+                         'correct it, and correct rpy or delete it')
+
+
+def _covariance(file: Section) -> Array:
+    values = file.get('covariance', list)
+    numbers = [v for v in values if type(v) in (int, float) and math.isfinite(v)]
+    if len(values) != 36 or len(numbers) != 36:
+        raise file.error('covariance', 'does not hold 36 numbers')
+    return np.array(numbers, dtype=float).reshape(6, 6)
+
+
+def _quality(section: Section) -> Quality:
+    return Quality(section.get('samples_used', int), section.get('samples_rejected', int),
+                   section.number('residual_rms'), section.number('holdout_rms'),
+                   section.get('weakest_direction', str), section.number('weakest_std'))
+
+
+def _sample(section: Section) -> SampleReport:
+    residual = section.number('residual') if section.has('residual') else None
+    return SampleReport(section.get('stamp', int), section.get('used', bool),
+                        section.get('edge', str, ''), residual, section.get('reason', str, ''))
+
+
+def equal(a: Calibration, b: Calibration) -> bool:
+    """Return whether two calibrations are equal, except for the rounding of a quaternion."""
+    return all((
+        np.allclose(a.T_flange_sensor, b.T_flange_sensor, rtol=0, atol=ROUNDING),
+        np.array_equal(a.T_flange_sensor[:3, 3], b.T_flange_sensor[:3, 3]),
+        np.array_equal(a.covariance, b.covariance),
+        (a.name, a.method, a.parent_frame, a.child_frame)
+        == (b.name, b.method, b.parent_frame, b.child_frame),
+        (a.quality, a.samples, a.time_offset) == (b.quality, b.samples, b.time_offset),
+        (_plain(a.target), _plain(a.provenance)) == (_plain(b.target), _plain(b.provenance)),
+    ))

@@ -1,0 +1,251 @@
+"""
+The formats in which a calibration is written, and the preamble that they share.
+
+A 4x4 matrix and JSON; the tool frame as it is typed at the pendant of a robot, or put into its
+program; for ROS a joint of a URDF, static_transform_publisher and the file of easy_handeye2.
+
+The loader of easy_handeye2 opens ~/.ros2/easy_handeye2/calibrations/<name>.calib and puts every
+key into a message easy_handeye2_msgs/HandeyeCalibration: an unknown key fails, a missing one keeps
+its default. So the keys are those that its own tools set and all its versions know (easy_handeye2,
+handeye_calibration.py).
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+import json
+import math
+import shlex
+from xml.sax.saxutils import quoteattr
+
+from handeye_ros import __version__, orientations, se3
+from handeye_ros.config import BASE_FRAME, Config
+from handeye_ros.data import Array, Calibration
+from handeye_ros.results.calibration_file import transform_values
+import numpy as np
+from scipy.spatial.transform import Rotation
+import yaml
+
+SI = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed axes x, '
+      'y, z, as in URDF.')
+DIGITS = {'mm': 4, 'm': 7, 'deg': 5, 'rad': 8, '': 9}
+URDF = """\
+<?xml version="1.0"?>
+<!--
+{comment}
+Include it in the description of the robot, which has the link {parent} already.
+-->
+<robot name={robot} xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <link name={child}/>
+  {joint}
+</robot>
+"""
+
+JOINT = """\
+<joint name={name} type="fixed">
+    <parent link={parent}/>
+    <child link={child}/>
+    <origin xyz="{xyz}" rpy="{rpy}"/>
+  </joint>"""
+
+LAUNCH = '''\
+"""Publishes the pose of the sensor on /tf_static: ros2 launch {file}."""
+{comment}from launch import LaunchDescription
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    return LaunchDescription([
+        Node(package='tf2_ros', executable='static_transform_publisher', name={name!r},
+             arguments=[{arguments}]),
+    ])
+'''
+LAUNCH_FILE = 'static_transform.launch.py'
+TARGET_FRAME = 'handeye_target'  # our target has no frame in the robot's tree
+
+
+@dataclass(frozen=True)
+class Format:
+    """
+    A file format of a calibration.
+
+    title: what it is, for the help; file_name: of the file in the folder of the result; text: the
+    content of the file. Both take the calibration; text raises nothing.
+    """
+
+    title: str
+    file_name: Callable[[Calibration], str]
+    text: Callable[[Calibration], str]
+
+
+def preamble(calibration: Calibration, units: str = SI) -> tuple[str, ...]:
+    """Return lines that explain the numbers: direction, frames, units, uncertainty."""
+    parent, child = one_line(calibration.parent_frame), one_line(calibration.child_frame)
+    std = np.sqrt(np.diag(calibration.covariance))
+    position = ', '.join(f'{axis} {s * 1e3:.3f}' for axis, s in zip('xyz', std[:3], strict=True))
+    turns = ', '.join(f'{axis} {math.degrees(s):.4f}'
+                      for axis, s in zip('xyz', std[3:], strict=True))
+    return (
+        f'Hand-eye calibration {one_line(calibration.name)} ({one_line(calibration.method)}), '
+        f'written by handeye_ros {__version__}.',
+        f'The pose of {child} in {parent}: p_{parent} = T @ p_{child}, so it maps points of '
+        f'{child} into {parent}.',
+        f'Parent frame {parent}, child frame {child}. {units}',
+        f'1 sigma of the position: {position} mm; of the rotation about the axes of {parent}: '
+        f'{turns} degrees.')
+
+
+def one_line(text: str) -> str:
+    """Return a text without line ends, safe inside a comment."""
+    return ' '.join(text.split())
+
+
+def commented(calibration: Calibration, mark: str = '# ', units: str = SI) -> str:
+    """Return the preamble as comment lines."""
+    return ''.join(f'{mark}{line}\n' for line in preamble(calibration, units))
+
+
+def numbers(values: Array) -> str:
+    """Return numbers separated by blanks, with all digits."""
+    return ' '.join(repr(float(value)) for value in values)
+
+
+def matrix(calibration: Calibration) -> str:
+    """Return T row by row, as numpy.loadtxt reads it."""
+    rows = [numbers(row) + '\n' for row in calibration.T_flange_sensor]
+    return commented(calibration) + '# The matrix T (4x4), row by row.\n' + ''.join(rows)
+
+
+def as_json(calibration: Calibration) -> str:
+    """Return the calibration as JSON, with the preamble under "comment"."""
+    T = calibration.T_flange_sensor
+    values = {
+        'comment': preamble(calibration),
+        'name': calibration.name,
+        'parent_frame': calibration.parent_frame,
+        'child_frame': calibration.child_frame,
+        'transform': transform_values(T),
+        'rpy': se3.rpy(T).tolist(),
+        'matrix': T.tolist(),
+        'covariance': calibration.covariance.tolist(),
+    }
+    return json.dumps(values, indent=2) + '\n'
+
+
+def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> str:
+    """
+    Return the sensor's pose as named numbers, and as a line of a robot program.
+
+    mark: the start of a comment; line: with {xyz}, {angles}, and {x}, {a} and so on.
+    """
+    notation = orientations.of(vendor)
+    unit = 1e3 if notation.length == 'mm' else 1.0
+    T = calibration.T_flange_sensor
+    lengths = [f'{v:.{DIGITS[notation.length]}f}' for v in T[:3, 3] * unit]
+    R = Rotation.from_matrix(T[:3, :3])
+    angles = [f'{v + 0.0:.{DIGITS[notation.angle]}f}' for v in np.ravel(notation.numbers(R))]
+    named = dict(zip(('x', 'y', 'z', *notation.labels), [*lengths, *angles], strict=True))
+    units = [notation.length] * 3 + [notation.angle] * len(angles)
+    rows = [f'{mark}{name.upper():3} {value} {unit}'.rstrip()
+            for (name, value), unit in zip(named.items(), units, strict=True)]
+    fields = {**named, 'xyz': ','.join(lengths), 'angles': ','.join(angles)}
+    return commented(calibration, mark, f'{notation.title}.') + '\n'.join(
+        [*rows, line.format(**fields)]) + '\n'
+
+
+def _form(vendor: str, title: str, name: str, mark: str, line: str) -> Format:
+    return Format(title, lambda _: name,
+                  partial(tool_frame, vendor=vendor, mark=mark, line=line))
+
+
+ROBOTS = {
+    'kuka': _form('kuka', 'KUKA: X Y Z A B C of a tool, and a FRAME of KRL', 'tool_kuka.dat', '; ',
+                  'DECL FRAME SENSOR={{X {x},Y {y},Z {z},A {a},B {b},C {c}}}'),
+    'fanuc': _form('fanuc', 'FANUC: X Y Z W P R of a tool frame', 'tool_fanuc.txt', '! ',
+                   'X: {x} Y: {y} Z: {z} W: {w} P: {p} R: {r}'),
+    'abb': _form('abb', 'ABB: a pose of RAPID, the tframe of tooldata', 'tool_abb.mod', '! ',
+                 'CONST pose sensor:=[[{xyz}],[{angles}]];'),
+    'ur': _form('ur', 'Universal Robots: a pose of URScript for set_tcp', 'tool_ur.script', '# ',
+                'set_tcp(p[{xyz},{angles}])'),
+    'staubli': _form('staubli', 'Staubli: X Y Z Rx Ry Rz of a tool', 'tool_staubli.txt', '// ',
+                     '{{{x}, {y}, {z}, {rx}, {ry}, {rz}}}'),
+    'yaskawa': _form('yaskawa', 'Yaskawa: X Y Z Rx Ry Rz of a tool', 'tool_yaskawa.txt', '; ',
+                     '{xyz},{angles}'),
+}
+
+
+def joint(calibration: Calibration) -> str:
+    """Return the <joint> of a URDF that holds the calibration."""
+    parent, child = calibration.parent_frame, calibration.child_frame
+    return JOINT.format(name=quoteattr(f'{parent}_to_{child}'), parent=quoteattr(parent),
+                        child=quoteattr(child), xyz=numbers(calibration.T_flange_sensor[:3, 3]),
+                        rpy=numbers(se3.rpy(calibration.T_flange_sensor)))
+
+
+def urdf(calibration: Calibration) -> str:
+    """Return a URDF with the sensor's link and its joint, which xacro can include."""
+    # two dashes would end an XML comment
+    comment = '\n'.join(preamble(calibration)).replace('--', '- -')
+    return URDF.format(comment=comment, parent=calibration.parent_frame.replace('--', '- -'),
+                       robot=quoteattr(calibration.name), joint=joint(calibration),
+                       child=quoteattr(calibration.child_frame))
+
+
+def arguments(calibration: Calibration) -> list[str]:
+    """Return the arguments of static_transform_publisher by name."""
+    T = calibration.T_flange_sensor
+    values = dict(zip(('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw'), (*T[:3, 3], *se3.quaternion(T)),
+                      strict=True))
+    return [word for name, value in values.items() for word in (f'--{name}', repr(float(value)))
+            ] + ['--frame-id', calibration.parent_frame,
+                 '--child-frame-id', calibration.child_frame]
+
+
+def command(calibration: Calibration) -> str:
+    """Return the shell line that publishes the calibration on /tf_static."""
+    return 'ros2 run tf2_ros static_transform_publisher ' + shlex.join(arguments(calibration))
+
+
+def shell(calibration: Calibration) -> str:
+    """Return a shell script with that command."""
+    return f'#!/bin/sh\n{commented(calibration)}exec {command(calibration)}\n'
+
+
+def launch(calibration: Calibration) -> str:
+    """Return a launch file that publishes the calibration on /tf_static."""
+    words = arguments(calibration)
+    # ROS takes letters, digits and underscores in the name of a node
+    node = ''.join(c if c.isascii() and c.isalnum() else '_' for c in calibration.child_frame)
+    lines = ',\n                        '.join(
+        f'{name!r}, {value!r}' for name, value in zip(words[::2], words[1::2], strict=True))
+    return LAUNCH.format(file=LAUNCH_FILE, comment=commented(calibration), arguments=lines,
+                         name=f'publish_{node}')
+
+
+def easy_handeye2_file(calibration: Calibration) -> str:
+    """Return the file name that easy_handeye2 expects."""
+    return f'{one_line(calibration.name).replace("/", "_")}.calib'
+
+
+def easy_handeye2(calibration: Calibration) -> str:
+    """Return the content of the file for easy_handeye2."""
+    config, file = calibration.provenance.get('config', {}), easy_handeye2_file(calibration)
+    on_base = config.get('calibration_type') == 'eye_on_base'
+    robot = {'robot_base_frame': config.get('robot_base_frame') or BASE_FRAME,
+             'robot_effector_frame': config.get('robot_effector_frame',
+                                                Config.robot_effector_frame)}
+    robot['robot_base_frame' if on_base else 'robot_effector_frame'] = calibration.parent_frame
+    values = {
+        'parameters': {
+            'name': file.removesuffix('.calib'),
+            'calibration_type': 'eye_on_base' if on_base else 'eye_in_hand',
+            **robot,
+            'tracking_base_frame': calibration.child_frame,
+            'tracking_marker_frame': TARGET_FRAME,
+            'freehand_robot_movement': True,
+        },
+        'transform': transform_values(calibration.T_flange_sensor)}
+    folder = '~/.ros2/easy_handeye2/calibrations'
+    return (f'{commented(calibration)}# For easy_handeye2: its place is {folder}/{file}\n' + str(
+        yaml.safe_dump(values, sort_keys=False, allow_unicode=True)))

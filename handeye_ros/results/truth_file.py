@@ -1,0 +1,91 @@
+"""Reads and writes truth.yaml of simulated recordings; errors of an answer against it."""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.config import yaml_content
+from handeye_ros.data import Array
+from handeye_ros.results.calibration_file import transform_from
+from handeye_ros.results.errors import CalibrationFileError
+import numpy as np
+import yaml
+
+NAME = 'truth.yaml'
+STEPS = 13  # points along each side of the field of view
+FIELD = 'x within +-20 mm, range 160-190 mm'
+
+
+def text(values: Mapping[str, Any]) -> str:
+    """Return the text of truth.yaml."""
+    return str(yaml.safe_dump(dict(values), sort_keys=False, default_flow_style=None))
+
+
+def true_transform(bag: Path) -> Array | None:
+    """
+    Return the true T_flange_sensor (4, 4) of a bag, None if it is unknown.
+
+    bag: a rosbag2 folder, or a file in one. Raises CalibrationFileError for a damaged truth.yaml.
+
+    """
+    path = (bag if bag.is_dir() else bag.parent) / NAME
+    if not path.is_file():
+        return None
+    try:
+        content = yaml_content(path.read_text(encoding='utf-8'))
+        values = content['T_flange_sensor']
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError) as error:
+        raise CalibrationFileError(path, 'it holds no T_flange_sensor') from error
+    return transform_from(path, 'T_flange_sensor', values)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """
+    The difference between two transforms.
+
+    translation: metres; rotation: radians; mapped_points: RMS over the field of view, metres.
+    """
+
+    translation: float
+    rotation: float
+    mapped_points: float
+
+
+def errors_against(T_est: Array, T_true: Array, field: Array | None = None) -> Errors:
+    """
+    Return the errors of T_flange_sensor (4, 4) against the true one.
+
+    field: points (k, 3) in the sensor frame that are mapped, field_points when not given.
+    """
+    delta = se3.difference(T_est, T_true)
+    return Errors(float(np.linalg.norm(delta[:3])), float(np.linalg.norm(delta[3:])),
+                  _mapped(T_est, T_true, field_points() if field is None else field))
+
+
+def mapped_point_error(T_est: Array, T_true: Array, x: tuple[float, float] = (-0.02, 0.02),
+                       z: tuple[float, float] = (0.16, 0.19)) -> float:
+    """
+    Return the RMS of |(T_est - T_true) p| over a field of view (metres).
+
+    T_est, T_true: (4, 4); p: a grid in the sensor plane, along the line within x and in range
+    within z. This is the error in use; the error of the translation alone is dominated by the
+    lever arm of the rotation.
+
+    """
+    return _mapped(T_est, T_true, field_points(x, z))
+
+
+def field_points(x: tuple[float, float] = (-0.02, 0.02), z: tuple[float, float] = (0.16, 0.19)
+                 ) -> Array:
+    """Return a grid (k, 3) in the sensor plane, see mapped_point_error."""
+    along, across = np.meshgrid(np.linspace(*x, STEPS), np.linspace(*z, STEPS))
+    return np.column_stack([along.ravel(), np.zeros(along.size), across.ravel()])
+
+
+def _mapped(T_est: Array, T_true: Array, points: Array) -> float:
+    difference = se3.apply(T_est, points) - se3.apply(T_true, points)
+    return float(np.sqrt((difference ** 2).sum(axis=1).mean()))

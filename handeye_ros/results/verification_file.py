@@ -1,0 +1,84 @@
+"""A verification from its YAML (see verification/verification.py), formatted."""
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+import math
+from pathlib import Path
+from typing import Any
+
+from handeye_ros.config import yaml_content
+from handeye_ros.results.errors import VerificationFileError
+import yaml
+
+FORMAT = 'handeye_ros/verification/1'
+COLUMNS = ('measured', 'nominal', 'deviation', 'U (k = 2)', 'claimed, 1 sigma')
+SCATTER = (('mean distance from the fit', 'mean'), ('its standard deviation', 'std'),
+           ('its maximum', 'maximum'), ('its RMS', 'rms'),
+           ('95 % of such RMS lie below', 'expected'))
+LIMITS = (('tolerance of lengths', 'tolerance', 'm'),
+          ('tolerance of angles', 'angle_tolerance', 'rad'),
+          ('smallest error of the calibration that would show', 'smallest_error', 'm'))
+
+
+@dataclass(frozen=True)
+class Verified:
+    """Formatted verification: title, sentences, rows of a name and texts by COLUMNS."""
+
+    title: str
+    good: bool
+    sentences: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[str, ...]], ...]
+
+
+def formatted(value: float | None, unit: str) -> str:
+    """Return a value in millimetres or degrees, '' if there is none."""
+    if value is None or math.isnan(value):
+        return ''
+    return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{math.degrees(value):.4f} degrees'
+
+
+def title_of(content: Mapping[str, Any]) -> str:
+    """Return the routine with its verdict."""
+    return f'{content["routine"]}: {content["verdict"].upper()}, {content["stations"]} stations'
+
+
+def rows_of(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield the measured values: a name, and the texts of COLUMNS."""
+    for q in content['quantities']:
+        nominal = q['nominal']
+        error = None if nominal is None else q['value'] - nominal
+        yield q['name'], tuple(formatted(v, q['unit']) for v in (
+            q['value'], nominal, error, content['k'] * q['std'],
+            q['claimed'] or None))  # a scatter claims nothing
+    for name, key in SCATTER:
+        yield name, (formatted(content['scatter'][key], 'm'), '', '', '', '')
+    for name, key, unit in LIMITS:
+        yield name, (formatted(content[key], unit), '', '', '', '')
+
+
+def read(path: Path) -> Verified:
+    """Return the verification of a file; raises VerificationFileError."""
+    try:
+        content = yaml_content(path.read_text(encoding='utf-8'))
+        if content['format'] != FORMAT:
+            raise VerificationFileError(path, f'its format is {content["format"]}, not {FORMAT}')
+        return Verified(title_of(content), content['verdict'] == 'pass',
+                        tuple(map(str, content['reasons'])), tuple(rows_of(content)))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise VerificationFileError(path, str(error).splitlines()[0]) from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise VerificationFileError(path, 'it is not the result of a verification') from error
+
+
+def content_of(path: Path) -> dict[str, Any] | None:
+    """Return the content of a verification's file, None for others; VerificationFileError."""
+    try:
+        content = yaml_content(path.read_text(encoding='utf-8'))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return None
+    if not isinstance(content, dict) or content.get('format') != FORMAT:
+        return None
+    if 'record' not in content:
+        raise VerificationFileError(path, 'it is of an earlier version: verify again')
+    return content

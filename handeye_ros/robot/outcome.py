@@ -1,0 +1,236 @@
+"""
+From configurations and points to the corrected arm: model selection from simple to rich.
+
+Each model is cross-validated by regions of the joint space. A model with more parameters is chosen
+only if it predicts the left-out points better.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from handeye_ros.data import Array
+from handeye_ros.estimation.least_squares import single_threaded
+from handeye_ros.robot.errors import (
+    ContradictionError,
+    DegenerateConfigurationsError,
+    OtherRobotError,
+)
+from handeye_ros.robot.estimate import (
+    adjusted,
+    Fit,
+    reported_covariance,
+    with_arm,
+    without_outliers,
+)
+from handeye_ros.robot.model import (
+    Arm,
+    Chain,
+    DIRECTION,
+    GEOMETRY,
+    OFFSET,
+    one_configuration,
+    parameters,
+    POSITION,
+)
+from handeye_ros.robot.points import cause_of_points, first_fit, Points
+import numpy as np
+from numpy.typing import NDArray
+
+REGIONS = 8  # of the joint space, each left out once
+FEWEST_OF_REGION = 3
+FOLD_ROUNDS = 2
+MOST_FREEDOM = 6  # independent conditions of a stop: a pose has no more
+MOST_SHARE = 0.8  # largest ratio of parameters to conditions
+AGREEING = 0.5  # smallest share of the configurations that agree
+HOPELESS = 20.0  # times the limit of the residual: no arm is so inaccurate
+LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs to the robot
+LARGEST_TURN, LARGEST_SHIFT = 0.02, 0.01  # 1 sigma of the sensor's pose (rad, m)
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A fit with some kinds of parameters; left_out: (n,) cross-validation errors (m)."""
+
+    kinds: tuple[str, ...]
+    fit: Fit
+    left_out: Array
+
+    @property
+    def words(self) -> str:
+        """Return the kinds in words."""
+        return ', '.join(self.kinds) or 'URDF as it is'
+
+    @property
+    def left_out_rms(self) -> float:
+        """Return the RMS of the cross-validation errors of the used points (m)."""
+        return float(np.sqrt((self.left_out[self.fit.used] ** 2).mean()))
+
+    @property
+    def left_out_median(self) -> float:
+        """Return the median of the cross-validation errors of the used points (m)."""
+        return float(np.median(self.left_out[self.fit.used]))
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """
+    The chosen model, and all models; the simplest has no errors of the arm.
+
+    covariance: (u, u) of X, the targets, and the k parameters of the arm; sigma_ratios: (k,)
+    posterior over prior sigma of each parameter; smooth: RMS of the smooth remaining error of
+    the robot (m); warnings: sentences.
+    """
+
+    models: tuple[Model, ...]
+    chosen: Model
+    covariance: Array
+    sigma_ratios: Array
+    smooth: float
+    warnings: tuple[str, ...]
+
+    @property
+    def arm(self) -> Arm:
+        """Return the arm with its errors."""
+        return self.chosen.fit.state.arm
+
+    @property
+    def stds(self) -> Array:
+        """Return 1 sigma (k,) of the parameters of the arm."""
+        first = self.chosen.fit.data.unknowns
+        return np.sqrt(np.diag(self.covariance)[first:first + len(self.arm.values)])
+
+
+def solve_points(data: Points, chain: Chain, extra_kinds: Sequence[str], limit: float) -> Outcome:
+    """Return the outcome of points that a sensor measured; see solve."""
+    return solve(first_fit(data, Arm(chain)), extra_kinds, limit,
+                 lambda: cause_of_points(data, chain))
+
+
+@single_threaded
+def solve(start: Fit, extra_kinds: Sequence[str], limit: float, cause: Callable[[], str]
+          ) -> Outcome:
+    """
+    Return the corrected arm and its hand-eye transform.
+
+    start: the hand-eye transform alone; extra_kinds: of parameters beside the geometry; limit: the
+    largest valid residual (m); cause: the likely error if it is exceeded, in words. Raises
+    DataError.
+    """
+    chain = start.state.arm.chain
+    if start.noise_rms > HOPELESS * limit:
+        raise ContradictionError(start.noise_rms, HOPELESS * limit, cause())
+    ladder = [(OFFSET,), GEOMETRY, *([(*GEOMETRY, *extra_kinds)] if extra_kinds else [])]
+    richest = _fit(start, chain, ladder[-1])
+    if richest.noise_rms > limit or richest.used.mean() < AGREEING:
+        misfit = float(np.median(start.data.distances(start.state)))
+        raise ContradictionError(max(misfit, richest.noise_rms), limit, cause())
+    _require_mount(richest)
+    fold = regions(start.data.q)
+    start = adjusted(replace(start, used=richest.used))
+    fits = [(kinds, _fit(start, chain, kinds) if kinds != ladder[-1] else richest)
+            for kinds in ladder]
+    models = tuple(Model(kinds, replace(fit, used=richest.used), _left_out(fit, fold))
+                   for kinds, fit in [((), start), *fits])
+    chosen = models[0]
+    for model in models[1:]:
+        chosen = model if _better(model, chosen) else chosen
+    _require_same_robot(chosen.fit.state.arm)
+    wide, covariance = reported_covariance(richest, chosen.fit.state)
+    covariance = covariance * _misfit(models[-1])
+    return Outcome(models, chosen, covariance, _sigma_ratios(chosen.fit), wide.smooth_rms,
+                   tuple(_warnings(models, chosen)))
+
+
+def _fit(start: Fit, chain: Chain, kinds: Sequence[str]) -> Fit:
+    chosen = parameters(chain, kinds)
+    return without_outliers(with_arm(start, Arm(chain, chosen, np.zeros(len(chosen)))))
+
+
+def regions(q: Array) -> NDArray[np.intp]:
+    """Return the region (n,) of joint space of configurations (n, joints)."""
+    groups = [np.arange(len(q))]
+    while len(groups) < REGIONS and min(map(len, groups)) >= 2 * FEWEST_OF_REGION:
+        halves = []
+        for group in groups:
+            centred = q[group] - q[group].mean(axis=0)
+            _, _, axes = np.linalg.svd(centred, full_matrices=False)
+            order = group[np.argsort(centred @ axes[0], kind='stable')]
+            halves += [order[:len(order) // 2], order[len(order) // 2:]]
+        groups = halves
+    region = np.empty(len(q), dtype=np.intp)
+    for number, group in enumerate(groups):
+        region[group] = number
+    return region
+
+
+def _left_out(fit: Fit, fold: NDArray[np.intp]) -> Array:
+    """Return the errors (n,) of points, each predicted without its region."""
+    data, errors = fit.data, np.empty(len(fit.data))
+    for number in range(int(fold.max()) + 1):
+        in_region = fold == number
+        fit_without = adjusted(replace(fit, used=fit.used & ~in_region), rounds=FOLD_ROUNDS)
+        errors[in_region] = data.distances(fit_without.state)[in_region]
+    return errors
+
+
+def _better(model: Model, simpler: Model) -> bool:
+    """Return whether a model predicts left-out points better by more than one standard error."""
+    used = model.fit.used
+    gain = simpler.left_out[used] ** 2 - model.left_out[used] ** 2
+    return bool(gain.mean() > gain.std() / len(gain) ** 0.5)
+
+
+def _misfit(model: Model) -> float:
+    """
+    Return the variance of left-out errors relative to that predicted by the fit, at least 1.
+
+    With h parameters per condition, the predicted variance is (1 + h) / (1 - h) times that of the
+    residuals. A larger one shows errors of the arm that the model does not include.
+    """
+    fit, J = model.fit, model.fit.jacobian[model.fit.rows]
+    conditions = np.minimum(np.bincount(fit.data.block[fit.rows]), MOST_FREEDOM).sum()
+    h = min(float(np.einsum('mi,mi->', J @ fit.covariance, J)) / conditions, MOST_SHARE)
+    return max(1.0, float((model.left_out_rms / fit.noise_rms) ** 2 * (1 - h) / (1 + h)))
+
+
+def _sigma_ratios(fit: Fit) -> Array:
+    """Return the posterior over the prior sigma (k,) of the parameters, without prior scales."""
+    first, arm = fit.data.unknowns, fit.state.arm
+    as_configured = replace(fit, weights=replace(
+        fit.weights, variances=np.ones_like(fit.weights.variances)))
+    variances = np.diag(as_configured.covariance)[first:first + len(arm.values)]
+    return np.sqrt(variances) / arm.stds
+
+
+def _require_mount(fit: Fit) -> None:
+    std = np.sqrt(np.diag(fit.covariance)[:6])
+    for quantity, size, limit in (('orientation', std[3:].max(), LARGEST_TURN),
+                                  ('position', std[:3].max(), LARGEST_SHIFT)):
+        if size > limit:
+            raise DegenerateConfigurationsError(f'the {quantity} of the sensor')
+
+
+def _require_same_robot(arm: Arm) -> None:
+    for kind, largest in LARGEST_ERROR.items():
+        for i, joint in enumerate(arm.chain.joints):
+            error = float(np.linalg.norm(arm.of(i, kind)))
+            if error > largest:
+                raise OtherRobotError(joint.name, kind, error)
+
+
+def _warnings(models: Sequence[Model], chosen: Model) -> list[str]:
+    sentences, last = [], models[-1]
+    dropped = int((~last.fit.used).sum())
+    if dropped:
+        sentences.append(f'{dropped} of {len(last.fit.used)} points contradict the others and are '
+                         'left out')
+    if chosen is not last:
+        sentences.append(f'the model with {" and ".join(last.kinds)} predicts left-out points no '
+                         f'better than {" and ".join(chosen.kinds) or "the URDF as it is"}: the '
+                         'simpler one is the answer')
+    arm, q = last.fit.state.arm, last.fit.data.q
+    if one_configuration(arm, q):
+        sentences.append('all poses have one configuration of elbow and wrist: other '
+                         'configurations determine more joint parameters')
+    return sentences

@@ -1,0 +1,239 @@
+"""
+Messages of one topic in the order of their stamps; implausible ones are dropped.
+
+A message whose stamp is far ahead may follow a pause, or have a wrong stamp. It is held back until
+the next message decides: if a wrong stamp were accepted at once, all later messages would seem
+late. If all messages are late for a while, the clock was set back: restart() continues in the new
+time.
+"""
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections import Counter
+from collections.abc import Sequence
+from copy import copy
+from itertools import accumulate
+from typing import Generic, TypeVar
+
+from handeye_ros import se3
+from handeye_ros.data import Array, Profile, RawProfile, TimedPose
+from handeye_ros.sampling.stream_errors import TwoFramesError
+import numpy as np
+
+LARGEST_STEP = 1_000_000_000  # ns; a smaller step back is only a reordering in transit
+
+MOST_REASONS = 10  # that are distinguished: a damaged topic may give each message another frame
+OTHER_FRAME = 'some other frame'
+FEW = 3  # messages with wrong stamps that a recording may hold: this number,
+FEW_SHARE = 0.05  # or this share of many; with more, the right order is unknown
+
+Stamped = TypeVar('Stamped', bound=Profile | RawProfile | TimedPose)
+
+
+class Stream(Generic[Stamped]):
+    """
+    Passes on the messages of one topic, or drops them with a warning.
+
+    latest: stamp of the last message passed on, -1 before the first; count: number passed on;
+    late: whether the last received message was dropped because it is older than `latest`; frame:
+    of the first message, or of the majority if the first ones were strays; set_back: by how much
+    the clock was set back (ns), 0 if it was not.
+    """
+
+    def __init__(self, kind: str) -> None:
+        """Start with none; kind: what the messages are, for the warnings."""
+        self._kind = kind
+        self._held: Stamped | None = None
+        self._dropped: Counter[str] = Counter()
+        self._first = self._before = 0  # stamp of the first message, messages before a restart
+        self._steps, self._last_step = 0, 0.0  # how often the clock was set back; last by (s)
+        self.latest = -1
+        self.count = 0
+        self.late = False
+        self.frame: str | None = None
+        self.set_back = 0
+        self._late_since = -1  # stamp of the first of consecutive late messages
+        self._late_last = self._late_count = 0
+        self._strays: Counter[str] = Counter()  # number of messages by other frame
+        self._strays_in_a_row = 0
+
+    def copied(self) -> Stream[Stamped]:
+        """Return an independent copy."""
+        other = copy(self)
+        other._dropped, other._strays = Counter(self._dropped), Counter(self._strays)
+        return other
+
+    @property
+    def conflict(self) -> TwoFramesError | None:
+        """Return the error of a topic with two frames; a few strays are dropped and counted."""
+        strays = sum(self._strays.values())
+        if self.frame is None or (strays <= max(FEW, FEW_SHARE * self.count)
+                                  and self._strays_in_a_row < 20):
+            return None
+        return TwoFramesError(self._kind, self.frame, self._strays.most_common(1)[0][0])
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return one sentence for each reason for which messages were dropped."""
+        frames = {f'of frame "{frame}"' if frame != OTHER_FRAME else f'of {OTHER_FRAME}': count
+                  for frame, count in self._strays.items()}
+        steps = (f'the clock of the {self._kind}s was set back by {self._last_step:.1f} s '
+                 f'({self._steps} times): sampling continues in the new time',)
+        return (*(steps if self._steps else ()),
+                *(f'dropped a {self._kind} {reason} ({count} times)'
+                  for reason, count in {**frames, **self._dropped}.items()))
+
+    @property
+    def period(self) -> float:
+        """Return the mean time between messages (s), 0 with fewer than two."""
+        count = self.count - self._before
+        return (self.latest - self._first) * 1e-9 / (count - 1) if count > 1 else 0.0
+
+    def add(self, item: Stamped, frame: str) -> list[Stamped]:
+        """Add the next message; return the messages confirmed by it."""
+        self.frame = frame if self.frame is None else self.frame
+        if frame != self.frame and not self._adopted(frame):
+            return []
+        self._strays_in_a_row = 0
+        passed = self._judged_by(item)
+        self.late = item.stamp <= max(self.latest, self._held.stamp if self._held else -1)
+        if self.late:
+            self._dropped['whose stamp is not later than the one before'] += 1
+            self._note_late(item.stamp)
+        elif item.stamp - self.latest > LARGEST_STEP:
+            self._held = item
+        else:
+            passed.append(self._passed(item))
+        return passed
+
+    def _adopted(self, frame: str) -> bool:
+        """Count a message of another frame; return whether the stream now takes that frame."""
+        known = len(self._strays) < MOST_REASONS or frame in self._strays
+        self._strays[frame if known else OTHER_FRAME] += 1
+        self._strays_in_a_row += 1
+        if self.count > FEW or self._strays[frame] < 10:
+            return False
+        self._strays = Counter({str(self.frame): self.count})
+        self.frame = frame
+        self.restart()
+        return True
+
+    def _note_late(self, stamp: int) -> None:
+        """Count a late message; many in a row, in order, show that the clock was set back."""
+        far = self.latest - stamp > LARGEST_STEP
+        if not far or self._late_since < 0 or stamp < self._late_last:
+            self._late_since, self._late_count = (stamp if far else -1), 0
+        self._late_last = stamp
+        self._late_count += 1
+        if far and self._late_count >= 5 and stamp - self._late_since >= 500_000_000:  # ns
+            self.set_back = self.latest - self._late_since
+
+    def restart(self) -> None:
+        """Continue in the time of the next message."""
+        if self.set_back:
+            self._steps, self._last_step = self._steps + 1, self.set_back * 1e-9
+        self._before = self.count
+        self._held, self.latest, self.late = None, -1, False
+        self.set_back, self._late_since = 0, -1
+
+    def believed(self, first: int, last: int) -> list[Stamped]:
+        """Return the message held back if its stamp lies between two given ones."""
+        held = self._held
+        if held is None or not first <= held.stamp <= last:
+            return []
+        self._held = None
+        return [self._passed(held)]
+
+    def _judged_by(self, item: Stamped) -> list[Stamped]:
+        """Return the message held back if the next message confirms it."""
+        held = self._held
+        if held is None:
+            return []
+        if item.stamp > held.stamp:
+            self._held = None
+            return [self._passed(held)]
+        if held.stamp - item.stamp > LARGEST_STEP:
+            self._held = None
+            self._dropped['whose stamp lies far ahead of the next one'] += 1
+        return []
+
+    def _passed(self, item: Stamped) -> Stamped:
+        self._late_since = -1
+        self._first = self._first if self.count > self._before else item.stamp
+        self.latest = item.stamp
+        self.count += 1
+        return item
+
+
+def in_order(stamps: Sequence[int]) -> list[bool] | None:
+    """
+    Return which messages fit the order of the majority; None if too many do not.
+
+    stamps: in the order of recording (ns); deviations up to LARGEST_STEP from the order fit.
+    """
+    if never_falls(stamps):
+        return [True] * len(stamps)
+    rising = _longest_rising(stamps)
+    before = accumulate((s if r else -1 for s, r in zip(stamps, rising, strict=True)), max)
+    backwards = [(s if r else None) for s, r in zip(stamps, rising, strict=True)][::-1]
+    after = list(accumulate(backwards, _smaller))[::-1]
+    fits = [s >= b - LARGEST_STEP and (a is None or s <= a + LARGEST_STEP)
+            for s, b, a in zip(stamps, before, after, strict=True)]
+    wrong = fits.count(False)
+    few = wrong <= max(FEW, FEW_SHARE * len(stamps)) and 2 * wrong < len(stamps)
+    return fits if few or not wrong else None
+
+
+def never_falls(stamps: Sequence[int]) -> bool:
+    """Return whether no stamp is earlier than the one before."""
+    times = np.array(stamps, np.int64)
+    return bool((times[1:] >= times[:-1]).all())
+
+
+def _smaller(a: int | None, b: int | None) -> int | None:
+    return min((v for v in (a, b) if v is not None), default=None)
+
+
+def _longest_rising(stamps: Sequence[int]) -> list[bool]:
+    """Return which values make up the longest subsequence that never falls (patience)."""
+    ends: list[int] = []  # the smallest last value of a subsequence of each length
+    indices: list[int] = []
+    for stamp in stamps:
+        place = bisect_right(ends, stamp)
+        ends[place:place + 1] = [stamp]
+        indices.append(place)
+    chosen, wanted = [False] * len(stamps), len(ends) - 1
+    for index in reversed(range(len(stamps))):
+        if indices[index] == wanted:
+            chosen[index], wanted = True, wanted - 1
+    return chosen
+
+
+def around(poses: Sequence[TimedPose], stamps: Sequence[int]) -> list[TimedPose]:
+    """Return the poses next to each stamp, the first and the last: enough for interpolate."""
+    last = len(poses) - 1
+    indices = {0, last}
+    for stamp in stamps:
+        indices.add(max(bisect_right(poses, stamp, key=_stamp) - 1, 0))
+        indices.add(min(bisect_left(poses, stamp, key=_stamp), last))
+    return [poses[place] for place in sorted(indices)]
+
+
+def _stamp(pose: TimedPose) -> int:
+    return pose.stamp
+
+
+def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
+    """
+    Return the poses T_base_flange (n, 4, 4) at n stamps within the time of the given poses.
+
+    Linear in the translation, slerp in the rotation. Raises ValueError outside.
+    """
+    poses = around(poses, stamps)
+    times = np.array([p.stamp - poses[0].stamp for p in poses], dtype=float)
+    at = np.array([s - poses[0].stamp for s in stamps], dtype=float)
+    if at.min() < times[0] or at.max() > times[-1]:
+        raise ValueError('a stamp lies outside the time of the poses')
+    translations, quaternions = (np.array([getattr(p, name) for p in poses])
+                                 for name in ('translation', 'quaternion'))
+    return se3.interpolated(times, translations, quaternions, at)

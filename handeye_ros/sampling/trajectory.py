@@ -1,0 +1,253 @@
+"""
+Pose and velocity of the flange as a function of time, with their uncertainty.
+
+Reported poses have errors, are rounded, and their stamps jitter. Cubic splines are fitted to the
+translation and to the four numbers of the quaternion, which is normalised afterwards (between two
+poses that differ by an angle a the error is of order a^4). Least squares with knots as far apart
+as the poses allow averages white errors. Generalised cross-validation determines the spacing of
+the knots (Craven and Wahba 1979, Numer. Math. 31:377).
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from handeye_ros import se3
+from handeye_ros.data import Array, TimedPose
+from handeye_ros.sampling.stream import in_order
+from handeye_ros.sampling.stream_errors import TimeBackwardsError
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.sparse.linalg import splu
+
+DEGREE = 3
+# spacings of knots that are tried (s)
+SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
+FEWEST = 8  # fewest poses of a piece
+REACH = 10  # coefficients to either side that matter to the variance of the spline at a time
+AVERAGED = 0.004  # time over which many poses are averaged (s)
+GROSS = 8.0  # residual, in robust scatters, above which a pose is an outlier
+
+
+@dataclass(frozen=True, eq=False)
+class Instants:
+    """
+    The flange at n times: poses (n, 4, 4), twists (n, 6).
+
+    twist: velocity of its origin (m/s) and angular velocity (rad/s), base frame. inside: (n,)
+    whether there are poses around the time; elsewhere the values of the nearest end are used.
+    """
+
+    T_base_flange: Array
+    twists: Array
+    inside: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """
+    Poses of the flange in the order of their stamps, as a function of time.
+
+    stamps: (n,) integer nanoseconds; values: (n, 7) translation and quaternion x y z w.
+    max_gap: poses further apart (s) are not interpolated.
+    """
+
+    stamps: NDArray[np.int64]
+    values: Array
+    max_gap: float
+
+    @cached_property
+    def gap(self) -> float:
+        """Return the longest time (s) between two poses that is interpolated."""
+        period = float(np.median(np.diff(self.stamps))) * 1e-9 if len(self.stamps) > 1 else 0.0
+        return min(self.max_gap, max(4.0 * period, 0.06))
+
+    @cached_property
+    def pieces(self) -> tuple[_Piece, ...]:
+        """Return the pieces between the gaps."""
+        ends = np.flatnonzero(np.diff(self.stamps) > self.gap * 1e9) + 1
+        parts = zip(np.split(self.stamps, ends), np.split(self.values, ends), strict=True)
+        return tuple(_fitted(stamps, values) for stamps, values in parts if len(stamps) >= FEWEST)
+
+    def at(self, stamps: NDArray[np.int64], lag: float = 0.0) -> Instants:
+        """Return the flange at stamps (n,); lag: of the reported rotation (s)."""
+        found = self._reported(stamps)
+        if not lag:
+            return found
+        late = self._reported(stamps + round(lag * 1e9))
+        found.T_base_flange[:, :3, :3] = late.T_base_flange[:, :3, :3]
+        found.twists[:, 3:] = late.twists[:, 3:]
+        return replace(found, inside=found.inside & late.inside)
+
+    def _reported(self, stamps: NDArray[np.int64]) -> Instants:
+        T, twists = np.tile(np.eye(4), (len(stamps), 1, 1)), np.zeros((len(stamps), 6))
+        inside = np.zeros(len(stamps), dtype=bool)
+        for piece, chosen in self._by_piece(stamps):
+            some = stamps[chosen]
+            inside[chosen] = (some >= piece.first) & (some <= piece.last)
+            T[chosen], twists[chosen] = piece.at(some)
+        return Instants(T, twists, inside)
+
+    def std(self, stamps: NDArray[np.int64]) -> Array:
+        """Return 1 sigma of the poses at stamps (n,), each axis: (n, 2) in m and rad."""
+        std = np.full((len(stamps), 2), np.inf)
+        for piece, chosen in self._by_piece(stamps):
+            std[chosen] = piece.std_at(stamps[chosen])
+        return std
+
+    def _by_piece(self, stamps: NDArray[np.int64]
+                  ) -> Iterator[tuple[_Piece, NDArray[np.bool_]]]:
+        begins = np.array([piece.first for piece in self.pieces])
+        which = np.maximum(np.searchsorted(begins, stamps, side='right') - 1, 0)
+        for k, piece in enumerate(self.pieces):
+            if (chosen := which == k).any():
+                yield piece, chosen
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """
+    A spline of translation and quaternion over seconds since first.
+
+    std: (2,) 1 sigma of single poses (m, rad); bands: (4, k) diagonals of the information of the
+    spline coefficients, for poses of unit variance.
+    """
+
+    first: int
+    last: int
+    spline: Any
+    std: Array
+    bands: Array
+
+    def _time(self, stamps: NDArray[np.int64]) -> Array:
+        return np.asarray((np.clip(stamps, self.first, self.last) - self.first) * 1e-9)
+
+    def at(self, stamps: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Return poses (n, 4, 4) and twists (n, 6); outside the piece those of its nearest end."""
+        t = self._time(stamps)
+        value, rate = self.spline(t), self.spline(t, 1)
+        length = np.linalg.norm(value[:, 3:], axis=1, keepdims=True)
+        q, dq = value[:, 3:] / length, rate[:, 3:] / length
+        # the vector of 2 dq/dt q*, in which the change of length is of the scalar part alone
+        turning = 2 * (q[:, 3:] * dq[:, :3] - dq[:, 3:] * q[:, :3]
+                       - np.cross(dq[:, :3], q[:, :3]))
+        return (se3.from_quaternion(value[:, :3], q),
+                np.concatenate([rate[:, :3], turning], axis=1))
+
+    def std_at(self, stamps: NDArray[np.int64]) -> Array:
+        """Return 1 sigma of positions and rotations, (n, 2)."""
+        rows = BSpline.design_matrix(self._time(stamps), self.spline.t, DEGREE)
+        last, count = self.bands.shape[1] - 1, 2 * REACH + DEGREE + 1
+        columns = rows.indices.reshape(-1, DEGREE + 1)[:, :1] - REACH + np.arange(count)
+        inside = (columns >= 0) & (columns <= last)
+        local = np.zeros((len(columns), count, count))
+        for k, band in enumerate(self.bands):  # coefficients far away are taken as known
+            values = np.where(inside, band[np.clip(columns, 0, last)], float(k == 0))
+            at = np.arange(count - k)
+            local[:, at, at + k] = local[:, at + k, at] = np.where(
+                inside[:, k:], values[:, :count - k], float(k == 0))
+        basis = np.zeros((len(columns), count))
+        basis[:, REACH:REACH + DEGREE + 1] = rows.data.reshape(-1, DEGREE + 1)
+        leverage = (basis * np.linalg.solve(local, basis[..., None])[..., 0]).sum(axis=1)
+        return np.asarray(np.sqrt(leverage)[:, None] * self.std)
+
+
+def joined(parts: Sequence[Trajectory]) -> Trajectory:
+    """Return one trajectory from parts of one stream, in any order."""
+    stamps, first = np.unique(np.concatenate([part.stamps for part in parts]), return_index=True)
+    values = np.concatenate([part.values for part in parts])[first]
+    return Trajectory(stamps, values, max(part.max_gap for part in parts))
+
+
+def trajectory_of(poses: Sequence[TimedPose], max_gap: float) -> Trajectory:
+    """Return the trajectory of poses in the order of their stamps."""
+    values = np.array([[*pose.translation, *pose.quaternion] for pose in poses]).reshape(-1, 7)
+    return Trajectory(np.array([pose.stamp for pose in poses], dtype=np.int64), values, max_gap)
+
+
+def track_of(poses: Iterable[TimedPose], max_gap: float) -> Trajectory:
+    """
+    Return the trajectory of poses in any order, without those with implausible stamps.
+
+    Raises TimeBackwardsError when two runs are mixed.
+    """
+    rows = np.fromiter(((p.stamp, (*p.translation, *p.quaternion)) for p in poses),
+                       np.dtype([('stamp', np.int64), ('pose', np.float64, 7)]))
+    fits = in_order(rows['stamp'].tolist())
+    if fits is None:
+        behind = (np.maximum.accumulate(rows['stamp']) - rows['stamp']) * 1e-9
+        first = int(np.argmax(behind > 1.0))
+        raise TimeBackwardsError('the poses', first, float(behind[first]))
+    rows = rows[np.array(fits, dtype=bool)]
+    stamps, first_of = np.unique(rows['stamp'], return_index=True)
+    return Trajectory(stamps, rows['pose'][first_of], max_gap)
+
+
+def _averaged(t: Array, values: Array) -> tuple[Array, Array]:
+    """
+    Return means of consecutive poses over a time of nearly constant speed.
+
+    The first and last pose are kept, so that the trajectory covers the same time.
+    """
+    count = int(AVERAGED * (len(t) - 1) / max(t[-1], AVERAGED))
+    if count < 2:
+        return t, values
+    begins = np.array([0, *range(1, len(t) - 1, count), len(t) - 1])
+    number = np.diff([*begins, len(t)])
+    t, values = (np.add.reduceat(v, begins) / number.reshape(-1, *[1] * (v.ndim - 1))
+                 for v in (t, values))
+    return t, values
+
+
+def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
+    """Return the piece through poses (n, 7) with the knots that predict them best."""
+    t = (stamps - stamps[0]) * 1e-9
+    values = values.copy()
+    turned = (values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0  # q and -q are one rotation
+    values[1:, 3:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
+    t, values = _averaged(t, values)
+    spline, best, bands = _smoothed(t, values)
+    # in units of 1 mm and 5 mrad: smaller residuals are no outliers
+    off = np.abs(values - spline(t)) / np.repeat([1e-3, 5e-3 / 2], [3, 4])
+    usual = 1.4826 * np.median(off, axis=0)
+    good = (off <= np.maximum(GROSS * usual, 1.0)).all(axis=1)
+    good[[0, -1]] = True
+    if not good.all() and good.mean() > 0.95:  # else the spline is wrong, not the poses
+        spline, best, bands = _smoothed(t[good], values[good])
+    return _Piece(int(stamps[0]), int(stamps[-1]), spline, best, bands)
+
+
+def _smoothed(t: Array, values: Array) -> tuple[Any, Array, Array]:
+    """Return the spline with the best knots, the std (2,) of single poses, and its bands."""
+    least, best = np.inf, None
+    for spacing in SPACINGS:
+        knots = _knots(t, spacing)
+        free = len(t) - (len(knots) - DEGREE - 1)
+        if best and free < len(t) / 3:
+            break
+        rows = BSpline.design_matrix(t, knots, DEGREE)
+        information = (rows.T @ rows).tocsc()
+        spline = BSpline(knots, splu(information).solve(rows.T @ values), DEGREE)
+        squares = (values - rows @ spline.c) ** 2
+        sums = np.array([squares[:, :3].sum() / 3, squares[:, 3:].sum() * 4 / 3]) + 1e-30
+        error = float(np.log(sums / max(free, 1) ** 2).sum())
+        if error < least + 2 * np.log(0.98):  # nearer knots must be worth 2 %
+            least, best = error, (spline, np.sqrt(sums / max(free, 1)), information)
+    assert best is not None
+    spline, std, information = best
+    bands = [np.append(information.diagonal(k), np.zeros(k)) for k in range(DEGREE + 1)]
+    return spline, std, np.array(bands)
+
+
+def _knots(t: Array, spacing: float) -> Array:
+    """Return knots at times of poses, at least a spacing apart, with two poses between them."""
+    inner, last = [], 0
+    candidates = np.searchsorted(t, np.arange(t[0] + spacing, t[-1] - 0.5 * spacing, spacing))
+    for k in candidates.tolist():
+        if k - last >= 2 and len(t) - 1 - k >= 2:
+            inner.append(float(t[k]))
+            last = k
+    return np.concatenate([np.full(DEGREE + 1, t[0]), inner, np.full(DEGREE + 1, t[-1])])

@@ -1,0 +1,322 @@
+"""Sessions on the disk: what is told to be there is there, and gives the same answer."""
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+import re
+import resource
+import shutil
+import subprocess
+import sys
+
+from cells import recorded
+from command import assert_refused, handeye, ROOT
+from handeye_ros import pipeline
+from handeye_ros.bags.bag import read
+from handeye_ros.bags.bag_write import write
+from handeye_ros.bags.session_files import BagFile, files_of, write_metadata
+from handeye_ros.bags.session_reading import is_session, read_session, sessions_in
+from handeye_ros.bags.session_store import OutputFolders, resumed
+from handeye_ros.bags.session_writing import SessionStore
+from handeye_ros.config import Config, with_values
+from handeye_ros.data import TimedPose
+from handeye_ros.errors import DataError, InputError
+from handeye_ros.node.live import LiveSession
+from handeye_ros.node.status import state_of
+from handeye_ros.results.calibration_file import read_calibration
+from mcap.reader import make_reader
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+import yaml
+
+SPHERE = recorded('sphere')
+
+
+def stored(tmp_path: Path, config: Config = SPHERE.config) -> LiveSession:
+    config = replace(config, output_dir=str(tmp_path))
+    return LiveSession(config, OutputFolders(), SessionStore(OutputFolders().folder))
+
+
+def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
+    """Give a session a recording up to so many stops, in the order of the stamps."""
+    for item in sorted([*recording.poses, *recording.profiles], key=lambda item: item.stamp):
+        if isinstance(item, TimedPose):
+            live.add_poses([item])
+        else:
+            live.add_profile(item)
+        if live.streams.waiting:
+            live.update()
+        if len(live.copied().outcomes) >= stops:
+            break
+    return live
+
+
+def changed(live: LiveSession, **values: object) -> None:
+    dotted = {key.replace('__', '.'): value for key, value in values.items()}
+    live.configure(with_values(live.config, dotted, 'test'))
+    live.update()
+
+
+def again(live: LiveSession, **values: object) -> LiveSession:
+    """Return another node that goes on with the session of one that has ended."""
+    path = live.samples.store.path
+    live.samples.store.close()
+    given = {'session': path} | {key.replace('__', '.'): v for key, v in values.items()}
+    config, found = resumed(given, OutputFolders())
+    assert found
+    other = LiveSession(config, OutputFolders(), SessionStore(OutputFolders().folder, found))
+    other.restore(found.session(config), found.config)
+    reviewed = []
+    other.reviewer.on_change = lambda: reviewed.append(state_of(other).calibration.state)
+    other.update()
+    assert 'none' not in reviewed or not state_of(other).calibration.translation, (
+        'the answer comes before the review')
+    return other
+
+
+def test_every_stop_is_a_file_that_stock_readers_read(tmp_path: Path) -> None:
+    live = feed(stored(tmp_path), stops=3)
+    folder = Path(live.samples.store.path)
+    assert folder.parent == tmp_path / 'sphere'
+    files = files_of(folder)
+    assert [file.name for file in files] == [f'{folder.name}_{i}.mcap' for i in range(3)]
+    for file in files:
+        with file.open('rb') as stream:
+            assert make_reader(stream).get_summary().statistics.message_count > 10
+    with AnyReader([folder]) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+        types = {c.topic: c.msgtype for c in reader.connections}
+        clouds = [reader.deserialize(raw, c.msgtype).header.frame_id
+                  for c, _, raw in reader.messages() if c.topic == '/profile']
+        texts = [reader.deserialize(raw, c.msgtype).data for c, _, raw in reader.messages()
+                 if c.topic == '/handeye_ros/session/outcome']
+    assert counts['/handeye_ros/session/outcome'] == 3 and len(texts) == 3
+    assert types['/flange_pose'] == 'geometry_msgs/msg/PoseStamped'
+    assert len(clouds) == counts['/profile'] > 20
+    recording = read(folder, SPHERE.config)  # as any bag
+    assert len(recording.profiles) == counts['/profile']
+
+
+def test_what_was_received_is_stored_byte_for_byte(tmp_path: Path) -> None:
+    write(tmp_path / 'bag', SPHERE.profiles, SPHERE.poses, SPHERE.config, layout='scancontrol')
+    recording = read(tmp_path / 'bag', SPHERE.config)
+    live = feed(stored(tmp_path), recording, stops=2)
+    sent = {profile.stamp: profile.fetch() for profile in recording.profiles}
+    for outcome in live.copied().outcomes:
+        seen = outcome.stop.load(live.config)
+        assert seen.profiles
+        assert all(p.fetch() == sent[p.stamp] for p in seen.profiles)
+
+
+@pytest.fixture(scope='module')
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give the folder of a session of all stops, with one removed and one left out."""
+    live = feed(stored(tmp_path_factory.mktemp('session')))
+    live.answer.compute()
+    live.samples.remove_last()
+    changed(live, samples__exclude=[3])
+    answer, _ = live.answer.compute()
+    np.save(Path(live.samples.store.path).parent / 'answer.npy', answer.T_flange_sensor)
+    live.samples.store.close()
+    return Path(live.samples.store.path)
+
+
+@pytest.mark.thorough
+def test_the_command_line_gives_the_answer_of_the_node(whole: Path, tmp_path: Path) -> None:
+    run = handeye('solve', whole, '--out', tmp_path, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    answer = np.load(whole.parent / 'answer.npy')
+    found = read_calibration(tmp_path / 'calibration.yaml')
+    assert np.abs(found.T_flange_sensor - answer).max() < 1e-9
+    back = handeye('solve', whole, '--set', 'samples.exclude=[]', '--out', tmp_path,
+                   cwd=tmp_path)
+    assert back.returncode == 0, back.stderr
+    n = read_calibration(tmp_path / 'calibration.yaml').quality.samples_used
+    assert n == found.quality.samples_used + 1
+
+
+@pytest.mark.once
+def test_the_command_line_shows_the_samples(whole: Path, tmp_path: Path) -> None:
+    run = handeye('samples', whole, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    lines = [line.split() for line in run.stdout.splitlines() if line.strip()[:1].isdigit()]
+    assert sorted(int(line[0]) for line in lines) == list(range(1, 14))
+    assert [float(line[3]) for line in lines] == sorted((float(line[3]) for line in lines),
+                                                        reverse=True)
+    assert [line[0] for line in lines if 'left out' in ' '.join(line)] == ['3']
+    assert_refused(handeye('samples', tmp_path, cwd=tmp_path), 2, 'is not a bag')
+
+
+def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
+    live = feed(stored(tmp_path), stops=5)
+    live.samples.remove_last()
+    other = again(live)
+    assert [s.number for s in state_of(other).samples] == [1, 2, 3, 4]
+    later = replace(SPHERE, poses=SPHERE.poses, profiles=SPHERE.profiles)
+    feed(other, later)
+    state = state_of(other)
+    assert [s.number for s in state.samples][:5] == [1, 2, 3, 4, 6], 'no number comes twice'
+    found, _ = other.answer.compute()
+    offline = read_session(Path(other.samples.store.path))
+    expected = pipeline.calibrate_session(offline.session(offline.config), offline.config)
+    assert np.abs(found.T_flange_sensor - expected.T_flange_sensor).max() < 1e-9
+    third = again(other)
+    assert state_of(third).calibration.state == 'current', 'it is solved without being asked'
+    assert np.abs(third.calibration.T_flange_sensor - found.T_flange_sensor).max() < 1e-9
+
+
+def test_other_settings_read_the_stored_profiles(tmp_path: Path) -> None:
+    live = feed(stored(tmp_path), stops=4)
+    shown = state_of(live).taken
+    changed(live, sampling__min_points=5000)
+    assert state_of(live).taken == 0
+    other = again(live)
+    assert other.config.sampling.min_points == 5000 and state_of(other).taken == 0
+    third = again(other, sampling__min_points=20)
+    assert state_of(third).taken == shown
+
+
+def test_only_one_node_goes_on_with_a_session(tmp_path: Path) -> None:
+    live = feed(stored(tmp_path), stops=1)
+    with pytest.raises(InputError, match='in use by another node'):
+        SessionStore(OutputFolders().folder, read_session(Path(live.samples.store.path)))
+
+
+def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path) -> None:
+    live = feed(stored(tmp_path), stops=2)
+    before = Path(live.samples.store.path)
+    assert f'they are kept in {before}' in live.clear_samples()
+    assert len(read_session(before).stops) == 2
+    assert next(sessions_in(tmp_path / 'sphere')) == Path(live.samples.store.path) != before
+    assert again(live).copied().outcomes == ()
+
+
+def test_last_is_the_newest_of_the_name_or_of_all(tmp_path: Path) -> None:
+    given = {'output_dir': str(tmp_path), 'session': 'last'}
+    assert resumed(given, OutputFolders())[1] is None
+    live = feed(stored(tmp_path), stops=1)
+    live.samples.store.close()
+    config, found = resumed(given, OutputFolders())
+    assert found and found.path == Path(live.samples.store.path)
+    assert (config.target.type, config.target.radius) == ('sphere', SPHERE.config.target.radius)
+    assert resumed(given | {'name': 'other'}, OutputFolders())[1] is None
+
+
+# -- what goes wrong
+
+
+def test_a_full_disk_is_a_refusal_and_goes_on_where_there_is_room_again(tmp_path: Path) -> None:
+    live = feed(stored(tmp_path), stops=2)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        feed(live, stops=3)
+        state = state_of(live)
+        assert state.taken == 2 and 'cannot write' in state.session.trouble
+        assert 'File too large' in state.samples[2].text
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert len(read_session(Path(live.samples.store.path)).stops) == 2
+    assert not list(Path(live.samples.store.path).glob('.*.tmp'))
+    feed(live, stops=4)
+    state = state_of(live)
+    assert (state.taken, state.session.trouble) == (3, '')
+    assert sorted(read_session(Path(live.samples.store.path)).stops) == [1, 2, 4]
+
+
+def test_a_folder_that_cannot_be_made_is_a_refusal(tmp_path: Path) -> None:
+    (tmp_path / 'sphere').write_text('in the way')
+    live = feed(stored(tmp_path), stops=1)
+    state = state_of(live)
+    assert state.taken == 0 and 'cannot write' in state.session.trouble
+
+
+def test_a_folder_that_vanishes_is_a_refusal_and_may_come_back(tmp_path: Path) -> None:
+    live = feed(stored(tmp_path), stops=2)
+    folder = Path(live.samples.store.path)
+    folder.rename(tmp_path / 'away')
+    feed(live, stops=3)
+    assert 'its folder is gone' in state_of(live).session.trouble
+    assert not folder.exists()
+    with pytest.raises(InputError, match='its folder is gone'):
+        live.samples.remove_last()
+    (tmp_path / 'away').rename(folder)
+    feed(live, stops=4)
+    assert sorted(read_session(folder).stops) == [1, 2, 4]
+
+
+def test_by_hand_nothing_is_taken_that_is_not_stored(tmp_path: Path) -> None:
+    manual = with_values(SPHERE.config, {'sampling.mode': 'manual'}, 'test')
+    live = stored(tmp_path, manual)
+    (tmp_path / 'sphere').write_text('in the way')
+    feed(live)
+    with pytest.raises(InputError, match='cannot write'):
+        live.samples.take()
+    assert state_of(live).taken == 0 and not state_of(live).attempt.accepted
+    (tmp_path / 'sphere').unlink()
+    assert live.samples.take().startswith('sample 1 taken: ')
+    assert list(read_session(Path(live.samples.store.path)).stops) == [1]
+    assert live.samples.take().startswith('sample 1 taken again')
+    assert list(read_session(Path(live.samples.store.path)).stops) == [1]
+
+
+def test_a_session_without_its_last_metadata_is_whole(tmp_path: Path) -> None:
+    live = feed(stored(tmp_path), stops=2)
+    folder = Path(live.samples.store.path)
+    metadata = (folder / 'metadata.yaml').read_bytes()
+    feed(live, stops=3)
+    (folder / 'metadata.yaml').write_bytes(metadata)
+    (folder / f'.{folder.name}_9.mcap.tmp').write_bytes(b'\x89MCAP0\r\nhalf')
+    assert sorted(read_session(folder).stops) == [1, 2, 3]
+    with AnyReader([folder]) as reader:
+        assert reader.message_count > 10
+    other = again(live)
+    with AnyReader([folder]) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+    assert counts['/handeye_ros/session/outcome'] == 3 == len(other.copied().outcomes)
+
+
+def test_metadata_of_any_names_are_yaml(tmp_path: Path) -> None:
+    files = [BagFile(f'Köln "2": {{x}}_{i}.mcap', 10 * i + 5, 10 * i + 9, {'/a': 2, '/b': i})
+             for i in range(3)]
+    write_metadata(tmp_path, files, {'/a': 'std_msgs/msg/String', '/b': 'std_msgs/msg/String'})
+    result = yaml.safe_load((tmp_path / 'metadata.yaml').read_text(encoding='utf-8'))
+    result = result['rosbag2_bagfile_information']
+    assert result['relative_file_paths'] == [file['path'] for file in result['files']] == [
+        file.name for file in files]
+    assert result['message_count'] == sum(file['message_count'] for file in result['files']) == 9
+    assert [topic['message_count'] for topic in result['topics_with_message_count']] == [6, 3]
+    assert result['starting_time']['nanoseconds_since_epoch'] == 5
+    assert result['duration']['nanoseconds'] == 24
+
+
+def test_what_is_no_session_is_reported(tmp_path: Path) -> None:
+    assert not is_session(tmp_path / 'nothing') and not is_session(tmp_path)
+    with pytest.raises(InputError, match='is no session'):
+        resumed({'session': str(tmp_path)}, OutputFolders())
+    live = feed(stored(tmp_path), stops=1)
+    file = files_of(Path(live.samples.store.path))[0]
+    shutil.copy(file, file.with_name(file.name.replace('_0', '_1')))
+    file.write_bytes(file.read_bytes()[:1000])
+    with pytest.raises(InputError, match='damaged|cut off|no session'):
+        read_session(Path(live.samples.store.path))
+
+
+@pytest.mark.thorough
+@pytest.mark.once
+def test_nothing_acknowledged_is_lost_by_kills() -> None:
+    run = subprocess.run([sys.executable, 'bench/kills.py', '--count', '20'], cwd=ROOT, text=True,
+                         capture_output=True, check=False)
+    assert run.returncode == 0, run.stderr
+    result = re.fullmatch(r'20 kills: (\d+) samples acknowledged, .* none lost',
+                          run.stdout.splitlines()[-1])
+    assert result and int(result[1]) >= 10, run.stdout
+
+
+def test_no_answer_from_a_session_without_samples(tmp_path: Path) -> None:
+    live = feed(stored(tmp_path), stops=1)
+    live.samples.remove_last()
+    with pytest.raises(DataError):
+        live.answer.compute()
+    assert_refused(handeye('solve', live.samples.store.path, cwd=tmp_path), 3, '0 usable samples')

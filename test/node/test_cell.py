@@ -1,0 +1,268 @@
+"""A person at the cell: a button, a node that dies, a late joiner, and what does not fit."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+import json
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs rclpy')
+from command import ROOT  # noqa: E402, I100
+from geometry_msgs.msg import Pose, TransformStamped  # noqa: E402
+from handeye_ros.node.__main__ import own_arguments  # noqa: E402
+from handeye_ros.node.diagnostics import RepeatedWarnings  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from ros_helpers import (  # noqa: E402
+    Client,
+    LATCHED,
+    pose_message,
+    replay,
+    run_module,
+    running_node,
+    sphere_profile,
+)
+from sensor_msgs.msg import LaserScan  # noqa: E402
+from std_msgs.msg import Empty, String  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+NS = 1_000_000_000
+SPHERE = ('-p', 'target.type:=sphere', '-p', 'target.radius:=0.04', '-p',
+          'sampling.mode:=manual')
+
+
+def stand_still(client: Client, start: int, x: float = 0.0) -> None:
+    """Publish a robot that stands still for a second, and what its sensor sees."""
+    for stamp in range(start, start + NS, NS // 20):
+        client.poses.publish(pose_message(stamp, (x, 0.0, 0.0)))
+        client.profiles.publish(sphere_profile(stamp + 1))
+
+
+class Reports:
+    """The JSON that a latched topic carries."""
+
+    def __init__(self, client: Client, topic: str) -> None:
+        self._client, self._texts = client, []
+        client.node.create_subscription(String, topic, self._texts.append, LATCHED)
+
+    def until(self, condition, what: str) -> dict:
+        self._client.until(lambda: self._texts and condition(json.loads(self._texts[-1].data)),
+                           what)
+        return json.loads(self._texts[-1].data)
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    monkeypatch.setenv('ROS_HOME', str(tmp_path / 'home'))
+    yield tmp_path / 'home'
+
+
+@pytest.mark.thorough
+def test_a_button_a_kill_and_a_restart(tmp_path: Path, client: Client, home: Path) -> None:
+    samples = Reports(client, '/handeye/samples')
+    button = client.node.create_publisher(Empty, '/handeye/take', 10)
+    here = ('-p', 'output_dir:=""')
+    with running_node(tmp_path, *SPHERE, *here) as process:
+        client.connect()
+        client.until(button.get_subscription_count, 'the node hears the button')
+        button.publish(Empty())
+        report = samples.until(lambda report: report['attempt'], 'the attempt is answered')
+        assert not report['attempt']['accepted'] and 'no flange pose' in report['attempt']['text']
+        for number, start in enumerate((10**18, 10**18 + 5 * NS), 1):
+            stand_still(client, start, 0.1 * number)
+            client.until_counted(profiles=20 * number, poses=20 * number)
+            button.publish(Empty())
+            report = samples.until(lambda report, n=number: len(report['samples']) == n,
+                                   'it is taken')
+            assert report['attempt']['text'].startswith(f'sample {number} taken: 1 arc from ')
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    folder = Path(report['session'])
+    assert folder.parent == home / 'handeye_ros' / 'sphere'
+    assert (folder / 'metadata.yaml').exists()
+    with running_node(tmp_path, '-p', 'session:=last', *here):
+        report = samples.until(lambda report: report['session'] == str(folder), 'it goes on')
+        client.connect()
+        assert [s['number'] for s in report['samples']] == [1, 2]
+        assert report['mode'] == 'manual', 'as it was in the session'
+        excluded = SetParameters.Request(parameters=[
+            Parameter('samples.exclude', value=[2]).to_parameter_msg()])
+        assert client.request(SetParameters, 'set_parameters', excluded).results[0].successful
+        samples.until(lambda report: [s['excluded'] for s in report['samples']] == [False, True],
+                      'a sample is left out')
+
+
+def sweep(client: Client, start: int, seconds: float) -> None:
+    """Publish a robot that moves, and what its sensor sees; 20 of each in a second."""
+    for k in range(round(20 * seconds)):
+        client.poses.publish(pose_message(start + k * NS // 20, (2e-3 * k, 0.0, 0.0)))
+        client.profiles.publish(sphere_profile(start + k * NS // 20 + 1))
+
+
+@pytest.mark.thorough
+def test_a_kill_during_a_pass_loses_no_pass_before_it(tmp_path: Path, client: Client,
+                                                      home: Path) -> None:
+    samples, here = Reports(client, '/handeye/samples'), ('-p', 'output_dir:=""')
+    moving = (*SPHERE[:-1], 'sampling.mode:=moving')
+    with running_node(tmp_path, *moving, *here) as process:
+        client.connect()
+        sweep(client, 10**18, 5.0)
+        report = samples.until(lambda report: len(report['samples']) == 2, 'two passes are over')
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    with running_node(tmp_path, '-p', 'session:=last', *here):
+        again = samples.until(lambda t: t['session'] == report['session'], 'it goes on')
+        assert again['mode'] == 'moving'
+        assert [s['number'] for s in again['samples']] == [1, 2]
+        client.connect()
+        sweep(client, 10**18 + 20 * NS, 5.0)
+        samples.until(lambda report: [s['number'] for s in report['samples']] == [1, 2, 3, 4],
+                      'two more passes are over')
+
+
+@pytest.mark.thorough
+def test_a_late_joiner_is_not_sent_an_old_answer(tmp_path: Path, client: Client) -> None:
+    from handeye_ros.bags.bag import read
+    from handeye_ros.config import load
+    config = ROOT / 'config' / 'sphere.yaml'
+    recording = read(ROOT / 'bags' / 'sphere', load(config))
+    with running_node(tmp_path, '--params-file', str(config), '-r', '__ns:=/cell'):
+        state = Reports(client, '/cell/handeye/status')
+        assert state.until(lambda report: True, 'a state is there')['state'] == 'none'
+        replay(ROOT / 'bags' / 'sphere')
+        client.until(lambda: client._told and client._told[-1]['profiles'] == str(
+            len(recording.profiles)), 'all is taken')
+        call = ServiceCaller(client, '/cell/handeye/')
+        assert call('compute_calibration').success
+        report = state.until(lambda report: report['state'] == 'current', 'the answer is there')
+        early: list[TransformStamped] = []
+        client.node.create_subscription(TransformStamped, '/cell/handeye/calibration',
+                                        early.append, LATCHED)
+        client.until(lambda: early, 'who comes now gets it')
+        assert early[0].transform.translation.x == report['translation'][0]
+        assert call('clear_samples').success
+        report = state.until(lambda report: report['state'] == 'withdrawn', 'it is withdrawn')
+        assert 'the transform that was published before is not the answer' in report['text']
+        late: list[TransformStamped] = []
+        client.node.create_subscription(TransformStamped, '/cell/handeye/calibration',
+                                        late.append, LATCHED)
+        late_state = Reports(client, '/cell/handeye/status')
+        assert late_state.until(lambda report: True, 'a state is there')['state'] == 'withdrawn'
+        client.state()
+        assert not late
+
+
+class ServiceCaller:
+    """Calls the services of a node with another name than the usual one."""
+
+    def __init__(self, client: Client, prefix: str) -> None:
+        self._client, self._prefix = client, prefix
+
+    def __call__(self, service: str):
+        from std_srvs.srv import Trigger
+        caller = self._client.node.create_client(Trigger, f'{self._prefix}{service}')
+        self._client.until(caller.service_is_ready, f'{service} is there')
+        future = caller.call_async(Trigger.Request())
+        self._client.until(future.done, f'{service} answers')
+        return future.result()
+
+
+def test_the_cause_is_in_the_log_and_in_every_answer(tmp_path: Path, client: Client) -> None:
+    scan = client.node.create_publisher(LaserScan, '/scan', 10)
+    pose = client.node.create_publisher(Pose, '/tool', 10)
+    causes = ('it carries sensor_msgs/msg/LaserScan, expected sensor_msgs/msg/PointCloud2: let '
+              'the driver publish its points; sensor_msgs/msg/PointCloud2 is on /profile: set '
+              'profile_topic',
+              'it carries geometry_msgs/msg/Pose, expected geometry_msgs/msg/PoseStamped, as a '
+              'Pose has no time; geometry_msgs/msg/PoseStamped is on /flange_pose: set '
+              'pose_topic')
+    with running_node(tmp_path, '-p', 'profile_topic:=/scan', '-p', 'pose_topic:=/tool'):
+        assert scan.topic_name == '/scan' and pose.topic_name == '/tool'
+        client.until(lambda: all(cause in client.state()['message'] for cause in causes),
+                     'diagnostics name both causes')
+        for service in ('take_sample', 'compute_calibration'):
+            answer = client.call(service)
+            assert not answer.success
+            assert all(cause in answer.message for cause in causes), answer.message
+    log = (tmp_path / 'node.log').read_text()
+    assert all(cause in log for cause in causes)
+
+
+def test_what_lasts_is_said_again_after_a_while() -> None:
+    said: list[str] = []
+    warnings = RepeatedWarnings(said.append)
+    for now in (0.0, 1.0, 5.0, 9.9, 10.0, 12.0):
+        warnings.update([f'no poses for {now:.0f} s'], now)
+    warnings.update([], 13.0)
+    warnings.update(['no poses for 1 s'], 14.0)
+    assert said == ['no poses for 0 s', 'no poses for 10 s', 'no poses for 1 s']
+
+
+# -- the executable
+
+
+@pytest.mark.parametrize(('arguments', 'code', 'words'), [
+    (['--help'], 0, 'usage: calibrate'),
+    (['--params-file', 'x.yaml'], 2, 'follow --ros-args'),
+    (['config/plate.yaml'], 2, 'unknown arguments: config/plate.yaml')])
+def test_unknown_arguments_are_refused_with_the_usage(
+        arguments: list[str], code: int, words: str) -> None:
+    run = run_module('__main__', *arguments)
+    assert (run.returncode, words in run.stdout + run.stderr) == (code, True)
+    assert 'usage: calibrate' in run.stdout + run.stderr
+
+
+def test_arguments_of_ros_are_not_ours() -> None:
+    assert own_arguments(['--ros-args', '-p', 'a:=1']) == []
+    assert own_arguments(['x', '--ros-args', '-p', 'a:=1', '--', 'y']) == ['x', 'y']
+
+
+AT_IMPORT = """
+class Finder:
+    def find_spec(self, name, *_):
+        try:
+            if name == '{0}':
+                os.kill(os.getpid(), {1})
+        except KeyboardInterrupt as error:
+            raise ImportError('initialization failed') from error  # as extensions do
+
+sys.meta_path.insert(0, Finder())
+"""
+AT_CALL = """
+from rclpy.node import Node
+whole = Node.{0}
+
+def interrupted(*args, **options):
+    os.kill(os.getpid(), {1})
+    return whole(*args, **options)
+
+Node.{0} = interrupted
+"""
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(('before', 'what'), [
+    (AT_IMPORT, 'numpy'), (AT_IMPORT, 'rclpy._rclpy_pybind11'), (AT_IMPORT, 'std_srvs.srv'),
+    (AT_CALL, 'declare_parameters'), (AT_CALL, 'create_timer')])
+def test_a_signal_while_it_starts_ends_it_cleanly(before: str, what: str, number: int) -> None:
+    block = (f'import os, sys\n{before.format(what, number)}\n'
+             'from handeye_ros.node.__main__ import main; sys.exit(main())')
+    run = subprocess.run([sys.executable, '-c', block], cwd=ROOT, capture_output=True, text=True,
+                         check=False)
+    assert (run.returncode, 'Traceback' in run.stderr) == (0, False), run.stderr
+
+
+@pytest.mark.skipif(not os.path.exists('/dev/full'), reason='needs /dev/full')
+@pytest.mark.parametrize('arguments', [['--help'], ['nonsense']])
+def test_a_full_device_is_no_traceback(arguments: list[str]) -> None:
+    with open('/dev/full', 'w') as full:
+        run = subprocess.run([sys.executable, '-m', 'handeye_ros.node', *arguments], cwd=ROOT,
+                             stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert 'Traceback' not in run.stderr and run.returncode != 0

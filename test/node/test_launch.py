@@ -1,0 +1,244 @@
+"""
+The launch files: what they start is run as launch_ros runs it.
+
+`launch` and `launch_ros` are on no package index, so stand-ins take their place, for these calls:
+LaunchDescription(entities); DeclareLaunchArgument(name, default_value=, description=);
+OpaqueFunction(function=); LaunchConfiguration(name).perform(context);
+PathJoinSubstitution(parts) and FindPackageShare(package) as default values; Node(package=,
+executable=, name=, namespace=, output=, arguments=, parameters=, remappings=). A node's command
+is put together in the order of launch_ros/actions/node.py: arguments, then behind --ros-args
+name, namespace, parameter files (a dict becomes one, for all nodes) and remappings.
+"""
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+import shlex
+import subprocess
+import sys
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+from command import ROOT
+from handeye_ros import config
+import pytest
+import yaml
+
+EXECUTABLES = {'calibrate': '__main__', 'replay': 'replay', 'publish': 'publish', 'scan': 'scan'}
+LAUNCH = sorted((ROOT / 'launch').glob('*.launch.py'))
+
+
+class Argument(SimpleNamespace):
+
+    def __init__(self, name: str, *, default_value: Any = None, description: str) -> None:
+        super().__init__(name=name, default_value=default_value, description=description)
+
+
+class LaunchConfiguration:
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def perform(self, context: dict[str, str]) -> str:
+        return context[self._name]
+
+
+class FindPackageShare:
+
+    def __init__(self, package: str) -> None:
+        assert package == 'handeye_ros'
+
+    def perform(self, context: dict[str, str]) -> str:
+        return str(ROOT)
+
+
+class PathJoin:
+
+    def __init__(self, parts: list[Any]) -> None:
+        self._parts = parts
+
+    def perform(self, context: dict[str, str]) -> str:
+        return '/'.join(p if isinstance(p, str) else p.perform(context) for p in self._parts)
+
+
+class Node(SimpleNamespace):
+
+    def __init__(self, *, package: str, executable: str, name: str, output: str = 'log',
+                 namespace: str = '', arguments: list[str] | None = None,
+                 parameters: list[Any] | None = None,
+                 remappings: list[tuple[str, str]] | None = None) -> None:
+        super().__init__(package=package, executable=executable, name=name, output=output,
+                         namespace=namespace, arguments=arguments or [],
+                         parameters=parameters or [], remappings=remappings or [])
+
+
+STAND_INS = {
+    'launch': {'LaunchDescription': list, 'LaunchContext': dict},
+    'launch.actions': {'DeclareLaunchArgument': Argument,
+                       'OpaqueFunction': lambda function: function},
+    'launch.substitutions': {'LaunchConfiguration': LaunchConfiguration,
+                             'PathJoinSubstitution': PathJoin},
+    'launch_ros': {}, 'launch_ros.actions': {'Node': Node},
+    'launch_ros.substitutions': {'FindPackageShare': FindPackageShare}}
+
+
+def described(file: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Argument], Any]:
+    """Return the arguments that a launch file declares, and its function."""
+    for name, values in STAND_INS.items():
+        module = ModuleType(name)
+        vars(module).update(values)
+        monkeypatch.setitem(sys.modules, name, module)
+    names: dict[str, Any] = {}
+    exec(compile(file.read_text(), file, 'exec'), names)
+    *arguments, function = names['generate_launch_description']()
+    return arguments, function
+
+
+def nodes(launch_file: str, monkeypatch: pytest.MonkeyPatch, **given: str) -> list[Node]:
+    """Return what a launch file starts with these arguments."""
+    arguments, function = described(ROOT / 'launch' / f'{launch_file}.launch.py', monkeypatch)
+    values = {a.name: a.default_value for a in arguments}
+    assert given.keys() <= values.keys()
+    context = {key: value if isinstance(value, str) else value.perform({})
+               for key, value in (values | given).items() if value is not None}
+    return function(context)
+
+
+def command(node: Node, folder: Path) -> list[str]:
+    """Return the command of a node of this package."""
+    assert node.package == 'handeye_ros'
+    words = [sys.executable, '-m', f'handeye_ros.node.{EXECUTABLES[node.executable]}',
+             *node.arguments, '--ros-args', '-r', f'__node:={node.name}']
+    if node.namespace:
+        words += ['-r', f'__ns:=/{node.namespace.lstrip("/")}']
+    for number, parameters in enumerate(node.parameters):
+        file = parameters
+        if isinstance(parameters, dict):
+            file = folder / f'launch_params_{node.name}_{number}.yaml'
+            file.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
+        words += ['--params-file', str(file)]
+    for before, after in node.remappings:
+        words += ['-r', f'{before}:={after}']
+    return words
+
+
+@pytest.mark.parametrize('file', LAUNCH, ids=lambda file: file.stem)
+def test_every_argument_is_explained(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments, _ = described(file, monkeypatch)
+    assert arguments and all(a.description for a in arguments)
+
+
+def test_the_executables_are_installed() -> None:
+    text = (ROOT / 'setup.py').read_text()
+    assert all(f"'{name} = handeye_ros." in text for name in EXECUTABLES)
+
+
+def test_by_default_only_the_node_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    (node,) = nodes('calibrate', monkeypatch)
+    time, file = node.parameters
+    # a file that says what the time is comes last, and wins
+    assert time == {'use_sim_time': False}
+    assert config.load(Path(file)).target.type == 'plate'
+    assert (node.name, node.executable) == ('handeye', 'calibrate')
+
+
+def test_what_is_set_here_wins_over_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    (node,) = nodes('calibrate', monkeypatch, profile_topic='/scan', base_frame='base_link',
+                    name='mine', use_sim_time='true')
+    assert node.parameters[0] == {'use_sim_time': True}
+    assert node.parameters[-1] == {'profile_topic': '/scan', 'robot_base_frame': 'base_link',
+                                   'name': 'mine'}
+
+
+def test_every_key_that_is_set_exists(monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments, _ = described(ROOT / 'launch' / 'calibrate.launch.py', monkeypatch)
+    given = {a.name: '8080' for a in arguments if a.name not in ('config', 'rviz_layout')}
+    node = nodes('calibrate', monkeypatch, **given)[0]
+    assert node.parameters[-1].keys() <= {p.key for p in config.parameters()}
+
+
+def test_rviz_gets_the_layout_in_the_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, rviz = nodes('calibrate', monkeypatch, rviz='true', namespace='cell')
+    assert (rviz.package, rviz.executable, rviz.namespace) == ('rviz2', 'rviz2', 'cell')
+    assert rviz.arguments[0] == '-d' and Path(rviz.arguments[1]).is_file()
+    layout = yaml.safe_load(Path(rviz.arguments[1]).read_text())
+    shown = {display['Topic']['Value'] for display in layout['Visualization Manager']['Displays']
+             if 'Topic' in display}
+    assert dict(rviz.remappings) == {topic: topic.lstrip('/') for topic in shown}
+
+
+@pytest.mark.thorough
+@pytest.mark.ros
+def test_a_bag_is_calibrated_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+                                            ) -> None:
+    pytest.importorskip('rclpy', reason='needs rclpy')
+    from command import running
+    from ros_helpers import Client
+    from std_srvs.srv import Trigger
+    started = nodes('calibrate', monkeypatch, namespace='cell', name='mine', rate='20',
+                    bag=str(ROOT / 'bags' / 'plate'), output_dir=str(tmp_path / 'saved'))
+    with ExitStack() as stack:
+        node, replay = (stack.enter_context(running(
+            command(each, tmp_path), cwd=ROOT, stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL)) for each in started)
+        client = Client()
+        stack.callback(client.close)
+
+        def call(service: str) -> Any:
+            asked = client.node.create_client(Trigger, f'/cell/handeye/{service}')
+            client.until(asked.service_is_ready, f'{service} is there')
+            future = asked.call_async(Trigger.Request())
+            client.until(future.done, f'{service} answers')
+            return future.result()
+
+        client.until(lambda: replay.poll() is not None, 'the bag is over')
+        answer = call('compute_calibration')
+        assert answer.success, answer.message
+        assert call('save_calibration').success
+    assert (tmp_path / 'saved' / 'mine' / 'calibration.yaml').is_file()
+
+
+def test_publish_takes_paths_with_blanks(monkeypatch: pytest.MonkeyPatch) -> None:
+    paths = ['/a/calibration.yaml', '/with blank/b']
+    (node,) = nodes('publish', monkeypatch, calibrations=shlex.join(paths), namespace='cell')
+    assert (node.executable, node.namespace, node.arguments) == ('publish', 'cell', paths)
+
+
+def test_scan_sets_keys_that_exist_and_hands_on_the_options(monkeypatch: pytest.MonkeyPatch
+                                                            ) -> None:
+    (node,) = nodes('scan', monkeypatch, calibration='/with blank/result', use_sim_time='true',
+                    profile_topic='/scan', pose_source='tf', base_frame='base_link',
+                    options='--std --range 0.15 0.2')
+    assert (node.name, node.executable) == ('handeye_scan', 'scan')
+    assert node.arguments == ['/with blank/result', '--set', 'profile_topic=/scan', '--set',
+                              'pose_source=tf', '--set', 'robot_base_frame=base_link',
+                              '--std', '--range', '0.15', '0.2']
+    assert node.parameters == [{'use_sim_time': True}]
+    set_here = [word for word in node.arguments if '=' in word]
+    assert config.with_assignments(config.Config(), set_here).pose_source == 'tf'
+
+
+@pytest.mark.thorough
+@pytest.mark.ros
+def test_a_bag_is_scanned_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pytest.importorskip('rclpy', reason='needs rclpy')
+    from command import running
+    from handeye_ros.results.calibration_file import write_calibration
+    from moving_scan import calibration
+    from ros_helpers import Client
+    from sensor_msgs.msg import PointCloud2
+    write_calibration(calibration(), tmp_path / 'calibration.yaml')
+    started = nodes('scan', monkeypatch, calibration=str(tmp_path), namespace='cell', rate='20',
+                    bag=str(ROOT / 'bags' / 'plate'), profile_topic='/profile',
+                    pose_topic='/flange_pose', options='--std')
+    got: list[PointCloud2] = []
+    with ExitStack() as stack:
+        client = Client()
+        stack.callback(client.close)
+        client.node.create_subscription(PointCloud2, '/cell/handeye_scan/points', got.append, 100)
+        for each in started:
+            stack.enter_context(running(command(each, tmp_path), cwd=ROOT,
+                                        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
+        client.until(lambda: sum(cloud.width for cloud in got) > 1000, 'points came')
+    assert [field.name for field in got[0].fields][:3] == ['x', 'y', 'z']
+    assert 'std' in [field.name for field in got[0].fields]

@@ -1,0 +1,172 @@
+"""How the node ends, idle and while it solves; what destroyed publishers do to its executor."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs rclpy')
+from command import PATIENCE, running  # noqa: E402, I100
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.task import Future  # noqa: E402
+from ros_helpers import (  # noqa: E402
+    Client,
+    pose_message,
+    ROOT,
+    running_node,
+    sphere_profile,
+)
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+SECOND = """
+import threading
+from handeye_ros import pipeline
+from handeye_ros.node.worker import main
+
+def solve(*args):
+    print('solving', flush=True)
+    threading.Event().wait()
+
+pipeline.solve = solve
+main()
+"""
+SLOW = f"""
+import sys
+from handeye_ros.node import worker
+worker.COMMAND = (sys.executable, '-c', {SECOND!r})
+from handeye_ros.node.__main__ import main
+sys.exit(main())
+"""
+
+START = """
+from handeye_ros.node.executable import InvalidHandle, ros, spin
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.waitable import NumberOfEntities, Waitable
+from rclpy.callback_groups import ReentrantCallbackGroup
+"""
+GONE = START + """
+class Gone(Waitable):
+    def __init__(self):
+        super().__init__(ReentrantCallbackGroup())
+        self.asked = 0
+
+    __enter__ = lambda self: self
+    __exit__ = lambda self, *_: None
+    get_num_entities = lambda self: NumberOfEntities()
+    is_ready = lambda self, _: False
+
+    def add_to_wait_set(self, _):
+        self.asked += 1
+        if self.asked == 2:
+            raise InvalidHandle('destruction was requested')
+
+with ros():
+    node, executor, gone = Node('spins'), MultiThreadedExecutor(2), Gone()
+    node.add_waitable(gone)
+    executor.add_node(node)
+    node.create_timer(0.01, lambda: gone.asked > 3 and executor.context.try_shutdown())
+    try:
+        spin(executor)
+    except Exception as error:
+        print(type(error).__name__)
+    print(gone.asked > 3)
+"""
+ANEW = START + """
+from handeye_ros.node.publishers import latched_publisher
+from std_msgs.msg import String
+
+with ros():
+    node = Node('publishes')
+    before = list(node.waitables)
+    publisher = latched_publisher(node, String, '~/text')
+    print(list(node.waitables) == before)
+"""
+
+
+@contextmanager
+def solving(tmp_path: Path, client: Client) -> Iterator[tuple[subprocess.Popen[bytes], Future]]:
+    """Run a node that solves and never ends to; give it, and what will have its answer."""
+    log = tmp_path / 'node.log'
+    command = [sys.executable, '-c', SLOW, '--ros-args', '-p', 'target.type:=sphere', '-p',
+               'target.radius:=0.04', '-p', f'output_dir:={tmp_path}']
+    with log.open('w') as stream, running(command, cwd=ROOT, stdout=stream,
+                                          stderr=stream) as process:
+        client.connect()
+        for stamp in range(10**18, 10**18 + 10**9, 10**9 // 20):
+            client.poses.publish(pose_message(stamp))
+            client.profiles.publish(sphere_profile(stamp + 1))
+        client.until_counted(profiles=20, poses=20)
+        service = client.node.create_client(Trigger, '/handeye/compute_calibration')
+        client.until(service.service_is_ready, 'the service is there')
+        future = service.call_async(Trigger.Request())
+        client.until(lambda: 'solving' in log.read_text(), 'it solves')
+        yield process, future
+
+
+def test_all_other_services_answer_while_it_solves(tmp_path: Path, client: Client) -> None:
+    with solving(tmp_path, client) as (_, future):
+        result = client.call('take_sample')
+        assert result.success and result.message.startswith('sample 1 taken again'), result.message
+        words = {'save_calibration': 'there is no calibration to save',
+                 'verify_start': 'verify.routine is not set',
+                 'verify_result': 'no verification was started'}
+        for name, word in words.items():
+            result = client.call(name)
+            assert (result.success, word in result.message) == (False, True), result.message
+        request = SetParameters.Request(parameters=[
+            Parameter('limits.translation', value=0.004).to_parameter_msg()])
+        assert client.request(SetParameters, 'set_parameters', request).results[0].successful
+        assert client.call('auto_sample', SetBool.Request(data=False)).success
+        assert client.call('remove_last_sample').message.startswith('removed sample 1')
+        assert client.call('clear_samples').success
+        assert not future.done(), 'it solves still'
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_the_node_ends_cleanly_while_it_solves(
+        tmp_path: Path, client: Client, number: int) -> None:
+    with solving(tmp_path, client) as (process, _):
+        log = tmp_path / 'node.log'
+        process.send_signal(number)
+        assert process.wait(PATIENCE) == 0
+    said = log.read_text().splitlines()
+    assert [line for line in said if '[INFO]' not in line and '[WARN]' not in line] == ['solving']
+
+
+@pytest.mark.parametrize('module', ['__main__', 'replay'])
+def test_without_a_place_for_logs(module: str) -> None:
+    block = ('import os; [os.environ.pop(name, 0) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR")]'
+             f'; import sys; from handeye_ros.node.{module} import main; sys.exit(main())')
+    arguments = ['bags/sphere'] if module == 'replay' else []
+    run = subprocess.run([sys.executable, '-c', block, *arguments], cwd=ROOT, text=True,
+                         capture_output=True, check=False, timeout=PATIENCE)
+    assert run.returncode == 2
+    assert run.stderr.startswith('ROS does not start: it has no place for its logs')
+    assert run.stderr.count('\n') == 1
+
+
+@pytest.mark.parametrize('number', [
+    pytest.param(signal.SIGINT, marks=pytest.mark.thorough), signal.SIGTERM])
+def test_the_node_ends_cleanly(tmp_path: Path, client: Client, number: int) -> None:
+    with running_node(tmp_path) as process:
+        client.state()
+        process.send_signal(number)
+        assert process.wait(PATIENCE) == 0
+    assert 'Traceback' not in (tmp_path / 'node.log').read_text()
+
+
+@pytest.mark.parametrize('script', [GONE, ANEW], ids=['goes on', 'waits for no publisher'])
+def test_what_is_destroyed_meanwhile_does_not_end_it(script: str) -> None:
+    said = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                          check=False, timeout=PATIENCE)
+    assert said.stdout.splitlines()[-1:] == ['True'], said.stdout + said.stderr

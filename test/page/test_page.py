@@ -1,0 +1,214 @@
+"""The page, in a real browser, of the real node fed by a bag; and what it refuses."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import json
+from pathlib import Path
+import socket
+import time
+from typing import Any
+
+from browser import chromium, complaints
+from command import PATIENCE
+from handeye_ros.data import Calibration, Quality
+from handeye_ros.results import pages, table
+from handeye_ros.results.calibration_file import read_calibration, write_calibration
+from handeye_ros.results.evidence import Evidence
+from handeye_ros.results.truth_file import true_transform
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='needs rclpy')
+pytest.importorskip('aiohttp', reason='needs aiohttp')
+from ros_helpers import Client, replay, ROOT, running_node  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+BAG, CONFIG = ROOT / 'bags' / 'plate', ROOT / 'config' / 'plate.yaml'
+SMALLEST_TARGET = 48  # px, for gloves
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(('127.0.0.1', 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def opened(tmp_path: Path, client: Client, width: int) -> Iterator[Any]:
+    """Give a browser that looks at a node which was fed the bag."""
+    port = free_port()
+    with chromium(width, 900) as browser, running_node(
+            tmp_path, '--params-file', str(CONFIG), '-p', f'page.port:={port}'):
+        client.connect()
+        browser.get(f'http://127.0.0.1:{port}/')
+        replay(BAG)
+        wait(browser, "document.querySelectorAll('#samples li').length >= 17", 'all samples')
+        yield browser
+
+
+def wait(browser: Any, condition: str, what: str) -> None:
+    end = time.monotonic() + PATIENCE
+    while not browser.execute_script(f'return {condition}'):
+        assert time.monotonic() < end, f'waited in vain for {what}'
+
+
+def words(browser: Any, name: str) -> str:
+    return str(browser.execute_script('return document.getElementById(arguments[0]).textContent',
+                                      name))
+
+
+def press(browser: Any, selector: str, message: str) -> str:
+    """Click, and return what the page then says."""
+    browser.execute_script("document.getElementById('message').textContent = ''; "
+                           'shown.message = undefined')
+    button = browser.find_element('css selector', selector)
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
+    button.click()
+    wait(browser, f"document.getElementById('message').textContent.includes({message!r})",
+         f'"{message}", not "{words(browser, "message")}"')
+    return words(browser, 'message')
+
+
+def test_a_calibration_by_clicking(tmp_path: Path, client: Client) -> None:
+    with opened(tmp_path, client, 1280) as browser:
+        press(browser, '#take', 'sample')
+        press(browser, '[data-sample="5"]', 'sample 5 is left out')
+        wait(browser, "document.querySelectorAll('#samples .out').length === 1", 'its line')
+        assert 'x, y, z = ' in press(browser, '#compute', 'laser in flange')
+        saved = press(browser, '#save', 'wrote ')
+        path = tmp_path / 'plate' / 'calibration.yaml'
+        assert str(path) in saved
+        wait(browser, "document.getElementById('answer-x')", 'the figures')
+        found = read_calibration(path)
+        rows = browser.execute_script("return [...document.querySelectorAll('#figures tbody tr')]"
+                                      '.map(r => [...r.cells].map(c => c.textContent))')
+        # the page, the report and the command line say the same, figure by figure
+        assert rows[:6] == [list(row) for row in table.transform_rows(found)]
+        text = pages.html(found, Evidence(()))
+        assert all(figure in text for row in rows[:6] for figure in row[1:3])
+        quality = found.quality
+        assert rows[6:] == [['residual', f'{1e3 * quality.residual_rms:.3f}', '', 'mm'],
+                            ['left out', f'{1e3 * quality.holdout_rms:.3f}', '', 'mm'],
+                            ['samples used', str(quality.samples_used), '', '']]
+        press(browser, '[data-sample="5"]', 'sample 5 is back')
+        anew = ("[...document.querySelectorAll('#figures tbody tr')].at(-1).cells[1].textContent "
+                f"=== '{quality.samples_used + 1}'")  # it is soon computed again by itself
+        wait(browser, "document.getElementById('answer-state').textContent.startsWith('outdated')"
+             f' || {anew}', 'the answer is told to be outdated, or computed anew')
+        lines = "document.querySelectorAll('#samples li').length"
+        count = browser.execute_script(f'return {lines}')
+        press(browser, '#undo', 'removed sample')
+        wait(browser, f'{lines} === {count - 1}', 'one sample less')
+        downloaded(browser)
+        cleared(browser)
+        went_on(browser, count - 1)
+        assert complaints(browser) == []
+    assert 'Traceback' not in (tmp_path / 'node.log').read_text()
+
+
+def fetched(browser: Any, path: str) -> str:
+    return str(browser.execute_async_script(
+        'fetch(arguments[0]).then(r => r.text()).then(arguments[1])', path))
+
+
+def downloaded(browser: Any) -> None:
+    """Take the files of the answer, and look at the profile of a sample."""
+    for link, words in (('yaml', 'format: handeye_ros/calibration/'), ('urdf', '<origin xyz='),
+                        ('report.html', 'data:image/svg+xml')):
+        assert browser.find_elements('css selector', f'#files [href="read/file?name={link}"]')
+        assert words in fetched(browser, f'read/file?name={link}')
+    browser.find_element('css selector', '#samples summary').click()
+    wait(browser, PAINTED.replace('NAME', '#samples [open] canvas'), 'its profile')
+
+
+def went_on(browser: Any, count: int) -> None:
+    """Go on with the session before, in German, with samples taken by hand."""
+    former = json.loads(fetched(browser, 'read/cell'))['sessions'][-1]
+    browser.execute_script("ask('open', {session: arguments[0]}, document.body)", former)
+    wait(browser, f"document.querySelectorAll('#samples li').length === {count}", 'its samples')
+    wait(browser, "document.getElementById('answer-x')", 'its answer')
+    browser.execute_script("$('language').value = 'de'; $('language').onchange || "
+                           "$('language').dispatchEvent(new Event('change'))")
+    assert words(browser, 'take') == 'Messen'
+    press(browser, '[name=mode][value=manual]', 'sampling.mode is manual')
+    wait(browser, "document.getElementById('link').textContent === 'gemessen wird auf Knopfdruck'",
+         'it says so')
+
+
+@pytest.mark.thorough
+def test_a_verification_by_clicking(tmp_path: Path, client: Client) -> None:
+    port, bag = free_port(), ROOT / 'bags' / 'sphere'
+    right = tmp_path / 'right.yaml'
+    write_calibration(Calibration(
+        'right', 'sphere', 'flange', 'laser', true_transform(bag),
+        np.diag(np.repeat([3e-5, 1.7e-4], 3) ** 2), {}, Quality(0, 0, 0.0, 0.0, '', 0.0), ()),
+        right)
+    with chromium(1280, 900) as browser, running_node(
+            tmp_path, '--params-file', str(ROOT / 'config' / 'sphere.yaml'), '-p',
+            f'page.port:={port}', '-p', f'verify.calibration:={right}'):
+        client.connect()
+        browser.get(f'http://127.0.0.1:{port}/')
+        wait(browser, "typeof latest === 'object' && latest", 'the page')
+        wait(browser, "document.getElementById('set-verify.routine')", 'the settings')
+        browser.execute_script(
+            "for (const [key, value] of [['routine', 'sphere'], ['radius', '0.04']]) {"
+            "const input = document.getElementById('set-verify.' + key);"
+            "input.value = value; input.dispatchEvent(new Event('change'));}")
+        press(browser, '#verify-start', '0 usable stops of 0')
+        wait(browser, "!document.getElementById('verify-result').disabled", 'that it goes on')
+        press(browser, '#verify-result', 'fewer than 4')
+        replay(bag)
+        wait(browser, "/1[0-9] usable stops/.test(document.getElementById('course').textContent)",
+             'the stops that count')
+        verdict = press(browser, '#verify-result', 'sphere: PASS')
+        wait(browser, "document.getElementById('verdict').textContent", 'it at its place')
+        assert verdict.startswith(words(browser, 'verdict'))
+        assert 'good' in browser.find_element('id', 'verdict').get_attribute('class')
+        wait(browser, "document.getElementById('course').textContent === ''", 'that it has ended')
+        assert complaints(browser) == []
+    assert 'verdict: pass' in (tmp_path / 'sphere' / 'verification_sphere.yaml').read_text()
+
+
+PAINTED = ("(() => {const c = document.querySelector('NAME');"
+           "const e = document.createElement('canvas');"
+           'if (!c) return false; e.width = c.width; e.height = c.height; '
+           'return c.toDataURL() !== e.toDataURL()})()')
+
+
+def cleared(browser: Any) -> None:
+    """Clear: it asks twice, and no is no."""
+    count = browser.execute_script("return document.querySelectorAll('#samples li').length")
+    browser.find_element('id', 'clear').click()
+    browser.find_element('id', 'yes').click()
+    wait(browser, "document.getElementById('question').textContent.startsWith('Really?')",
+         'the second question')
+    browser.find_element('id', 'no').click()
+    assert browser.execute_script(
+        "return document.querySelectorAll('#samples li').length") == count
+    browser.find_element('id', 'clear').click()
+    browser.find_element('id', 'yes').click()
+    press(browser, '#yes', 'removed; bags and clocks may start again')
+    wait(browser, "document.querySelectorAll('#samples li').length === 0", 'no samples')
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('width', [390, 1280])
+def test_it_is_readable_and_fits_gloves(tmp_path: Path, client: Client, width: int) -> None:
+    with opened(tmp_path, client, width) as browser:
+        wait(browser, "document.querySelectorAll('#sigmas .bar').length > 6", 'the sigmas')
+        browser.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', {
+            'width': width, 'height': 900, 'deviceScaleFactor': 1, 'mobile': width < 500})
+        assert browser.execute_script('return document.documentElement.scrollWidth') <= width
+        small = browser.execute_script(
+            "return [...document.querySelectorAll('button, select')].filter(b => b.offsetParent)"
+            '.map(b => b.getBoundingClientRect()).filter(r => r.width)'
+            f'.filter(r => r.width < {SMALLEST_TARGET} || r.height < {SMALLEST_TARGET}).length')
+        assert small == 0
+        # what the canvases show is not empty
+        for name in ('profile', 'scene'):
+            assert browser.execute_script('return ' + PAINTED.replace('NAME', f'#{name}'))
+        assert 'points in view are known to' in words(browser, 'advice')
+        assert words(browser, 'link') == 'a sample is taken at every stop'
+        assert complaints(browser) == []

@@ -1,0 +1,280 @@
+"""The comparison of estimators: what every row says, and that it says it of the same samples."""
+from __future__ import annotations
+
+from dataclasses import replace
+import re
+
+from cells import Cell, cell, config, exact
+from command import assert_refused, handeye, PLATE, ROOT
+from handeye_ros import pipeline, se3
+from handeye_ros.checks.errors import OneOrientationError, TooUncertainError
+from handeye_ros.errors import BadValueError
+from handeye_ros.frames import sensor_axes
+from handeye_ros.published import table
+from handeye_ros.published.compare import compare, Comparison, Row
+from handeye_ros.published.estimators import ESTIMATORS
+from handeye_ros.results.truth_file import errors_against
+from handeye_ros.simulate import SCENARIOS
+from handeye_ros.tabulated import FILE_METHODS
+from handeye_ros.targets import METHODS
+import numpy as np
+import pytest
+from rich.console import Console
+import yaml
+
+CHEN_NINE, CHEN_RIGID = 'Chen 2023, nine parameters', 'Chen 2023, on SE(3)'
+FIXED_LINEAR, FIXED_RIGID = 'fixed point, linear', 'fixed point, least squares'
+
+
+def compared(made: Cell, **values: object) -> Comparison:
+    return compare(made.samples, (), made.config, made.truth.T_flange_sensor,
+                   **({'folds': 0} | values))
+
+
+@pytest.fixture
+def only(monkeypatch):
+    """Return a function that leaves only some of a target's estimators."""
+    def leave(target: str, *names: str) -> None:
+        chosen = tuple(e for e in ESTIMATORS[target] if e.name in names)
+        assert len(chosen) == len(names)
+        monkeypatch.setitem(ESTIMATORS, target, chosen)
+    return leave
+
+
+def by_name(comparison: Comparison) -> dict[str, Row]:
+    return {row.name: row for row in comparison.rows}
+
+
+def mapped(row: Row) -> float:
+    assert row.errors, row.failure
+    return row.errors.mapped_points
+
+
+def nearly_exact(scenario: str, **values: object) -> Cell:
+    """Return a cell with a nanometre of noise; the settings believe in what is usual."""
+    fine = exact(scenario)
+    fine = replace(fine, sensor=replace(fine.sensor, noise=1e-9))
+    usual = {'noise__sensor': 3e-5, 'noise__robot_translation': 2e-5,
+             'noise__robot_rotation': 7e-5}
+    return cell(fine, **(usual | values))
+
+
+@pytest.fixture(scope='module')
+def plate() -> Comparison:
+    quick = tuple(e for e in ESTIMATORS['plate'] if e.name != CHEN_NINE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(ESTIMATORS, 'plate', quick)
+        return compared(cell('plate', 2), folds=3)
+
+
+def test_every_target_has_its_own_method_first() -> None:
+    assert ESTIMATORS.keys() == METHODS.keys() | FILE_METHODS.keys()
+    for target, estimators in ESTIMATORS.items():
+        method = METHODS.get(target) or FILE_METHODS[target]
+        assert estimators[0].name == method.name == target
+        assert len({e.name for e in estimators}) == len(estimators)
+
+
+@pytest.mark.parametrize('target', METHODS)
+def test_without_noise_all_estimators_find_the_truth(target: str) -> None:
+    made = nearly_exact(target)
+    comparison = compared(made)
+    assert comparison.refusal is None
+    assert (comparison.used, comparison.rejected) == (len(made.samples), 0)
+    for row in comparison.rows:
+        assert mapped(row) < 2e-6, row.name  # Powell and trust-constr stop a little early
+        assert row.residual_rms is not None
+        assert row.residual_rms < 1e-6, row.name
+
+
+def test_the_first_row_is_the_answer_of_solve(plate: Comparison) -> None:
+    made = cell('plate', 2)
+    found = pipeline.solve(made.samples, (), made.config, 'laser')
+    own = plate.rows[0]
+    assert own.T_flange_sensor is not None
+    np.testing.assert_allclose(own.T_flange_sensor, found.T_flange_sensor, rtol=0, atol=1e-12)
+    assert own.residual_rms == pytest.approx(found.quality.residual_rms, rel=1e-3)
+    assert own.errors == errors_against(found.T_flange_sensor, made.truth.T_flange_sensor)
+
+
+def test_left_out_is_what_refitting_without_them_predicts(only) -> None:
+    only('plate', 'plate', CHEN_RIGID)
+    made = cell('plate', 2)
+    ours, chen = compared(made, folds=18).rows
+    found = pipeline.solve(made.samples, (), made.config, 'laser')
+    assert ours.holdout_rms == pytest.approx(found.quality.holdout_rms, rel=0.05)
+    assert chen.holdout_rms is not None
+    assert chen.residual_rms is not None
+    assert chen.holdout_rms > chen.residual_rms
+
+
+def test_the_order_of_the_samples_does_not_matter(only) -> None:
+    only('plate', 'plate', 'plane, the face lines alone', CHEN_RIGID)
+    made = cell('plate', 2)
+    order = np.random.default_rng(0).permutation(len(made.samples))
+    shuffled = replace(made, samples=tuple(made.samples[i] for i in order))
+    pairs = zip(compared(made, folds=6).rows, compared(shuffled, folds=6).rows, strict=True)
+    for row, other in pairs:
+        np.testing.assert_array_equal(row.T_flange_sensor, other.T_flange_sensor)
+        assert row.residual_rms == other.residual_rms
+        assert row.holdout_rms == other.holdout_rms is not None
+
+
+@pytest.mark.thorough
+def test_ours_is_three_times_as_accurate_as_chen(only) -> None:
+    only('plate', 'plate', CHEN_RIGID)  # the better of the two; bench/compare.py has both
+    trials = [by_name(compared(cell('plate', seed, noise__distortion=0.0)))
+              for seed in range(20)]
+    ours, chen = (np.median([mapped(trial[name]) for trial in trials])
+                  for name in ('plate', CHEN_RIGID))
+    assert ours < 4e-5
+    assert 3 * ours <= chen
+
+
+@pytest.mark.thorough
+def test_ours_is_as_accurate_as_the_fixed_point() -> None:
+    trials = [by_name(compared(cell('sphere', seed, noise__distortion=0.0)))
+              for seed in range(20)]
+    ours, linear, rigid = (np.median([mapped(trial[name]) for trial in trials])
+                           for name in ('sphere', FIXED_LINEAR, FIXED_RIGID))
+    assert ours <= rigid
+    assert 3 * ours < linear
+
+
+def test_stations_that_disagree_are_given_to_nobody(only) -> None:
+    only('plate', 'plate', CHEN_RIGID)
+    made = cell('plate', 1)
+    wrong = replace(made.samples[4], T_base_flange=made.samples[4].T_base_flange
+                    @ se3.transform(np.eye(3), np.array([0.0, 0.004, 0.003])))
+    samples = (*made.samples[:4], wrong, *made.samples[5:])
+    comparison = compared(replace(made, samples=samples))
+    assert (comparison.used, comparison.rejected) == (17, 1)
+    assert mapped(by_name(comparison)[CHEN_RIGID]) < 5e-4
+
+
+def test_eye_on_base_goes_through_all(only) -> None:
+    only('plate', 'plate', 'line, one edge alone', CHEN_RIGID)
+    for row in compared(nearly_exact('eye_on_base')).rows:
+        assert mapped(row) < 2e-6, row.name
+
+
+def test_axes_other_than_x_z_turn_every_answer(only) -> None:
+    only('plate', 'plate', 'plane, the face lines alone', CHEN_RIGID)
+    made = nearly_exact('plate')
+    turned = replace(made.config, profile=config(SCENARIOS['plate_y_along_line']).profile)
+    assert turned.profile.axes == ('y', 'z')
+    T_true = made.truth.T_flange_sensor @ se3.inverse(sensor_axes(turned))
+    for row in compare(made.samples, (), turned, T_true, folds=0).rows:
+        assert row.T_flange_sensor is not None, row.failure
+        np.testing.assert_allclose(row.T_flange_sensor, T_true, rtol=0, atol=5e-5)
+        assert mapped(row) < 2e-6, row.name
+
+
+@pytest.mark.thorough
+def test_one_that_fails_stops_no_other(only) -> None:
+    only('plate', 'plate', 'line, one edge alone', CHEN_RIGID)
+    comparison = compared(cell('plate_5_5'), folds=5)
+    rows = by_name(comparison)
+    line = rows['line, one edge alone']
+    assert line.T_flange_sensor is None
+    assert '5 usable samples' in line.failure
+    assert mapped(rows['plate']) < 2e-4
+    assert rows[CHEN_RIGID].holdout_rms is None  # it needs all five points of an edge
+    assert rows['plate'].holdout_rms is not None
+    assert comparison.refusal is None
+
+
+def test_without_an_answer_of_ours_the_published_ones_lack_their_start() -> None:
+    comparison = compared(cell('one_orientation'))
+    assert isinstance(comparison.refusal, OneOrientationError)
+    assert not comparison.answered
+    rows = by_name(comparison)
+    assert rows['plate'].failure == str(comparison.refusal)
+    assert 'needs what the method plate finds first' in rows[CHEN_RIGID].failure
+
+
+def test_an_answer_too_uncertain_for_us_is_none(only) -> None:
+    only('plate', 'plate', CHEN_RIGID)
+    comparison = compared(cell('plate', limits__translation=1e-6))
+    assert isinstance(comparison.refusal, TooUncertainError)
+    rows = by_name(comparison)
+    assert rows['plate'].T_flange_sensor is None
+    assert mapped(rows[CHEN_RIGID]) < 1e-3
+    assert comparison.answered
+
+
+def test_the_fixed_point_needs_the_radius() -> None:
+    rows = by_name(compared(cell('sphere', target__radius=0.0)))
+    assert mapped(rows['sphere']) < 2e-4
+    assert 'set target.radius' in rows[FIXED_RIGID].failure
+
+
+def test_the_method_is_that_of_the_target(only) -> None:
+    only('plate', 'plate', 'line, one edge alone')
+    made = cell('plate', method='plane')
+    assert [row.name for row in compared(made).rows] == [e.name for e in ESTIMATORS['plate']]
+    with pytest.raises(BadValueError, match='method'):
+        compared(replace(made, config=replace(made.config, method='plade')))
+
+
+def shown(comparison: Comparison, width: int = 160) -> str:
+    console = Console(width=width, color_system=None)
+    with console.capture() as capture:
+        console.print(table.ComparisonTable(comparison))
+    return capture.get()
+
+
+def test_the_table_shows_figures_in_mm_and_degrees(plate: Comparison) -> None:
+    text = shown(plate)
+    assert '18 samples.' in text
+    for row in plate.rows:
+        line = next(line for line in text.splitlines() if line.startswith(f' {row.name} '))
+        if row.T_flange_sensor is not None:
+            assert table.transform_text(row.T_flange_sensor) in line
+            assert f' {row.residual_rms * 1e3:.4f} ' in line
+            left_out = '-' if row.holdout_rms is None else f'{row.holdout_rms * 1e3:.4f}'
+            assert f' {left_out} ' in line
+            assert f' {np.degrees(row.errors.rotation):.4f} ' in line
+            assert f' {row.errors.mapped_points * 1e3:.4f} ' in line
+    without = replace(plate, rows=tuple(replace(row, errors=None) for row in plate.rows))
+    assert 'truth.yaml' not in shown(without)
+
+
+def test_a_narrow_terminal_loses_no_figure(plate: Comparison) -> None:
+    def figures(text: str) -> list[str]:
+        return sorted(re.findall(r'-?[0-9]+[.][0-9]+', text))
+    assert figures(shown(plate, 80)) == figures(shown(plate))
+    assert max(map(len, shown(plate, 80).splitlines())) <= 80
+
+
+def test_the_table_shows_the_reason_of_a_failure(only) -> None:
+    only('plate', 'plate', 'line, one edge alone')
+    text = ' '.join(shown(compared(cell('plate_5_5'))).split())
+    assert 'failed: 5 usable samples; line needs at least 7' in text
+
+
+def test_compare_on_the_command_line(tmp_path) -> None:
+    run = handeye('compare', ROOT / 'bags' / 'sphere', '--config',
+                  ROOT / 'config' / 'sphere.yaml', '--out', 'c.yaml', cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert run.stderr == ''
+    for estimator in ESTIMATORS['sphere']:
+        assert f'\n {estimator.name} ' in run.stdout
+    assert 'error: against truth.yaml' in run.stdout
+    assert '\x1b' not in run.stdout
+    assert [path.name for path in tmp_path.iterdir()] == ['c.yaml']
+    rows = yaml.safe_load((tmp_path / 'c.yaml').read_text())['estimators']
+    assert [row['name'] for row in rows] == [e.name for e in ESTIMATORS['sphere']]
+    assert 0 < rows[0]['error_mapped_points'] < 2e-4
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(('bag', 'settings', 'code', 'words'), [
+    ('one_orientation', (), 3, 'all poses share one orientation'),
+    ('inverted_poses', (), 3, 'inverse poses'),
+    ('nowhere', (), 2, 'no such file'),
+    ('plate', ('--set', 'method=plade'), 2, 'expected one of plate'),
+    ('plate', ('--set', 'target.typ=plate'), 2, 'did you mean "target.type"')])
+def test_compare_refuses_like_solve(bag, settings, code, words, tmp_path) -> None:
+    run = handeye('compare', ROOT / 'bags' / bag, '--config', PLATE, *settings, cwd=tmp_path)
+    assert_refused(run, code, words)

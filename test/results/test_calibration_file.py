@@ -1,0 +1,255 @@
+"""calibration.yaml: written whole, read back equal, damaged files refused by sentence."""
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+
+from handeye_ros import se3
+from handeye_ros.data import Calibration, Quality, SampleReport
+from handeye_ros.errors import UnwritableError
+from handeye_ros.results import calibration_file, table, truth_file
+from handeye_ros.results.errors import CalibrationFileError
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from rich.console import Console
+import yaml
+
+RNG = np.random.default_rng(5)
+ROOT = RNG.normal(size=(6, 6)) * 1e-4
+
+CALIBRATION = Calibration(
+    name='plate', method='plate', parent_frame='flange', child_frame='laser',
+    T_flange_sensor=se3.transform(se3.exp_rotation(np.array([0.3, -1.2, 2.0])),
+                                  np.array([0.0123, -0.05, 0.1])),
+    covariance=ROOT @ ROOT.T,
+    target={'pose': calibration_file.transform_values(np.eye(4)), 'edge_angle': 1.5708,
+            'edge_angle_std': 1e-4, 'radius': 0.04, 'radius_std': 0.0, 'note': 'x'},
+    quality=Quality(2, 1, 2.1e-5, 2.6e-5, 'position along z of flange (m)', 4e-5),
+    samples=(SampleReport(1700000000500000001, True, 'p', 1.9e-5),
+             SampleReport(1700000002500000001, True, 'p, q', 2.0e-5),
+             SampleReport(1700000004500000001, False, reason='no edge in sight')),
+    provenance={'version': '0.1.0', 'created': '2026-01-01T00:00:00+00:00',
+                'inputs': [{'path': 'bags/plate/plate.mcap', 'sha256': 64 * '0'}],
+                'config': {'target.size': [], 'noise.sensor': 3e-5, 'profile.axes': ['x', 'z']}})
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / 'calibration.yaml'
+
+
+def content_of(calibration, path):
+    calibration_file.write_calibration(calibration, path)
+    return yaml.safe_load(path.read_text())
+
+
+def test_read_back_it_is_equal(path):
+    calibration_file.write_calibration(CALIBRATION, path)
+    again = calibration_file.read_calibration(path)
+    assert calibration_file.equal(again, CALIBRATION)
+    assert not calibration_file.equal(replace(again, name='other'), CALIBRATION)
+    assert not calibration_file.equal(replace(again, covariance=2 * again.covariance), CALIBRATION)
+
+
+def test_the_documented_keys_in_their_order(path):
+    content = content_of(CALIBRATION, path)
+    assert list(content) == [
+        'format', 'name', 'method', 'parent_frame', 'child_frame', 'transform', 'rpy',
+        'covariance', 'target', 'quality', 'samples', 'provenance']
+    assert content['format'] == 'handeye_ros/calibration/1'
+    assert list(content['transform']) == ['translation', 'rotation']
+    assert list(content['transform']['rotation']) == ['x', 'y', 'z', 'w']
+    assert content['transform']['rotation']['w'] >= 0
+    assert content['rpy'] == pytest.approx(list(se3.rpy(CALIBRATION.T_flange_sensor)), abs=1e-15)
+    assert content['covariance'][7] == CALIBRATION.covariance[1, 1]
+    assert content['samples'][0] == {
+        'stamp': 1700000000500000001, 'used': True, 'edge': 'p', 'residual': 1.9e-5}
+    assert content['samples'][2] == {
+        'stamp': 1700000004500000001, 'used': False, 'reason': 'no edge in sight'}
+    assert list(content['provenance']) == ['version', 'created', 'inputs', 'config']
+    assert 'p_flange = T @ p_laser' in path.read_text()
+
+
+def test_the_time_is_put_in_where_there_is_none(path):
+    content = content_of(replace(CALIBRATION, provenance={}), path)
+    assert content['provenance']['created'].endswith('+00:00')
+    assert content['provenance']['version']
+
+
+finite = st.floats(-1e6, 1e6)
+words = st.text(st.characters(codec='utf-8', exclude_categories=('Cs', 'Cc')), max_size=20)
+
+
+@st.composite
+def calibrations(draw):
+    vector = np.array(draw(st.tuples(*[st.floats(-3.1, 3.1)] * 3)))
+    T = se3.transform(se3.exp_rotation(vector), np.array(draw(st.tuples(finite, finite, finite))))
+    covariance = np.array(draw(st.lists(finite, min_size=36, max_size=36))).reshape(6, 6)
+    count = st.integers(0, 1000)
+    quality = Quality(draw(count), draw(count), draw(finite), draw(finite), draw(words),
+                      draw(finite))
+    samples = draw(st.lists(st.builds(
+        SampleReport, st.integers(0, 2 ** 63), st.booleans(), words, st.none() | finite, words),
+        max_size=4))
+    plain = st.recursive(finite | words | st.integers() | st.booleans(), lambda inner: st.lists(
+        inner, max_size=3) | st.dictionaries(words, inner, max_size=3), max_leaves=5)
+    target = draw(st.dictionaries(words, plain, max_size=3))
+    provenance = {'version': draw(words), 'created': draw(words), 'config': {}}
+    names = [draw(words) for _ in range(4)]
+    return Calibration(*names, T, covariance, target, quality, tuple(samples), provenance)
+
+
+@settings(max_examples=40, deadline=None)
+@given(calibration=calibrations())
+def test_any_calibration_is_read_back_equal(tmp_path_factory, calibration):
+    path = tmp_path_factory.mktemp('any') / 'calibration.yaml'
+    calibration_file.write_calibration(calibration, path)
+    assert calibration_file.equal(calibration_file.read_calibration(path), calibration)
+
+
+def paths_to_values(content, prefix=()):
+    for key, value in content.items():
+        yield (*prefix, key)
+        if isinstance(value, dict) and key not in ('target', 'provenance'):
+            yield from paths_to_values(value, (*prefix, key))
+
+
+KEYS = [k for k in paths_to_values(calibration_file._content(CALIBRATION)) if k != ('rpy',)]
+
+
+@pytest.mark.parametrize('keys', KEYS, ids='.'.join)
+@pytest.mark.parametrize('damage', ['missing', 'wrong type'])
+def test_damage_is_named(path, keys, damage):
+    content = content_of(CALIBRATION, path)
+    section = content
+    for key in keys[:-1]:
+        section = section[key]
+    if damage == 'missing':
+        del section[keys[-1]]
+    else:
+        section[keys[-1]] = None if keys[-1] == 'name' else object_of_wrong_type(section[keys[-1]])
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(CalibrationFileError) as caught:
+        calibration_file.read_calibration(path)
+    assert '.'.join(keys) in str(caught.value) or keys[-1] == 'format'
+    assert str(path) in str(caught.value)
+
+
+def object_of_wrong_type(value):
+    return 7 if isinstance(value, str | list | dict) else 'seven'
+
+
+@pytest.mark.parametrize(('old', 'new', 'reason'), [
+    ('calibration/1', 'calibration/2', 'newer than this version'),
+    ('calibration/1', 'calibration/x', 'expected handeye_ros/calibration/1'),
+    ('handeye_ros/calibration/1', 'easy_handeye/1', 'expected handeye_ros/calibration/1'),
+    ('x: 0.0123', 'x: .nan', 'transform.translation.x is nan'),
+    ('w: 0', 'w: 2', 'a quaternion of length'),
+    ('used: true', 'used: 1', r'samples\[0\].used is 1'),
+    ('covariance: [', 'covariance: [1.0, ', 'covariance does not hold 36 numbers'),
+    ('covariance: [', 'covariance: [[', 'not valid YAML'),
+])
+def test_damaged_values(path, old, new, reason):
+    calibration_file.write_calibration(CALIBRATION, path)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(CalibrationFileError, match=reason):
+        calibration_file.read_calibration(path)
+
+
+@settings(max_examples=100, deadline=None)
+@given(junk=st.binary(max_size=200))
+def test_any_bytes_are_refused(tmp_path_factory, junk):
+    path = tmp_path_factory.mktemp('junk') / 'calibration.yaml'
+    path.write_bytes(junk)
+    with pytest.raises(CalibrationFileError):
+        calibration_file.read_calibration(path)
+
+
+def test_no_such_file(path):
+    with pytest.raises(CalibrationFileError, match='No such file'):
+        calibration_file.read_calibration(path)
+
+
+def test_a_file_before_is_replaced_and_nothing_else_is_left(path):
+    path.write_text('old')
+    calibration_file.write_calibration(CALIBRATION, path)
+    assert calibration_file.equal(calibration_file.read_calibration(path), CALIBRATION)
+    assert [p.name for p in path.parent.iterdir()] == ['calibration.yaml']
+
+
+def test_unwritable_folders_leave_nothing_behind(tmp_path):
+    (tmp_path / 'file').write_text('')
+    (tmp_path / 'folder' / 'inside').mkdir(parents=True)
+    for path in (tmp_path / 'file' / 'x.yaml', tmp_path / 'folder'):
+        with pytest.raises(UnwritableError, match='cannot write'):
+            calibration_file.write_calibration(CALIBRATION, path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ['file', 'folder']
+
+
+def printed(calibration):
+    console = Console(width=160, color_system=None)
+    with console.capture() as capture:
+        console.print(table.table(calibration))
+    return capture.get()
+
+
+def row(text, name):
+    return next(line.split() for line in text.splitlines() if line.split()[:1] == [name])
+
+
+def test_the_report_has_millimetres_and_degrees(path):
+    text = printed(CALIBRATION)
+    std = np.sqrt(np.diag(CALIBRATION.covariance))
+    assert 'laser in flange. T maps points of laser into flange: p_flange = T @ p_laser' in text
+    assert row(text, 'x') == ['x', '12.300', f'{std[0] * 1e3:.3f}', 'mm']
+    roll = math.degrees(se3.rpy(CALIBRATION.T_flange_sensor)[0])
+    assert row(text, 'roll')[1] == f'{roll:.4f}'
+    assert row(text, 'roll')[3] == 'degrees'
+    assert 'position along z of flange: 0.040 mm (1 sigma)' in text
+    assert '1 rejected: no edge in sight' in text
+    assert '40.000 mm, given' in text
+    assert '90.0002 degrees, 1 sigma 0.0057' in text
+    assert '0.021 mm RMS' in text
+    assert '0.026 mm RMS' in text
+
+
+def test_sigma_of_roll_pitch_yaw_is_that_of_drawn_rotations():
+    T = CALIBRATION.T_flange_sensor
+    draws = np.random.default_rng(6).multivariate_normal(
+        np.zeros(3), CALIBRATION.covariance[3:, 3:], size=4000)
+    rpy = [se3.rpy(se3.perturb(T, np.concatenate([np.zeros(3), d]))) for d in draws]
+    assert table.rpy_std(T, CALIBRATION.covariance[3:, 3:]) == pytest.approx(
+        np.std(rpy, axis=0), rel=0.05)
+
+
+def test_roll_and_yaw_have_no_sigma_where_they_are_one():
+    upright = se3.transform(se3.exp_rotation(np.array([0.0, math.pi / 2, 0.0])), np.zeros(3))
+    assert 'undefined' in printed(replace(CALIBRATION, T_flange_sensor=upright))
+
+
+def test_errors_of_known_differences():
+    T = CALIBRATION.T_flange_sensor
+    assert truth_file.errors_against(T, T) == truth_file.Errors(0.0, 0.0, 0.0)
+    shifted = se3.perturb(T, np.array([3e-3, 0, 4e-3, 0, 0, 0]))
+    errors = truth_file.errors_against(shifted, T)
+    assert errors.translation == pytest.approx(5e-3)
+    assert errors.rotation == pytest.approx(0.0, abs=1e-12)
+    assert errors.mapped_points == pytest.approx(5e-3)
+    turned = T @ se3.transform(se3.exp_rotation(np.array([0.0, 0.01, 0.0])), np.zeros(3))
+    errors = truth_file.errors_against(turned, T)
+    assert errors.rotation == pytest.approx(0.01)
+    # turned about y, a point moves by its distance times the angle
+    assert errors.mapped_points == pytest.approx(0.01 * math.sqrt(0.175 ** 2 + (
+        0.02 ** 2 + 0.015 ** 2) / 3), rel=3e-3)
+
+
+def test_angles_edited_beside_the_quaternion_are_refused(path):
+    values = content_of(CALIBRATION, path)
+    values['rpy'][2] += 0.01  # the last turn: the difference is as large
+    path.write_text(yaml.safe_dump(values))
+    with pytest.raises(CalibrationFileError, match=r'rpy and transform.rotation differ by 0\.573'):
+        calibration_file.read_calibration(path)

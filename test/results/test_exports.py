@@ -1,0 +1,260 @@
+"""Every form in which a calibration is written is read back by a reader of its own."""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+import json
+from pathlib import Path
+import re
+import shlex
+import subprocess
+from types import SimpleNamespace
+from typing import Any
+
+from command import assert_refused, handeye
+from handeye_ros import config, orientations, se3
+from handeye_ros.data import Array, Calibration, Quality, SampleReport
+from handeye_ros.errors import UnknownNameError, UnwritableError
+from handeye_ros.results import calibration_file, exports
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+import yaml
+
+urdf_parser_py = pytest.importorskip('urdf_parser_py.urdf', reason='needs urdf_parser_py')
+
+ANY = Calibration(
+    name='plate', method='plate', parent_frame='tool0', child_frame='laser',
+    T_flange_sensor=se3.transform(se3.exp_rotation(np.array([0.3, -1.2, 2.0])),
+                                  np.array([0.0123, -0.05, 0.1])),
+    covariance=np.diag([1e-5, 2e-5, 3e-5, 1e-4, 2e-4, 3e-4]) ** 2,
+    target={}, quality=Quality(1, 0, 2.1e-5, 2.6e-5, 'position along z of flange (m)', 4e-5),
+    samples=(SampleReport(1700000000500000001, True, 'p', 1.9e-5),),
+    provenance={'config': config.flatten(config.Config())})
+
+
+def from_xyzw(translation: list[float], rotation: list[float]) -> Array:
+    """Return a transform as scipy, not the package, makes it."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_quat(rotation).as_matrix(), translation
+    return T
+
+
+def read_yaml(text: str) -> tuple[Array, str, str]:
+    return from_values(yaml.safe_load(text))
+
+
+def from_values(found: dict[str, Any]) -> tuple[Array, str, str]:
+    place, turn = found['transform']['translation'], found['transform']['rotation']
+    return (from_xyzw([place[k] for k in 'xyz'], [turn[k] for k in 'xyzw']),
+            found['parent_frame'], found['child_frame'])
+
+
+def read_urdf(text: str) -> tuple[Array, str, str]:
+    robot = urdf_parser_py.URDF.from_xml_string(text.encode())
+    (joint,) = robot.joints
+    assert joint.type == 'fixed' and [link.name for link in robot.links] == [joint.child]
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler('xyz', joint.origin.rpy).as_matrix()
+    T[:3, 3] = joint.origin.xyz
+    return T, joint.parent, joint.child
+
+
+def publisher(words: list[str]) -> tuple[Array, str, str]:
+    """Read arguments as tf2_ros's static_transform_publisher does: pairs of flag and value."""
+    assert len(words) == 18
+    pairs = dict(zip(words[::2], words[1::2], strict=True))
+    assert pairs.keys() == {'--x', '--y', '--z', '--qx', '--qy', '--qz', '--qw', '--frame-id',
+                            '--child-frame-id'}
+    return (from_xyzw([float(pairs[f'--{k}']) for k in 'xyz'],
+                      [float(pairs[f'--q{k}']) for k in 'xyzw']),
+            pairs['--frame-id'], pairs['--child-frame-id'])
+
+
+def read_shell(text: str) -> tuple[Array, str, str]:
+    words = shlex.split(text, comments=True)
+    assert words[:5] == ['exec', 'ros2', 'run', 'tf2_ros', 'static_transform_publisher']
+    return publisher(words[5:])
+
+
+def read_launch(text: str) -> tuple[Array, str, str]:
+    code = re.sub(r'^from launch.*$', '', text, flags=re.MULTILINE)
+    names = {'LaunchDescription': lambda entities: entities,
+             'Node': lambda **options: SimpleNamespace(**options)}
+    exec(code, names)
+    (node,) = names['generate_launch_description']()  # type: ignore[operator]
+    assert (node.package, node.executable) == ('tf2_ros', 'static_transform_publisher')
+    assert re.fullmatch('[a-z0-9_]+', node.name, re.IGNORECASE)
+    return publisher(node.arguments)
+
+
+def read_easy_handeye2(text: str) -> tuple[Array, str, str]:
+    """Read a file as easy_handeye2's load_calibration: each key goes into a typed message."""
+    known = {'name': str, 'calibration_type': str, 'robot_base_frame': str,
+             'robot_effector_frame': str, 'tracking_base_frame': str,
+             'tracking_marker_frame': str, 'freehand_robot_movement': bool,
+             'move_group_namespace': str, 'move_group': str}
+    found = yaml.full_load(text)
+    assert found.keys() == {'parameters', 'transform'}
+    report = found['parameters']
+    assert all(type(value) is known[key] for key, value in report.items())
+    parent = {'eye_in_hand': 'robot_effector_frame', 'eye_on_base': 'robot_base_frame'}
+    T, _, _ = from_values({**found, 'parent_frame': '', 'child_frame': ''})
+    return T, report[parent[report['calibration_type']]], report['tracking_base_frame']
+
+
+def read_matrix(text: str) -> tuple[Array, None, None]:
+    return np.loadtxt(text.splitlines()), None, None
+
+
+def read_json(text: str) -> tuple[Array, str, str]:
+    found = json.loads(text)
+    T, parent, child = from_values(found)
+    np.testing.assert_allclose(found['matrix'], T, rtol=0, atol=1e-12)
+    return T, parent, child
+
+
+def read_robot(text: str, vendor: str, scale: float) -> tuple[Array, None, None]:
+    """Return what the last line says, its numbers in their order."""
+    line = re.sub('[A-Za-z_]+[_0-9]*', ' ', text.splitlines()[-1])
+    numbers = np.array([float(v) for v in re.findall(r'-?[0-9]+[.][0-9]+', line)])
+    T = np.eye(4)
+    T[:3, :3] = orientations.of(vendor).rotation(numbers[None, 3:]).as_matrix()[0]
+    T[:3, 3] = numbers[:3] * scale
+    return T, None, None
+
+
+ROBOTS = ('kuka', 'fanuc', 'abb', 'ur', 'staubli', 'yaskawa')
+READERS: dict[str, Callable[[str], tuple[Array, str | None, str | None]]] = {
+    'yaml': read_yaml, 'urdf': read_urdf, 'launch': read_launch, 'shell': read_shell,
+    'easy_handeye2': read_easy_handeye2, 'matrix': read_matrix, 'json': read_json,
+    **{name: partial(read_robot, vendor=name, scale=1.0 if name == 'ur' else 1e-3)
+       for name in ROBOTS}}
+
+FINITE = st.floats(-10, 10)
+QUATERNIONS = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(
+    lambda q: np.linalg.norm(q) > 0.1)
+FRAMES = st.text(st.characters(blacklist_categories=('C', 'Z')), min_size=1, max_size=8)
+UPRIGHT = 0.5 ** 0.5
+
+
+def test_the_formats_are_those_of_the_configuration() -> None:
+    assert tuple(exports.FORMATS) == config.SAVE_FORMATS == tuple(READERS)
+
+
+@pytest.mark.parametrize('name', READERS)
+@settings(max_examples=20)
+@given(place=st.tuples(FINITE, FINITE, FINITE), turn=QUATERNIONS, frames=st.tuples(FRAMES, FRAMES),
+       on_base=st.booleans())
+@example((0.0, 0.0, 0.1), [0.0, UPRIGHT, 0.0, UPRIGHT], ('tool0', 'my laser'), False)
+@example((0.0, 0.0, 0.1), [1e-9, UPRIGHT, 0.0, UPRIGHT], ("it's", 'a"<&--b>'), False)
+@example((0.0, 0.0, 0.1), [0.1, UPRIGHT, 0.1, UPRIGHT + 1e-8], ('\\', '{x}$(y)#'), True)
+def test_what_is_written_reads_back(name: str, place: tuple[float, ...], turn: list[float],
+                                    frames: tuple[str, str], on_base: bool) -> None:
+    calibration = replace(
+        ANY, T_flange_sensor=from_xyzw(list(place), turn), parent_frame=frames[0],
+        child_frame=frames[1], provenance={'config': {
+            **ANY.provenance['config'],
+            'calibration_type': 'eye_on_base' if on_base else 'eye_in_hand'}})
+    T, parent, child = READERS[name](exports.FORMATS[name].text(calibration))
+    digits = 2e-7 if name in ROBOTS else 1e-9  # as a pendant takes them
+    np.testing.assert_allclose(T, calibration.T_flange_sensor, rtol=0, atol=digits)
+    assert parent in (frames[0], None) and child in (frames[1], None)
+
+
+@pytest.mark.parametrize('name', READERS)
+def test_every_file_says_what_its_numbers_mean(name: str) -> None:
+    text = exports.FORMATS[name].text(ANY)
+    report = ' '.join(re.sub('^(#|;|!|//)', '', text, flags=re.MULTILINE).lower().split())
+    units = () if name in ROBOTS else ('metres and radians', 'x y z w', 'urdf')
+    for words in ('p_tool0 = t @ p_laser', *units):
+        assert words in report
+
+
+def test_a_shell_takes_the_script(tmp_path: Path) -> None:
+    ros2 = tmp_path / 'ros2'
+    ros2.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')
+    ros2.chmod(0o755)
+    calibration = replace(ANY, child_frame="it's $(here)")
+    run = subprocess.run(['/bin/sh', '-c', exports.FORMATS['shell'].text(calibration)],
+                         env={'PATH': str(tmp_path)}, capture_output=True, text=True, check=True)
+    words = run.stdout.splitlines()
+    assert words[:3] == ['run', 'tf2_ros', 'static_transform_publisher']
+    np.testing.assert_allclose(publisher(words[3:])[0], ANY.T_flange_sensor, rtol=0, atol=1e-9)
+    assert publisher(words[3:])[2] == "it's $(here)"
+
+
+def test_all_is_saved_and_said_with_its_place(tmp_path: Path) -> None:
+    saved = exports.save_all(ANY, tmp_path / 'a' / 'b', config.SAVE_FORMATS)
+    assert sorted(saved.files) == sorted((tmp_path / 'a' / 'b').iterdir())
+    assert len(saved.files) == len(config.SAVE_FORMATS) and saved.previous is None
+    assert str(saved) == f'wrote {", ".join(map(str, saved.files))}'
+    assert all(path.is_absolute() for path in saved.files)
+    assert calibration_file.read_calibration(saved.files[0]).provenance['created']
+
+
+def test_calibration_yaml_is_always_among_them(tmp_path: Path) -> None:
+    saved = exports.save_all(ANY, tmp_path, ['urdf'])
+    assert [path.name for path in saved.files] == ['calibration.yaml', 'sensor.urdf.xacro']
+
+
+def test_a_former_result_is_kept_whole(tmp_path: Path) -> None:
+    first = exports.save_all(ANY, tmp_path, ['urdf', 'json'])
+    texts = {path.name: path.read_text() for path in first.files}
+    (tmp_path / 'notes.txt').write_text('mine')
+    moved = replace(ANY, T_flange_sensor=se3.inverse(ANY.T_flange_sensor))
+    second = exports.save_all(moved, tmp_path, ['urdf'])
+    assert second.previous and second.previous.parent == tmp_path / 'history'
+    assert {path.name: path.read_text() for path in second.previous.iterdir()} == texts
+    # what would tell of the former answer beside the new one is gone
+    assert {path.name for path in tmp_path.iterdir()} == {
+        'calibration.yaml', 'sensor.urdf.xacro', 'notes.txt', 'history'}
+    assert str(second).endswith(f'; the previous result is kept in {second.previous}')
+    third = exports.save_all(moved, tmp_path)
+    assert third.previous and third.previous != second.previous
+    assert len(list((tmp_path / 'history').iterdir())) == 2
+
+
+def test_an_export_keeps_what_was_there(tmp_path: Path) -> None:
+    file = tmp_path / 'mine.xml'
+    assert exports.export(ANY, 'urdf', file).previous is None
+    text = file.read_text()
+    assert exports.export(ANY, 'urdf', file).previous is None  # the same again
+    saved = exports.export(ANY, 'matrix', file)
+    assert saved.previous and (saved.previous / 'mine.xml').read_text() == text
+    assert file.read_text() == exports.FORMATS['matrix'].text(ANY)
+
+
+def test_a_format_that_does_not_exist_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match='there is no format "udf"; did you mean "urdf"'):
+        exports.save_all(ANY, tmp_path, ['udf'])
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    (tmp_path / 'file').write_text('')
+    with pytest.raises(UnwritableError, match='choose another place'):
+        exports.save_all(ANY, tmp_path / 'file')
+
+
+def test_the_verb_exports_beside_the_calibration(tmp_path: Path) -> None:
+    exports.save_all(ANY, tmp_path / 'a')
+    run = handeye('export', 'a', '--format', 'urdf', cwd=tmp_path)
+    file = tmp_path / 'a' / 'sensor.urdf.xacro'
+    assert (run.returncode, run.stdout) == (0, f'wrote {file}\n'), run.stderr
+    T, *_ = read_urdf(file.read_text())
+    np.testing.assert_allclose(T, ANY.T_flange_sensor, rtol=0, atol=1e-9)
+    run = handeye('export', 'a/calibration.yaml', '--format', 'matrix', '--out', '-', cwd=tmp_path)
+    np.testing.assert_allclose(read_matrix(run.stdout)[0], T, rtol=0, atol=1e-9)
+
+
+@pytest.mark.once
+def test_the_verb_refuses_by_sentence(tmp_path: Path) -> None:
+    run = handeye('export', '.', '--format', 'urdf', cwd=tmp_path)
+    assert_refused(run, 2, 'calibration.yaml cannot be used')
+    exports.save_all(ANY, tmp_path)
+    run = handeye('export', '.', '--format', 'udf', cwd=tmp_path)
+    assert_refused(run, 2, 'did you mean "urdf"?')
