@@ -17,18 +17,27 @@ INSTALL_TF2 = ('install ros-jazzy-tf2-msgs and source the setup.bash of ROS or, 
 
 
 class HandeyeError(Exception):
-    """The parent of every error of this package that a user can act on."""
+    """
+    The parent of every error of this package that a user can act on.
+
+    reason: a short code where a program must tell refusals apart, '' elsewhere.
+    """
 
     exit_code = 2
 
+    def __init__(self, sentence: str = '', *, reason: str = '') -> None:
+        super().__init__(sentence)
+        self.reason = reason
+
     def __reduce__(self) -> tuple[Any, ...]:
-        """Support copy and pickle: the constructors of subclasses do not take the message."""
-        return _restored, (type(self), str(self))
+        """Support copy and pickle: the constructors of subclasses do not take the sentence."""
+        return _restored, (type(self), str(self), self.reason)
 
 
-def _restored(kind: type[HandeyeError], message: str) -> HandeyeError:
+def _restored(kind: type[HandeyeError], sentence: str, reason: str) -> HandeyeError:
     error = kind.__new__(kind)
-    error.args = (message,)
+    error.args = (sentence,)
+    error.reason = reason
     return error
 
 

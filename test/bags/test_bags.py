@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
-BAGS = Path(__file__).parents[3] / 'bags'
+BAGS = Path(__file__).parents[2] / 'bags'
 NAMES = ('plate', 'plate_sweep', 'sphere', 'one_orientation', 'inverted_poses', 'line', 'plane',
          'tracker')
 

@@ -21,7 +21,7 @@ import pytest
 from recordings import halves
 import yaml
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 SPHERE = load(ROOT / 'config' / 'sphere.yaml')
 
 
