@@ -78,11 +78,8 @@ lint:
 figures:
 	@tools/environment.sh .venv ros,kinematics,test,dev
 	.venv/bin/python tools/draw_targets.py
-	.venv/bin/python tools/draw_routines.py
 	.venv/bin/python tools/draw_demo.py
 	.venv/bin/python tools/make_reference.py
-	.venv/bin/python tools/draw_plans.py
-	.venv/bin/python tools/draw_tutorial.py
 
 # The pages of docs/ as a site; a link that leads nowhere is an error.
 docs:

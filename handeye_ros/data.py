@@ -1,4 +1,4 @@
-"""Frozen values that pass between the stages (docs/conventions.md): SI units, stamps in ns."""
+"""Frozen values that pass between the stages (docs/contract.md): SI units, stamps in ns."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping

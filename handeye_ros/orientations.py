@@ -2,7 +2,7 @@
 Orientations as robot controllers show them, and back.
 
 Each controller has its own angles, units and order of numbers; a name such as kuka-abc stands
-for all of these. Sources: the programming manuals of the vendors, see docs/conventions.md.
+for all of these. Sources: the programming manuals of the vendors, see docs/contract.md.
 """
 from __future__ import annotations
 

@@ -20,4 +20,4 @@ def test_the_site_builds(tmp_path: Path) -> None:
     assert run.returncode == 0, run.stdout + run.stderr
     pages = {path.stem for path in (ROOT / 'docs').glob('*.md')} - {'index'}
     assert all((tmp_path / page / 'index.html').is_file() for page in pages)
-    assert 'tutorial' in (tmp_path / 'index.html').read_text(encoding='utf-8')
+    assert 'start' in (tmp_path / 'index.html').read_text(encoding='utf-8')

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Draws the targets of docs/methods.md: `.venv/bin/python tools/draw_targets.py [FOLDER]`."""
+"""Draws the targets of docs/start.md: `.venv/bin/python tools/draw_targets.py [FOLDER]`."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence

@@ -2,7 +2,7 @@
 The state of a running node as one plain value, and sentences about it.
 
 Services, /diagnostics, ~/samples, ~/status and the page all report this value, so that they agree
-and use the same sentences. SI units; see docs/session.md.
+and use the same sentences. SI units; see docs/cell.md.
 """
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of docs/methods.md, of what each motion lets a method know, is what ranks say."""
+"""The table of docs/estimator.md, of what each motion lets a method know, is what ranks say."""
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-DOCUMENT = Path(__file__).parents[2] / 'docs' / 'methods.md'
+DOCUMENT = Path(__file__).parents[2] / 'docs' / 'estimator.md'
 ROWS = {'general': 'general', 'one orientation': 'one_orientation',
         'one orientation per edge': 'one_orientation_per_edge',
         'tilts about the laser line only': 'tilt_only',
@@ -28,7 +28,7 @@ WEDGE_TURNS = [np.pi / 2, 0.0]  # of a block's faces, z = 0 and y = 0, about its
 def table() -> Iterator[tuple[str, str, int, int]]:
     """Yield motion, method, rank and number of unknowns of every cell of the table."""
     lines = DOCUMENT.read_text(encoding='utf-8').splitlines()
-    start = next(i for i, text in enumerate(lines) if text.startswith('| motion '))
+    start = next(i for i, text in enumerate(lines) if text.startswith('| motion | line'))
     header = re.findall(r'([a-z ]+?) /(\d+)', lines[start])
     for text in lines[start + 2:start + 2 + len(ROWS)]:
         motion, *ranks = [cell.strip() for cell in text.strip('|').split('|')]

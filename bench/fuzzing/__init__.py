@@ -1,1 +1,0 @@
-"""What bench/fuzz.py damages, and how: messages, files and sessions."""
