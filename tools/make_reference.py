@@ -34,7 +34,8 @@ def _section(name: str, found: list[Parameter]) -> str:
 
 def _rows(found: list[Parameter]) -> Iterator[str]:
     for parameter in found:
-        shown = f'`{_yaml(parameter.default)}`' if parameter.default not in ('', ()) else 'empty'
+        shown = 'none' if parameter.default != parameter.default else 'empty' if (
+            parameter.default in ('', ())) else f'`{_yaml(parameter.default)}`'
         yield f'| `{parameter.key}` | {shown} | {_values(parameter)} | {parameter.description} |\n'
 
 

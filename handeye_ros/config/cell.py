@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from handeye_ros.config.parameter import key
+from handeye_ros.config.parameter import key, NOT_SET
 
 # Accuracy classes of robots: 1 sigma of the smooth error of each axis (m), half of the largest
 # error in data sheets.
@@ -125,11 +125,11 @@ class TrackerConfig:
     file: str = key('tracker.csv', 'Name of the file of reflector points beside the bag.')
     noise: float = key(2e-5, 'Noise of a reflector centre, each axis (m).',
                        minimum=1e-9, maximum=0.01)
-    h0: float = key(0.0, 'Height of the reflector above the top of P3 (m).',
+    h0: float = key(NOT_SET, 'Height of the reflector above the top of P3 (m).',
                     minimum=-10.0, maximum=10.0)
-    h1: float = key(0.0, 'Height of the top of P3 above the origin of frame 2 (m).',
+    h1: float = key(NOT_SET, 'Height of the top of P3 above the origin of frame 2 (m).',
                     minimum=-10.0, maximum=10.0)
-    first_reading: float = key(0.0, 'Reading of P3 at the first pose of the bag (m).',
+    first_reading: float = key(NOT_SET, 'Reading of P3 at the first pose of the bag (m).',
                                minimum=-100.0, maximum=100.0)
     direction: tuple[float, ...] = key(
         (0.0, 1.0, 0.0), 'Direction of the sweep in the sensor frame, roughly.',

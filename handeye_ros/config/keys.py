@@ -171,8 +171,9 @@ def parameters() -> tuple[Parameter, ...]:
 
 
 def flatten(config: Config) -> dict[str, Any]:
-    """Return the values of a configuration by dotted key; tuples become lists."""
+    """Return the values of a configuration by dotted key, but those not set; tuples as lists."""
     values = {p.key: _get(config, p.key) for p in parameters()}
+    values = {key: value for key, value in values.items() if value == value}  # not NOT_SET
     values |= {f'{RECORD}{name}': text for name, text in config.record}
     return {key: list(v) if isinstance(v, tuple) else v for key, v in values.items()}
 

@@ -3,8 +3,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, is_dataclass
+import math
 import re
 from typing import Any
+
+NOT_SET = math.nan  # default of a number that changes an answer by its full size: it has none
 
 
 def key(default: Any, description: str, **limits: Any) -> Any:

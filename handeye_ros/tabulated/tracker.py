@@ -3,11 +3,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+import math
 from pathlib import Path
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.errors import BadValueError
+from handeye_ros.errors import BadValueError, InputError
 from handeye_ros.estimation.outliers import adjust
 from handeye_ros.frames import sensor_axes
 from handeye_ros.published import jing2020
@@ -67,6 +68,11 @@ def _read(path: Path, config: Config, read_bag: ReadBag) -> Input[Session]:
         raise TableError(file, 'no such file: put the reflector points beside the bag, or set '
                          'tracker.file')
     known = config.tracker
+    missing = [f'tracker.{name}' for name in ('h0', 'h1', 'first_reading')
+               if math.isnan(getattr(known, name))]
+    if missing:
+        raise InputError(f'{" and ".join(missing)} must be set: the answer changes by their full '
+                         'size, so they have no default; see config/tracker.yaml')
     reflector = tracker_estimate.read(file, known.h0, known.h1)
     sweep = sweep_from(recording.profiles, recording.poses, config, known.first_reading)
     session = _session(reflector, sweep, np.array(Table(file).text('kind')))

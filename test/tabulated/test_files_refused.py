@@ -165,3 +165,12 @@ def test_what_takes_profiles_refuses_them(name: str) -> None:
         method_for(load(ROOT / 'config' / f'{name}.yaml'))
     with pytest.raises(BadValueError):
         method_for(with_values(Config(), {'method': name}, 'test'))
+
+
+def test_a_tracker_without_what_changes_the_answer_by_its_full_size(
+        handeye: Callable[..., tuple[int, str, str]], tmp_path: Path) -> None:
+    bag = ROOT / 'bags' / 'tracker'
+    code, _, said = handeye('solve', bag, '--set', 'target.type=tracker', '--set',
+                            'tracker.h1=0.031', '--out', tmp_path / 'out')
+    assert code == 2 and 'tracker.h0 and tracker.first_reading must be set' in said
+    assert not (tmp_path / 'out').exists()
