@@ -46,6 +46,7 @@ class LiveSamples:
         self.cleared = 0
         self._extracting = threading.Lock()
         self._stale = False  # whether the samples must be extracted again
+        self._unstored: set[int] = set()  # numbers of stops that could not be stored
         self.attempt: Attempt | None = None
         self.refused: dict[int, Array] = {}
         self.store_trouble = ''
@@ -106,7 +107,12 @@ class LiveSamples:
         try:
             outcome = self._stored(outcome)
         except InputError as error:
-            outcome = Outcome(outcome.number, stop, Reject(outcome.result.stamp, str(error)))
+            if earlier and outcome.number not in self._unstored:
+                outcome = earlier[0]  # of fewer profiles, but on the disk
+            else:
+                self._unstored.add(outcome.number)
+                outcome = Outcome(outcome.number, stop, Reject(outcome.result.stamp, str(error)),
+                                  refused=str(error))
         with self.streams.lock:
             self.streams.session.put(outcome, complete)
         if earlier and bool(earlier[0].sample) == bool(outcome.sample):
@@ -125,6 +131,7 @@ class LiveSamples:
             self.store_trouble = str(error)
             raise
         self.store_trouble = ''
+        self._unstored.discard(outcome.number)
         return stored
 
     def session_after(self, evaluate: Callable[[], None]) -> tuple[Session, Config]:
@@ -148,10 +155,23 @@ class LiveSamples:
                 with self.work, self.streams.lock:  # no evaluation with the old settings
                     self._stale, outcomes = False, self.streams.session.outcomes
                 with self._progress.doing('the samples are extracted again from their profiles'):
-                    fresh = [self.evaluator.reevaluated(outcome, self.config)
-                             for outcome in outcomes]
-                    with self.streams.lock:
-                        self.streams.session.replace(fresh)
+                    for outcome in outcomes:
+                        fresh = self._extracted_again(outcome)
+                        with self.streams.lock:
+                            self.streams.session.replace([fresh])
+
+    def _extracted_again(self, outcome: Outcome) -> Outcome:
+        """Return the outcome of a stop by the current settings; unstored, it stays refused."""
+        if outcome.number not in self._unstored:
+            return self.evaluator.reevaluated(outcome, self.config)
+        result = self.evaluator.result(outcome.stop, self.config)
+        with self.streams.lock:
+            fresh = self.streams.session.outcome(outcome.stop, result)
+        try:
+            # its stop is now that on the disk; the session knows it by the one in memory
+            return replace(self._stored(fresh), stop=outcome.stop)
+        except InputError:
+            return outcome
 
     # services; each returns its message
 
@@ -234,7 +254,7 @@ class LiveSamples:
             count = sum(o.sample is not None for o in session.outcomes)
             session.clear()
             self.cleared += 1
-        self.attempt, self.refused = None, {}
+        self.attempt, self.refused, self._unstored = None, {}, set()
         return count
 
     def configure(self, config: Config) -> None:
