@@ -22,7 +22,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.robot.estimate import adjusted, fit_of, fitted, State, Weights
-from handeye_ros.robot.model import Arm, GEOMETRY, ON_DEMAND, parameters
+from handeye_ros.robot.model import Arm, GEOMETRY, parameters
 from handeye_ros.robot.outcome import Outcome, solve, solve_points
 from handeye_ros.robot.points import Points
 from handeye_ros.robot.profiles import profiles_of
@@ -50,11 +50,10 @@ BALLS = {6: (1.5, 0.1, 0.5), 7: (0.65, 0.05, 0.15)}
 
 @dataclass(frozen=True)
 class Case:
-    """A kind of robots: its joints, RMS of its error (m), and what else is wrong."""
+    """A kind of robots: its joints, and RMS of its error (m)."""
 
     joints: tuple = SIX
     error: float = 5e-4
-    more: tuple[str, ...] = ()
     on_flange: bool = True
 
 
@@ -64,9 +63,6 @@ LINKS = 4e-4  # 1 sigma of errors of joints and links of the arm that sees these
 CASES = {
     'six': Case(), 'seven': Case(SEVEN), 'small': Case(error=1e-4), 'large': Case(error=1e-3),
     'none': Case(error=0.0), 'beside': Case(on_flange=False),
-    'eccentric': Case(more=('eccentricity',)),
-    'eccentric_sag': Case(more=('eccentricity', 'sag')),
-    'gear': Case(more=('gear',)), 'all': Case(more=('gear', 'eccentricity', 'sag')),
 }
 
 
@@ -99,7 +95,7 @@ def draw(case: Case, stops: int, seed: int) -> Cell:
     """Return a robot with its errors, and configurations that see the ball."""
     rng, n = np.random.default_rng(seed), len(case.joints)
     chain = chain_of(urdf(case.joints))
-    own = parameters(chain, (*GEOMETRY, *case.more))
+    own = parameters(chain, GEOMETRY)
     arm = Arm(chain, own, rng.normal(size=len(own)) * [p.prior for p in own])
     near = rng.uniform(-1, 1, (200, n)) * SPREADS[n] + STARTS[n]
     off = arm.forward(near)[:, :3, 3] - chain.forward(near)[:, :3, 3]
@@ -223,12 +219,11 @@ def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | N
                          method.features.observe(samples), config), q
 
 
-def seen_by_profiles(name: str, seed: int, more: tuple[str, ...]) -> tuple[float, ...]:
+def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     """
     Return before and after (mm), NEES over 6, of stops at a target; of 3 in 4 stops.
 
-    name: of several with + between; before, after: RMS of the residuals of the other stops; more:
-    kinds beside the geometry.
+    name: of several with + between; before, after: RMS of the residuals of the other stops.
     """
     rng, names, cell, problems, joints = np.random.default_rng(seed), name.split('+'), None, [], []
     for each in names:
@@ -239,7 +234,7 @@ def seen_by_profiles(name: str, seed: int, more: tuple[str, ...]) -> tuple[float
     fit, n = fit_of(data, state), [len(q) for q in joints]
     parts = np.repeat(n, [len(problem.poses) for problem in data.problems])
     used = data.number < 0.75 * parts
-    outcome = solve(adjusted(replace(fit, used=used)), more, LIMIT, str)
+    outcome = solve(adjusted(replace(fit, used=used)), LIMIT, str)
     before, after = (float(np.sqrt((data.distances(m.fit.state)[~used] ** 2).mean())) * 1e3
                      for m in (outcome.models[0], outcome.chosen))
     # the flange that counts is the one that the last axis carries: what lies behind it is the
@@ -256,15 +251,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument('--seeds', type=int, default=10)
     parser.add_argument('--stops', type=int, default=40)
-    parser.add_argument('--with', dest='more', nargs='*', default=[], choices=ON_DEMAND)
     parser.add_argument('cases', nargs='*', default=[*CASES, *PROFILES, 'plate+sphere'])
     given = parser.parse_args()
     print(f'{"case":14} {"before":>7} {"after":>7} {"bound":>7} {"ratio":>6} {"NEES":>6} '
           f'{"95 %":>5} {"joints":>6} {"time":>6}')
     for name in given.cases:
         if name not in CASES:
-            rows = np.array([seen_by_profiles(name, seed, tuple(given.more))
-                             for seed in range(given.seeds)])
+            rows = np.array([seen_by_profiles(name, seed) for seed in range(given.seeds)])
             before, after, nees = rows.T
             print(f'{name:14} {np.median(before):7.3f} {np.median(after):7.3f} {"":7} {"":6} '
                   f'{nees.mean():6.2f} {(6 * nees < chi2.ppf(0.95, 6)).mean():5.2f}', flush=True)
@@ -274,7 +267,7 @@ def main() -> None:
             cell = draw(case, given.stops + HELD_OUT, seed)
             first = np.arange(len(cell.data)) < given.stops
             began = time.perf_counter()
-            outcome = solve_points(cell.data.select(first), cell.arm.chain, given.more, LIMIT)
+            outcome = solve_points(cell.data.select(first), cell.arm.chain, LIMIT)
             times.append(time.perf_counter() - began)
             held = cell.exact.select(~first)
             rows.append((*judged(cell, case, outcome, held),

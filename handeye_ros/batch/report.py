@@ -134,5 +134,6 @@ def _draw(rows: Sequence[Row], path: Path) -> None:
         drawing, axes = figure(len(names), 1)
         for ax, name in zip(np.atleast_1d(axes), names, strict=True):
             values = np.array([row.get(name, np.nan) for row in rows])
-            trend.draw_chart(ax, 1e3 * values, f'{name} [mm, mrad]')
+            ax.plot(1e3 * values, 'o-', markersize=4)
+            ax.set_ylabel(f'{name} [mm, mrad]')
         save(drawing, path)

@@ -1,10 +1,9 @@
 """The calibrations of a folder over time: each compared with the first and the last one."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from handeye_ros import output, se3
 from handeye_ros.batch.errors import NoTrendError
@@ -108,53 +107,14 @@ def since_when(entries: Sequence[Entry]) -> str:
     return 'no calibration differs from the previous one by more than their uncertainties explain'
 
 
-def control_limits(values: Array) -> tuple[float, float, float]:
+def draw(entries: Sequence[Entry], path: Path) -> None:
     """
-    Return centre and limits of an individuals chart, from the mean moving range.
+    Write a picture of the trend: differences from the first, and the residuals.
 
-    Montgomery, Introduction to Statistical Quality Control, 6.4: 3 sigma, sigma = range / 1.128.
+    The bars are the joint 95 % region of all six differences. Raises NoMatplotlibError,
+    UnwritableError.
     """
-    reach = 3 / 1.128 * float(np.abs(np.diff(values)).mean()) if len(values) > 1 else np.nan
-    centre = float(values.mean())
-    return centre, centre - reach, centre + reach
-
-
-def draw_chart(ax: Any, values: Array, name: str) -> None:
-    """Draw values over time with their control limits; those beyond them in red."""
-    centre, low, high = control_limits(values)
-    ax.plot(values, 'o-', markersize=4)
-    beyond = np.flatnonzero((values < low) | (values > high))
-    ax.plot(beyond, values[beyond], 'o', color='tab:red')
-    ax.axhline(centre, color='0.7', linewidth=0.8)
-    for limit in (low, high):
-        ax.axhline(limit, color='tab:red', linestyle='--', linewidth=0.8)
-    ax.set_ylabel(name)
-
-
-def draw(entries: Sequence[Entry], path: Path, charts: Sequence[Callable[[Any], None]] = ()
-         ) -> None:
-    """
-    Write a picture of the trend; raises NoMatplotlibError, UnwritableError.
-
-    charts: further drawings, each on its own axes below.
-    """
-    count = 3 * bool(entries)
-    drawing, axes = output.figure(count + len(charts), 1)
-    axes = np.atleast_1d(axes)
-    if entries:
-        _draw_calibrations(entries, axes)
-    for ax, draws in zip(axes[count:], charts, strict=True):
-        draws(ax)
-    output.save(drawing, path)
-
-
-def _draw_calibrations(entries: Sequence[Entry], axes: Array) -> None:
-    """
-    Draw the differences of calibrations from the first.
-
-    The bars are the joint 95 % region of all six differences; the residuals have the limits of an
-    individuals chart.
-    """
+    drawing, axes = output.figure(3, 1)
     index = np.arange(len(entries))
     difference = np.array([e.difference for e in entries])
     reach = float(np.sqrt(chi2_isf(WARNING, 6))) * np.array([e.std for e in entries])
@@ -172,9 +132,11 @@ def _draw_calibrations(entries: Sequence[Entry], axes: Array) -> None:
                         color='tab:red', va='bottom', ha='center')
         ax.legend(fontsize=8)
         ax.set_xticks(index, [])  # the dates stand below the last
-    draw_chart(axes[2], 1e3 * np.array([e.residual for e in entries]), 'residual RMS [mm]')
+    axes[2].plot(index, [1e3 * e.residual for e in entries], 'o-', markersize=4)
+    axes[2].set_ylabel('residual RMS [mm]')
     axes[2].set_xticks(index, [e.recorded[:16] or e.path.parent.name for e in entries],
                        rotation=20, ha='right', fontsize=8)
+    output.save(drawing, path)
 
 
 def csv_text(entries: Sequence[Entry]) -> str:

@@ -107,49 +107,29 @@ def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Chec
 
 
 TrendFolder = Annotated[Path, typer.Argument(
-    metavar='DIR', help='The folder below which all calibration.yaml, and the YAML files of '
-    'verify and check (--out), are taken.')]
+    metavar='DIR', help='The folder below which all calibration.yaml are taken.')]
 TrendAgainst = Annotated[NoPath, typer.Option(
     metavar='FILE', help='The calibration that the others are compared with; default: the '
     'oldest.')]
 TrendPicture = Annotated[NoPath, typer.Option(metavar='FILE', help='Draw it (needs matplotlib).')]
-TrendCsv = Annotated[NoPath, typer.Option(
-    metavar='FILE', help='Write the calibrations as CSV, and what was measured beside it '
-    '(FILE_measured).')]
+TrendCsv = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the calibrations as CSV.')]
 
 
 @app.command()
 def trend(folder: TrendFolder, against: TrendAgainst = None, picture: TrendPicture = None,
           csv: TrendCsv = None) -> None:
-    """Show the trend of the calibrations, verifications and checks below a folder."""
-    from functools import partial
-
-    from handeye_ros.batch import charts
+    """Show the trend of the calibrations below a folder."""
     from handeye_ros.batch import trend as trends
-    from handeye_ros.batch.errors import NoTrendError
     from handeye_ros.output import write_whole
     from handeye_ros.results.calibration_file import read_calibration
-    measured, bad = charts.charts(folder)
-    try:
-        entries, warnings = trends.trend(folder, read_calibration(against) if against else None)
-    except NoTrendError:
-        if not measured:
-            raise
-        entries, warnings = [], []
-    for warning in (*warnings, *bad):
+    entries, warnings = trends.trend(folder, read_calibration(against) if against else None)
+    for warning in warnings:
         warn(warning)
-    if entries:
-        show(trends.table(entries))
-        typer.echo(trends.since_when(entries))
-    if measured:
-        show(charts.charts_table(measured))
-    files = {csv: trends.csv_text(entries) if entries else ''} if csv else {}
-    if csv and measured:
-        files[csv.with_stem(f'{csv.stem}_measured')] = charts.charts_csv(measured)
-    for file, text in files.items():
-        if text:
-            write_whole(file, text)
-            typer.echo(f'wrote {file.absolute()}')
+    show(trends.table(entries))
+    typer.echo(trends.since_when(entries))
+    if csv:
+        write_whole(csv, trends.csv_text(entries))
+        typer.echo(f'wrote {csv.absolute()}')
     if picture:
-        trends.draw(entries, picture, [partial(charts.draw_chart, one) for one in measured])
+        trends.draw(entries, picture)
         typer.echo(f'wrote {picture.absolute()}')

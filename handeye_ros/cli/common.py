@@ -38,7 +38,7 @@ Angles = Annotated[str, typer.Option(
     'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
 TABLES = ('.csv', '.yaml', '.yml')  # files of measured values
 INTERRUPTED = 130
-ORDER = ('batch', 'solve', 'compare', 'scan', 'check', 'kinematics', 'verify', 'plan', 'replay',
+ORDER = ('batch', 'solve', 'compare', 'scan', 'check', 'kinematics', 'verify', 'replay',
          'simulate', 'export', 'report', 'seam', 'calibrate', 'samples', 'trend')  # as help lists
 
 

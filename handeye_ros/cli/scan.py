@@ -1,8 +1,8 @@
 """The verbs that map a recording into the base, and find a seam in it."""
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 import math
 from pathlib import Path
-from typing import Annotated, Any, Optional, TYPE_CHECKING
+from typing import Annotated, Any, TYPE_CHECKING
 
 from handeye_ros import units
 from handeye_ros.cli.common import (
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.data import Array, Calibration
     from handeye_ros.scanning.scan import ScanCount
-    from handeye_ros.scanning.seam import Seam, ToolFrames
 
 CalibrationFile = Annotated[Path, typer.Option(
     '--calibration', metavar='FILE', help='The calibration.yaml of this sensor.')]
@@ -112,8 +111,6 @@ Towards = Annotated[tuple[float, float, float], typer.Option(
     metavar='X Y Z', help='The tool approaches the part this way rather than the other.')]
 Travel = Annotated[float, typer.Option(help='The tool leans along the seam (degrees).')]
 Work = Annotated[float, typer.Option(help='The tool leans across the seam (degrees).')]
-TaughtFile = Annotated[NoPath, typer.Option(
-    metavar='FILE', help='A taught path to compare with: CSV with x, y, z (m).')]
 
 
 def _one_of(*names: str) -> Callable[[Any], Any]:
@@ -132,13 +129,8 @@ Line = Annotated[str, typer.Option(
     'centre, root, first or second edge.')]
 Start = Annotated[tuple[str, str, str], typer.Option(
     metavar='X Y Z', help='A place near the end where the path starts.')]
-Programs = Annotated[Optional[list[str]], typer.Option(  # noqa: UP045 - see common.py
-    '--robot', callback=_one_of('krl', 'rapid', 'ur'), help='Also write a program: krl (KUKA), '
-    'rapid (ABB) or ur (Universal Robots); may be given several times.')]
 AsBag = Annotated[bool, typer.Option(
     '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')]
-Picture = Annotated[bool, typer.Option(
-    '--picture', help='Draw DIR/seam.png (needs matplotlib).')]
 
 
 @app.command()
@@ -156,10 +148,7 @@ def seam(
     work: Work = 0.0,
     line: Line = 'auto',
     start: Start = NOWHERE,
-    taught: TaughtFile = None,
-    robot: Programs = None,
     bag: AsBag = False,
-    picture: Picture = False,
 ) -> None:
     """Find the seam in a cloud, and plan tool frames along it (Wu 2017)."""
     from handeye_ros.scanning import seam_files
@@ -169,16 +158,18 @@ def seam(
     gap = units.length(widest, '--widest', 0.1, 1e-4)
     spacing = units.length(pitch, '--pitch', 0.1, 1e-5)
     begin = [units.length(text, '--start', FAR) for text in start] if start[0] else None
-    compared = seam_files.read_taught(taught) if taught else None
     points, frame = _cloud(path, calibration, config, assignments)
     points = points[((points >= low) & (points <= high)).all(axis=1)]
     with doing('looking for the seam'):
         result = find_seam(points, gap, towards, line, begin)
         frames = tool_frames(result, spacing, towards, math.radians(travel), math.radians(work))
-    distances = seam_files.against_taught(result, compared) if compared is not None else None
-    seam_files.write(out, result, frames, frame, distances)
-    _write_others(result, frames, frame, out, robot or (), bag, picture)
-    for line in seam_files.sentences(result, frames, distances):
+    seam_files.write(out, result, frames, frame)
+    if bag:
+        import time
+
+        from handeye_ros.bags.bag_write import write_path
+        write_path(out / 'path', frames.T_base_tool, frame, time.time_ns(), force=True)
+    for line in seam_files.sentences(result, frames):
         typer.echo(line)
     typer.echo(f'wrote {out.absolute()}')
 
@@ -205,20 +196,3 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
     scanner.require_points()
     rows = np.concatenate(parts)
     return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame
-
-
-def _write_others(result: 'Seam', frames: 'ToolFrames', frame: str, out: Path,
-                  robots: Sequence[str], bag: bool, picture: bool) -> None:
-    from handeye_ros.output import write_whole
-    from handeye_ros.scanning import seam_files
-    for robot in robots:
-        name, program = seam_files.PROGRAMS[robot]
-        write_whole(out / name, program(frames, frame))
-    if bag:
-        import time
-
-        from handeye_ros.bags.bag_write import write_path
-        write_path(out / 'path', frames.T_base_tool, frame, time.time_ns(), force=True)
-    if picture:
-        from handeye_ros.scanning.seam import draw_seam
-        draw_seam(result, frames, out / 'seam.png')

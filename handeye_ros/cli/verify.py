@@ -1,4 +1,4 @@
-"""The verbs that verify a calibration on a known artefact, and plan a verification."""
+"""The verb that verifies a calibration on a known artefact."""
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 import math
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from handeye_ros.verification.shapes import StationSet
     from handeye_ros.verification.verification import Verification
 
-COUNTS = (8, 14, 20, 30, 45)  # numbers of stops that are tried besides the requested one
 NOT_PASSED = 1  # exit code: the verification did not pass
 ANYWHERE = ('', '', '', '')
 Name = Annotated[str, typer.Argument(metavar='ROUTINE', help='See docs/measure.md.')]
@@ -62,16 +61,6 @@ StationsFile = Annotated[NoPath, typer.Option(
 
 Protocol = Annotated[NoPath, typer.Option(
     metavar='FILE', help='Write a protocol for the file of an inspector (HTML; print it to PDF).')]
-
-At = Annotated[tuple[str, str, str], typer.Option(
-    metavar='X Y Z', help='Where the artefact will stand in the base, its face upwards (with '
-    'eye_on_base: on the flange).')]
-Stops = Annotated[int, typer.Option(min=4, max=500, help='Stops at each part.')]
-Turns = Annotated[float, typer.Option(
-    min=1.0, max=80.0, help="Largest turn about each of the sensor's axes (degrees).")]
-Limits = Annotated[tuple[str, str], typer.Option(
-    '--range', metavar='NEAR FAR', help='Nearest and farthest distance from the sensor.')]
-StopsOut = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the stops (CSV).')]
 
 
 def keys(options: 'Mapping[str, str | Sequence[str] | None]', angle: float | None
@@ -181,44 +170,3 @@ def _warn_of_used(bag: Path, calibration: 'Calibration', samples: 'Sequence[Samp
     if any(sample.stamp in used for sample in samples):
         warn(f'{bag} holds stations that the calibration was made of: they agree with it too '
              'well; measure at others')
-
-
-@app.command()
-def plan(
-    name: Name,
-    calibration: CalibrationFile,
-    at: At,
-    stops: Stops = 20,
-    turns: Turns = 40.0,
-    limits: Limits = ('150mm', '200mm'),
-    config: MeasureConfig = None,
-    assignments: Assignments = [],  # noqa: B006 - never changed
-    length: Lengths = [],  # noqa: B006 - never changed
-    radius: Radius = None,
-    aim: Aim = None,
-    certificate: Certificate = None,
-    tolerance: Tolerance = None,
-    angle_tolerance: AngleTolerance = None,
-    out: StopsOut = None,
-) -> None:
-    """Predict what a verification will show before it is measured, and propose its stops."""
-    from functools import partial
-
-    from handeye_ros.config import with_values
-    from handeye_ros.output import write_whole
-    from handeye_ros.verification import plan as planning
-    from handeye_ros.verification.routines import routine_of
-    answer, settings = calibrated(calibration, config, assignments)
-    settings = with_values(settings, keys({
-        'lengths': length, 'radius': radius, 'aim': aim, 'certificate': certificate,
-        'tolerance': tolerance}, angle_tolerance), 'the options')
-    nearest, farthest = (units.length(text, '--range', USUAL['near']) for text in limits)
-    position = [units.length(text, '--at', USUAL['near']) for text in at]
-    planned = partial(planning.plan, routine_of(name), answer, settings, position,
-                      turns=math.radians(turns), limits=(nearest, farthest))
-    best = planned(stops=stops)
-    for sentence in planning.sentences(best, [planned(stops=n) for n in COUNTS if n != stops]):
-        typer.echo(sentence)
-    if out:
-        write_whole(out, planning.csv_text(best))
-        typer.echo(f'wrote {Path(out).absolute()}')

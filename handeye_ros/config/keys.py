@@ -15,7 +15,7 @@ from handeye_ros.config.cell import (
 )
 from handeye_ros.config.parameter import key, Parameter, parameters_of
 
-SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'shell', 'easy_handeye2', 'matrix', 'json', 'kuka',
+SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'easy_handeye2', 'matrix', 'json', 'kuka',
                 'fanuc', 'abb', 'ur', 'staubli', 'yaskawa')
 
 

@@ -75,7 +75,7 @@ class LiveKinematics:
                                                       {'topic': config.joint_topic}])
         with live.progress.doing(COMPUTED):
             try:
-                answer = live.solver.run(solve_sources, [source], chain, (), urgent=True)
+                answer = live.solver.run(solve_sources, [source], chain, urgent=True)
             except (ContradictionError, TooFewConfigurationsError):
                 require_same_clock(session, source.config)
                 raise

@@ -207,11 +207,6 @@ def command(calibration: Calibration) -> str:
     return 'ros2 run tf2_ros static_transform_publisher ' + shlex.join(arguments(calibration))
 
 
-def shell(calibration: Calibration) -> str:
-    """Return a shell script with that command."""
-    return f'#!/bin/sh\n{commented(calibration)}exec {command(calibration)}\n'
-
-
 def launch(calibration: Calibration) -> str:
     """Return a launch file that publishes the calibration on /tf_static."""
     words = arguments(calibration)

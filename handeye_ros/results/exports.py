@@ -24,8 +24,6 @@ FORMATS = {
                    lambda _: 'sensor.urdf.xacro', export_formats.urdf),
     'launch': Format('a launch file that starts static_transform_publisher',
                      lambda _: export_formats.LAUNCH_FILE, export_formats.launch),
-    'shell': Format('a shell script that starts static_transform_publisher',
-                    lambda _: 'static_transform.sh', export_formats.shell),
     'easy_handeye2': Format('the .calib file of easy_handeye2', export_formats.easy_handeye2_file,
                             export_formats.easy_handeye2),
     'matrix': Format('the 4x4 matrix as text', lambda _: 'matrix.txt', export_formats.matrix),

@@ -15,7 +15,7 @@ from handeye_ros.frames import mount_frame, name_direction
 from handeye_ros.output import write_whole
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import transform_values
-from handeye_ros.robot.model import Arm, Chain, OFFSET, ON_DEMAND, REVOLUTE
+from handeye_ros.robot.model import Arm, Chain, OFFSET, REVOLUTE
 from handeye_ros.robot.outcome import Outcome, solve_points
 from handeye_ros.robot.points import Points, read_table
 from handeye_ros.robot.urdf import corrected_urdf, FORMAT, KINEMATICS_FILE
@@ -76,21 +76,18 @@ class Answer:
         saved = exports.save_all(calibration, folder, formats)
         write_whole(folder / NAME, _text(self))
         write_whole(folder / URDF, corrected_urdf(urdf, self.arm))
-        unwritten = [kind for kind in ON_DEMAND if kind in self.outcome.chosen.kinds]
-        note = f' (without {" and ".join(unwritten)}, which no URDF can hold)' if unwritten else ''
-        return f'{saved}, {NAME}, {URDF}{note}'
+        return f'{saved}, {NAME}, {URDF}'
 
 
-def solve_table(path: Path, chain: Chain, extra_kinds: Sequence[str], config: Config,
-                inputs: Sequence[dict[str, str]]) -> Answer:
+def solve_table(path: Path, chain: Chain, config: Config, inputs: Sequence[dict[str, str]]
+                ) -> Answer:
     """
     Return the corrected arm from a table of joint values and points (points.read_table).
 
-    extra_kinds: of parameters beside the geometry; inputs: path and sha256 of the files. Raises
-    HandeyeError.
+    inputs: path and sha256 of the files. Raises HandeyeError.
     """
     data, notes = read_table(path, chain, config.calibration_type == 'eye_in_hand')
-    outcome = solve_points(data, chain, extra_kinds, config.limits.residual)
+    outcome = solve_points(data, chain, config.limits.residual)
     reported = () if data.reported is None else (
         compared(data.reported, chain.forward(data.q)),)
     return Answer.of(outcome, _calibration(outcome, data, config), inputs, (*notes, *reported))

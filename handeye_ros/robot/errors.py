@@ -91,14 +91,6 @@ class OtherRobotError(DataError):
                          'of any real arm: the URDF is of another robot, or of a variant of it')
 
 
-class NoPostureError(DataError):
-    """An arm that reaches its sampled poses in one posture only."""
-
-    def __init__(self, flange: str) -> None:
-        super().__init__(f'no other posture within the joint limits moves {flange} to '
-                         'an old pose: move the target to another position, and record more there')
-
-
 class DegenerateConfigurationsError(DataError):
     """Configurations that do not determine the hand-eye transform."""
 

@@ -4,8 +4,7 @@ A serial arm as stated by its URDF, and with errors of joints and axes: forward 
 T = prod_j P_j D_j Exp(a_j (q_j + o_j)) P_f (product of exponentials, each axis in the frame of the
 previous joint): P_j is the stated origin of joint j, D_j a small shift and rotation orthogonal to
 its axis a_j, o_j its zero offset. These are four parameters of an axis and one of its zero,
-without redundancy even for parallel axes. On demand o_j also includes an error of the gear ratio,
-an eccentricity, and the sag under the weight of the tool.
+without redundancy even for parallel axes.
 """
 from __future__ import annotations
 
@@ -20,17 +19,11 @@ import numpy as np
 
 REVOLUTE, PRISMATIC = 'revolute', 'prismatic'
 OFFSET, DIRECTION, POSITION = 'offset', 'direction', 'position'
-GEAR, ECCENTRICITY, SAG = 'gear', 'eccentricity', 'sag'
 GEOMETRY = (OFFSET, DIRECTION, POSITION)
-ON_DEMAND = (GEAR, ECCENTRICITY, SAG)
-# Prior 1 sigma of a revolute joint and of a prismatic one (rad or m; the gear ratio relative; sag:
-# rad per metre of lever).
-PRIORS = {OFFSET: (1e-3, 5e-4), DIRECTION: (5e-4, 5e-4), POSITION: (5e-4, 0.0),
-          GEAR: (2e-4, 2e-4), ECCENTRICITY: (2e-4, 0.0), SAG: (3e-4, 0.0)}
-COUNTS = {OFFSET: 1, DIRECTION: 2, POSITION: 2, GEAR: 1, ECCENTRICITY: 2, SAG: 1}
-SAGGING = (1, 2)  # joints 2 and 3: they carry the arm
+# prior 1 sigma of a revolute joint and of a prismatic one (rad or m)
+PRIORS = {OFFSET: (1e-3, 5e-4), DIRECTION: (5e-4, 5e-4), POSITION: (5e-4, 0.0)}
+COUNTS = {OFFSET: 1, DIRECTION: 2, POSITION: 2}
 STEPS = 15  # configurations on the line from one to another
-DOWN = np.array([0.0, 0.0, -1.0])  # in the base, which stands upright
 
 
 class JointNamesError(InputError):
@@ -135,7 +128,7 @@ def parameters(chain: Chain, kinds: Sequence[str]) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(j, kind, k, PRIORS[kind][joint.kind != REVOLUTE])
         for kind in kinds for j, joint in enumerate(chain.joints)
-        if PRIORS[kind][joint.kind != REVOLUTE] and (kind != SAG or j in SAGGING)
+        if PRIORS[kind][joint.kind != REVOLUTE]
         for k in range(COUNTS[kind]))
 
 
@@ -178,13 +171,12 @@ class Arm:
         Per unit of each parameter: translation of the flange's origin and rotation, in the base.
         """
         T = np.tile(np.eye(4), (len(q), 1, 1))
-        levers = _levers(self.chain, q) if any(p.kind == SAG for p in self.parameters) else {}
         rotations, direct, origins = np.zeros((3, len(q), len(self.parameters), 3))
         for j, joint in enumerate(self.chain.joints):
             A = T @ joint.origin
             across = A[:, :3, :3] @ joint.across
             along = A[:, :3, :3] @ (self.displacements[j][:3, :3] @ joint.axis)
-            value = q[:, j] + self._offset(j, q[:, j], levers)
+            value = q[:, j] + self.of(j, OFFSET)
             for k, p in enumerate(self.parameters):
                 if p.joint != j:
                     continue
@@ -195,36 +187,11 @@ class Arm:
                     rotations[:, k] = across[:, :, p.index]
                 else:
                     components = rotations if joint.kind == REVOLUTE else direct
-                    components[:, k] = along * _share(p, joint, q[:, j], levers)[:, None]
+                    components[:, k] = along
             T = A @ self.displacements[j] @ motion(joint, value)
         T = T @ self.chain.end
         translations = direct + se3.cross(rotations, T[:, None, :3, 3] - origins)
         return T, np.swapaxes(np.concatenate([translations, rotations], axis=2), 1, 2)
-
-    def _offset(self, joint: int, q: Array, levers: dict[int, Array]) -> Array:
-        """Return the correction (n,) of the values (n,) of a joint."""
-        total = np.zeros(len(q))
-        for parameter, value in zip(self.parameters, self.values, strict=True):
-            if parameter.joint == joint and parameter.kind not in (DIRECTION, POSITION):
-                total += value * _share(parameter, self.chain.joints[joint], q, levers)
-        return total
-
-
-def _share(parameter: Parameter, joint: Joint, q: Array, levers: dict[int, Array]) -> Array:
-    """Return the correction (n,) of the values (n,) of a joint per unit of a parameter."""
-    if parameter.kind == GEAR:
-        return q
-    if parameter.kind == ECCENTRICITY:
-        return np.sin(q) if parameter.index == 0 else np.cos(q) - 1.0
-    return levers[parameter.joint] if parameter.kind == SAG else np.ones(len(q))
-
-
-def _levers(chain: Chain, q: Array) -> dict[int, Array]:
-    """Return the signed horizontal distances (n,) of the flange from the axes with sag."""
-    *frames, flange = chain.frames(q)
-    return {j: (se3.cross(flange[:, :3, 3] - frames[j][:, :3, 3], DOWN) * (
-        frames[j][:, :3, :3] @ chain.joints[j].axis)).sum(axis=1)
-        for j in SAGGING if j < len(frames)}
 
 
 def one_configuration(arm: Arm, q: Array) -> bool:

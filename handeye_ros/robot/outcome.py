@@ -101,37 +101,32 @@ class Outcome:
         return np.sqrt(np.diag(self.covariance)[first:first + len(self.arm.values)])
 
 
-def solve_points(data: Points, chain: Chain, extra_kinds: Sequence[str], limit: float) -> Outcome:
+def solve_points(data: Points, chain: Chain, limit: float) -> Outcome:
     """Return the outcome of points that a sensor measured; see solve."""
-    return solve(first_fit(data, Arm(chain)), extra_kinds, limit,
-                 lambda: cause_of_points(data, chain))
+    return solve(first_fit(data, Arm(chain)), limit, lambda: cause_of_points(data, chain))
 
 
 @single_threaded
-def solve(start: Fit, extra_kinds: Sequence[str], limit: float, cause: Callable[[], str]
-          ) -> Outcome:
+def solve(start: Fit, limit: float, cause: Callable[[], str]) -> Outcome:
     """
     Return the corrected arm and its hand-eye transform.
 
-    start: the hand-eye transform alone; extra_kinds: of parameters beside the geometry; limit: the
-    largest valid residual (m); cause: the likely error if it is exceeded, in words. Raises
-    DataError.
+    start: the hand-eye transform alone; limit: the largest valid residual (m); cause: the likely
+    error if it is exceeded, in words. Raises DataError.
     """
     chain = start.state.arm.chain
     if start.noise_rms > HOPELESS * limit:
         raise ContradictionError(start.noise_rms, HOPELESS * limit, cause())
-    ladder = [(OFFSET,), GEOMETRY, *([(*GEOMETRY, *extra_kinds)] if extra_kinds else [])]
-    richest = _fit(start, chain, ladder[-1])
+    richest = _fit(start, chain, GEOMETRY)
     if richest.noise_rms > limit or richest.used.mean() < AGREEING:
         misfit = float(np.median(start.data.distances(start.state)))
         raise ContradictionError(max(misfit, richest.noise_rms), limit, cause())
     _require_mount(richest)
     fold = regions(start.data.q)
     start = adjusted(replace(start, used=richest.used))
-    fits = [(kinds, _fit(start, chain, kinds) if kinds != ladder[-1] else richest)
-            for kinds in ladder]
+    fits = [((), start), ((OFFSET,), _fit(start, chain, (OFFSET,))), (GEOMETRY, richest)]
     models = tuple(Model(kinds, replace(fit, used=richest.used), _left_out(fit, fold))
-                   for kinds, fit in [((), start), *fits])
+                   for kinds, fit in fits)
     chosen = models[0]
     for model in models[1:]:
         chosen = model if _better(model, chosen) else chosen

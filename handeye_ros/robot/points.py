@@ -71,10 +71,6 @@ class Points:
         return replace(self, **fields, reported=None if self.reported is None
                        else self.reported[rows])
 
-    def with_postures(self, rows: NDArray[np.intp], q: Array) -> Points:
-        """Return the predicted rows (k,) for other postures q (k, joints) at the same poses."""
-        return replace(self.select(rows), q=q, reported=None)
-
     @property
     def unknowns(self) -> int:
         """Return the number of unknowns without a prior: X and the targets."""

@@ -52,13 +52,6 @@ class Profiles:
         """Return the rows of q that belong to each target."""
         return _slices([len(problem.poses) for problem in self.problems])
 
-    def with_postures(self, rows: NDArray[np.intp], q: Array) -> Profiles:
-        """Return the predicted stops (k,) ascending for other postures q (k, joints)."""
-        rows_of_target = [rows[(rows >= stops.start) & (rows < stops.stop)] - stops.start
-                          for stops in self.stops]
-        problems = tuple(map(_repeated, self.problems, rows_of_target))
-        return replace(self, q=q, problems=problems, number=self.number[rows])
-
     @property
     def unknowns(self) -> int:
         """Return the number of unknowns without a prior: X and the targets."""
@@ -129,18 +122,6 @@ class Profiles:
 def _slices(counts: Sequence[int], first: int = 0) -> tuple[slice, ...]:
     ends = first + np.cumsum([0, *counts])
     return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
-
-
-def _repeated(problem: Problem, rows: NDArray[np.intp]) -> Problem:
-    """Return a problem with some of its stations (k,), possibly repeated."""
-    obs = problem.observations
-    picked = [np.flatnonzero(obs.station == row) for row in rows]
-    index = np.concatenate([np.zeros(0, dtype=np.intp), *picked])
-    station = np.repeat(np.arange(len(rows)), [len(rows_of_station) for rows_of_station in picked])
-    selected = obs.select(index)
-    selected = replace(selected, station=station,
-                       source=selected.source + station * (obs.source.max(initial=0) + 1))
-    return replace(problem, poses=problem.poses[rows], observations=selected)
 
 
 def profiles_of(problems: Sequence[Problem], q: Sequence[Array], arm: Arm

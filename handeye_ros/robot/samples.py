@@ -124,7 +124,7 @@ def _configured(config: Config, chain: Chain) -> Config:
                    robot_effector_frame=chain.flange)
 
 
-def solve_sources(sources: Sequence[Source], chain: Chain, extra_kinds: Sequence[str],
+def solve_sources(sources: Sequence[Source], chain: Chain,
                   inputs: Sequence[dict[str, str]] = ()) -> Answer:
     """
     Return the corrected arm, and the calibration that belongs to it; raises DataError.
@@ -133,7 +133,7 @@ def solve_sources(sources: Sequence[Source], chain: Chain, extra_kinds: Sequence
     inputs: further files.
     """
     try:
-        outcome = outcome_of(sources, chain, extra_kinds)
+        outcome = outcome_of(sources, chain)
     except (ContradictionError, TooFewConfigurationsError):
         for source in sources:
             if source.require_same_clock:
@@ -160,7 +160,7 @@ def _combined(calibrations: Sequence[Calibration], outcome: Outcome) -> Calibrat
                    quality=quality, samples=reports)
 
 
-def outcome_of(sources: Sequence[Source], chain: Chain, extra_kinds: Sequence[str]) -> Outcome:
+def outcome_of(sources: Sequence[Source], chain: Chain) -> Outcome:
     """Return the corrected arm from stops or a sweep; raises DataError."""
     count = sum(len(source.samples) for source in sources)
     limit = sources[0].config.limits.residual
@@ -177,7 +177,7 @@ def outcome_of(sources: Sequence[Source], chain: Chain, extra_kinds: Sequence[st
     data, state = profiles_of(problems, joints, Arm(chain))
     if len(data) < max(MINIMUM, AGREEING * count):
         raise ContradictionError(missed(Change('', np.eye(len(chain.joints)))), limit, cause())
-    return solve(fit_of(data, state), extra_kinds, limit, cause)
+    return solve(fit_of(data, state), limit, cause)
 
 
 def _problem(source: Source, chain: Chain) -> tuple[Problem, Array]:

@@ -115,13 +115,6 @@ class UncertainSeamError(DataError):
                          'too much for a path: scan more densely, or with less noise')
 
 
-class TaughtPathError(InputError):
-    """A taught path that cannot be read."""
-
-    def __init__(self, path: object, reason: str) -> None:
-        super().__init__(f'{path}: {reason}; expected a CSV file with columns x, y, z in metres')
-
-
 class NeedsCalibrationError(InputError):
     """A bag with profiles but without a calibration to map them to the base."""
 

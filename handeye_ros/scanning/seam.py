@@ -1,5 +1,5 @@
 """
-A seam in a cloud, the tool frames along it, and a picture of both, after Wu 2017.
+A seam in a cloud, and the tool frames along it, after Wu 2017.
 
 The two edges are sampled in pairs, the centre line is midway between them (eq. 6) and a space
 curve is fitted to it (eq. 7). n is its tangent, o is opposite to the normals of the sheets,
@@ -11,11 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.output import figure, save
 from handeye_ros.published import wu2017
 from handeye_ros.scanning.curves import Curve, spline, through
 from handeye_ros.scanning.errors import TooFewPointsError, UncertainSeamError, UnclearSeamError
@@ -32,8 +30,6 @@ FEWEST = 500  # smallest number
 SAMPLES_EACH = 1e-3  # m between the pairs of the centre line
 UNCERTAIN = 4e-5, np.deg2rad(0.4)  # largest 1 sigma of position (m) and approach of an end frame
 UNCLEAR = 10.0  # largest scatter of the sections, in sigmas of the points, or one spacing
-DRAWN = 6000  # points of the cloud in a picture
-ARROW = 8e-3  # m in a picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,47 +148,3 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
         T = wu2017.tool_frame(n, orthogonal / np.linalg.norm(orthogonal), p)
         frames.append(se3.transform(T[:3, :3] @ tilt, p))
     return ToolFrames(lengths, np.array(frames))
-
-
-def draw_seam(seam: Seam, frames: ToolFrames, path: Path) -> None:
-    """
-    Write a seam from two sides: cloud, edges, centre line and tool frames.
-
-    Raises NoMatplotlibError, UnwritableError.
-    """
-    drawing, axes = figure(2, 1)
-    centre = seam.curve.sampled(200)[1]
-    R, origin = _view(centre, frames)
-    cloud = seam.points[::max(len(seam.points) // DRAWN, 1)]
-    names = ('along the seam', 'across', 'along the approach')
-    for ax, (i, j) in zip(axes, ((0, 1), (0, 2)), strict=True):
-        def plot_points(points: Array, style: str, label: str, *, size: float = 1.0,
-                        ax: object = ax, i: int = i, j: int = j) -> None:
-            p = (points - origin) @ R * 1e3
-            ax.plot(p[:, i], p[:, j], style, label=label, markersize=size,  # type: ignore
-                    linewidth=1.2)
-        plot_points(cloud, '.', 'cloud', size=0.6)
-        plot_points(seam.first, '-', 'first edge')
-        plot_points(seam.second, '-', 'second edge')
-        plot_points(centre, 'k-', f'centre ({seam.curve.kind})')
-        starts = (frames.T_base_tool[:, :3, 3] - origin) @ R * 1e3
-        arrows = frames.T_base_tool[:, :3, 1] @ R * ARROW * 1e3
-        ax.quiver(starts[:, i] - arrows[:, i], starts[:, j] - arrows[:, j], arrows[:, i],
-                  arrows[:, j], angles='xy', scale_units='xy', scale=1, width=2e-3,
-                  color='tab:red', label='approach')
-        ax.set_xlabel(f'{names[i]} [mm]')
-        ax.set_ylabel(f'{names[j]} [mm]')
-        ax.set_aspect('equal')
-    axes[1].invert_yaxis()  # the tool comes from above
-    axes[0].legend(loc='upper right', fontsize=7, ncols=5)
-    save(drawing, path)
-
-
-def _view(centre: Array, frames: ToolFrames) -> tuple[Array, Array]:
-    """Return the axes (3, 3) and origin of the view: along, across, approach."""
-    along = centre[-1] - centre[0]
-    approach = frames.T_base_tool[:, :3, 1].mean(axis=0)
-    along = along / np.linalg.norm(along)
-    across = np.cross(approach, along)
-    across /= np.linalg.norm(across)
-    return np.column_stack([along, across, np.cross(along, across)]), centre.mean(axis=0)

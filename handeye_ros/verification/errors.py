@@ -20,14 +20,6 @@ class WrongCountError(InputError):
         super().__init__(f'{routine} needs {needed} {items}, and got {count}')
 
 
-class NoPlanError(InputError):
-    """A routine without a plan of stops."""
-
-    def __init__(self, routine: str, routines: Sequence[str]) -> None:
-        super().__init__(f'stops are planned for {", ".join(routines)}, not for "{routine}": see '
-                         'docs/measure.md for its passes')
-
-
 class TooFewSeenError(DataError):
     """Too few stations for a verification."""
 

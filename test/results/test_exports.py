@@ -7,8 +7,6 @@ from functools import partial
 import json
 from pathlib import Path
 import re
-import shlex
-import subprocess
 from types import SimpleNamespace
 from typing import Any
 
@@ -74,12 +72,6 @@ def publisher(words: list[str]) -> tuple[Array, str, str]:
             pairs['--frame-id'], pairs['--child-frame-id'])
 
 
-def read_shell(text: str) -> tuple[Array, str, str]:
-    words = shlex.split(text, comments=True)
-    assert words[:5] == ['exec', 'ros2', 'run', 'tf2_ros', 'static_transform_publisher']
-    return publisher(words[5:])
-
-
 def read_launch(text: str) -> tuple[Array, str, str]:
     code = re.sub(r'^from launch.*$', '', text, flags=re.MULTILINE)
     names = {'LaunchDescription': lambda entities: entities,
@@ -129,7 +121,7 @@ def read_robot(text: str, vendor: str, scale: float) -> tuple[Array, None, None]
 
 ROBOTS = ('kuka', 'fanuc', 'abb', 'ur', 'staubli', 'yaskawa')
 READERS: dict[str, Callable[[str], tuple[Array, str | None, str | None]]] = {
-    'yaml': read_yaml, 'urdf': read_urdf, 'launch': read_launch, 'shell': read_shell,
+    'yaml': read_yaml, 'urdf': read_urdf, 'launch': read_launch,
     'easy_handeye2': read_easy_handeye2, 'matrix': read_matrix, 'json': read_json,
     **{name: partial(read_robot, vendor=name, scale=1.0 if name == 'ur' else 1e-3)
        for name in ROBOTS}}
@@ -172,19 +164,6 @@ def test_every_file_says_what_its_numbers_mean(name: str) -> None:
     units = () if name in ROBOTS else ('metres and radians', 'x y z w', 'urdf')
     for words in ('p_tool0 = t @ p_laser', *units):
         assert words in report
-
-
-def test_a_shell_takes_the_script(tmp_path: Path) -> None:
-    ros2 = tmp_path / 'ros2'
-    ros2.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')
-    ros2.chmod(0o755)
-    calibration = replace(ANY, child_frame="it's $(here)")
-    run = subprocess.run(['/bin/sh', '-c', exports.FORMATS['shell'].text(calibration)],
-                         env={'PATH': str(tmp_path)}, capture_output=True, text=True, check=True)
-    words = run.stdout.splitlines()
-    assert words[:3] == ['run', 'tf2_ros', 'static_transform_publisher']
-    np.testing.assert_allclose(publisher(words[3:])[0], ANY.T_flange_sensor, rtol=0, atol=1e-9)
-    assert publisher(words[3:])[2] == "it's $(here)"
 
 
 def test_all_is_saved_and_said_with_its_place(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import sys
 from command import handeye
 from handeye_ros import se3
 from handeye_ros.results.calibration_file import read_calibration
-from handeye_ros.robot.model import Arm, GEOMETRY, ON_DEMAND, one_configuration, parameters
+from handeye_ros.robot.model import Arm, GEOMETRY, one_configuration, parameters
 from handeye_ros.robot.outcome import solve_points
 from handeye_ros.robot.urdf import chain_of, corrected_urdf, read_arm
 import numpy as np
@@ -90,7 +90,7 @@ def test_an_odd_urdf_moves_as_in_pinocchio_and_so_does_the_corrected_one():
 def test_twists_are_the_derivatives_of_the_pose(kind):
     rng = np.random.default_rng(1)
     chain = odd_arm(rng).chain if kind == 'odd' else chain_of(bench.urdf(bench.SIX))
-    own = parameters(chain, (*GEOMETRY, *ON_DEMAND))
+    own = parameters(chain, GEOMETRY)
     arm, q = Arm(chain, own, np.zeros(len(own))), rng.uniform(-1, 1, (7, len(chain.joints)))
     twists = arm.with_twists(q)[1]
     for k, step in enumerate(1e-6 * np.eye(len(own))):
@@ -145,7 +145,7 @@ def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
     points[30:] = (se3.inverse(T[30:]) @ np.append(second, 1))[:, :3]
     data = replace(cell.data, points=points, names=('a', 'b'),
                    target=np.repeat([0, 1], [30, 10]))
-    fit = solve_points(data, cell.arm.chain, (), 1e-3).chosen.fit
+    fit = solve_points(data, cell.arm.chain, 1e-3).chosen.fit
     assert np.flatnonzero(~fit.used).tolist() == [7, 20]
     np.testing.assert_allclose(fit.state.targets[1] - fit.state.targets[0], [0.02, 0.01, 0.0],
                                atol=2e-4)
@@ -154,7 +154,7 @@ def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
 def test_nothing_is_invented_of_a_robot_without_error():
     cell = bench.draw(bench.CASES['none'], 62, 1)
     first = np.arange(62) < 40
-    outcome = solve_points(cell.data.select(first), cell.arm.chain, (), 1e-3)
+    outcome = solve_points(cell.data.select(first), cell.arm.chain, 1e-3)
     held = cell.exact.select(~first)
     before, after, nees, _ = bench.judged(cell, bench.CASES['none'], outcome, held)
     assert after < 1.05 * before and nees < 2
@@ -205,7 +205,7 @@ def wrong(cell, name):
         'set calibration_type to eye_in_hand'))])
 def test_joint_values_that_contradict_the_points_are_named(solved, words):
     with pytest.raises(Exception, match=words):
-        solve_points(wrong(solved[0], words), solved[0].arm.chain, (), 1e-3)
+        solve_points(wrong(solved[0], words), solved[0].arm.chain, 1e-3)
 
 
 URDFS = {

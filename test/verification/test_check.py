@@ -167,12 +167,6 @@ def test_the_columns_of_a_trend_keep_their_units(tmp_path):
     assert Text.from_markup(str(made.columns[1].header)).plain == 'x [mm]'
 
 
-def test_control_limits_are_those_of_an_individuals_chart():
-    # moving ranges 2, 1, 2, 1: 3 * 1.5 / 1.128
-    centre, low, high = trend.control_limits(np.array([10.0, 12.0, 11.0, 13.0, 12.0]))
-    assert (centre, low, high) == pytest.approx((11.6, 11.6 - 3.989, 11.6 + 3.989), abs=1e-3)
-
-
 def test_a_steady_trend_is_reported_so(tmp_path):
     calibrations(tmp_path, 5)
     entries, _ = trend.trend(tmp_path)
