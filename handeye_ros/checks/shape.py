@@ -16,7 +16,7 @@ from handeye_ros.checks.errors import LostEdgesError, ScaleError, TooFewEdgesErr
 from handeye_ros.config import Config
 from handeye_ros.data import Array, ROTATION_LAG, TIME_OFFSET, TimeOffset
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.blocks import ParameterBlock
+from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.noise import whitening
@@ -26,6 +26,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 CONTRADICTION, NOTED_CONTRADICTION = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
+SMALLEST_BEND = 3e-5  # m, told
 SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
 
@@ -203,6 +204,24 @@ def _estimate_of(solution: Solution, name: str) -> TimeOffset | None:
     return TimeOffset(value, math.hypot(std, other - value))
 
 
+def _bend_notes(solution: Solution) -> list[str]:
+    """Return the note on a laser line that is bent out of its plane, if the data show that."""
+    solution = solution.conservative or solution
+    first = solution.unknowns
+    for block in solution.blocks:
+        if block.name == LINE_BEND:
+            n = float(solution.nuisance[first - solution.unknowns])
+            p = min(float(solution.covariance[first, first]), 1 - 1e-9)
+            bend, std = n * block.std, p ** 0.5 * block.std
+            # the value from the data alone, in sigmas
+            if abs(n) > CONTRADICTION * math.sqrt(p * (1 - p)) and abs(bend) > SMALLEST_BEND:
+                return [f'the laser line is bent out of its plane by {abs(bend) * 1e3:.2f} +- '
+                        f'{std * 1e3:.2f} mm from its middle to the ends of what the samples '
+                        'show: the transform is that of the plane which fits it best']
+        first += block.count
+    return []
+
+
 def require_edges(agreed: Consensus) -> None:
     """
     Raise for an answer that does not use most of the visible edges.
@@ -246,5 +265,5 @@ def _lost_edges(agreed: Consensus) -> str:
 def notes_of(agreed: Consensus, config: Config) -> list[str]:
     """Return the notes on an answer in words: time offset, target, edges."""
     shapes = contradictions(agreed.solution, config)
-    return [*offset_notes(agreed.solution), *(shape.note for shape in shapes),
-            *_edge_notes(agreed)]
+    return [*offset_notes(agreed.solution), *_bend_notes(agreed.solution),
+            *(shape.note for shape in shapes), *_edge_notes(agreed)]

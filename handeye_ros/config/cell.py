@@ -144,6 +144,8 @@ class NoiseConfig:
                         minimum=1e-9, maximum=0.01)
     distortion: float = key(2e-5, "Smooth error of the sensor's field, its linearity (m).",
                             minimum=0.0, maximum=0.01)
+    line_bend: float = key(1e-4, 'Bend of the laser line out of its plane, at its ends (m).',
+                           minimum=0.0, maximum=0.01)
     flatness: float = key(2e-5, 'Smooth deviation of the faces of the target from flat (m).',
                           minimum=0.0, maximum=0.01)
     robot_translation: float = key(3e-5, 'Repeatability of the flange position, each axis (m).',

@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 
 # Distances at which the robot's errors have the correlation 0.5: m, rad, s.
 POSITION_LENGTH, ROTATION_LENGTH, TIME_LENGTH = 1.0, 1.4, 0.5
+FARTHER = 0.2  # by how much more a line is bent at the largest range than in the middle
 Kernel = Callable[[Array], Array]
 
 
@@ -79,6 +80,22 @@ def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
               for where, some in ((box(points, across), _products(u, v, degrees)),
                                   (points, terms))]
     return _each_of_unit_size(fitted[0] - fitted[1], [some.shape[1] for some in terms], 2)
+
+
+def bent_line(points: Array) -> Array:
+    """
+    Return heights (m, 2) of a bent light plane at points (m, 2) over the plane that fits best.
+
+    They grow with x^2, by 1 from the middle to the end of the line, and with x^2 by the range:
+    light that leaves a point is bent more where it is farther. The plane is that of the field of
+    view, which is as wide on both sides of x = 0, wherever a target is seen; but where a driver
+    publishes x on one side only, its middle is that of the points.
+    """
+    low, high = points[:, 0].min(), points[:, 0].max()
+    middle, half = (0.0, max(-low, high)) if low < 0 < high else ((low + high) / 2,
+                                                                  (high - low) / 2)
+    bent = ((points[:, 0] - middle) / max(half, 1e-9)) ** 2 - 1 / 3
+    return np.column_stack([bent, FARTHER * bent * _normalised(points[:, 1])])
 
 
 def box(points: Array, across: Sequence[float] | Array) -> Array:

@@ -25,12 +25,20 @@ from dataclasses import dataclass
 from functools import cache, partial
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.basis import bending, box, field_motions, motions_by_poses, of_mount
+from handeye_ros.estimation.basis import (
+    bending,
+    bent_line,
+    box,
+    field_motions,
+    motions_by_poses,
+    of_mount,
+)
 from handeye_ros.estimation.linearise import Linear, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import TURN_LENGTH
 import numpy as np
 
+LINE_BEND = 'line_bend'
 # RMS of the polynomials of each degree over noise.distortion.
 DISTORTION = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
 
@@ -183,6 +191,24 @@ def _motions_of_degree(motions: Callable[[Linear], list[Array]], i: int, linear:
     return motions(linear)[i]
 
 
+def line_bend(first: Linear) -> Blocks:
+    """Return the block of a light plane that is bent: its points are not at y = 0."""
+    std = first.problem.config.noise.line_bend
+    heights = bent_line(first.problem.observations.points)
+
+    def best_fit(linear: Linear) -> Array:
+        # the plane through the middle of the line instead: as a data sheet may have it
+        motion = np.zeros((6, 2))
+        motion[:3, 0] = -linear.estimate.X[:3, 1] / 3
+        return motion
+
+    def at(linear: Linear) -> Iterator[ParameterBlock]:
+        across = linear.jacobian[:, :3] @ linear.estimate.X[:3, 1]
+        yield ParameterBlock(LINE_BEND, across[:, None] * heights * std, std, best_fit=best_fit,
+                             report=LINE_BEND)
+    return at if std else _none
+
+
 def pose_model(first: Linear) -> Blocks:
     """Return the blocks of the parameters in the problem's pose model, such as a time offset."""
     if first.problem.pose_model is None:
@@ -243,4 +269,5 @@ def _none(linear: Linear) -> Iterable[ParameterBlock]:
 
 
 SOURCES: tuple[Source, ...] = (
-    stated_measures, robot_scale, sensor_scale, sensor_distortion, pose_model, robot_smooth)
+    stated_measures, robot_scale, sensor_scale, sensor_distortion, line_bend, pose_model,
+    robot_smooth)

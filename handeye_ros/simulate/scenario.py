@@ -20,7 +20,8 @@ class SensorModel:
     return; rim_bias: range error just before it.
     noise: 1 sigma of one range; resolution: step of the numbers, 0: none; distortion: RMS of a
     smooth error over the field of view, drawn once; scale, shear: relative errors of the
-    coordinates about the middle of the field, and of x by the range.
+    coordinates about the middle of the field, and of x by the range. line_bend: y of the light at
+    both ends of the line (at middle range), of a light plane that is bent.
     speckle: 1 sigma of an error that is constant during a stop, correlated over speckle_columns.
     spot: 1 sigma of the width of the light along the line; surfaces below the target's face are
     ground times as bright. smoothing: columns of the driver's mean filter.
@@ -41,6 +42,7 @@ class SensorModel:
     distortion: float = 0.0
     scale: float = 0.0
     shear: float = 0.0
+    line_bend: float = 0.0
     speckle: float = 0.0
     speckle_columns: float = 5.0
     spot: float = 0.0

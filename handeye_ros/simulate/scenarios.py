@@ -176,6 +176,8 @@ def _sensors() -> Iterator[Scenario]:
         yield _with_sensor(f'{base.scene}, distorted 0.02 mm', base, distortion=0.02 * MM)
     yield _with_sensor('scale 1e-3', scale=1e-3)
     yield _with_sensor('shear 1e-3', shear=1e-3)
+    for base in BASELINES:
+        yield _with_sensor(f'{base.scene}, line bent by 0.15 mm', base, line_bend=0.15 * MM)
     yield _with_sensor('diverging fan, resampled in x', sampling='fan_x')
     stated = {'noise.sensor': 20 * UM}.items()
     for base in BASELINES[:2]:

@@ -17,10 +17,12 @@ EDGE_COLUMNS = 3
 def columns(sensor: SensorModel) -> tuple[Array, Array]:
     """Return origins and directions (3, n) of the columns' rays; their parameter is the range."""
     zero, one = np.zeros(sensor.columns), np.ones(sensor.columns)
-    across = np.linspace(-1, 1, sensor.columns) * sensor.half_width
+    along = np.linspace(-1, 1, sensor.columns)
+    across, bent = along * sensor.half_width, along ** 2 * sensor.line_bend
     if sensor.sampling == 'fan':
-        return np.stack([zero, zero, zero]), np.stack([across, zero, one])
-    return np.stack([across * sensor.range[1], zero, zero]), np.stack([zero, zero, one])
+        middle = sum(sensor.range) / 2
+        return np.stack([zero, zero, zero]), np.stack([across, bent / middle, one])
+    return np.stack([across * sensor.range[1], bent, zero]), np.stack([zero, zero, one])
 
 
 def render(sensor: SensorModel, solids: tuple[Solid, ...], T: Array,
