@@ -30,8 +30,9 @@ from scipy.stats import chi2
 import trials
 
 NO_PRIORS = dict.fromkeys((
-    'noise.distortion', 'noise.flatness', 'noise.robot_smooth', 'noise.robot_scale',
-    'target.radius_std', 'target.size_std', 'target.edge_angle_std', 'target.setback_std'), 0.0)
+    'noise.distortion', 'noise.line_bend', 'noise.flatness', 'noise.robot_smooth',
+    'noise.robot_scale', 'target.radius_std', 'target.size_std', 'target.edge_angle_std',
+    'target.setback_std'), 0.0)
 LIMIT = chi2.ppf(0.95, 6)
 
 

@@ -77,7 +77,7 @@ READINGS = ('error, first', 'error, from then on', '1 sigma, first', '1 sigma, f
 ROBOTS = {'common': (5e-5, math.radians(0.02)), 'fine': (2e-5, math.radians(0.004))}
 # What this cell does not have, and what is therefore not believed in.
 KNOWN = {'noise.robot_smooth': 0.0, 'noise.robot_scale': 0.0, 'noise.distortion': 0.0,
-         'noise.flatness': 0.0, 'target.radius_std': 1e-6}
+         'noise.line_bend': 0.0, 'noise.flatness': 0.0, 'target.radius_std': 1e-6}
 FACING = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # line along the edge frame's y
 
 

@@ -31,7 +31,7 @@ LITTLE = 0.02  # of the mapped points' sigma: less is no reason for another samp
 # What helps where more samples do not, by the setting that limits.
 REMEDIES = {'noise.robot_smooth': 'robot, or a better statement of its accuracy,',
             'noise.robot_scale': 'robot, or a better statement of its scale,',
-            'noise.distortion': 'sensor', 'noise.flatness': 'target',
+            'noise.distortion': 'sensor', 'noise.line_bend': 'sensor', 'noise.flatness': 'target',
             'target.setback_std': 'target'}
 SWEEP = ('continue to sweep over the {}: to and fro across it, with tilts about all axes, near '
          'and far, with changes of speed')

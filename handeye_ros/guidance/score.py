@@ -28,6 +28,7 @@ CAUSES = (
     ('robot_', "the robot's accuracy as configured", 'noise.robot_smooth'),
     ('scale', "the scale of the robot's lengths as configured", 'noise.robot_scale'),
     ('distortion', "the sensor's linearity as configured", 'noise.distortion'),
+    ('line_bend', 'how straight the laser line is as configured', 'noise.line_bend'),
     ('flatness', "the flatness of the target's faces as configured", 'noise.flatness'),
     ('setback', 'how far faces end before their edges', 'target.setback_std'),
     ('incidence', 'how far faces end before their edges', 'target.setback_std'),

@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 
 NO_DOUBTS = {'noise__distortion': 0.0, 'noise__flatness': 0.0, 'noise__robot_smooth': 0.0,
-             'noise__robot_scale': 0.0, 'target__radius_std': 0.0, 'target__size_std': 0.0,
-             'target__edge_angle_std': 0.0, 'target__setback_std': 0.0}
+             'noise__robot_scale': 0.0, 'noise__line_bend': 0.0, 'target__radius_std': 0.0,
+             'target__size_std': 0.0, 'target__edge_angle_std': 0.0, 'target__setback_std': 0.0}
 EXACT_COLUMNS = 10 ** 12  # so fine that an edge has no sampling error
 EDGED = ('plate', 'line')  # scenes with edges; they only count the columns
 ANY_POSE = se3.transform(se3.exp_rotation(np.array([0.7, -1.1, 0.4])), np.array([0.3, -0.2, 0.9]))
