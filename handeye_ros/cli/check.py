@@ -47,9 +47,10 @@ def check(
     out: Out = None,
 ) -> None:
     """Check whether a calibration still holds: exit code 0 only if nothing changed, else 1."""
-    from handeye_ros.verification.errors import NothingToCheckError
+    from handeye_ros.errors import InputError
     if not (bags and against or folder):
-        raise NothingToCheckError
+        raise InputError('nothing to check: give "handeye check BAG... --against '
+                         'calibration.yaml", or --folder DIR for the trend of many calibrations')
     assignments = with_kinematics(assignments, kinematics)
     changed = (_check_bags(bags, against, config, assignments, out) if bags and against
                else False)

@@ -177,13 +177,14 @@ def seam(
 def _cloud(path: Path, calibration: Path | None, config: Path | None, assignments: list[str]
            ) -> tuple['Array', str]:
     """Return the points (n, 3) of a cloud or a bag, and their frame."""
+    from handeye_ros.errors import InputError
     from handeye_ros.scanning.cloud_files import FORMATS, read_cloud
-    from handeye_ros.scanning.errors import NeedsCalibrationError
     import numpy as np
     if path.suffix.lower() in FORMATS:
         return read_cloud(path), 'base'
     if calibration is None:
-        raise NeedsCalibrationError(path)
+        raise InputError(f'{path} is no .ply or .pcd file; to use it as a bag, give the '
+                         'calibration of its sensor: --calibration FILE')
     from handeye_ros.bags.bag import flow
     from handeye_ros.sampling.trajectory import track_of
     from handeye_ros.scanning.scan import Scanner, ScanOptions

@@ -13,6 +13,7 @@ from handeye_ros.bags.session_store import OutputFolders
 from handeye_ros.checks.review import sample_summary
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Reject, TimedPose
+from handeye_ros.errors import DataError
 from handeye_ros.node.answer import Answer
 from handeye_ros.node.samples import LiveSamples
 from handeye_ros.node.state import Attempt
@@ -21,12 +22,6 @@ from handeye_ros.output import write_whole
 from handeye_ros.results import calibration_file, exports
 from handeye_ros.sampling.stops import Outcome, Stop
 from handeye_ros.verification import verification
-from handeye_ros.verification.errors import (
-    NoAnswerError,
-    NothingToVerifyError,
-    NotStartedError,
-    UnusableStopError,
-)
 from handeye_ros.verification.session import VerificationSession
 from handeye_ros.verification.verification import Verification
 
@@ -100,11 +95,11 @@ class LiveVerification:
         return text
 
     def take(self, stop: Stop) -> str:
-        """Add a requested stop; raises UnusableStopError."""
+        """Add a requested stop; raises DataError for one that gives nothing."""
         session, text = self._session, self.add(stop)
         result = session.parts[-1].stops.get(stop.began) if session else None
         if isinstance(result, Reject):
-            raise UnusableStopError(result.reason)
+            raise DataError(f'the stop does not count for the verification: {result.reason}')
         return text
 
     # services; each returns its message
@@ -113,7 +108,7 @@ class LiveVerification:
         """
         Begin a verification, or the next part (face, ball, pass) of the current one.
 
-        Raises NoRoutineError, UnknownNameError, WrongCountError and NothingToVerifyError.
+        Raises InputError, and DataError without a calibration.
         """
         self._samples.evaluate_all()
         session = self._session
@@ -135,13 +130,13 @@ class LiveVerification:
         """
         Write the verdict with its figures; the current stop counts as complete.
 
-        Raises NotStartedError, NothingToVerifyError, TooFewSeenError, DataError, and
-        NoAnswerError where it is neither pass nor fail: the verification then continues.
+        Raises DataError, also where it is neither pass nor fail: the verification then continues.
         """
         with self._samples.work:
             session = self._session
             if session is None:
-                raise NotStartedError
+                raise DataError('no verification was started: call ~/verify_start, stop at '
+                                'several poses, and ask again')
             self._samples.evaluate_rest()
             copied = session.copied()
         with self._progress.doing('the calibration is verified'):
@@ -154,7 +149,7 @@ class LiveVerification:
                 self.end()
         self.on_change()
         if result.verdict not in ANSWERS:
-            raise NoAnswerError(result.verdict, (*result.reasons, text))
+            raise DataError(f'{result.verdict}: ' + '; '.join((*result.reasons, text)))
         return text
 
     def configured(self, old: Config, new: Config) -> None:
@@ -168,12 +163,13 @@ class LiveVerification:
         self._session = None
 
     def _calibration(self) -> Calibration:
-        """Return the calibration of verify.calibration, or the answer; NothingToVerifyError."""
+        """Return the calibration of verify.calibration, or the answer; raises DataError."""
         file = self._config.verify.calibration
         if file:
             return calibration_file.read_calibration(Path(file).expanduser())
         if self._answer.calibration is None:
-            raise NothingToVerifyError
+            raise DataError('there is no calibration to verify: call ~/compute_calibration, or '
+                            'set verify.calibration to the file of one')
         return self._answer.calibration
 
     def _written(self, result: Verification) -> str:

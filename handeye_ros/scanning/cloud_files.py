@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
 
 from handeye_ros.data import Array
+from handeye_ros.errors import InputError
 from handeye_ros.output import replaced
-from handeye_ros.scanning.errors import CloudFileError, CloudFormatError
 import numpy as np
 from numpy.typing import NDArray
 
@@ -89,10 +89,10 @@ class CloudWriter:
 
 
 def header_of(path: Path) -> Header:
-    """Return the function that makes the header of a file; raises CloudFormatError."""
+    """Return the function that makes the header of a file; raises InputError."""
     header = FORMATS.get(path.suffix.lower())
     if header is None:
-        raise CloudFormatError(path, list(FORMATS))
+        raise InputError(f'{path}: the file name must end with {" or ".join(FORMATS)}')
     return header
 
 
@@ -101,7 +101,7 @@ def cloud_writer(path: Path, comment: str = '') -> Iterator[CloudWriter]:
     """
     Give a writer of a cloud file that appears only when the block ends without an error.
 
-    Raises CloudFormatError, UnwritableError.
+    Raises InputError, UnwritableError.
     """
     header = header_of(path)
     with replaced(path) as temporary, temporary.open('wb') as stream:
@@ -114,22 +114,22 @@ def read_cloud(path: Path) -> Array:
     """
     Return the points (n, 3) of a PLY or PCD file, ASCII or binary little-endian.
 
-    Raises CloudFormatError, CloudFileError.
+    Raises InputError.
     """
     header_of(path)
     try:
         with path.open('rb') as stream:
             header_size, lines = _header_lines(path, stream.read(LONGEST_HEADER))
     except OSError as error:
-        raise CloudFileError(path, f'cannot be read: {error.strerror or error}') from error
+        raise InputError(f'{path}: cannot be read: {error.strerror or error}') from error
     parse = _ply_layout if path.suffix.lower() == '.ply' else _pcd_layout
     try:
         binary, dtype, count = parse(lines)
     except (KeyError, ValueError, IndexError, TypeError) as error:
-        raise CloudFileError(path, 'its header is not that of a cloud in ASCII or binary '
-                             '(little-endian, not compressed) form') from error
+        raise InputError(f'{path}: its header is not that of a cloud in ASCII or binary '
+                         '(little-endian, not compressed) form') from error
     if not {'x', 'y', 'z'} <= set(dtype.names or ()):
-        raise CloudFileError(path, 'its points have no fields x, y and z')
+        raise InputError(f'{path}: its points have no fields x, y and z')
     points = _body(path, header_size, dtype, count, binary)
     return points[np.isfinite(points).all(axis=1)]
 
@@ -144,7 +144,7 @@ def _header_lines(path: Path, start: bytes) -> tuple[int, list[list[str]]]:
             lines.append(words)
         if words[:1] in (['end_header'], ['DATA']):
             return position, lines
-    raise CloudFileError(path, 'has no header of a cloud')
+    raise InputError(f'{path}: has no header of a cloud')
 
 
 def _ply_layout(lines: list[list[str]]) -> tuple[bool, np.dtype[Any], int]:
@@ -180,7 +180,7 @@ def _body(path: Path, header_size: int, dtype: np.dtype[Any], count: int, binary
     if binary:
         available = (path.stat().st_size - header_size) // dtype.itemsize
         if available < count:
-            raise CloudFileError(path, f'is cut off: {available} of {count} points')
+            raise InputError(f'{path}: is cut off: {available} of {count} points')
         rows = np.memmap(path, dtype, 'r', header_size, (count,)) if count else np.empty(0, dtype)
         return np.column_stack([rows[axis] for axis in 'xyz']).astype(np.float64)
     names = list(dtype.names or ())
@@ -190,4 +190,4 @@ def _body(path: Path, header_size: int, dtype: np.dtype[Any], count: int, binary
             return np.loadtxt(stream, usecols=[names.index(a) for a in 'xyz'], max_rows=count,
                               ndmin=2).reshape(-1, 3)
         except ValueError as error:
-            raise CloudFileError(path, f'is damaged: {error}') from error
+            raise InputError(f'{path}: is damaged: {error}') from error

@@ -15,10 +15,10 @@ from itertools import islice
 from handeye_ros import units
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
+from handeye_ros.errors import DataError
 from handeye_ros.frames import in_mount, target_frame, unit_vectors
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.scanning.cloud_files import Points
-from handeye_ros.scanning.errors import EmptyScanError, NoPosesAroundError
 import numpy as np
 from numpy.typing import NDArray
 
@@ -120,13 +120,19 @@ class Scanner:
         return cloud[is_new]
 
     def require_points(self) -> None:
-        """Raise NoPosesAroundError or EmptyScanError for a scan without points."""
+        """Raise DataError for a scan without points."""
         count = self.count
         if count.points:
             return
         if count.without_pose and count.without_pose == count.profiles:
-            raise NoPosesAroundError(count.profiles, self.config.sampling.max_pose_gap)
-        raise EmptyScanError(count.profiles, count.returns)
+            raise DataError(
+                f'none of the {count.profiles} profiles has a pose before and after it within '
+                f'{self.config.sampling.max_pose_gap:g} s: the clocks of sensor and robot differ '
+                '(set time_offset), or the poses are too sparse (sampling.max_pose_gap)')
+        raise DataError(f'no point is left of {count.profiles} profiles with {count.returns} '
+                        'returns: ' + (
+                            'widen the limits (--range, --incidence)' if count.returns else
+                            'the sensor saw nothing; check its range and exposure'))
 
     @property
     def dtype(self) -> np.dtype[np.void]:

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.errors import DataError, mm
 from handeye_ros.published import wu2017
 from handeye_ros.scanning.curves import Curve, spline, through
-from handeye_ros.scanning.errors import TooFewPointsError, UncertainSeamError, UnclearSeamError
 from handeye_ros.scanning.seam_edges import course, spacing_of
 from handeye_ros.scanning.seam_sections import Edges, edges
 from handeye_ros.scanning.seam_sheets import rims_of, sheets_of
@@ -79,13 +79,13 @@ def find_seam(points: Array, widest: float = WIDEST,
 
     widest: largest distance between its edges (m); towards: (3,) within 90 degrees of the approach
     of the tool; line: see Seam; start: (3,) a point near the end where the seam begins.
-    Raises NoSeamError, SeveralSeamsError, InterruptedSeamError, NoLineError, HiddenWallError,
-    UnclearSeamError, TooFewPointsError.
+    Raises DataError where there is none, several, or one that is interrupted or not clear.
     """
     points = np.unique(points, axis=0)
     points = points[::max(-(-len(points) // POINTS), 1)]
     if len(points) < FEWEST:
-        raise TooFewPointsError(len(points), FEWEST)
+        raise DataError(f'the cloud has {len(points)} different points, fewer than {FEWEST}: scan '
+                        'more densely, or widen --box')
     spacing, tree, up = spacing_of(points), cKDTree(points), -np.asarray(towards)
     sheets = sheets_of(points, tree, spacing, up)
     rims = rims_of(points, tree, sheets, spacing)
@@ -95,7 +95,9 @@ def find_seam(points: Array, widest: float = WIDEST,
     first, second, root, normals, residuals, std = _smoothed(sections, line)
     spread = float(np.sqrt((residuals ** 2).mean()))
     if max(sections.noise, spread) > max(UNCLEAR * sheets.noise, spacing):
-        raise UnclearSeamError(max(sections.noise, spread), sheets.noise)
+        raise DataError(f'the sections of the seam scatter by {mm(max(sections.noise, spread))}, '
+                        f'and the points by {mm(sheets.noise)}: this is not a uniform seam; cut '
+                        'it out with --box, or scan more densely')
     if start is not None and np.argmin(np.linalg.norm(root[[0, -1]] - start, axis=1)) == 1:
         first, second, root, normals, residuals, std = (
             v[::-1] for v in (second, first, root, normals, residuals, std))
@@ -131,12 +133,14 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
 
     pitch: distance between them (m); towards: (3,) within 90 degrees of the approach. travel:
     travel angle, a tilt against the advance, about a; work: work angle, a tilt to the side, about
-    n (rad). Raises UncertainSeamError.
+    n (rad). Raises DataError where no frame is certain.
     """
     positions = np.linspace(0.0, seam.curve.length, len(seam.normals))
     certain = positions[(seam.std <= UNCERTAIN).all(axis=1)]
     if not len(certain):
-        raise UncertainSeamError(float(np.median(seam.std[:, 0])))
+        raise DataError('the position of the seam has a standard deviation of '
+                        f'{mm(float(np.median(seam.std[:, 0])))}, too much for a path: scan more '
+                        'densely, or with less noise')
     lengths = np.append(np.arange(certain[0], certain[-1] - 0.01 * pitch, pitch), certain[-1])
     tilt = Rotation.from_euler('xz', [work, travel]).as_matrix()
     frames = []

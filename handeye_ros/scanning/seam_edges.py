@@ -11,12 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from handeye_ros.data import Array
-from handeye_ros.scanning.errors import (
-    HiddenWallError,
-    InterruptedSeamError,
-    NoSeamError,
-    SeveralSeamsError,
-)
+from handeye_ros.errors import DataError, mm
 from handeye_ros.scanning.seam_sheets import Rims
 import numpy as np
 from numpy.typing import NDArray
@@ -61,8 +56,7 @@ def course(rims: Rims, points: Array, spacing: float, widest: float, up: Array) 
     """
     Return the rough course of the only seam between the rims of sheets in points (n, 3).
 
-    widest: largest distance between its edges (m); up: (3,) towards the tool. Raises
-    NoSeamError, SeveralSeamsError, InterruptedSeamError, HiddenWallError.
+    widest: largest distance between its edges (m); up: (3,) towards the tool. Raises DataError.
     """
     pairs = _pairs(rims, widest, spacing)
     by_kind: dict[str, list[NDArray[np.intp]]] = {kind: [] for kind in (*KINDS, 'none')}
@@ -79,11 +73,17 @@ def course(rims: Rims, points: Array, spacing: float, widest: float, up: Array) 
              for kind, parts in by_length.items()}
     kind = next((kind for kind in KINDS if seams[kind]), None)
     if kind is None:
-        raise NoSeamError(spacing, widest)
+        raise DataError(
+            f'no seam: nowhere do two edges face each other within {mm(widest)} (--widest). The '
+            f'points are {mm(spacing)} apart, so a gap or step must be larger than '
+            f'{mm(4 * spacing)} to be seen: scan more densely, or check what was scanned')
     middles = [rims.points[pairs].mean(axis=1) for _, pairs in seams[kind]]
     pairs = seams[kind][0][1]
     if kind == 'step':
-        raise HiddenWallError(_height(rims, pairs), middles[0].mean(axis=0))
+        raise DataError(
+            f'a step of {mm(_height(rims, pairs))} at {position_text(middles[0].mean(axis=0))} '
+            'whose wall is not seen: too high for a lap, and the root of a T cannot be found '
+            'without it: scan with the sensor tilted by 30 to 45 degrees towards the wall')
     _require_one(middles, spacing)
     return Course(kind, pairs, middles[0], sum(len(parts) for parts in seams.values()) - 1)
 
@@ -216,6 +216,18 @@ def _require_one(seams: list[Array], spacing: float) -> None:
             if (direction @ across > IN_LINE * np.linalg.norm(direction) * size
                     and -(other_direction @ across)
                     > IN_LINE * np.linalg.norm(other_direction) * size):
-                raise InterruptedSeamError(size, 0.5 * (end + other))
-    raise SeveralSeamsError([float(np.linalg.norm(np.ptp(p, axis=0))) for p in seams],
-                            [p.mean(axis=0) for p in seams])
+                raise interrupted(size, 0.5 * (end + other))
+    listed = '; '.join(f'{mm(float(np.linalg.norm(np.ptp(p, axis=0))))} long at '
+                       f'{position_text(p.mean(axis=0))}' for p in seams)
+    raise DataError(f'{len(seams)} seams ({listed}): cut one out with --box')
+
+
+def interrupted(size: float, position: Array) -> DataError:
+    """Return the refusal of a seam that is not seen over some length (m)."""
+    return DataError(f'the seam is not seen for {mm(size)} at {position_text(position)}: scan '
+                     'there again, or cut one part out with --box')
+
+
+def position_text(point: Array) -> str:
+    """Return the position of a point in words."""
+    return 'x y z = ' + ' '.join(f'{v * 1e3:.0f}' for v in point) + ' mm'

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from handeye_ros.data import Array
+from handeye_ros.errors import DataError, mm
 from handeye_ros.scanning.curves import arc_length, averaged, Curve, spline
-from handeye_ros.scanning.errors import InterruptedSeamError, NoLineError
-from handeye_ros.scanning.seam_edges import Course
+from handeye_ros.scanning.seam_edges import Course, interrupted, position_text
 from handeye_ros.scanning.seam_sheets import column_resolution, end_of, Rims, sheet_through, Sheets
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +92,7 @@ def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Cours
     """
     Return the edges of the seam along a rough course.
 
-    Raises NoLineError, InterruptedSeamError.
+    Raises DataError.
     """
     line = _line(rims, rough, spacing)
     step = max(1e-3, 3 * spacing)
@@ -106,7 +106,7 @@ def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Cours
         if a is not None and b is not None:
             sections.append((float(t), a, b))
     has_section = np.isin(lengths, [t for t, _, _ in sections])
-    _require_whole(has_section, [line.position(float(t))[0].tolist() for t in lengths], step)
+    _require_whole(has_section, [line.position(float(t))[0] for t in lengths], step)
     (t0, a0, b0), (t1, a1, b1) = sections[0], sections[-1]
     filled = [(t, a, b) for t, a, b in sections
               if min(np.ptp(a.span), np.ptp(b.span)) > 0.5 * step - spacing]
@@ -131,7 +131,10 @@ def _line(rims: Rims, rough: Course, spacing: float) -> _Line:
     distance = np.linalg.norm(on_curve - points, axis=1)
     widest = float(np.quantile(distance, 0.95))
     if widest > WIDEST_LINE * spacing:
-        raise NoLineError(2 * widest, points[int(np.argmax(distance))])
+        place = position_text(points[int(np.argmax(distance))])
+        raise DataError(f'what looks like a seam is not a single open line: it is '
+                        f'{mm(2 * widest)} wide at {place} (closed, or branching?): cut a part '
+                        'out with --box')
     i, j = pairs.T
     up = (-rims.outward[i] - rims.outward[j] if rough.kind in ('v', 'fillet')
           else rims.normals[i] + rims.normals[j])
@@ -222,14 +225,14 @@ def _resolution(joint: Callable[[_Side, _Side], Array], a: _Side, b: _Side) -> A
     return np.asarray(np.sqrt((lines ** 2).sum(axis=(0, 2))))
 
 
-def _require_whole(has_section: NDArray[np.bool_], positions: list[list[float]], step: float
+def _require_whole(has_section: NDArray[np.bool_], positions: list[Array], step: float
                    ) -> None:
     """Raise for a seam with large missing parts."""
     rows = np.flatnonzero(has_section)
     if not len(rows):
-        raise InterruptedSeamError(len(has_section) * step, positions[len(positions) // 2])
+        raise interrupted(len(has_section) * step, positions[len(positions) // 2])
     gaps = np.diff(rows) - 1
     worst = int(np.argmax(gaps)) if len(gaps) else 0
     if len(gaps) and gaps[worst] * step > MISSING:
-        raise InterruptedSeamError(float(gaps[worst] * step),
-                                   positions[int(rows[worst] + gaps[worst] // 2 + 1)])
+        raise interrupted(float(gaps[worst] * step),
+                          positions[int(rows[worst] + gaps[worst] // 2 + 1)])

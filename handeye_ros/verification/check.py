@@ -17,7 +17,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample, TimeOffset
-from handeye_ros.errors import mm
+from handeye_ros.errors import InputError, mm
 from handeye_ros.estimation.model import Method
 from handeye_ros.frames import mounted, sensor_axes
 from handeye_ros.targets import METHODS
@@ -30,10 +30,10 @@ from handeye_ros.verification.causes import (
     EVIDENCE,
     smallest_moves,
 )
-from handeye_ros.verification.errors import NoCheckError, TooFewSeenError
 from handeye_ros.verification.fixed_fit import by_calibration
 from handeye_ros.verification.samples import compared
 from handeye_ros.verification.shapes import StationSet
+from handeye_ros.verification.verify import too_few
 import numpy as np
 
 FORMAT = 'handeye_ros/check/2'
@@ -88,18 +88,19 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
     """
     Return the check of a calibration by samples of the same target.
 
-    reason: why other stations gave no sample. Raises NoCheckError, TooFewSeenError.
+    reason: why other stations gave no sample. Raises DataError, and InputError for a calibration
+    without a target to compare with.
     """
     method = METHODS.get(calibration.method)
     joint = calibration.target.get('joint')
     if method is None or not isinstance(joint, Mapping):
-        raise NoCheckError(calibration.method, list(METHODS))
+        raise _no_target(calibration)
     if len(samples) < LEAST_STATIONS:
-        raise TooFewSeenError(len(samples), LEAST_STATIONS, reason)
+        raise too_few(len(samples), LEAST_STATIONS, reason)
     comparison, left_out = agreeing(_comparison(samples, calibration, method, joint, config))
     count = len(np.unique(comparison.stations.observations.station))
     if count < LEAST_STATIONS:
-        raise TooFewSeenError(count, LEAST_STATIONS, reason)
+        raise too_few(count, LEAST_STATIONS, reason)
     unchanged, explanations = causes(comparison)
     return _result(comparison, unchanged, explanations, samples[0].stamp,
                    [k + 1 for k in left_out])
@@ -113,10 +114,17 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, method: Met
         covariance = np.array(joint['covariance'], dtype=float).reshape(size, size)
         scale = math.sqrt(max(float(joint['variance_factor']), 1.0))
     except (KeyError, TypeError, ValueError) as error:
-        raise NoCheckError(calibration.method, list(METHODS)) from error
+        raise _no_target(calibration) from error
     stations = StationSet(mounted(samples, config), method.features.observe(samples))
     return Comparison(method, stations, calibration.T_flange_sensor @ sensor_axes(config), state,
                       covariance, config, scale).labelled()
+
+
+def _no_target(calibration: Calibration) -> InputError:
+    return InputError(
+        f'the calibration (method {calibration.method}) does not hold what a check compares with: '
+        'the target with its covariance. Solve its recording again with this version, as one of '
+        f'{", ".join(METHODS)}, or measure a known object with "handeye verify"')
 
 
 def _result(comparison: Comparison, unchanged: float, explanations: Sequence[Cause], stamp: int,

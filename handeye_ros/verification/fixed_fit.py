@@ -16,9 +16,9 @@ from typing import TypeAlias
 from handeye_ros import se3
 from handeye_ros.config import NoiseConfig, VerifyConfig
 from handeye_ros.data import Array
+from handeye_ros.errors import InputError
 from handeye_ros.estimation.least_squares import White
 from handeye_ros.estimation.outliers import chi2_sf
-from handeye_ros.verification.errors import BadCovarianceError
 from handeye_ros.verification.shapes import (
     by_point,
     derivatives,
@@ -199,10 +199,11 @@ def _leave_one_out(columns: Array, r: Array, groups: NDArray[np.intp]) -> Array:
 
 
 def root_of(C: Array) -> Array:
-    """Return R (n, n) with R R' = C, which may be singular; raises BadCovarianceError."""
+    """Return R (n, n) with R R' = C, which may be singular; raises InputError."""
     value, vectors = np.linalg.eigh((C + C.T) / 2)
     if value[0] < -1e-9 * value[-1]:
-        raise BadCovarianceError
+        raise InputError('the covariance of the calibration has a negative variance, so it is not '
+                         'valid: use the calibration.yaml as it was written')
     return np.asarray(vectors * np.sqrt(np.maximum(value, 0.0)))
 
 

@@ -13,10 +13,9 @@ from typing import Self
 
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Profile, Reject, Sample, TimedPose
-from handeye_ros.errors import UnusableMessageError
+from handeye_ros.errors import DataError, InputError, UnusableMessageError
 from handeye_ros.sampling.stops import result_of, Stop
 from handeye_ros.sampling.trajectory import track_of
-from handeye_ros.verification.errors import NoRoutineError, TooLongPassError
 from handeye_ros.verification.routines import Routine, routine_of, TEETH
 from handeye_ros.verification.shapes import StationSet
 from handeye_ros.verification.tooth_gauge import stations_of_pass
@@ -61,7 +60,7 @@ class Part:
             self.profiles, self.step = self.profiles[::2], 2 * self.step
 
     def add_poses(self, poses: Iterable[TimedPose]) -> None:
-        """Keep poses of a pass, within the limit of TooLongPassError."""
+        """Keep poses of a pass, up to a limit."""
         if len(self.poses) <= MOST_POSES:
             self.poses.extend(poses)
 
@@ -70,9 +69,10 @@ class VerificationSession:
     """A verification in progress."""
 
     def __init__(self, config: Config) -> None:
-        """Begin the first part; raises NoRoutineError, UnknownNameError, WrongCountError."""
+        """Begin the first part; raises InputError."""
         if not config.verify.routine:
-            raise NoRoutineError
+            raise InputError('verify.routine is not set, so there is nothing to measure: set it '
+                             'to the artefact under the sensor (docs/measure.md)')
         self._name = routine_of(config.verify.routine).name
         self._least, self._most = parts_of(self.routine, len(config.verify.lengths))
         self._settings(config)
@@ -124,7 +124,7 @@ class VerificationSession:
         return result
 
     def result(self, calibration: Calibration, config: Config) -> Verification:
-        """Return the result; raises TooFewSeenError, WrongCountError and DataError."""
+        """Return the result; raises InputError and DataError."""
         settings = self._settings(config, len(self.parts))
         bags = [self._scanned(part, settings) if self.scans else
                 stations_of(self.routine, part.samples, calibration, settings)
@@ -138,7 +138,8 @@ class VerificationSession:
 
     def _scanned(self, part: Part, config: Config) -> StationSet:
         if len(part.poses) > MOST_POSES:
-            raise TooLongPassError(MOST_POSES)
+            raise DataError(f'a pass has more than {MOST_POSES} poses, and not all are kept: set '
+                            'verify.routine again to start over, and scan in shorter passes')
         profiles: list[Profile] = []
         for profile in part.profiles:
             with suppress(UnusableMessageError):

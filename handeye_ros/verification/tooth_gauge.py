@@ -12,10 +12,10 @@ from dataclasses import replace
 from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig
 from handeye_ros.data import Array, Profile
+from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.model import Observations
 from handeye_ros.frames import in_mount
 from handeye_ros.sampling.trajectory import Trajectory
-from handeye_ros.verification.errors import NoTeethError
 from handeye_ros.verification.shapes import BAGS, by_point, Kinds, Shape, StationSet, system_of
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +63,7 @@ def fitted(stations: StationSet, p: Array, nominal: VerifyConfig) -> tuple[Stati
     """
     Return the points (m, 3) on the gauge, their faces, and the shape.
 
-    Raises NoTeethError.
+    Raises DataError where they lie on no such teeth.
     """
     pitch, height = nominal.lengths
     flank = nominal.flank or pitch / 4
@@ -79,7 +79,10 @@ def fitted(stations: StationSet, p: Array, nominal: VerifyConfig) -> tuple[Stati
     top, valley, *flanks = np.bincount(kind[on_gauge], minlength=4) / len(p)
     least = float(min(top + valley, sum(flanks)))
     if on_gauge.mean() < LEAST_SHARE or least < LEAST_FACE:
-        raise NoTeethError(pitch, height, float(on_gauge.mean()), least)
+        raise DataError(
+            f'this is not the gauge: {on_gauge.mean():.0%} of the points lie on teeth of pitch '
+            f'{mm(pitch)} and height {mm(height)}, and {least:.1%} on their flats or on their '
+            'flanks. Give both lengths (--length PITCH --length HEIGHT), and scan the gauge alone')
     obs = stations.observations
     least = ROUNDING * float(np.median(obs.noise[on_gauge, 1, 0]))
     by_p = by_point(shape, p[on_gauge], kind[on_gauge], q)

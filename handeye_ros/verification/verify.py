@@ -5,16 +5,10 @@ from collections.abc import Collection, Iterator, Sequence
 
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array, Calibration, Sample
+from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.outliers import chi2_sf
 from handeye_ros.frames import mounted, sensor_axes
 from handeye_ros.verification.decision import claim_p, decide, FOREIGN, sensitivity
-from handeye_ros.verification.errors import (
-    any_of,
-    NotTheArtefactError,
-    SameRecordingError,
-    TooFewSeenError,
-    WrongCountError,
-)
 from handeye_ros.verification.fixed_fit import fit, FixedFit, points_in_base, refit
 from handeye_ros.verification.routines import Routine, TEETH
 from handeye_ros.verification.samples import at_offset, in_region, on_nearest_surface
@@ -41,12 +35,12 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
     Return the verification by a routine; config.verify describes the artefact.
 
     bags: observations in the order that the routine expects; reason: why other stations gave
-    none. Raises TooFewSeenError, SameRecordingError and NotTheArtefactError.
+    none. Raises DataError, and InputError where two recordings are one.
     """
     stations, nominal = stacked(bags), config.verify
     if min(len(np.unique(bag.observations.station)) for bag in bags) < LEAST_STATIONS:
-        raise TooFewSeenError(len(np.unique(stations.observations.station)),
-                              LEAST_STATIONS * len(bags), reason)
+        raise too_few(len(np.unique(stations.observations.station)), LEAST_STATIONS * len(bags),
+                      reason)
     _require_different(bags)
     X = calibration.T_flange_sensor @ sensor_axes(config)
     used, shape, result, left_out = _agreeing(routine, stations, X, calibration, config)
@@ -54,7 +48,10 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
         freed, _ = refit(used, X, calibration.covariance, config.noise, shape, nominal)
         largest = float(np.abs(freed.distances).max())
         if freed.p_error < FOREIGN and largest > nominal.tolerance:
-            raise NotTheArtefactError(routine.name, largest)
+            raise DataError(
+                f'this is not what "{routine.name}" measures: no error of the calibration brings '
+                f'all points closer than {mm(largest)} to its shape. Check which object was under '
+                'the sensor, that it did not move, and that nothing else was in view (--near)')
     quantities = (*_quantities(routine, result, shape.nominals, len(bags)),
                   *routine.spread(used, X, result))
     station_results = _station_results(stations, used, result, left_out, nominal)
@@ -69,13 +66,21 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
         record=config.record)
 
 
+def too_few(stations: int, minimum: int, reason: str) -> DataError:
+    """Return the refusal of too few stations; reason: why others gave nothing."""
+    others = f' (of the others: {reason})' if reason else ''
+    return DataError(f'{stations} usable stations, fewer than {minimum}{others}: measure more, '
+                     'with the sensor turned differently at each')
+
+
 def _require_different(bags: Sequence[StationSet]) -> None:
     stops = [{(int(stamp), T.tobytes()) for stamp, T in zip(bag.stamps, bag.poses, strict=True)}
              for bag in bags]
     for k, bag in enumerate(stops):
         for other in range(k):
             if bag & stops[other]:
-                raise SameRecordingError(other + 1, k + 1)
+                raise InputError(f'recordings {other + 1} and {k + 1} hold the same stops (equal '
+                                 'stamps): give one recording of each face or ball')
 
 
 def _agreeing(routine: Routine, stations: StationSet, X: Array, calibration: Calibration,
@@ -167,16 +172,16 @@ def stations_of(routine: Routine, samples: Sequence[Sample], calibration: Calibr
 
 def settings_for(routine: Routine, config: Config, bags: int) -> Config:
     """
-    Return the settings that extract the features of a routine; raises WrongCountError.
+    Return the settings that extract the features of a routine; raises InputError.
 
     bags: how many there are.
     """
     fewest, most = routine.bags
     if not fewest <= bags <= most:
-        raise WrongCountError(routine.name, 'bags', bags, any_of(range(fewest, most + 1)))
+        raise _wrong_count(routine, 'bags', bags, range(fewest, most + 1))
     lengths, count = routine.lengths(bags), len(config.verify.lengths)
     if count not in lengths:
-        raise WrongCountError(routine.name, LENGTHS, count, any_of(lengths))
+        raise _wrong_count(routine, LENGTHS, count, lengths)
     if routine.target == TEETH:
         return config
     return with_values(config, {'target.type': routine.target, 'method': 'auto',
@@ -184,12 +189,18 @@ def settings_for(routine: Routine, config: Config, bags: int) -> Config:
 
 
 def parts_of(routine: Routine, lengths: int) -> tuple[int, int]:
-    """Return the least and largest number of bags for the lengths; raises WrongCountError."""
+    """Return the least and largest number of bags for the lengths; raises InputError."""
     fewest, most = routine.bags
     fit = [n for n in range(fewest, most + 1) if lengths in routine.lengths(n)]
     if not fit:
-        raise WrongCountError(routine.name, LENGTHS, lengths, any_of(routine.lengths(fewest)))
+        raise _wrong_count(routine, LENGTHS, lengths, routine.lengths(fewest))
     return fit[0], fit[-1]
+
+
+def _wrong_count(routine: Routine, items: str, count: int, valid: Sequence[int]) -> InputError:
+    needed = (f'{valid[0]} to {valid[-1]}' if len(valid) > 3 else
+              ' or '.join(map(str, sorted(valid))))
+    return InputError(f'{routine.name} needs {needed} {items}, and got {count}')
 
 
 def _quantities(routine: Routine, result: FixedFit, nominals: tuple[float | None, ...], bags: int
