@@ -196,11 +196,10 @@ class TimeOffset:
 
 @dataclass(frozen=True)
 class Reject:
-    """A sample that was not used, and why; flipped: as in Sample."""
+    """A sample that was not used, and why."""
 
     stamp: int
     reason: str
-    flipped: tuple[Feature, ...] = ()
 
 
 @dataclass(frozen=True)

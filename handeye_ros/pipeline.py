@@ -10,8 +10,8 @@ from dataclasses import replace
 
 from handeye_ros import targets
 from handeye_ros.checks.consistency import require_answer, require_own_frame, require_solvable
-from handeye_ros.checks.conventions import require_agreement
-from handeye_ros.checks.errors import CountedWrongWayError, LeftOutError, TooUncertainError
+from handeye_ros.checks.conventions import Flipped, require_agreement
+from handeye_ros.checks.errors import LeftOutError, TooUncertainError
 from handeye_ros.checks.review import stop_snapshots
 from handeye_ros.checks.settings import require_same_clock, require_settings
 from handeye_ros.checks.shape import (
@@ -74,7 +74,7 @@ def solve_session(session: Session, config: Config, solver: Solver | None = None
     try:
         return (solver or solve)(session.samples, session.rejects, config, session.frame_id)
     except DataError as error:
-        if not isinstance(error, NamedCauseError) or isinstance(error, CountedWrongWayError):
+        if not isinstance(error, NamedCauseError):
             require_settings(session, config)
         if not isinstance(error, NamedCauseError) or isinstance(error, TooUncertainError):
             require_same_clock(session, config)
@@ -194,13 +194,14 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     return agreed
 
 
-def flipped(ordered: Sequence[Sample], problem: Problem) -> Problem | None:
+def flipped(ordered: Sequence[Sample], problem: Problem) -> Flipped | None:
     """Return the problem with the opposite profile.range_sign, None with too few samples."""
     config = flipped_range(problem.config)
     others, _ = consistent_edges([replace(s, features=s.flipped) for s in ordered if s.flipped])
     if len(others) < problem.method.minimum:
         return None
-    return _at_stops(others, config)
+    number = {sample.stamp: k for k, sample in enumerate(ordered)}
+    return _at_stops(others, config), np.array([number[sample.stamp] for sample in others])
 
 
 def at_stops(samples: Sequence[Sample], config: Config) -> tuple[Sequence[Sample], Problem]:

@@ -1,51 +1,68 @@
 """
-The same samples under one changed assumption, and the evidence for it.
+The same stops under one changed assumption, and the evidence for it.
 
-profile.range_sign is also tested without a solution. A face ends where the surface turns away from
-the sensor or drops. With the wrong sign, a corner that turns away appears in front of the face, so
-no edge is found.
+Every explanation is scored over the same stops by a measure that all share: the left-out residual
+of each stop, which pays for unknowns by itself (Geisser and Eddy 1979, JASA 74:153). With q_i the
+mean squared left-out residual of stop i, v the mean of those explained (at least 0.01) and m
+conditions a stop, the deviance of an explanation is, (13),
 
-Two explanations are compared by twice the logarithm of the Bayes factor, as the Schwarz criterion
-approximates it (Schwarz 1978, Ann. Statist. 6:461; Kass and Raftery 1995, J. Am. Stat. Assoc.
-90:773). With m conditions, u unknowns, f = m - u and the variance factor s, an explanation has the
-deviance, (13),
+    m sum_i min(log v + q_i / v, log 64 + 1)
 
-    f (log v + s / v) + u log m + sum of the limits of what it leaves out,    v = max(s, 0.01)
-
-Each dropped station adds the limit from which a station is an outlier, a quantile of chi-squared.
-Each used station with edges that are not used adds this limit for 1 degree of freedom.
+A stop that an explanation leaves out, or whose edge it leaves out, counts as one that is off by 8
+sigma. A difference of 23 is odds of 10^5 (Kass and Raftery 1995, J. Am. Stat. Assoc. 90:773).
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
+import math
 
-from handeye_ros.checks.errors import CountedWrongWayError
-from handeye_ros.config import Config
-from handeye_ros.data import EdgePoint, Feature, Reject, Sample
-from handeye_ros.errors import DataError
+from handeye_ros.data import Array
+from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.outliers import chi2_isf, FALSE_ALARM
 from handeye_ros.estimation.search import CONVINCING
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.solution import Solution, station_statistic
 import numpy as np
+from numpy.typing import NDArray
 
 RARE = 1e-5  # probability of naming a wrong cause
 # Twice the log of a Bayes factor: very strong by Kass and Raftery; odds of 1 to RARE.
-VERY_STRONG, DECISIVE = 10.0, -2 * float(np.log(RARE))
+VERY_STRONG, DECISIVE = 10.0, -2 * math.log(RARE)
 LARGEST_DROPPED_SHARE = 0.34  # largest share of the stations that an explanation may leave out
+GROSS, FLOOR = 64.0, 0.01  # variance factors: of a stop that is not explained, the least
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The consensus under an explanation: of all stations, or of parts of a recording."""
+    """
+    What an explanation makes of some stops: one consensus, or those of two parts of them.
+
+    stops: for each part the numbers of its stations among the `total` stops that are compared.
+    beside: (total,) stops of which the explanation leaves out what others show, False by default.
+    """
 
     parts: tuple[Consensus, ...]
+    stops: tuple[NDArray[np.intp], ...]
+    total: int
+    beside: NDArray[np.bool_] | bool = False
 
     @classmethod
-    def of(cls, problem: Problem, all_starts: bool = False) -> Fit | None:
-        """Return the fit of a problem, None without one; all_starts: not only the first two."""
+    def of_all(cls, consensus: Consensus) -> Fit:
+        """Return the fit whose stations are all the stops."""
+        n = len(consensus.whole.poses)
+        return cls((consensus,), (np.arange(n),), n)
+
+    @classmethod
+    def of(cls, problem: Problem, stops: NDArray[np.intp] | None = None, total: int = 0,
+           all_starts: bool = False) -> Fit | None:
+        """
+        Return the fit of a problem, None without one.
+
+        stops, total: see Fit, by default the stations of the problem; all_starts: not only the
+        first two.
+        """
         consensus: Consensus | None
         if all_starts:
             try:
@@ -54,7 +71,9 @@ class Fit:
                 consensus = None
         else:
             consensus = Consensus.of_first_guesses(problem)
-        return cls((consensus,)) if consensus else None
+        if consensus is None:
+            return None
+        return cls.of_all(consensus) if stops is None else cls((consensus,), (stops,), total)
 
     @property
     def solution(self) -> Solution:
@@ -69,34 +88,49 @@ class Fit:
 
     @property
     def believable(self) -> bool:
-        """Return whether nearly all stations fit, about as well as configured noise predicts."""
-        return self.variance_factor < CONVINCING and all(
+        """Return whether most stops fit, about as well as the configured noise predicts."""
+        missing = 1 - np.isfinite(self.squares).mean()
+        return bool(self.variance_factor < CONVINCING and missing < LARGEST_DROPPED_SHARE and all(
             part.unused_share < LARGEST_DROPPED_SHARE and part.solution.degrees_of_freedom > 0
-            for part in self.parts)
+            for part in self.parts))
+
+    @cached_property
+    def squares(self) -> Array:
+        """Return q of (13), (total,); inf for a stop that is not explained."""
+        q = np.full(self.total, np.inf)
+        for part, stops in zip(self.parts, self.stops, strict=True):
+            statistic, count = station_statistic(part.solution)
+            q[stops[part.used]] = statistic / np.maximum(count, 1)
+            q[stops[part.unused]] = np.inf
+        return np.where(self.beside, np.inf, q)
 
     @property
-    def deviance(self) -> float:
-        """Return -2 log of the marginal likelihood, (13); inf without parts."""
-        if not self.parts:
-            return np.inf
-        n = sum(len(part.whole.poses) for part in self.parts)
-        f = max(sum(part.solution.degrees_of_freedom for part in self.parts), 1)
-        u = sum(part.solution.unknowns for part in self.parts)
-        m = max(sum(len(part.solution.white) for part in self.parts), 2)
-        v = max(self.variance_factor, 0.01)  # simulated samples may have no error
-        return f * (float(np.log(v)) + self.variance_factor / v) + u * float(np.log(m)) + sum(
-            _left_out(part, n) for part in self.parts)
+    def conditions(self) -> int:
+        """Return the typical number of independent conditions of a stop."""
+        return max(int(np.median(np.concatenate([p.solution.ranks for p in self.parts]))), 1)
 
-    def evidence_against(self, stated: Fit) -> float:
-        """Return twice the log Bayes factor for this fit against the stated one."""
-        return stated.deviance - self.deviance
+    def evidence_against(self, stated: Fit | None) -> float:
+        """Return twice the log of the odds for this fit against the stated one (None: no fit)."""
+        m = min(self.conditions, stated.conditions) if stated else self.conditions
+        before = stated.squares if stated else np.full(self.total, np.inf)
+        return deviance(before, m) - deviance(self.squares, m)
+
+    def compared(self, stated: Fit | None, change: str) -> str:
+        """Return in words what fits as set, and what with a change."""
+        before = stated._words if stated else 'no stop fits'
+        return f'as set, {before}; with {change}, {self._words}'
+
+    @property
+    def _words(self) -> str:
+        rms = math.sqrt(np.mean([part.solution.residual_rms ** 2 for part in self.parts]))
+        return f'{np.isfinite(self.squares).sum()} of {self.total} stops fit ({mm(rms)} RMS)'
 
 
-def _left_out(part: Consensus, stations: int) -> float:
-    """Return the deviance of the stations and edges that a part does not use."""
-    rank = max(int(np.median(part.solution.ranks)), 1)
-    limit, of_edge = chi2_isf(FALSE_ALARM / stations, np.array([rank, 1])).tolist()
-    return float(limit * len(part.dropped) + of_edge * len(part.unused))
+def deviance(q: Array, conditions: int) -> float:
+    """Return the deviance of an explanation, (13); q: (n,) of its stops, inf: not explained."""
+    good = np.isfinite(q)
+    v = float(np.clip(q[good].mean() if good.any() else GROSS, FLOOR, GROSS))
+    return float(conditions * np.minimum(math.log(v) + q / v, math.log(GROSS) + 1).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +138,7 @@ class Hypothesis:
     """
     One changed assumption.
 
-    refit(): the fit of the same samples with this change, None without a fit; refusal(fit): the
+    refit(): the fit of the same stops with this change, None without a fit; refusal(fit): the
     error that names this change.
     """
 
@@ -112,81 +146,15 @@ class Hypothesis:
     refusal: Callable[[Fit], DataError]
 
 
-def require_stated(stated: Fit, hypotheses: Iterable[Hypothesis], level: float = DECISIVE
+def require_stated(stated: Fit | None, hypotheses: Iterable[Hypothesis], level: float = DECISIVE
                    ) -> None:
     """
-    Raise where one changed assumption explains the samples better than the stated ones.
+    Raise where one changed assumption explains the stops better than the stated ones.
 
-    Raises the refusal of the best one. level: 2 log Bayes factor that it has to exceed.
+    Raises the refusal of the best one. level: the evidence that it has to exceed.
     """
-    fits = [(one, fit) for one in hypotheses if (fit := one.refit()) and fit.believable
-            and fit.evidence_against(stated) > level]
-    if fits:
-        best, fit = min(fits, key=lambda pair: pair[1].deviance)
+    fits = [(fit.evidence_against(stated), one, fit) for one in hypotheses
+            if (fit := one.refit()) and fit.believable]
+    gain, best, fit = max(fits, key=lambda found: found[0], default=(-math.inf, None, None))
+    if best and fit and gain > level:
         raise best.refusal(fit)
-
-
-def require_range_sign(stations: Sequence[Sample | Reject], config: Config) -> None:
-    """Raise CountedWrongWayError where the profiles alone contradict profile.range_sign."""
-    hint = range_sign_evidence(stations).hint(config)
-    if hint:
-        raise CountedWrongWayError(hint)
-
-
-EDGES = ('roof', 'step', 'shadow', 'gap')
-TURNED_EDGES = ('roof', 'step', 'shadow')  # that depend on the sign of the range
-
-
-@dataclass(frozen=True)
-class RangeSignEvidence:
-    """
-    The number of stations that show an edge, by the sign of the range.
-
-    as_set: with profile.range_sign; flipped: with the other sign; both: with either; total: of
-    all stations.
-    """
-
-    as_set: int
-    flipped: int
-    both: int
-    total: int
-
-    @property
-    def against(self) -> bool:
-        """
-        Return whether the stations contradict profile.range_sign (a sign test at 0.01).
-
-        False if over half show an edge as set, or under 0.8 of all show one with the other sign.
-        """
-        if not self.total or self.as_set > 0.5 * self.total:
-            return False
-        only_as_set, only_flipped = self.as_set - self.both, self.flipped - self.both
-        return (self.flipped >= 0.8 * self.total
-                and 2.0 ** -(only_flipped - 4 * only_as_set) < 0.01)
-
-    def hint(self, config: Config) -> str:
-        """Return the sentence added to a refusal, empty without a contradiction."""
-        if not self.against:
-            return ''
-        sign = config.profile.range_sign
-        return (f'with profile.range_sign {sign}, {self.as_set} of {self.total} stations show an '
-                f'edge; counted the other way {self.flipped} of {self.total} do: set '
-                f'profile.range_sign to {-sign} (or, if it is right, remove what is higher '
-                'beside the target)')
-
-
-def range_sign_evidence(stations: Iterable[Sample | Reject]) -> RangeSignEvidence:
-    """
-    Return the evidence on profile.range_sign from all stations, also those without a sample.
-
-    The caller removes ends of faces at the border of the field of view. For targets without edges
-    `against` is False.
-    """
-    seen = [(isinstance(s, Sample) and _has_edge(s.features, EDGES),
-             _has_edge(s.flipped, TURNED_EDGES)) for s in stations]
-    return RangeSignEvidence(sum(a for a, _ in seen), sum(b for _, b in seen),
-                             sum(a and b for a, b in seen), len(seen))
-
-
-def _has_edge(features: Iterable[Feature], kinds: Sequence[str]) -> bool:
-    return any(isinstance(f, EdgePoint) and f.kind in kinds for f in features)

@@ -51,7 +51,7 @@ def require_unmoved(problem: Problem, agreed: Consensus) -> None:
         return
     stations = np.unique(np.linspace(fewest, n - fewest, 15).round().astype(int))
     level = DECISIVE + 2 * float(np.log(len(stations)))
-    require_stated(Fit((agreed,)), [_parted(problem, k) for k in stations.tolist()], level)
+    require_stated(Fit.of_all(agreed), [_parted(problem, k) for k in stations.tolist()], level)
 
 
 def _parted(problem: Problem, k: int) -> Hypothesis:
@@ -61,7 +61,9 @@ def _parted(problem: Problem, k: int) -> Hypothesis:
     def refit() -> Fit | None:
         first = Consensus.of_first_guesses(problem.subset(every[:k]))
         rest = Consensus.of_first_guesses(problem.subset(every[k:])) if first else None
-        return Fit((first, rest)) if first and rest else None
+        if first is None or rest is None:
+            return None
+        return Fit((first, rest), (every[:k], every[k:]), len(every))
     return Hypothesis(refit, partial(_refusal, problem, k))
 
 

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from handeye_ros.checks.alternatives import LARGEST_DROPPED_SHARE, require_range_sign
+from handeye_ros.checks.alternatives import LARGEST_DROPPED_SHARE
 from handeye_ros.checks.change_point import moved_slightly, require_unmoved
 from handeye_ros.checks.errors import (
     ContradictingStationsError,
@@ -45,11 +45,10 @@ MISFITTING = 9.0  # variance factor (3 sigma) above which other causes than nois
 def require_solvable(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
                      method: Method) -> None:
     """
-    Raise for samples without an answer: range sign, number of samples, rotations.
+    Raise for samples without an answer: number of samples, rotations.
 
-    Raises CountedWrongWayError, TooFewSamplesError, OneOrientationError and OneAxisError.
+    Raises TooFewSamplesError, OneOrientationError and OneAxisError.
     """
-    require_range_sign([*samples, *rejects], config)
     _require_samples(samples, rejects, method)
     require_rotations(mounted(samples, config), mount_frame(config), method.measures.one_axis)
 

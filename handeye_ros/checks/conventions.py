@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.checks.alternatives import (
@@ -35,54 +36,64 @@ SIGN_TRIED = 0.6  # variance factor, with lumped blocks, above which the other r
 INVERSE = 'inverse poses'
 
 
-def require_agreement(problem: Problem, agreed: Consensus, flipped: Problem | None) -> None:
+Flipped: TypeAlias = tuple[Problem, NDArray[np.intp]]
+"""The problem with the opposite profile.range_sign, and the numbers of its stops."""
+
+
+def require_agreement(problem: Problem, agreed: Consensus, flipped: Flipped | None) -> None:
     """Raise for an answer that samples or poses contradict; name a convention that explains it."""
     require_conventions(problem, agreed, flipped)
     require_consistent(problem, agreed)
 
 
-def require_conventions(problem: Problem, agreed: Consensus, flipped: Problem | None) -> None:
+def require_conventions(problem: Problem, agreed: Consensus, flipped: Flipped | None) -> None:
     """
     Raise where an error of conventions explains the samples better.
 
-    flipped: the problem with the opposite profile.range_sign, None with too few samples.
-
-    Raises RangeSignError, CalibrationTypeError, ConventionError or ScatteredOrientationsError.
+    flipped: None with too few samples of the opposite sign. Raises RangeSignError,
+    CalibrationTypeError, ConventionError or ScatteredOrientationsError.
     """
-    misfit = misfit_of(problem, agreed)
+    misfit, stated = misfit_of(problem, agreed), Fit.of_all(agreed)
     if flipped and (misfit.variance_factor > SIGN_TRIED or misfit.hopeless or agreed.unused_share):
-        require_stated(Fit((agreed,)), [_other_sign(flipped, misfit.rms)])
+        require_stated(stated, [_other_sign(*flipped, stated)])
     if not misfit.hopeless and misfit.variance_factor < MISFITTING:
         return
-    require_stated(Fit((agreed,)), [
-        _undone(problem, name, undo, misfit.rms) for name, change in CONVENTION_ERRORS.items()
+    require_stated(stated, [
+        _undone(problem, name, undo, stated) for name, change in CONVENTION_ERRORS.items()
         for undo in (change.undo, change.other) if undo])
     if misfit.hopeless and orientations_scatter(problem.poses):
         raise ScatteredOrientationsError(misfit.rms)
 
 
-def _other_sign(flipped: Problem, before: float) -> Hypothesis:
+def _other_sign(flipped: Problem, stops: NDArray[np.intp], stated: Fit) -> Hypothesis:
     """Return the hypothesis of the opposite range sign."""
+    change = f'profile.range_sign {flipped.config.profile.range_sign}'
+
     def refusal(fit: Fit) -> DataError:
-        return RangeSignError(flipped.config.profile.range_sign, before,
-                              fit.solution.residual_rms)
-    return Hypothesis(partial(Fit.of, flipped), refusal)
+        return RangeSignError(f'{fit.compared(stated, change)}: set it')
+    return Hypothesis(partial(Fit.of, flipped, stops, stated.total), refusal)
 
 
-def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], before: float
+def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], stated: Fit
             ) -> Hypothesis:
     """Return the hypothesis that the poses contain an error; undo removes it."""
     on_base = problem.config.calibration_type == 'eye_on_base'
     poses = se3.inverse(undo(se3.inverse(problem.poses))) if on_base else undo(problem.poses)
 
     def refusal(fit: Fit) -> DataError:
-        after, advice = fit.solution.residual_rms, CONVENTION_ERRORS[name].advice
+        advice = CONVENTION_ERRORS[name].advice
         if name == INVERSE:
             other = 'eye_in_hand' if on_base else 'eye_on_base'
             if _mounted_on_base(fit.parts[0]) != on_base:
-                return CalibrationTypeError(other, before, after)
+                where, on = (('on the flange', 'base') if on_base else
+                             ('beside the robot', 'flange'))
+                return CalibrationTypeError(
+                    f'{fit.compared(stated, f"calibration_type {other}")}: set it if the sensor '
+                    f'is fixed {where} and the target in the frame of the {on}; otherwise the '
+                    'poses are published inverted')
             advice += f'; or set calibration_type to {other}, if the sensor is mounted so'
-        return ConventionError(name, before, after, advice)
+        return ConventionError(f'the poses contradict the samples: '
+                               f'{fit.compared(stated, f"{name} undone")}; {advice}')
     return Hypothesis(partial(Fit.of, replace(problem, poses=poses)), refusal)
 
 

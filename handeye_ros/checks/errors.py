@@ -170,29 +170,13 @@ class ScatterError(DataError):
 class RangeSignError(NamedCauseError):
     """A wrong profile.range_sign, as the fit shows."""
 
-    def __init__(self, sign: int, before: float, after: float) -> None:
-        super().__init__(f'the samples do not fit, but with profile.range_sign {sign} the '
-                         f'residual falls from {mm(before)} to {mm(after)}: set it so')
-
-
-class CountedWrongWayError(NamedCauseError):
-    """A wrong profile.range_sign, as the profiles alone show."""
-
-    def __init__(self, hint: str) -> None:
-        super().__init__(f'the profiles do not show the target as set: {hint}; or target.type, '
-                         'if it is another')
-
 
 class CalibrationTypeError(NamedCauseError):
     """A sensor mounted elsewhere than calibration_type states."""
 
-    def __init__(self, other: str, before: float, after: float) -> None:
-        where, on = ('beside the robot', 'flange') if other == 'eye_on_base' else (
-            'on the flange', 'base')
-        super().__init__(f'the samples do not fit, but with calibration_type {other} the residual '
-                         f'falls from {mm(before)} to {mm(after)}: set it so if the sensor is '
-                         f'fixed {where} and the target in the frame of the {on}; otherwise '
-                         'the poses are published inverted')
+
+class ConventionError(NamedCauseError):
+    """A wrong pose convention that was recognised."""
 
 
 class ScaleError(DataError):
@@ -216,14 +200,6 @@ class LeftOutError(DataError):
         super().__init__(f'samples differ by {mm(left_out)} RMS from what the others predict '
                          f'(limits.residual is {mm(limit)}), and by {mm(residual)} from the '
                          f'answer: {why}')
-
-
-class ConventionError(NamedCauseError):
-    """A wrong pose convention that was recognised."""
-
-    def __init__(self, error: str, before: float, after: float, advice: str) -> None:
-        super().__init__(f'the poses do not fit, but with {error} the residual falls from '
-                         f'{mm(before)} to {mm(after)}: {advice}')
 
 
 class ContradictingStationsError(DataError):

@@ -2,9 +2,8 @@
 Tests whether other settings or another time offset explain a recording without an answer.
 
 Each hypothesis changes one setting, or two that belong together, and reads the same profiles of
-the same stops again. The data then differ, so likelihoods cannot be compared. A hypothesis is
-accepted if most stops give samples and nearly all of these fit about as well as the configured
-noise allows. Of several, the one with the largest redundancy is reported.
+the same stops again. It is named if most stops fit about as well as the configured noise allows,
+and clearly more of them, or clearly better, than as it is set (alternatives.py).
 
 Clocks differ if, at stop after stop, the profiles come to rest or leave it later than the poses,
 and the samples fit the poses of that other time.
@@ -18,10 +17,10 @@ from itertools import permutations
 import math
 
 from handeye_ros import se3, targets
-from handeye_ros.checks.alternatives import Fit, Hypothesis, range_sign_evidence, require_stated
+from handeye_ros.checks.alternatives import Fit, Hypothesis, RARE, require_stated
 from handeye_ros.config import Config, with_assignments
-from handeye_ros.data import Array, Profile, Reject, Sample
-from handeye_ros.errors import DataError, FeatureError, mm, NamedCauseError, UnusableMessageError
+from handeye_ros.data import Array, EdgePoint, Profile, Reject, Sample
+from handeye_ros.errors import DataError, FeatureError, NamedCauseError, UnusableMessageError
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.frames import mounted
 from handeye_ros.sampling import station_features
@@ -35,11 +34,7 @@ from handeye_ros.sampling.stream import interpolate
 import numpy as np
 
 MOST_STOPS, MOST_PROFILES = 40, 4  # stops read again, profiles of each
-LEAST_SHARE = 0.7  # smallest share of the stops that fit
 FEWEST_CONDITIONS = 6  # smallest redundancy of a hypothesis
-# If the stated setting fits too: smallest ratio of redundancy (also with the sign to without it),
-# largest of variance factors.
-MORE, WORSE = 1.5, 2.0
 SIGN = 'profile.range_sign'
 LAG = NS // 20  # ns between two profiles that are compared
 STILL_SHARE = 0.1  # smallest share of the comparisons with a robot at rest
@@ -50,48 +45,37 @@ SMALLEST = 0.05  # s: a smaller time offset is not visible at stops
 class WrongSettingError(NamedCauseError):
     """Settings without an answer, where other settings give one."""
 
-    def __init__(self, values: dict[str, str], used: int, stops: int, residual: float) -> None:
-        to = ' and '.join(f'{key} to {value}' for key, value in values.items())
-        if values == {'target.type': 'plane'}:
-            to += '; or, if the target has edges, cross them inside the field of view'
-        super().__init__(f'the recording does not fit as it is set, but with another setting '
-                         f'{used} of {stops} stops agree within {mm(residual)} RMS: set {to}')
-
 
 def require_settings(session: Session, config: Config) -> None:
-    """Raise WrongSettingError where other settings explain the stops of a session."""
+    """Raise WrongSettingError where other settings explain the stops of a session better."""
     if config.sampling.moving:  # a pass: many profiles with their own poses
         return
-    kept = [outcome.stop for outcome in session.outcomes if not outcome.refused]
+    kept = [outcome.stop for outcome in session.outcomes if not outcome.refused
+            and not session.excludes(outcome)]
     stops = [_thinned(stop, config) for stop in kept[:MOST_STOPS]]
-    stated = _fit(stops, config, all_starts=True)  # as a solve starts
-    least, most = float(FEWEST_CONDITIONS), math.inf
-    if stated and stated.believable:
-        least = MORE * stated.solution.redundancy
-        most = WORSE * max(stated.variance_factor, 1.0)
-    better: list[tuple[int, DataError]] = []
-    for values in _changes(config):
-        fit = _explanation(stops, config, values, most)
-        if fit and fit.solution.redundancy >= least:
-            # the sign of the range is often free, and then no part of the cause
-            without = {key: value for key, value in values.items() if key != SIGN}
-            if without and len(without) < len(values):
-                simpler = _explanation(stops, config, without, most, all_starts=True)
-                if simpler and fit.solution.redundancy < MORE * simpler.solution.redundancy:
-                    fit, values = simpler, without
-            better.append((fit.solution.redundancy, WrongSettingError(
-                values, len(fit.parts[0].used), len(stops), fit.solution.residual_rms)))
-    if better:
-        raise max(better, key=lambda one: one[0])[1]
-
-
-def _explanation(stops: Sequence[Stop], config: Config, values: dict[str, str], most: float,
-                 all_starts: bool = False) -> Fit | None:
-    """Return the fit of stops with other values of settings, or None; most: variance factor."""
-    fit = _fit(stops, _changed(config, values), all_starts)
-    if not fit or not fit.believable or fit.variance_factor >= most:
-        return None
-    return fit if len(fit.parts[0].used) >= LEAST_SHARE * len(stops) else None
+    results = [result_of(stop, config) for stop in stops]
+    edges = np.array([any(isinstance(f, EdgePoint) for f in getattr(result, 'features', ()))
+                      for result in results], dtype=bool)
+    stated = fit_of(results, config, all_starts=True)  # as a solve starts
+    changes = list(_changes(config))
+    best, most = '', 0.0
+    for values in changes:
+        changed = _changed(config, values)
+        fit = fit_of([result_of(stop, changed) for stop in stops], changed)
+        if fit and changed.target.type == 'plane':  # it explains no edge that is seen as it is set
+            fit = replace(fit, beside=edges)
+        if not fit or not fit.believable or fit.solution.redundancy < FEWEST_CONDITIONS:
+            continue
+        level = 2 * len(values) * math.log(len(changes) / RARE)
+        gain = fit.evidence_against(stated) - level
+        if gain > most:
+            to = ' and '.join(f'{key} to {value}' for key, value in values.items())
+            if values == {'target.type': 'plane'}:
+                to += '; or, if the target has edges, cross them inside the field of view'
+            named = ' and '.join(f'{key} {value}' for key, value in values.items())
+            best, most = f'{fit.compared(stated, named)}: set {to}', gain
+    if best:
+        raise WrongSettingError(best)
 
 
 def _changes(config: Config) -> Iterator[dict[str, str]]:
@@ -114,22 +98,21 @@ def _changed(config: Config, values: dict[str, str]) -> Config:
     return with_assignments(config, [f'{key}={value}' for key, value in values.items()])
 
 
-def _fit(stops: Sequence[Stop], config: Config, all_starts: bool = False) -> Fit | None:
-    """Return the fit of stops under a configuration, or None; see Fit.of."""
-    results: list[Sample | Reject] = [result_of(stop, config) for stop in stops]
-    if range_sign_evidence(results).against:
-        return None
-    return fit_of([one for one in results if isinstance(one, Sample)], config, all_starts)
+def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts: bool = False
+           ) -> Fit | None:
+    """
+    Return the fit of what stops gave, None if the samples are too few or do not fit.
 
-
-def fit_of(samples: Sequence[Sample], config: Config, all_starts: bool = False) -> Fit | None:
-    """Return the fit of samples, None if they are too few or do not fit; see Fit.of."""
+    results: of each of the stops that are compared; all_starts: see Fit.of.
+    """
     method = targets.method_for(config)
-    ordered, _ = consistent_edges(samples)
+    number = {r.stamp: k for k, r in enumerate(results) if isinstance(r, Sample)}
+    ordered, _ = consistent_edges([r for r in results if isinstance(r, Sample)])
     if len(ordered) < method.minimum:
         return None
-    observations = method.features.observe(ordered)
-    return Fit.of(Problem(method, mounted(ordered, config), observations, config), all_starts)
+    problem = Problem(method, mounted(ordered, config), method.features.observe(ordered), config)
+    stops = np.array([number[sample.stamp] for sample in ordered])
+    return Fit.of(problem, stops, len(results), all_starts)
 
 
 def _thinned(stop: Stop, config: Config) -> Stop:
@@ -160,16 +143,17 @@ class _Still:
 
 def require_same_clock(session: Session, config: Config) -> None:
     """Raise ClocksDifferError where the samples fit poses of another time better."""
-    seen = [part for outcome in session.outcomes if not outcome.refused
-            and (part := _profiles(outcome.stop, config))]
+    found = [(outcome, part) for outcome in session.outcomes if not outcome.refused
+             and not session.excludes(outcome) and (part := _profiles(outcome.stop, config))]
+    seen = [part for _, part in found]
     if len(seen) < targets.method_for(config).minimum:
         return
     changes = np.concatenate([[], *(_differences(profiles) for profiles, *_ in seen)])
     rest = float(np.quantile(changes, STILL_SHARE)) if len(changes) else 0.0
     limit = max(MOVING * rest, SMALLEST_CHANGE)
     stills = [_still(*part, limit, config) for part in seen]
-    stated = fit_of(session.samples, config)
-    require_stated(stated or Fit(()), [_late(stills, behind, config) for behind in (0, 1, -1)
+    stated = fit_of([outcome.sample for outcome, _ in found], config)
+    require_stated(stated, [_late(stills, behind, config) for behind in (0, 1, -1)
                                        if abs(_offset(stills, behind)) > SMALLEST])
 
 
@@ -247,8 +231,10 @@ def _pairs(stills: Sequence[_Still], behind: int) -> list[tuple[_Still, _Still]]
 def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
     """Return the hypothesis that profiles belong a given number of stops earlier."""
     def refit() -> Fit | None:
-        fit = fit_of([replace(still.sample, T_base_flange=stop.pose)
-                      for still, stop in _pairs(stills, behind) if still.sample], config)
+        poses = {id(still): stop.pose for still, stop in _pairs(stills, behind)}
+        fit = fit_of([replace(still.sample, T_base_flange=poses[id(still)])
+                      if still.sample and id(still) in poses else None for still in stills],
+                     config)
         return fit if fit and fit.solution.redundancy >= FEWEST_CONDITIONS else None
 
     def refusal(fit: Fit) -> DataError:

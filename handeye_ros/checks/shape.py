@@ -63,9 +63,9 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
     if abs(other.solution.estimate.target[-1] - stated) > 0.5 * stated:
         return agreed  # another target
     # if a free shape explains more stations, the refinement can decide about the shape
-    fit = Fit((other,))
+    fit, stated_fit = Fit.of_all(other), Fit.of_all(agreed)
     complete = fit.believable and other.explained - agreed.explained > 0.1 * len(problem.poses)
-    return other if complete or fit.evidence_against(Fit((agreed,))) > VERY_STRONG else agreed
+    return other if complete or fit.evidence_against(stated_fit) > VERY_STRONG else agreed
 
 
 def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:

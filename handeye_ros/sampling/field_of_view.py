@@ -37,7 +37,7 @@ def without_border_ends(samples: Sequence[Sample]) -> tuple[list[Sample], list[R
             kept.append(replace(sample, features=features))
         elif at_border:
             rejects.append(Reject(sample.stamp, 'the face ends only at the border of the field '
-                                  'of view', sample.flipped))
+                                  'of view'))
         else:
             kept.append(sample)
     return kept, rejects

@@ -187,8 +187,7 @@ def result_of(stop: Stop, config: Config) -> Sample | Reject:
             return pass_sample(seen.poses, seen.profiles, config)
         return _sample(seen, profiles, config)
     except (FeatureError, NoProfilesError) as error:
-        flipped = flipped_features(profiles[0], config) if profiles else ()
-        return Reject(seen.poses[0].stamp, str(error), flipped)
+        return Reject(seen.poses[0].stamp, str(error))
 
 
 def judged(outcome: Outcome, config: Config) -> Outcome:

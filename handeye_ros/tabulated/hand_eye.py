@@ -9,7 +9,7 @@ from handeye_ros import se3
 from handeye_ros.checks.errors import ConventionError
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.errors import DataError
+from handeye_ros.errors import DataError, mm
 from handeye_ros.frames import mount_frame
 from handeye_ros.results.calibration_file import input_values, transform_values
 from handeye_ros.tabulated import hand_eye_estimate
@@ -95,7 +95,8 @@ def _name_convention_error(data: Views, config: Config) -> None:
         except DataError:
             continue
         if after < CLEAR * before:
-            raise ConventionError(name, before, after, advice)
+            raise ConventionError(f'the poses do not fit, but with {name} the residual falls from '
+                                  f'{mm(before)} to {mm(after)}: {advice}')
 
 
 def _misfit(T: Array, T_camera_target: Array) -> float:
