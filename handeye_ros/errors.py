@@ -129,6 +129,13 @@ class BagError(InputError):
         super().__init__(f'{path}: {reason}')
 
 
+class SessionError(InputError):
+    """A folder that is not a session, or one that cannot be continued."""
+
+    def __init__(self, path: object, reason: str) -> None:
+        super().__init__(f'{path} {reason}')
+
+
 class UnwritableError(InputError):
     """A file or folder that cannot be written."""
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 from command import assert_refused, handeye, PLATE
 from handeye_ros import simulate
-from handeye_ros.bags import bag_write, storage
+from handeye_ros.bags import bag_write
 from handeye_ros.results.calibration_file import read_calibration
 import numpy as np
 import pytest
-from recordings import rewrite
+from recordings import rewrite, scan
 
 pytestmark = pytest.mark.once
 
@@ -127,7 +127,7 @@ def test_quaternions_of_no_length(tmp_path, solve):
 
 
 def test_time_going_backwards(good, tmp_path, solve):
-    messages = storage.scan(good).messages
+    _, messages = scan(good)
     duration = messages[-1].log_time - messages[0].log_time + 1_000_000_000
     again = [m._replace(log_time=m.log_time + duration) for m in messages]
     looped = rewrite(good, tmp_path / 'looped.mcap', messages + again)

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from itertools import chain
 from pathlib import Path
 import shutil
@@ -9,14 +10,13 @@ import tempfile
 from typing import Any
 
 from handeye_ros import se3
-from handeye_ros.bags.contents import CLOUD, full_name, JOINTS, POSE, STRING
-from handeye_ros.bags.messages import DATATYPES, to_cdr, typestore, UNITS
+from handeye_ros.bags.messages import DATATYPES, UNITS
+from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, STRING
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.errors import BagError, UnwritableError
 from handeye_ros.results import truth_file
 import numpy as np
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 OURS = ('metadata.yaml', 'truth.yaml')  # a folder with one of these may be replaced
 PATH, POSE_ARRAY = 'nav_msgs/msg/Path', 'geometry_msgs/msg/PoseArray'
@@ -71,6 +71,7 @@ def _write_messages(path: Path, profiles: Iterable[Profile], poses: Iterable[Tim
 def _write_bag(path: Path, kinds: Mapping[str, str], messages: Iterable[tuple[str, int, bytes]],
                compressed: bool) -> None:
     """Write messages (topic, stamp, data); kinds: the types of the topics."""
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
     writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
     if compressed:
         writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -79,6 +80,18 @@ def _write_bag(path: Path, kinds: Mapping[str, str], messages: Iterable[tuple[st
                        for topic, kind in kinds.items()}
         for topic, stamp, data in messages:
             writer.write(connections[topic], stamp, data)
+
+
+@cache
+def typestore() -> Any:
+    """Return the message types of ROS 2 Jazzy; the import is slow."""
+    from rosbags.typesys import get_typestore, Stores
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def to_cdr(message: Any) -> bytes:
+    """Return a serialised message of the typestore."""
+    return bytes(typestore().serialize_cdr(message, message.__msgtype__))
 
 
 def serialised(item: Profile | TimedPose, dtype: np.dtype[Any], unit: str) -> bytes:

@@ -1,142 +1,107 @@
 """
-Converts ROS messages to profiles and poses.
+Converts serialised ROS messages to profiles and poses.
 
-Imports no ROS: the functions take the messages of rclpy as well as those of rosbags. Malformed
-messages of any kind raise MessageError and nothing else.
+Drivers differ. Deviations are corrected where possible; else the message is refused with an
+UnusableMessageError, and nothing else, whose sentence names the setting to change.
+
+The few types are read here: rosbags takes 0.2 s to import them, and twice as long for a message.
 """
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import cache
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache, partial
 import math
+import struct
 import sys
-from typing import Any
+from typing import Any, NamedTuple
 
-from handeye_ros.bags.contents import CLOUD, POSE
-from handeye_ros.bags.points import (
-    has_unit,
-    median_of,
-    ordered_points,
-    require_one_plane,
-    require_unit,
-    returns,
-    valid_columns,
-)
 from handeye_ros.config import ProfileConfig
-from handeye_ros.data import Array, Profile, TimedPose
-from handeye_ros.node.errors import MessageError
+from handeye_ros.data import Array, Profile, RawProfile, TimedPose
+from handeye_ros.errors import UnusableMessageError
+from handeye_ros.sampling.profile_buffer import MOST_BACK
 import numpy as np
 from numpy.typing import NDArray
 
+NS = 1_000_000_000
 # sensor_msgs/PointField: datatype -> numpy
 DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
-
 INTENSITY = 'intensity'  # its field, if the driver publishes it
-
 UNITS = {'m': 1.0, 'mm': 1e-3}
 
 LARGEST_POSITION = 1e6  # m; poses in mm stay below, so that the solver can report the wrong unit
 LENGTH_TOLERANCE = 1e-2  # of a quaternion's length
 
+# No line profiler measures this far (m): a larger coordinate is no return. If most are larger, or
+# with mm all are smaller than NEAR, the unit is wrong.
+FAR = 10.0
+NEAR = 1e-3
+THICK = 2e-3  # m: largest distance of the points of a profile from its plane
+THIN = 0.01  # of the spread across the plane: an axis with less is orthogonal to it
+SURE = 10  # smallest number of returns for a decision on their order
+# fraction of backward steps between returns: at most along the line, at least along the range
+LINE_BACK, RANGE_BACK = 0.05, 0.1
 
-@cache
-def typestore() -> Any:
-    """Return the message types of ROS 2 Jazzy; the import is slow."""
-    from rosbags.typesys import get_typestore, Stores
-    return get_typestore(Stores.ROS2_JAZZY)
+SHARED = 0.5  # smallest common fraction of the line in rows that are profiles
+FEWEST_COLUMNS = 10  # of rows that are compared
+BEFORE = {'first': 0.0, 'middle': 0.5, 'last': 1.0}  # share of a message's time before its stamp
+
+PROBE = 200_000_000  # ns between two profiles whose points are checked
+MOST_SHAPES = 1000  # of messages, that are known to be valid
+OVERHEAD = 600  # bytes of memory for a message, without its data
 
 
-def deserialised(data: bytes, kind: str) -> Any:
-    """Return a deserialised message, its arrays views of the bytes; MessageError."""
+class _Cdr:
+    """Reads the values of a serialised message one after the other, each aligned to its size."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.at, self.order = data, 4, _order(data)
+
+    def numbers(self, code: str, count: int = 1) -> tuple[Any, ...]:
+        """Return some numbers of one type of struct."""
+        size = struct.calcsize(code)
+        self.at += (4 - self.at) % size  # aligned behind the four bytes of the encapsulation
+        values = struct.unpack_from(f'{self.order}{count}{code}', self.data, self.at)
+        self.at += size * count
+        return values
+
+    def count(self, least: int) -> int:
+        """Return the length of a sequence whose items take at least so many bytes."""
+        count, = self.numbers('I')
+        if count * least > len(self.data) - self.at:
+            raise ValueError(f'{count} items of a sequence are not there')
+        return int(count)
+
+    def text(self) -> str:
+        """Return a string."""
+        size = self.count(1)
+        self.at += size
+        return _text(self.data[self.at - size:self.at])
+
+    def header(self) -> tuple[int, str]:
+        """Return stamp and frame of a std_msgs/Header."""
+        seconds, = self.numbers('i')
+        nanoseconds, = self.numbers('I')
+        return seconds * NS + nanoseconds, frame_name(self.text())
+
+
+def _order(data: bytes) -> str:
+    """Return the byte order of a serialised message, as struct writes it."""
+    if bytes(data[:2]) not in (b'\0\0', b'\0\1'):
+        raise ValueError('it is not in CDR')
+    return '<' if data[1] else '>'
+
+
+def _text(data: bytes) -> str:
+    return str(data, 'utf-8').removesuffix('\0')
+
+
+def _read(kind: str, data: bytes, parse: Callable[[_Cdr], Any]) -> Any:
+    """Return what parse makes of a message; damaged bytes cause several kinds of errors in it."""
     try:
-        return typestore().deserialize_cdr(memoryview(data), kind)
-    except Exception as error:  # damaged bytes cause all kinds of errors in the parser
-        raise MessageError(kind.rpartition('/')[2], f'damaged message: {error}') from error
-
-
-def stamp_of(header: Any) -> int:
-    """Return the stamp of a std_msgs/Header in nanoseconds."""
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
-
-
-def to_cdr(message: Any) -> bytes:
-    """Return a serialised message of the typestore."""
-    return bytes(typestore().serialize_cdr(message, message.__msgtype__))
-
-
-def profile_from_cdr(data: bytes, config: ProfileConfig) -> Profile:
-    """Return the profile in a serialised sensor_msgs/PointCloud2; raises MessageError."""
-    return profile_from_cloud(deserialised(data, CLOUD), config)
-
-
-def row_of(cloud: Any, index: int) -> Any:
-    """Return a row of a deserialised cloud as a cloud; raises MessageError."""
-    size = cloud.width * cloud.point_step
-    begin = index * (cloud.row_step or size)
-    if index >= cloud.height or begin + size > len(cloud.data):
-        raise MessageError('PointCloud2', f'damaged message: it has no row {index}')
-    return replace(cloud, height=1, row_step=size, data=cloud.data[begin:begin + size])
-
-
-def profile_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
-    """
-    Return the profile in a sensor_msgs/PointCloud2, in metres, ordered along the line.
-
-    A point with a value that is not finite, or that no sensor can measure, is no return: NaN in
-    both columns. The rows of the message are concatenated. A cloud without points is a profile
-    without returns. Raises MessageError.
-
-    """
-    if int(msg.width) * int(msg.height) == 0:
-        return _empty(msg, config)
-    points, good, valid_points = _points(msg, config)
-    ordered = ordered_points(points, good, valid_points, _plane(config))
-    return replace(_empty(msg, config), points=ordered, beside=median_of(valid_points[:, 2]))
-
-
-def returns_from_cloud(msg: Any, config: ProfileConfig) -> Profile:
-    """
-    Return only the returns of a sensor_msgs/PointCloud2, in message order.
-
-    With the intensity if there is a field of that name. The order along the line, which takes most
-    of the time, is not determined. Raises MessageError.
-
-    """
-    if int(msg.width) * int(msg.height) == 0:
-        return _empty(msg, config)
-    _, good, valid_points = _points(msg, config)
-    intensity = (_column(msg, INTENSITY)[good]
-                 if INTENSITY in {str(field.name) for field in msg.fields} else None)
-    return replace(_empty(msg, config), points=valid_points[:, :2], intensity=intensity)
-
-
-def _empty(msg: Any, config: ProfileConfig) -> Profile:
-    return Profile(stamp_of(msg.header), frame_name(msg.header.frame_id), np.empty((0, 2)),
-                   (config.axes[0], config.axes[1]))
-
-
-def _points(msg: Any, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_], Array]:
-    """
-    Return the points (n, 3) of a cloud in metres, which are returns (n,), and the returns.
-
-    Columns: along the line, range, across the plane. Raises MessageError.
-    """
-    columns = np.stack((_column(msg, config.axes[0]), _ranges(msg, config),
-                        _off_plane(msg, config)))
-    points = (columns * UNITS[config.unit]).T
-    good = returns(points)
-    valid_points = valid_columns(points, good)
-    if not has_unit(points, valid_points):
-        require_unit(points, config.unit)
-    require_one_plane(valid_points, _plane(config))
-    return points, good, valid_points
-
-
-def require_layout(msg: Any, config: ProfileConfig) -> None:
-    """Raise MessageError for a sensor_msgs/PointCloud2 whose points exceed its data."""
-    if int(msg.width) * int(msg.height):
-        for axis in config.axes:
-            view_of(msg, axis[-1])
+        return parse(_Cdr(data))
+    except (struct.error, ValueError) as error:
+        raise UnusableMessageError(f'{kind} message not used: damaged message: {error}') from error
 
 
 def frame_name(frame_id: str) -> str:
@@ -144,114 +109,463 @@ def frame_name(frame_id: str) -> str:
     return sys.intern(str(frame_id).removeprefix('/'))  # it is in thousands of messages
 
 
-def _plane(config: ProfileConfig) -> tuple[str, str, str]:
+def text_from_cdr(data: bytes) -> str:
+    """Return the text of a std_msgs/String; raises UnusableMessageError."""
+    return str(_read('String', data, _Cdr.text))
+
+
+class PoseRow(NamedTuple):
+    """A pose as numbers: stamp, parent frame, and position and quaternion x y z w."""
+
+    stamp: int
+    frame: str
+    values: tuple[float, ...]
+
+    def pose(self) -> TimedPose:
+        """Return the pose."""
+        return TimedPose(self.stamp, np.array(self.values[:3]), np.array(self.values[3:]),
+                         self.frame)
+
+
+def pose_from_cdr(data: bytes) -> TimedPose:
+    """Return the pose in a geometry_msgs/PoseStamped; raises UnusableMessageError."""
+    return row_of_pose(data).pose()
+
+
+def row_of_pose(data: bytes) -> PoseRow:
+    """Return the pose in a geometry_msgs/PoseStamped as numbers; UnusableMessageError."""
+    try:
+        order = _order(data)
+        length, = struct.unpack_from(f'{order}I', data, 12)
+        seconds, nanoseconds, _, frame, *values = _pose_struct(order, length).unpack_from(data)
+        return _checked('PoseStamped', seconds * NS + nanoseconds, frame_name(_text(frame)),
+                        values)
+    except (struct.error, ValueError) as error:
+        raise UnusableMessageError(f'PoseStamped message not used: damaged message: {error}'
+                                   ) from error
+
+
+@cache
+def _pose_struct(order: str, length: int) -> struct.Struct:
+    """Return the layout of a PoseStamped with a frame_id of so many bytes."""
+    if length > 1000:
+        raise struct.error('a frame of more than 1000 bytes')
+    return struct.Struct(f'{order}4xiII{length}s{-(12 + length) % 8}x7d')
+
+
+def _checked(kind: str, stamp: int, frame: str, values: list[float]) -> PoseRow:
+    """Return a pose with a quaternion of unit length and qw >= 0; raises UnusableMessageError."""
+    norm, farthest = math.hypot(*values[3:]), max(map(abs, values[:3]))
+    if not math.isfinite(norm + sum(values[:3])):
+        raise UnusableMessageError(f'{kind} message not used: the pose holds values that are not '
+                                   'finite')
+    if farthest > LARGEST_POSITION:
+        raise UnusableMessageError(f'{kind} message not used: the position reaches '
+                                   f'{farthest:.3g} m')
+    if abs(norm - 1.0) > LENGTH_TOLERANCE:
+        raise UnusableMessageError(f'{kind} message not used: quaternion of length {norm:.4g}, '
+                                   'expected 1')
+    scale = (-1.0 if values[6] < 0 else 1.0) / norm
+    return PoseRow(stamp, frame, (*values[:3], *(value * scale for value in values[3:])))
+
+
+def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
+    """
+    Return the child frames and poses of the valid transforms in a tf2_msgs/TFMessage.
+
+    Raises UnusableMessageError if all are invalid: an unused invalid frame must not affect the
+    others.
+    """
+    def parse(cdr: _Cdr) -> list[tuple[int, str, str, list[float]]]:
+        return [(*cdr.header(), frame_name(cdr.text()), list(cdr.numbers('d', 7)))
+                for _ in range(cdr.count(72))]
+
+    good, malformed = [], None
+    for stamp, parent, child, values in _read('TFMessage', data, parse):
+        try:
+            good.append((child, _checked('TransformStamped', stamp, parent, values).pose()))
+        except UnusableMessageError as error:
+            malformed = error
+    if malformed and not good:
+        raise malformed
+    return good
+
+
+def joints_from_cdr(data: bytes) -> tuple[int, dict[str, float]]:
+    """Return stamp and positions by name in a JointState; raises UnusableMessageError."""
+    def parse(cdr: _Cdr) -> tuple[int, list[str], tuple[float, ...]]:
+        stamp, _ = cdr.header()
+        names = [cdr.text() for _ in range(cdr.count(4))]
+        return stamp, names, cdr.numbers('d', cdr.count(8))
+
+    stamp, names, positions = _read('JointState', data, parse)
+    if len(positions) != len(names):
+        raise UnusableMessageError(f'JointState message not used: it names {len(names)} joints '
+                                   f'and holds {len(positions)} positions')
+    return stamp, dict(zip(names, positions, strict=True))
+
+
+class Field(NamedTuple):
+    """A sensor_msgs/PointField."""
+
+    name: str
+    offset: int
+    datatype: int
+    values: int
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """A sensor_msgs/PointCloud2; start: position of its data in the serialised message."""
+
+    stamp: int
+    frame: str
+    height: int
+    width: int
+    fields: tuple[Field, ...]
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    data: bytes | memoryview
+    start: int = 0
+
+    def column(self, name: str) -> Array:
+        """Return a field, such as a signed axis (n,), as float64, unscaled."""
+        with np.errstate(invalid='ignore'):  # a signalling NaN is a NaN
+            values = self.view(name.removeprefix('-')).astype(np.float64).ravel()
+        return -values if name[0] == '-' else values
+
+    def view(self, name: str) -> np.ndarray[Any, np.dtype[Any]]:
+        """Return a field (height, width) as a view of the data; raises UnusableMessageError."""
+        named = [field for field in self.fields if field.name == name]
+        if len(named) != 1:
+            names = ', '.join(field.name for field in self.fields) or 'none'
+            raise _unusable(f'{len(named) or "no"} fields are named "{name}" (fields: {names}); '
+                            'profile.axes says which axes are read')
+        field, = named
+        kind = DATATYPES.get(field.datatype)
+        if kind is None:
+            raise _unusable(f'field "{name}" has datatype {field.datatype}, which does not exist '
+                            '(they go from 1 to 8)')
+        if field.values > 1:
+            raise _unusable(f'field "{name}" holds {field.values} values for each point, '
+                            'expected 1')
+        dtype = np.dtype(('>' if self.is_bigendian else '<') + kind)
+        row_step = self._required_row_step()
+        end = field.offset + dtype.itemsize
+        if end > self.point_step:
+            raise _unusable(f'field "{name}" ends at byte {end} of points that are '
+                            f'{self.point_step} bytes long')
+        return np.ndarray((self.height, self.width), dtype, self.data, field.offset,
+                          (row_step, self.point_step))
+
+    def _required_row_step(self) -> int:
+        """Return the bytes of a row; raises UnusableMessageError if the data are too short."""
+        height, width, point_step = self.height, self.width, self.point_step
+        # drivers often leave it unset
+        row_step = width * point_step if height == 1 or self.row_step == 0 else self.row_step
+        if point_step == 0:
+            raise _unusable('point_step is 0')
+        if row_step < width * point_step:
+            raise _unusable(f'row_step is {row_step}, but a row of {width} points of '
+                            f'{point_step} bytes takes {width * point_step}')
+        needed = (height - 1) * row_step + width * point_step
+        if len(self.data) < needed:
+            raise _unusable(f'{height} x {width} points of {point_step} bytes take {needed} '
+                            f'bytes, but data holds {len(self.data)}')
+        return row_step
+
+    def row(self, index: int) -> Cloud:
+        """Return a row as a cloud; raises UnusableMessageError."""
+        size = self.width * self.point_step
+        begin = index * (self.row_step or size)
+        if index >= self.height or begin + size > len(self.data):
+            raise _unusable(f'damaged message: it has no row {index}')
+        return replace(self, height=1, row_step=size, data=self.data[begin:begin + size])
+
+
+def _unusable(reason: str) -> UnusableMessageError:
+    return UnusableMessageError(f'PointCloud2 message not used: {reason}')
+
+
+def cloud_from_cdr(data: bytes) -> Cloud:
+    """Return the cloud in a serialised message; raises UnusableMessageError."""
+    def parse(cdr: _Cdr) -> Cloud:
+        stamp, frame = cdr.header()
+        height, width = cdr.numbers('I', 2)
+        fields = []
+        for _ in range(cdr.count(16)):
+            name, (offset,), (datatype,) = cdr.text(), cdr.numbers('I'), cdr.numbers('B')
+            fields.append(Field(name, offset, datatype, *cdr.numbers('I')))
+        is_bigendian, = cdr.numbers('B')
+        point_step, row_step = cdr.numbers('I', 2)
+        size = cdr.count(1)
+        return Cloud(stamp, frame, height, width, tuple(fields), bool(is_bigendian), point_step,
+                     row_step, memoryview(data)[cdr.at:cdr.at + size], cdr.at)
+
+    cloud: Cloud = _read('PointCloud2', data, parse)
+    return cloud
+
+
+def profile_from_cdr(data: bytes, config: ProfileConfig) -> Profile:
+    """Return the profile in a sensor_msgs/PointCloud2; raises UnusableMessageError."""
+    return profile_from_cloud(cloud_from_cdr(data), config)
+
+
+def profile_from_cloud(cloud: Cloud, config: ProfileConfig) -> Profile:
+    """
+    Return the profile in a cloud, in metres, ordered along the line.
+
+    A point with a value that is not finite, or that no sensor can measure, is no return: NaN in
+    both columns. The rows of the message are concatenated. A cloud without points is a profile
+    without returns. Raises UnusableMessageError.
+    """
+    if cloud.width * cloud.height == 0:
+        return _empty(cloud, config)
+    points, good = _points(cloud, config)
+    across = points[good, 2]
+    return replace(_empty(cloud, config), points=_ordered(points[:, :2], good, config),
+                   beside=float(np.nan_to_num(np.median(across))) if len(across) else 0.0)
+
+
+def returns_from_cloud(cloud: Cloud, config: ProfileConfig) -> Profile:
+    """
+    Return only the returns of a cloud, in message order.
+
+    With the intensity if there is a field of that name. The order along the line, which takes most
+    of the time, is not determined. Raises UnusableMessageError.
+    """
+    if cloud.width * cloud.height == 0:
+        return _empty(cloud, config)
+    points, good = _points(cloud, config)
+    intensity = (cloud.column(INTENSITY)[good]
+                 if INTENSITY in [field.name for field in cloud.fields] else None)
+    return replace(_empty(cloud, config), points=points[good, :2], intensity=intensity)
+
+
+def _empty(cloud: Cloud, config: ProfileConfig) -> Profile:
+    return Profile(cloud.stamp, cloud.frame, np.empty((0, 2)), (config.axes[0], config.axes[1]))
+
+
+def _axes(config: ProfileConfig) -> tuple[str, str, str]:
     """Return the axes along the line, of the range, and orthogonal to both, without signs."""
     along, across = (axis[-1] for axis in config.axes)
     return along, across, ({'x', 'y', 'z'} - {along, across}).pop()
 
 
-def _off_plane(msg: Any, config: ProfileConfig) -> Array:
-    """Return the coordinates orthogonal to the sensor plane (n,), NaN if missing."""
-    try:
-        return _column(msg, _plane(config)[2])
-    except MessageError:
-        return np.full(int(msg.width) * int(msg.height), np.nan)
+def _points(cloud: Cloud, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_]]:
+    """
+    Return the points (n, 3) of a cloud in metres, and which are returns (n,).
 
-
-def _ranges(msg: Any, config: ProfileConfig) -> Array:
-    """Return the ranges of a cloud (n,), NaN for values that mark missing returns."""
-    name = config.axes[1]
-    values = _column(msg, name)
+    Columns: along the line, range, across the plane (NaN where the driver publishes none). Points
+    that are not finite, too far, or in the origin are no returns; drivers publish the origin for
+    missing returns.
+    """
+    range_axis, across = config.axes[1], _axes(config)[2]
+    along, ranges = cloud.column(config.axes[0]), cloud.column(range_axis)
     for value in config.invalid:
         # the value of the driver: in its type, before the sign of the axis
-        invalid = np.isclose(values, -value if name[0] == '-' else value, rtol=1e-6, atol=0.0)
-        values[invalid] = np.nan
-    return values
+        value = -value if range_axis[0] == '-' else value
+        ranges[np.isclose(ranges, value, rtol=1e-6, atol=0.0)] = np.nan
+    beside = (cloud.column(across) if across in [field.name for field in cloud.fields]
+              else np.full(len(ranges), np.nan))
+    points = (np.stack((along, ranges, beside)) * UNITS[config.unit]).T
+    x, z = points[:, 0], points[:, 1]
+    with np.errstate(invalid='ignore'):
+        good = (np.abs(x) <= FAR) & (np.abs(z) <= FAR) & ((x != 0) | (z != 0))
+    _require_unit(points[:, :2], config.unit)
+    _require_one_plane(points[good], _axes(config))
+    return points, good
 
 
-def _column(msg: Any, name: str) -> Array:
-    """Return a field of a cloud, such as a signed axis (n,), as float64, unscaled."""
-    with np.errstate(invalid='ignore'):  # a signalling NaN is a NaN
-        values = view_of(msg, name.removeprefix('-')).astype(np.float64).ravel()
-    return -values if name[0] == '-' else values
+def _require_unit(points: Array, unit: str) -> None:
+    """Raise for coordinates (n, 2), in metres after unit, beyond any sensor."""
+    reach = np.maximum(np.abs(points[:, 0]), np.abs(points[:, 1]))
+    finite = np.isfinite(reach)
+    too_far = finite & (reach > FAR)
+    if too_far.sum() > finite.sum() / 2:
+        raise _unusable(f'coordinates reach {reach[too_far].max():.3g} m' + (
+            ': set profile.unit to mm' if unit == 'm' else ', but profile.unit is m or mm'))
+    largest = reach[finite & ~too_far].max(initial=0.0)
+    if unit == 'mm' and 0.0 < largest < NEAR:
+        raise _unusable(f'no coordinate is larger than {largest * 1e3:.3g} mm: set profile.unit '
+                        'to m')
 
 
-def view_of(msg: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
-    """Return a field of a cloud (height, width) as a view of its data."""
-    field = _field(msg, name)
-    kind = DATATYPES.get(int(field.datatype))
-    if kind is None:
-        raise MessageError('PointCloud2', f'field "{field.name}" has datatype {field.datatype}, '
-                           'which does not exist (they go from 1 to 8)')
-    if int(field.count) > 1:
-        raise MessageError('PointCloud2', f'field "{field.name}" holds {field.count} values for '
-                           'each point, expected 1')
-    dtype = np.dtype(('>' if msg.is_bigendian else '<') + kind)
-    # Python integers: a product of the message's own would overflow before it can be checked
-    height, width = int(msg.height), int(msg.width)
-    point_step, row_step, data = _layout(msg, height, width)
-    offset = int(field.offset)
-    if offset + dtype.itemsize > point_step:
-        raise MessageError('PointCloud2', f'field "{field.name}" ends at byte '
-                           f'{offset + dtype.itemsize} of points that are {point_step} bytes long')
-    return np.ndarray((height, width), dtype, data, offset, (row_step, point_step))
+def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
+    """Raise for returns (n, 3) outside the plane of the first two axes."""
+    if len(points) < 2 or not np.ptp(points[:, 2]) > THICK:  # nor where it is not finite
+        return
+    spread = np.ptp(points, axis=0)
+    text = (f'the points do not lie in the plane of {axes[0]} and {axes[1]}: '
+            f'their {axes[2]} spans {spread[2] * 1e3:.1f} mm')
+    if min(spread[:2]) < THIN * spread[2]:
+        flat = int(np.argmin(spread[:2]))
+        along, range_axis = sorted(((2, 1), (0, 2))[flat],
+                                   key=lambda k: _back(np.diff(points[:, k])))
+        raise _unusable(f'{text}, their {axes[flat]} nothing: set profile.axes to '
+                        f'[{axes[along]}, {axes[range_axis]}]')
+    raise _unusable(f'{text}; a line profiler measures in one plane: let its driver publish '
+                    'single profiles in its own frame')
 
 
-def _field(msg: Any, name: str) -> Any:
-    named = [field for field in msg.fields if field.name == name]
-    if len(named) != 1:
-        names = ', '.join(str(field.name) for field in msg.fields) or 'none'
-        raise MessageError('PointCloud2', f'{len(named) or "no"} fields are named "{name}" '
-                           f'(fields: {names}); profile.axes says which axes are read')
-    return named[0]
+def _ordered(points: Array, good: NDArray[np.bool_], config: ProfileConfig) -> Array:
+    """
+    Return points (n, 2) in the order of the first column; good: (n,) which are returns.
+
+    If the returns are in order, forwards or backwards, all points stay as they are: the rows
+    without a return are then in place. Points with equal values are averaged. Raises if the order
+    shows wrong axes.
+    """
+    steps = np.diff(points[good, 0])
+    if not (steps > 0).all() and not (steps < 0).all():
+        along, across, _ = _axes(config)
+        if (len(steps) >= SURE and _back(steps) > RANGE_BACK
+                and _back(np.diff(points[good, 1])) < LINE_BACK):
+            raise _unusable(f'the points follow each other along {across}, not along {along}: set '
+                            f'profile.axes to [{across}, {along}]')
+        forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()
+        if min(forth, back) > MOST_BACK * max(forth, back):
+            return _sorted(points, good)
+    ordered = np.ascontiguousarray(points)
+    ordered[~good] = np.nan
+    return ordered
 
 
-def _layout(msg: Any, height: int, width: int) -> tuple[int, int, Any]:
-    """Return the steps in bytes and the buffer, extended to full length."""
-    point_step, row_step = int(msg.point_step), int(msg.row_step)
-    if height == 1 or row_step == 0:  # drivers often leave it unset
-        row_step = width * point_step
-    if point_step == 0:
-        raise MessageError('PointCloud2', 'point_step is 0')
-    if row_step < width * point_step:
-        raise MessageError('PointCloud2', f'row_step is {row_step}, but a row of {width} points '
-                           f'of {point_step} bytes takes {width * point_step}')
-    needed = (height - 1) * row_step + width * point_step
-    if len(msg.data) < needed:
-        raise MessageError('PointCloud2', f'{height} x {width} points of {point_step} bytes take '
-                           f'{needed} bytes, but data holds {len(msg.data)}')
-    data = np.asarray(msg.data, np.uint8) if isinstance(msg.data, list) else msg.data
-    return point_step, row_step, data
+def _sorted(points: Array, good: NDArray[np.bool_]) -> Array:
+    """Return points (n, 2) sorted by the first column; points with equal values are averaged."""
+    with np.errstate(invalid='ignore'):
+        placed = np.abs(points[:, 0]) <= FAR
+    x, group = np.unique(points[placed, 0], return_inverse=True)
+    good = good[placed]
+    count = np.bincount(group[good], minlength=len(x))
+    total = np.bincount(group[good], points[placed, 1][good], minlength=len(x))
+    with np.errstate(invalid='ignore'):  # 0 / 0 where there is no return
+        return np.column_stack([np.where(count > 0, x, np.nan), total / count])
 
 
-def pose_from_cdr(data: bytes) -> TimedPose:
-    """Return the pose in a serialised geometry_msgs/PoseStamped; raises MessageError."""
-    return pose_from_stamped(deserialised(data, POSE))
+def _back(steps: Array) -> float:
+    """Return the share of steps against the direction of the majority."""
+    return 1.0 - max(np.count_nonzero(steps > 0), np.count_nonzero(steps < 0)) / len(steps)
 
 
-def pose_from_stamped(msg: Any) -> TimedPose:
-    """Return the pose in a geometry_msgs/PoseStamped; raises MessageError."""
-    return _pose('PoseStamped', msg.header, msg.pose.position, msg.pose.orientation)
+class ProfileReader:
+    """
+    Receives the serialised clouds of one topic in order; their points are read on demand.
+
+    A sensor publishes thousands of profiles while the robot moves, and a stop uses a few hundred.
+    A message of a new size is checked, and the points (wrong unit or axis) a few times per second;
+    after an unusable message, those of every message until the next usable one.
+    """
+
+    def __init__(self, config: ProfileConfig) -> None:
+        """Start with none; config: describes the clouds."""
+        self.config = config
+        self._shapes: dict[tuple[int, int, int, str], int] = {}  # rows by size of a valid message
+        self._probed = -PROBE
+        self._trusted = False
+
+    def take(self, data: bytes, fetch: Callable[[], bytes] | None = None) -> RawProfile:
+        """
+        Return the profile of a message, decoded on demand.
+
+        fetch: returns the message again; without it the message is kept. Raises
+        UnusableMessageError.
+        """
+        stamp, frame, height, width = _read('PointCloud2', data, lambda cdr: (
+            *cdr.header(), *cdr.numbers('I', 2)))
+        shape = (len(data), height, width, frame)
+        rows = self._shapes.get(shape, 0)
+        if not rows:
+            cloud = cloud_from_cdr(data)
+            if height * width:
+                for axis in self.config.axes:
+                    cloud.view(axis[-1])
+            rows = rows_of(cloud, self.config)
+            described = height == 1 or self.config.rows != 'auto'  # else the points decide
+            if described and len(self._shapes) < MOST_SHAPES:
+                self._shapes[shape] = rows
+        if not self._trusted or abs(stamp - self._probed) >= PROBE:
+            self._trusted = False
+            cloud = cloud_from_cdr(data)
+            points = profile_from_cloud(cloud if rows == 1 else cloud.row(0), self.config).points
+            self._trusted, self._probed = bool(np.isfinite(points[:, 1]).any()), stamp
+        return RawProfile(stamp, frame, fetch or partial(bytes, data), profile_from_cdr,
+                          self.config, 0 if fetch else len(data) + OVERHEAD, rows)
 
 
-def pose_from_transform(msg: Any) -> TimedPose:
-    """Return the pose of the child in a geometry_msgs/TransformStamped; raises MessageError."""
-    transform = msg.transform
-    return _pose('TransformStamped', msg.header, transform.translation, transform.rotation)
+def rows_of(cloud: Cloud, config: ProfileConfig) -> int:
+    """
+    Return the number of profiles in a cloud: its rows, or 1 if rows are single points.
+
+    Rows along the same part of the line are profiles. Raises UnusableMessageError.
+    """
+    if config.rows == 'points' or cloud.height * cloud.width == 0 or cloud.height == 1:
+        return 1
+    if config.rows == 'profiles':
+        return cloud.height
+    if cloud.width < FEWEST_COLUMNS:
+        return 1
+    along = cloud.view(config.axes[0][-1]).astype(np.float64)
+    ends = [along[i][np.isfinite(along[i])] for i in (0, -1)]
+    if not (len(ends[0]) and len(ends[1])):
+        return 1
+    shared = min(end.max() for end in ends) - max(end.min() for end in ends)
+    return cloud.height if shared > SHARED * max(map(np.ptp, ends)) else 1
 
 
-def _pose(kind: str, header: Any, position: Any, rotation: Any) -> TimedPose:
-    """Return a pose with a quaternion of unit length and qw >= 0; raises MessageError."""
-    x, y, z = translation = [float(getattr(position, name)) for name in 'xyz']
-    quaternion = [float(getattr(rotation, name)) for name in 'xyzw']
-    norm = math.hypot(*quaternion)
-    farthest = max(map(abs, translation))
-    if not math.isfinite(norm + farthest + x + y + z):
-        raise MessageError(kind, 'the pose holds values that are not finite')
-    if farthest > LARGEST_POSITION:
-        raise MessageError(kind, f'the position reaches {farthest:.3g} m')
-    if abs(norm - 1.0) > LENGTH_TOLERANCE:
-        raise MessageError(kind, f'quaternion of length {norm:.4g}, expected 1')
-    scale = (-1.0 if quaternion[3] < 0 else 1.0) / norm
-    return TimedPose(stamp_of(header), np.array(translation), np.array(quaternion) * scale,
-                     frame_name(header.frame_id))
+def split(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig) -> list[RawProfile]:
+    """
+    Return the profiles of a message, in the order of their stamps.
+
+    With a period, the stamps of its rows are known. Without one, they were taken at some time
+    between two messages: such a profile counts if the robot stood still during all of this time.
+    previous_stamp: of the previous message, None for the first. Without a period the first message
+    is left out, as its duration is unknown.
+    """
+    if raw.rows == 1:
+        return [raw]
+    fraction, reach, step = BEFORE[config.stamp], (0, 0), config.period * NS
+    if not step:
+        if previous_stamp is None or previous_stamp >= raw.stamp:
+            return []
+        duration, step = raw.stamp - previous_stamp, 1.0  # single nanoseconds keep their order
+        reach = (round(fraction * duration), round((1.0 - fraction) * duration))
+    first = raw.stamp - round(fraction * (raw.rows - 1) * step)
+    stamps = [first + round(index * step) for index in range(raw.rows)]
+    return [replace(raw, stamp=stamp, rows=1, held=raw.held // raw.rows,
+                    fetch=partial(_row_message, raw.fetch, index, stamp), reach=reach)
+            for index, stamp in enumerate(stamps)]
+
+
+def _row_message(fetch: Callable[[], bytes], index: int, stamp: int) -> bytes:
+    """Return one row of a message as a message with its own stamp; UnusableMessageError."""
+    data = fetch()
+    cloud = cloud_from_cdr(data)
+    row, order, head = cloud.row(index), _order(data), bytearray(data[:cloud.start])
+    before_height = _Cdr(data)
+    before_height.header()
+    struct.pack_into(f'{order}iI', head, 4, *divmod(stamp, NS))
+    struct.pack_into(f'{order}I', head, before_height.at + -before_height.at % 4, 1)
+    # row_step, and the length of the data, are the last two numbers before the data
+    struct.pack_into(f'{order}2I', head, cloud.start - 8, row.row_step, row.row_step)
+    return bytes(head) + bytes(row.data) + b'\1'
+
+
+def returns_of(data: bytes, config: ProfileConfig) -> Iterator[Profile]:
+    """
+    Yield the profiles of one serialised message: only returns, with intensity.
+
+    The robot may move between several profiles. Raises UnusableMessageError.
+    """
+    cloud = cloud_from_cdr(data)
+    rows = rows_of(cloud, config)
+    if rows == 1:
+        yield returns_from_cloud(cloud, config)
+        return
+    if not config.period:
+        raise _unusable(f'it holds {rows} profiles, and does not say when each was taken: set '
+                        'profile.period')
+    raw = RawProfile(cloud.stamp, '', partial(bytes, data), profile_from_cdr, config, rows=rows)
+    for index, row in enumerate(split(raw, None, config)):
+        yield replace(returns_from_cloud(cloud.row(index), config), stamp=row.stamp)

@@ -19,8 +19,8 @@ from pathlib import Path
 import re
 from typing import Any
 
-from handeye_ros.bags.contents import Raw
-from handeye_ros.bags.messages import typestore
+from handeye_ros.bags.bag_write import typestore
+from handeye_ros.bags.reader import Raw
 from handeye_ros.errors import BagError
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer

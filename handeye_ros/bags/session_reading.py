@@ -15,16 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros.bags.bag import read_poses
-from handeye_ros.bags.contents import CLOUD, POSE, Raw, STRING
-from handeye_ros.bags.messages import deserialised, pose_from_cdr
-from handeye_ros.bags.poses import PoseTable
-from handeye_ros.bags.profile_reader import ProfileReader
+from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, text_from_cdr
+from handeye_ros.bags.reader import CLOUD, POSE, Raw
 from handeye_ros.bags.session_files import BagFile, files_of, read_file
 from handeye_ros.checks.settings import require_same_clock
 from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import Array, Feature, Reject
-from handeye_ros.errors import BagError
-from handeye_ros.node.errors import MessageError, SessionError
+from handeye_ros.errors import BagError, SessionError, UnusableMessageError
 from handeye_ros.robot.model import Arm, Chain
 from handeye_ros.robot.samples import Source
 from handeye_ros.sampling.session import Session
@@ -184,7 +181,7 @@ def read_session(path: Path) -> Stored:
 
 
 def _event(messages: Sequence[Raw], file: Path) -> Event:
-    texts = {raw.topic: deserialised(raw.data, STRING).data for raw in messages
+    texts = {raw.topic: text_from_cdr(raw.data) for raw in messages
              if raw.topic in (CONFIGURATION, OUTCOME)}
     if len(texts) < 2:
         raise SessionError(file, 'does not say what happened')
@@ -203,16 +200,16 @@ def load(file: Path, config: Config) -> Seen:
         if kind == POSE:
             poses.append(pose_from_cdr(raw.data))
         elif kind == CLOUD:
-            with suppress(MessageError):  # it may be invalid with other settings
+            with suppress(UnusableMessageError):  # it may be invalid with other settings
                 profiles.append(replace(reader.take(raw.data), stamp=raw.log_time + offset))
     return Seen(tuple(poses), tuple(profiles))
 
 
 def joints_of(path: Path, config: Config, chain: Chain) -> tuple[NDArray[np.int64], Array]:
     """Return stamps (n,) and joint values (n, joints); raises InputError without any."""
-    poses, _ = read_poses(path, replace(config, kinematics=''), Arm(chain))
-    assert isinstance(poses, PoseTable) and poses.joints is not None
-    return np.array([pose.stamp for pose in poses], dtype=np.int64), poses.joints
+    recording = read_poses(path, replace(config, kinematics=''), Arm(chain))
+    assert recording.joints is not None
+    return np.array([pose.stamp for pose in recording.poses], dtype=np.int64), recording.joints
 
 
 def source_of_session(stored: Stored, config: Config, chain: Chain) -> Source:

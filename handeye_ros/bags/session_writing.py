@@ -14,7 +14,7 @@ import time
 from typing import Any
 
 from handeye_ros.bags.bag_write import cloud_cdr, pose_cdr, string_cdr
-from handeye_ros.bags.contents import CLOUD, full_name, JOINTS, POSE, Raw, STRING
+from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, STRING
 from handeye_ros.bags.session_files import (
     BagFile,
     METADATA,
@@ -39,8 +39,7 @@ from handeye_ros.bags.session_reading import (
 from handeye_ros.bags.session_store import Store
 from handeye_ros.config import Config
 from handeye_ros.data import Profile
-from handeye_ros.errors import UnwritableError
-from handeye_ros.node.errors import SessionError
+from handeye_ros.errors import SessionError, UnwritableError
 from handeye_ros.sampling.stops import Outcome, Stop
 
 STAMP = '%Y-%m-%dT%H%M%SZ'

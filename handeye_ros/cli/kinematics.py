@@ -1,5 +1,7 @@
 """The verb of kinematic calibration."""
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
@@ -14,10 +16,12 @@ from handeye_ros.cli.common import (
     TABLES,
     warn,
 )
+from handeye_ros.errors import HandeyeError
 import typer
 
 if TYPE_CHECKING:
     from handeye_ros.config import Config
+    from handeye_ros.data import TimedPose
     from handeye_ros.robot.answer import Answer
     from handeye_ros.robot.model import Chain
     from handeye_ros.robot.samples import Source
@@ -92,14 +96,21 @@ def _solve_profiles(paths: Iterable[tuple[Path, Path | None]], urdf: Path, chain
 
 def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[str]) -> 'Source':
     """Return the samples of a bag or a session; the settings of a session are the default."""
-    from handeye_ros.bags.bag import read_with_joints
+    from handeye_ros.bags.bag import read, read_poses
     from handeye_ros.bags.session_reading import source_of_session
-    from handeye_ros.robot.samples import source_of
+    from handeye_ros.robot.model import Arm
+    from handeye_ros.robot.samples import JointRecording, source_of
     stored = stored_session(path)
     settings = configuration(config, assignments, stored.config if stored else None)
     if stored:
         return source_of_session(stored, settings, chain)
     with advancing('reading the recording') as progress:
-        recording = read_with_joints(path, settings, chain, progress)
+        recording = read(path, settings, progress, Arm(chain))
+    reported: Sequence[TimedPose] = ()
+    with suppress(HandeyeError):
+        reported = read_poses(path, replace(settings, kinematics='')).poses
+    assert recording.joints is not None
+    joints = JointRecording(recording.profiles, recording.poses, recording.joints, reported,
+                            recording.warnings, recording.inputs)
     with doing('finding the stops'):
-        return source_of(recording, chain, settings)
+        return source_of(joints, chain, settings)

@@ -135,7 +135,7 @@ def report(
     )] = [],  # noqa: B006 - never changed
 ) -> None:
     """Show a saved calibration or verification, and its evidence, in one HTML file."""
-    from handeye_ros.bags.bag import evidence
+    from handeye_ros.evidence import evidence
     from handeye_ros.output import write_whole
     from handeye_ros.results import exports, pages
     from handeye_ros.results.calibration_file import file_of, read_calibration

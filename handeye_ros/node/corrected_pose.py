@@ -15,8 +15,9 @@ from pathlib import Path
 import sys
 
 from geometry_msgs.msg import PoseStamped, TransformStamped
-from handeye_ros.bags.poses import pose_from_joints
-from handeye_ros.node.errors import MessageError, TopicsError
+from handeye_ros.bags.bag import pose_from_joints
+from handeye_ros.errors import UnusableMessageError
+from handeye_ros.node.errors import TopicsError
 from handeye_ros.node.executable import exit_code, RCLError, ros, spin
 from handeye_ros.node.intake import STREAM, TFMessage, THROTTLE
 from handeye_ros.node.publishers import pose_stamped, time_message
@@ -45,7 +46,7 @@ class CorrectedPose(Node):
     def _on_joints(self, data: bytes) -> None:
         try:
             pose = pose_from_joints(self._arm, data)
-        except MessageError as error:
+        except UnusableMessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
             return
         message = pose_stamped(pose.translation, pose.quaternion, pose.parent_frame,

@@ -19,10 +19,10 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from handeye_ros import config as configuration
-from handeye_ros.bags.bag import evidence
-from handeye_ros.bags.storage import scan
+from handeye_ros.bags.reader import Reader
 from handeye_ros.data import Calibration
 from handeye_ros.errors import InputError, UnwritableError
+from handeye_ros.evidence import evidence
 from handeye_ros.node.domain import claimed_domain
 from handeye_ros.node.errors import NodeError, RefusedError
 from handeye_ros.node.executable import exit_code, ros
@@ -67,7 +67,9 @@ def _with_bag(calibration: Calibration, bag: Path, out: Path) -> Calibration:
     """Return the calibration with the replayed bag in place of the node's session."""
     provenance = dict(calibration.provenance)
     topics = [item for item in provenance['inputs'] if 'topic' in item]
-    provenance['inputs'] = [*topics, *map(calibration_file.input_values, scan(bag).files)]
+    reader = Reader(bag)
+    list(reader.messages())
+    provenance['inputs'] = [*topics, *map(calibration_file.input_values, reader.files)]
     provenance['config'] = {**provenance['config'], 'output_dir': str(out)}
     return replace(calibration, provenance=provenance)
 

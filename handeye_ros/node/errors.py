@@ -1,62 +1,10 @@
 """Unusable bags, topics and messages, and nodes that do not respond."""
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 import signal
 
-from handeye_ros.errors import DataError, HandeyeError, InputError, UnusableMessageError
-
-
-class MessageError(UnusableMessageError):
-    """An invalid message; kind: its type, without the package."""
-
-    def __init__(self, kind: str, reason: str) -> None:
-        super().__init__(f'{kind} message not used: {reason}')
-
-
-class NoTopicError(InputError):
-    """A topic of a type missing in the bag; topics: those present, with types."""
-
-    def __init__(self, path: object, key: str, topic: str, message_type: str,
-                 topics: Mapping[str, str]) -> None:
-        super().__init__(f'{path} has no topic {topic}. '
-                         + _topics_of_bag(key, message_type, topics))
-
-
-class TopicTypeError(InputError):
-    """A topic with an unexpected type; topics: all of the bag, with their types."""
-
-    def __init__(self, key: str, topic: str, message_type: str, topics: Mapping[str, str]) -> None:
-        super().__init__(f'{topic} carries {topics[topic]}, but only {message_type} can be read '
-                         'there. ' + _topics_of_bag(key, message_type, topics))
-
-
-def _topics_of_bag(key: str, message_type: str, topics: Mapping[str, str]) -> str:
-    """Return the topics of a bag, those of the type first, and the setting to change."""
-    ordered = sorted(topics.items(), key=lambda item: (item[1] != message_type, item[0]))
-    names = [f'{name} ({kind})' for name, kind in ordered[:12]]
-    omitted = [f'{len(ordered) - 12} more'] if len(ordered) > 12 else []
-    fitting = [name for name, kind in ordered if kind == message_type]
-    transforms = key == 'pose_topic' and topics.get('/tf') == 'tf2_msgs/msg/TFMessage'
-    if key == 'pose_source':  # there is only one place for transforms
-        advice = '; record /tf, or set pose_source to topic'
-    elif fitting:
-        advice = f': set {key}, as in --set {key}={fitting[0]}'
-    elif transforms:
-        advice = ': take the poses from /tf, as in --set pose_source=tf'
-    else:
-        advice = f'; none of them is a {message_type}: publish and record one'
-    return f'It holds {", ".join(names + omitted)}{advice}'
-
-
-class AllMalformedError(InputError):
-    """Most messages of a topic are invalid."""
-
-    def __init__(self, topic: str, count: int, total: int, first: str) -> None:
-        usable = 'none' if count == total else f'only {total - count}'
-        super().__init__(f'{usable} of the {total} messages on {topic} can be used; the first '
-                         f'reason: {first}')
+from handeye_ros.errors import DataError, HandeyeError, InputError
 
 
 class NodeError(InputError):
@@ -95,13 +43,6 @@ class UnpublishedError(InputError):
     def __init__(self, failed: int, total: int) -> None:
         super().__init__(f'{failed} of {total} calibrations not published: see above, and name '
                          'files that handeye solve or ~/save_calibration wrote')
-
-
-class SessionError(InputError):
-    """A folder that is not a session, or one that cannot be continued."""
-
-    def __init__(self, path: object, reason: str) -> None:
-        super().__init__(f'{path} {reason}')
 
 
 class WorkerEndedError(HandeyeError):

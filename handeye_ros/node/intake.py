@@ -11,16 +11,14 @@ import traceback
 from typing import Any, TypeVar
 
 from geometry_msgs.msg import PoseStamped
-from handeye_ros.bags.contents import CLOUD, JOINTS, POSE
-from handeye_ros.bags.messages import pose_from_cdr
-from handeye_ros.bags.poses import pose_from_joints
-from handeye_ros.bags.profile_reader import ProfileReader, split
+from handeye_ros.bags.bag import pose_from_joints
+from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, split, transforms_from_cdr
+from handeye_ros.bags.reader import CLOUD, JOINTS, POSE
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
 from handeye_ros.data import RawProfile, TimedPose
-from handeye_ros.errors import InputError, INSTALL_TF2
+from handeye_ros.errors import InputError, INSTALL_TF2, UnusableMessageError
 from handeye_ros.node.diagnostics import why_silent
-from handeye_ros.node.errors import MessageError
 from handeye_ros.node.executable import InvalidHandle, RCLError
 from handeye_ros.node.kinematics import LiveKinematics
 from handeye_ros.node.live import LiveSession
@@ -157,13 +155,12 @@ class Intake:
     def _listen(self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile
                 ) -> None:
         """Subscribe to a topic; the thread calls the callback with every message."""
-        raw = kind in (PointCloud2, PoseStamped, JointState)
         self._name(topic)  # raises InputError
         subscription = self._node.create_subscription(
-            kind, topic, callback, qos, callback_group=self._group, raw=raw,
+            kind, topic, callback, qos, callback_group=self._group, raw=True,
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
         self._subscriptions.append(subscription)
-        self._drains.append(partial(self._drain, subscription.handle, kind, raw, callback))
+        self._drains.append(partial(self._drain, subscription.handle, kind, callback))
 
     def _run(self) -> None:
         """Read all topics repeatedly until the node ends."""
@@ -177,11 +174,11 @@ class Intake:
             if max(counts) < MOST_AT_ONCE:
                 time.sleep(PAUSE)
 
-    def _drain(self, handle: Any, kind: Any, raw: bool, callback: Callable[[Any], None]) -> int:
+    def _drain(self, handle: Any, kind: Any, callback: Callable[[Any], None]) -> int:
         """Read at most MOST_AT_ONCE messages of a topic; return how many."""
         with handle:
             for count in range(MOST_AT_ONCE):
-                received = handle.take_message(kind, raw)
+                received = handle.take_message(kind, True)
                 if not received:
                     return count
                 self._process(kind, callback, received[0])
@@ -191,7 +188,7 @@ class Intake:
         try:
             callback(msg)
         except Exception as error:  # noqa: BLE001 - the streams must continue
-            if not isinstance(error, MessageError):
+            if not isinstance(error, UnusableMessageError):
                 self._node.get_logger().error(traceback.format_exc())
             stream = 'profile' if kind is PointCloud2 else 'pose'
             self._live.streams.arrivals.malformed(stream, str(error))
@@ -214,8 +211,8 @@ class Intake:
         assert self.kinematics is not None
         self._live.add_poses([self.kinematics.pose(data)])
 
-    def _on_transforms(self, static: bool, msg: Any) -> None:
-        self._live.add_poses(self._tracker.add(msg.transforms, static))
+    def _on_transforms(self, static: bool, data: bytes) -> None:
+        self._live.add_poses(self._tracker.add(transforms_from_cdr(data), static))
 
     def _stamped(self, item: Stamped) -> Stamped:
         """Return an item; without a stamp it gets the time of receipt."""

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from threading import Lock
 
+from handeye_ros.bags.bag import joints_and_pose
 from handeye_ros.bags.bag_write import joints_cdr
-from handeye_ros.bags.poses import joints_and_pose
 from handeye_ros.bags.session_reading import joints_of
 from handeye_ros.checks.settings import require_same_clock
 from handeye_ros.config import Config
@@ -43,7 +43,7 @@ class LiveKinematics:
             self._joints.extend(q.ravel().tolist())
 
     def pose(self, data: bytes) -> TimedPose:
-        """Return the flange pose of a serialised JointState, and store it; raises MessageError."""
+        """Return the flange pose of a serialised JointState, and store it."""
         q, pose = joints_and_pose(self._arm, data)
         with self._lock:
             self._stamps.append(pose.stamp)

@@ -10,8 +10,7 @@ import sys
 import time
 from typing import Any
 
-from handeye_ros.bags.contents import Raw
-from handeye_ros.bags.storage import scan
+from handeye_ros.bags.reader import Raw, Reader
 from handeye_ros.errors import InputError
 from handeye_ros.node.executable import exit_code, ros
 from rclpy.duration import Duration
@@ -41,14 +40,15 @@ def replay(bag: Path, rate: float = 1.0, wait_for: int | None = None, timeout: f
     """
     if not (math.isfinite(rate) and rate > 0):
         raise InputError(f'the rate is {rate:g}, expected a number above 0')
-    contents = scan(bag)
-    for warning in contents.warnings:
+    reader = Reader(bag)
+    received = list(reader.messages())
+    for warning in reader.warnings:
         print(warning, file=sys.stderr)
     with ros(ros_args or [], interruptible=True):
         node = Node('handeye_replay')
         clock = node.create_publisher(Clock, '/clock', 10)
-        publishers = _publishers(node, contents.topics)
-        messages = sorted((m for m in contents.messages if m.topic in publishers),
+        publishers = _publishers(node, reader.types)
+        messages = sorted((m for m in received if m.topic in publishers),
                           key=lambda message: message.log_time)
         if not messages:
             raise InputError(f'{bag} holds no messages of a type that is installed here')

@@ -16,17 +16,15 @@ from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 import sys
-from typing import Any
 
 from geometry_msgs.msg import PoseStamped
-from handeye_ros.bags.messages import pose_from_stamped
-from handeye_ros.bags.poses import pose_from_joints
-from handeye_ros.bags.profile_reader import returns_of
+from handeye_ros.bags.bag import pose_from_joints
+from handeye_ros.bags.messages import pose_from_cdr, returns_of, transforms_from_cdr
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Calibration, Profile, TimedPose
-from handeye_ros.errors import DataError, NoRosError
-from handeye_ros.node.errors import MessageError, TopicsError
+from handeye_ros.errors import DataError, NoRosError, UnusableMessageError
+from handeye_ros.node.errors import TopicsError
 from handeye_ros.node.executable import exit_code, RCLError, ros
 from handeye_ros.node.intake import LATCHED_TREE, STREAM, TFMessage, THROTTLE
 from handeye_ros.node.publishers import cloud
@@ -72,41 +70,43 @@ class ScanNode(Node):
             self.create_subscription(JointState, self._config.joint_topic,
                                      lambda data: self._on_joints(arm, data), STREAM, raw=True)
         elif self._config.pose_source == 'topic':
-            self.create_subscription(PoseStamped, self._config.pose_topic, self._on_pose, STREAM)
+            self.create_subscription(PoseStamped, self._config.pose_topic, self._on_pose, STREAM,
+                                     raw=True)
         elif not TFMessage:
             raise NoRosError('scan with pose_source tf', 'tf2_msgs')
         else:
             for topic, qos in (('/tf_static', LATCHED_TREE), ('/tf', STREAM)):
                 self.create_subscription(
-                    TFMessage, topic, lambda msg, static=topic != '/tf': self._on_transforms(
-                        msg, static), qos)
+                    TFMessage, topic, lambda data, static=topic != '/tf': self._on_transforms(
+                        data, static), qos, raw=True)
 
     def _on_profile(self, data: bytes) -> None:
         try:
             self._profiles.extend(returns_of(data, self._config.profile))
-        except MessageError as error:
+        except UnusableMessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 
-    def _on_pose(self, msg: PoseStamped) -> None:
+    def _on_pose(self, data: bytes) -> None:
         try:
-            pose = pose_from_stamped(msg)
+            pose = pose_from_cdr(data)
             if pose.parent_frame.lstrip('/') not in ('', self._config.base_frame):
-                raise MessageError('PoseStamped', f'it is given in "{pose.parent_frame}", but '
-                                   f'robot_base_frame is "{self._config.base_frame}"')
+                raise UnusableMessageError(
+                    f'PoseStamped message not used: it is given in "{pose.parent_frame}", but '
+                    f'robot_base_frame is "{self._config.base_frame}"')
             self._poses.append(pose)
-        except MessageError as error:
+        except UnusableMessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 
     def _on_joints(self, arm: Arm, data: bytes) -> None:
         try:
             self._poses.append(pose_from_joints(arm, data))
-        except MessageError as error:
+        except UnusableMessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 
-    def _on_transforms(self, msg: Any, static: bool) -> None:
+    def _on_transforms(self, data: bytes, static: bool) -> None:
         try:
-            self._poses.extend(self._tracker.add(msg.transforms, static))
-        except MessageError as error:
+            self._poses.extend(self._tracker.add(transforms_from_cdr(data), static))
+        except UnusableMessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
 
     def _publish_ready(self) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from handeye_ros import config as configuration
-from handeye_ros.bags.contents import CLOUD, POSE
+from handeye_ros.bags.reader import CLOUD, POSE
 from handeye_ros.bags.session_reading import sessions_in
 from handeye_ros.errors import HandeyeError
 from handeye_ros.node.errors import NothingToSaveError
@@ -122,7 +122,7 @@ def file(live: LiveSession, name: str) -> tuple[str, str]:
 
 def report(calibration: Any, session: str) -> str:
     """Return the report of a calibration and its session as HTML; takes seconds."""
-    from handeye_ros.bags.bag import evidence
+    from handeye_ros.evidence import evidence
     from handeye_ros.results import pages  # matplotlib
     return pages.html(calibration, evidence(calibration, Path(session) if session else None))
 

@@ -1,7 +1,8 @@
 """Bags in every form that recorders leave them in."""
 from __future__ import annotations
 
-from handeye_ros.bags import bag, contents
+from handeye_ros.bags import bag
+from handeye_ros.errors import InputError
 import pytest
 from recordings import (
     assert_equal_recordings,
@@ -34,9 +35,11 @@ def test_types_named_in_the_short_form(good_bag, tmp_path):
     assert_equal_recordings(bag.read(rewrite(good_bag, tmp_path / 's.mcap', types=short), CONFIG))
 
 
-def test_messages_that_are_not_of_ros_2_are_named():
-    assert contents.type_of('sensor_msgs/PointCloud2', 'ros1') == (
-        'sensor_msgs/msg/PointCloud2 in ros1')
+def test_messages_that_are_not_of_ros_2_are_named(good_bag, tmp_path):
+    file = rewrite(good_bag, tmp_path / 'old.mcap', encoding='ros1')
+    with pytest.raises(InputError, match='/flange_pose carries geometry_msgs/msg/PoseStamped in '
+                                         'ros1|/profile carries .*PointCloud2 in ros1'):
+        bag.read(file, CONFIG)
 
 
 def test_a_packed_file_beside_the_unpacked_one_is_the_same(good_bag, tmp_path):

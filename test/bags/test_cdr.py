@@ -1,126 +1,162 @@
 """Serialised messages: read like other readers do, and no bytes break it."""
 from __future__ import annotations
 
-from types import SimpleNamespace
-
-from handeye_ros.bags import messages
 from handeye_ros.bags.messages import (
-    deserialised,
     pose_from_cdr,
-    pose_from_stamped,
+    PROBE,
     profile_from_cdr,
-    profile_from_cloud,
-    stamp_of,
+    ProfileReader,
+    transforms_from_cdr,
 )
-from handeye_ros.bags.points import returns
-from handeye_ros.bags.profile_reader import PROBE, ProfileReader
 from handeye_ros.config import ProfileConfig
-from handeye_ros.node.errors import MessageError
+from handeye_ros.data import Profile
+from handeye_ros.errors import UnusableMessageError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from ros_clouds import cloud
+from ros_clouds import cloud, expected
 from rosbags.typesys import get_typestore, Stores
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-TYPES = STORE.types
 CLOUD, POSE = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseStamped'
+TF = 'tf2_msgs/msg/TFMessage'
 X = np.linspace(-0.02, 0.02, 50)
 LAYOUT = {'x': (0, 7), 'a long name': (4, 2), 'z': (8, 7)}
 METRES = ProfileConfig()
 
 
+def new(kind: str, *values: object) -> object:
+    return STORE.types[kind](*values)
+
+
 def header(stamp: int = 3_000_000_005, frame_id: str = 'laser') -> object:
-    time = TYPES['builtin_interfaces/msg/Time'](*divmod(stamp, 1_000_000_000))
-    return TYPES['std_msgs/msg/Header'](time, frame_id)
+    time = new('builtin_interfaces/msg/Time', *divmod(stamp, 1_000_000_000))
+    return new('std_msgs/msg/Header', time, frame_id)
 
 
 def message(z: object = 0.17, stamp: int = 3_000_000_005, frame_id: str = 'laser') -> object:
     made = cloud({'x': X, 'a long name': 0 * X, 'z': z + 0 * X}, LAYOUT, 12)
-    fields = [TYPES['sensor_msgs/msg/PointField'](**vars(f)) for f in made.fields]
-    return TYPES[CLOUD](header(stamp, frame_id), 1, len(X), fields, False, 12, 12 * len(X),
-                        made.data, True)
+    fields = [new('sensor_msgs/msg/PointField', *vars(f).values()) for f in made.fields]
+    return new(CLOUD, header(stamp, frame_id), 1, len(X), fields, False, 12, 12 * len(X),
+               made.data, True)
 
 
 def serialised(msg: object, kind: str = CLOUD, little_endian: bool = True) -> bytes:
     return bytes(STORE.serialize_cdr(msg, kind, little_endian=little_endian))
 
 
+def pose(position: object = (1.0, -2.0, 3.0), quaternion: object = (0.0, 0.6, 0.0, -0.8),
+         frame_id: str = 'base') -> object:
+    geometry = 'geometry_msgs/msg/'
+    return new(POSE, header(frame_id=frame_id), new(
+        f'{geometry}Pose', new(f'{geometry}Point', *position),
+        new(f'{geometry}Quaternion', *quaternion)))
+
+
+def transform(child: str, quaternion: object = (0.0, 0.6, 0.0, -0.8)) -> object:
+    geometry = 'geometry_msgs/msg/'
+    return new(f'{geometry}TransformStamped', header(frame_id='/base'), child, new(
+        f'{geometry}Transform', new(f'{geometry}Vector3', 1.0, -2.0, 3.0),
+        new(f'{geometry}Quaternion', *quaternion)))
+
+
 @pytest.mark.parametrize('little_endian', [True, False])
-@pytest.mark.parametrize('frame_id', ['', 'a', 'ab', 'abc', 'abcd', 'frame/é'])
+@pytest.mark.parametrize('frame_id', ['', 'a', 'ab', 'abc', '/abcd', 'frame/é'])
 def test_what_others_write_is_read(little_endian: bool, frame_id: str) -> None:
-    msg = message(frame_id=frame_id)
-    data = serialised(msg, little_endian=little_endian)
-    got, same = profile_from_cdr(data, METRES), profile_from_cloud(msg, METRES)
-    assert (got.stamp, got.frame_id) == (same.stamp, same.frame_id) == (3_000_000_005, frame_id)
-    np.testing.assert_array_equal(got.points, same.points)
-    geometry = SimpleNamespace(**{name: TYPES[f'geometry_msgs/msg/{name}']
-                                  for name in ('Point', 'Quaternion', 'Pose', 'PoseStamped')})
-    stamped = geometry.PoseStamped(header(frame_id=frame_id), geometry.Pose(
-        geometry.Point(1.0, 2.0, 3.0), geometry.Quaternion(0.0, 0.6, 0.0, 0.8)))
-    pose = pose_from_cdr(serialised(stamped, POSE, little_endian))
-    expected = pose_from_stamped(stamped)
-    assert (pose.stamp, pose.parent_frame) == (expected.stamp, expected.parent_frame)
-    np.testing.assert_array_equal(pose.translation, expected.translation)
-    np.testing.assert_array_equal(pose.quaternion, expected.quaternion)
+    got = profile_from_cdr(serialised(message(frame_id=frame_id), CLOUD, little_endian), METRES)
+    assert (got.stamp, got.frame_id) == (3_000_000_005, frame_id.lstrip('/'))
+    np.testing.assert_allclose(got.points, expected(X, 0.17 + 0 * X), rtol=1e-6)
+    posed = pose_from_cdr(serialised(pose(frame_id=frame_id), POSE, little_endian))
+    both = [new('geometry_msgs/msg/TransformStamped', *vars(transform(child)).values())
+            for child in (frame_id, 'other')]
+    found = transforms_from_cdr(serialised(new(TF, both), TF, little_endian))
+    assert [child for child, _ in found] == [frame_id.lstrip('/'), 'other']
+    for one in (posed, *(placed for _, placed in found)):
+        assert one.stamp == 3_000_000_005
+        np.testing.assert_array_equal(one.translation, [1.0, -2.0, 3.0])
+        np.testing.assert_allclose(one.quaternion, [0.0, -0.6, 0.0, 0.8], rtol=1e-15)
+    assert posed.parent_frame == frame_id.lstrip('/') and found[0][1].parent_frame == 'base'
 
 
-@pytest.mark.parametrize('size', range(0, 196, 3))
-def test_a_message_that_is_cut_is_refused_at_once(size: int) -> None:
-    data = serialised(message())
-    reader = ProfileReader(METRES)
-    for _ in range(2):  # with the layout unknown, and known
-        with pytest.raises(MessageError, match='PointCloud2 message not used'):
-            reader.take(data[:size])
-        reader.take(data)
+@pytest.mark.parametrize(('position', 'quaternion', 'reason'), [
+    ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 'quaternion of length 0, expected 1'),
+    ((0.0, 0.0, 0.0), (0.0, 0.0, 0.5, 1.0), 'quaternion of length 1.118, expected 1'),
+    ((0.0, 0.0, 0.0), (0.0, 0.0, np.nan, 1.0), 'not finite'),
+    ((0.0, np.inf, 0.0), (0.0, 0.0, 0.0, 1.0), 'not finite'),
+    ((0.0, 3e12, 0.0), (0.0, 0.0, 0.0, 1.0), 'the position reaches 3e.12 m'),
+])
+def test_malformed_poses(position: object, quaternion: object, reason: str) -> None:
+    with pytest.raises(UnusableMessageError, match=reason):
+        pose_from_cdr(serialised(pose(position, quaternion), POSE))
+
+
+def test_an_invalid_transform_does_not_affect_the_others() -> None:
+    bad = transform('camera', (0.0, 0.0, 0.0, 0.0))
+    found = transforms_from_cdr(serialised(new(TF, [bad, transform('flange')]), TF))
+    assert [child for child, _ in found] == ['flange']
+    with pytest.raises(UnusableMessageError, match='TransformStamped .* quaternion of length 0'):
+        transforms_from_cdr(serialised(new(TF, [bad]), TF))
+
+
+@given(st.lists(st.floats(), min_size=7, max_size=7))
+def test_any_pose_is_unit_or_refused(values: list[float]) -> None:
+    try:
+        got = pose_from_cdr(serialised(pose(values[:3], values[3:]), POSE))
+    except UnusableMessageError:
+        return
+    assert np.isfinite(got.translation).all()
+    assert np.linalg.norm(got.quaternion) == pytest.approx(1.0, abs=1e-12)
+    assert got.quaternion[3] >= 0
 
 
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=300), st.integers(0, 300), st.booleans())
 def test_any_bytes_are_a_message_or_refused(junk: bytes, keep: int, known: bool) -> None:
-    good = serialised(message())
-    data = good[:keep] + junk + good[keep + len(junk):]
-    reader = ProfileReader(METRES)
+    reader, goods = ProfileReader(METRES), [
+        serialised(message()), serialised(pose(), POSE), serialised(new(TF, [transform('a')]), TF)]
     if known:
-        reader.take(good)
-    for take in (lambda d: reader.take(d).read(), pose_from_cdr, lambda d: deserialised(d, CLOUD)):
-        try:
-            take(data)
-        except MessageError as error:
-            assert 'message not used: ' in str(error)
+        reader.take(goods[0])
+    for good, take in zip(goods, (lambda d: reader.take(d).read(), pose_from_cdr,
+                                  transforms_from_cdr), strict=True):
+        for data in (good[:keep] + junk + good[keep + len(junk):], good[:keep]):
+            try:
+                take(data)
+            except UnusableMessageError as error:
+                assert 'message not used: ' in str(error)
 
 
-def test_most_profiles_are_not_read_until_they_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    reader, read = ProfileReader(METRES), []
-    monkeypatch.setattr(messages, 'returns', lambda points: read.append(1) or returns(points))
-    stamps = [10**18 + i * 1_000_000 for i in range(1000)]
-    raws = [reader.take(serialised(message(stamp=stamp))) for stamp in stamps]
-    assert [raw.stamp for raw in raws] == stamps
-    assert len(read) == 10**9 // PROBE
-    assert raws[7].read().points.shape == (50, 2)
-    assert len(read) == 10**9 // PROBE + 1
+@pytest.mark.parametrize('size', range(0, 196, 13))
+def test_a_message_that_is_cut_is_refused_at_once(size: int) -> None:
+    data, reader = serialised(message()), ProfileReader(METRES)
+    for _ in range(2):  # with the layout unknown, and known
+        with pytest.raises(UnusableMessageError, match='PointCloud2 message not used'):
+            reader.take(data[:size])
+        reader.take(data)
 
 
-def test_from_one_that_cannot_be_used_to_the_next_that_can_all_are_read() -> None:
-    reader, refused = ProfileReader(METRES), []
-    start = 10**18
+def test_the_points_of_most_profiles_are_not_looked_at() -> None:
+    reader, step = ProfileReader(METRES), 1_000_000
+    refused = []
     for i in range(700):
-        data = serialised(message(z=170.0 if 100 <= i < 400 else 0.17, stamp=start + i * 10**6))
+        wrong = i % 7 == 3 or 300 <= i < 500
         try:
-            reader.take(data)
-        except MessageError as error:
+            reader.take(serialised(message(170.0 if wrong else 0.17, stamp=10**18 + i * step)))
+        except UnusableMessageError as error:
             assert 'set profile.unit to mm' in str(error)
             refused.append(i)
-    assert refused == list(range(200, 400)), 'from the first that is looked into'
+    looked_at = [i for i in range(0, 700, PROBE // step) if i % 7 == 3 or 300 <= i < 500]
+    assert refused[0] == looked_at[0] == 400, 'a few times per second'
+    assert set(range(400, 500)) <= set(refused), 'from one that cannot be used to one that can'
+    assert len(refused) < 130
 
 
 def test_profiles_without_returns_tell_nothing_of_the_unit() -> None:
     reader = ProfileReader(METRES)
     for i in range(5):
-        reader.take(serialised(message(z=np.nan, stamp=10**18 + i)))
-    with pytest.raises(MessageError, match='set profile.unit to mm'):
-        reader.take(serialised(message(z=170.0, stamp=10**18 + 6)))
+        reader.take(serialised(message(np.nan, stamp=10**18 + i)))
+    with pytest.raises(UnusableMessageError, match='set profile.unit to mm'):
+        reader.take(serialised(message(170.0, stamp=10**18 + 6)))
 
 
 def test_drivers_whose_clouds_change_their_size_and_layout() -> None:
@@ -132,25 +168,20 @@ def test_drivers_whose_clouds_change_their_size_and_layout() -> None:
         if i % 3 == 0:
             msg.fields = msg.fields[::2]
         got = reader.take(serialised(msg)).read()
-        assert len(got.points) == msg.width
+        assert isinstance(got, Profile) and len(got.points) == msg.width
     msg.point_step = 11
-    with pytest.raises(MessageError, match='ends at byte 12 of points that are 11 bytes long'):
-        reader.take(serialised(msg))
+    with pytest.raises(UnusableMessageError, match='byte 12 of points that are 11 bytes long'):
+        reader.take(serialised(msg)).read()
 
 
-@given(place=st.integers(0, 900), byte=st.integers(0, 255), keep=st.integers(0, 900),
-       little_endian=st.booleans())
-def test_what_is_like_the_last_message_is_one(place: int, byte: int, keep: int,
-                                              little_endian: bool) -> None:
-    reader, good = ProfileReader(METRES), serialised(message(), little_endian=little_endian)
-    for _ in range(3):
-        assert reader.take(good).stamp == 3_000_000_005
-    changed = bytearray(good)
-    changed[place % len(good)] = byte
-    data = bytes(changed[:keep]) if keep < 300 else bytes(changed)
-    try:
-        raw = reader.take(data)
-    except MessageError:
-        return
-    head = deserialised(data, CLOUD).header  # which damaged bytes would not give
-    assert (raw.stamp, raw.frame_id, raw.rows) == (stamp_of(head), head.frame_id, 1)
+@pytest.mark.ros
+def test_messages_of_rclpy() -> None:
+    pytest.importorskip('rclpy')
+    from rclpy.serialization import serialize_message
+    from sensor_msgs.msg import PointCloud2, PointField
+    made = cloud({'x': X, 'a long name': 0 * X, 'z': 0.17 + X}, LAYOUT, 12)
+    msg = PointCloud2(height=1, width=50, point_step=12, row_step=600, data=made.data.tobytes())
+    msg.fields = [PointField(**vars(f)) for f in made.fields]
+    msg.header.frame_id = 'laser'
+    got = profile_from_cdr(serialize_message(msg), METRES)
+    np.testing.assert_allclose(got.points, expected(X, 0.17 + X), rtol=1e-6)

@@ -1,17 +1,16 @@
-"""Profiles and poses from messages: the layouts of real drivers, and of none."""
+"""Profiles from clouds: the layouts of real drivers and of none, any order of the points."""
 from __future__ import annotations
 
-import array
 from types import SimpleNamespace
 
-from handeye_ros.bags.messages import DATATYPES, pose_from_stamped, profile_from_cloud
+from handeye_ros.bags.messages import DATATYPES
 from handeye_ros.config import ProfileConfig
-from handeye_ros.node.errors import MessageError
+from handeye_ros.errors import UnusableMessageError
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from ros_clouds import cloud, expected, field, header, METRES, points, pose
+from ros_clouds import cloud, expected, field, header, points, profile
 
 MILLIMETRES = ProfileConfig(unit='mm')
 X = np.array([-0.02, -0.01, 0.0, 0.01, 0.02, 0.03])
@@ -20,9 +19,9 @@ XZ = {'x': (0, 7), 'z': (8, 7)}
 
 
 def test_stamp_and_frame():
-    profile = profile_from_cloud(cloud({'x': X, 'z': Z}, XZ, 12), METRES)
-    assert profile.stamp == 1_700_000_000_000_000_001
-    assert (profile.frame_id, profile.axes) == ('laser', ('x', 'z'))
+    got = profile(cloud({'x': X, 'z': Z}, XZ, 12))
+    assert got.stamp == 1_700_000_000_000_000_001
+    assert (got.frame_id, got.axes) == ('laser', ('x', 'z'))
 
 
 def test_scancontrol_26_bytes_with_fields_between():
@@ -33,19 +32,11 @@ def test_scancontrol_26_bytes_with_fields_between():
     np.testing.assert_allclose(got, expected(X, Z), rtol=1e-6)
 
 
-def test_keyence_infinity_is_no_return_whatever_is_dense_says():
-    x = np.linspace(-0.1, 0.1, 800)
-    z = np.where(np.arange(800) % 7 == 0, np.inf, 0.3)
-    got = points(cloud({'x': x, 'y': 0 * x, 'z': z}, {**XZ, 'y': (4, 7)}, 16))
-    assert np.isnan(got).all(axis=1).sum() == len(range(0, 800, 7))
-    assert not np.isinf(got).any()
-
-
 def test_gocator_millimetres_with_z_up():
     config = ProfileConfig(unit='mm', axes=('x', '-z'), range_sign=1)
-    profile = profile_from_cloud(cloud({'x': X * 1e3, 'z': -Z * 1e3}, XZ, 12), config)
-    np.testing.assert_allclose(profile.points, expected(X, Z), rtol=1e-6)
-    assert profile.axes == ('x', '-z')
+    got = profile(cloud({'x': X * 1e3, 'z': -Z * 1e3}, XZ, 12), config)
+    np.testing.assert_allclose(got.points, expected(X, Z), rtol=1e-6)
+    assert got.axes == ('x', '-z')
 
 
 def test_int16_raw_values_in_millimetres():
@@ -59,13 +50,13 @@ def test_missing_fields_matter_only_for_the_two_axes():
     msg = cloud({'y': X, 'z': Z}, {'y': (0, 7), 'z': (8, 7)}, 12)
     np.testing.assert_allclose(points(msg, ProfileConfig(axes=('-y', 'z'))), expected(-X, Z),
                                rtol=1e-6)
-    with pytest.raises(MessageError, match=r'no fields are named "x" \(fields: y, z\)'):
+    with pytest.raises(UnusableMessageError, match=r'no fields are named "x" \(fields: y, z\)'):
         points(msg)
 
 
 def test_empty_cloud_is_a_profile_without_returns():
     msg = SimpleNamespace(header=header(), height=1, width=0, fields=[], is_bigendian=False,
-                          point_step=0, row_step=0, data=array.array('B'), is_dense=True)
+                          point_step=0, row_step=0, data=b'', is_dense=True)
     assert points(msg).shape == (0, 2)
 
 
@@ -83,15 +74,8 @@ def test_signalling_nan_is_no_return():
 def test_a_message_is_not_changed():
     msg = cloud({'x': X, 'z': Z}, XZ, 12)
     before = msg.data.copy()
-    profile_from_cloud(msg, METRES).points[:] = 7.0
+    points(msg)[:] = 7.0
     np.testing.assert_array_equal(msg.data, before)
-
-
-@pytest.mark.parametrize('kind', [bytes, bytearray, lambda b: array.array('B', b), list])
-def test_every_kind_of_buffer(kind):
-    msg = cloud({'x': X, 'z': Z}, XZ, 12)
-    msg.data = kind(msg.data.tobytes())
-    np.testing.assert_allclose(points(msg), expected(X, Z), rtol=1e-6)
 
 
 @pytest.mark.parametrize('height', [1, 2])
@@ -99,13 +83,6 @@ def test_a_row_step_that_was_left_unset(height):
     msg = cloud({'x': X, 'z': Z}, XZ, 12, height=height)
     msg.row_step = 0
     np.testing.assert_allclose(points(msg), expected(X, Z), rtol=1e-6)
-
-
-def test_a_slash_before_the_frame_is_that_of_ros_1():
-    msg = cloud({'x': X, 'z': Z}, XZ, 12)
-    msg.header.frame_id = '/laser'
-    assert profile_from_cloud(msg, METRES).frame_id == 'laser'
-    assert pose_from_stamped(pose(frame_id='/base')).parent_frame == 'base'
 
 
 @pytest.mark.parametrize(('changes', 'reason'), [
@@ -126,24 +103,24 @@ def test_a_slash_before_the_frame_is_that_of_ros_1():
 def test_malformed_clouds(changes, reason):
     msg = cloud({'x': X, 'z': Z}, XZ, 12)
     vars(msg).update(changes)
-    with pytest.raises(MessageError, match=reason):
+    with pytest.raises(UnusableMessageError, match=reason):
         points(msg)
 
 
 def test_millimetres_taken_for_metres_are_named():
     msg = cloud({'x': X * 1e3, 'z': 172 + X}, XZ, 12)
-    with pytest.raises(MessageError, match='coordinates reach 172 m: set profile.unit to mm'):
+    with pytest.raises(UnusableMessageError, match='reach 172 m: set profile.unit to mm'):
         points(msg)
 
 
 def test_micrometres_are_not_known():
     msg = cloud({'x': X * 1e6, 'z': 172e3 + X}, XZ, 12)
-    with pytest.raises(MessageError, match='172 m, but profile.unit is m or mm'):
+    with pytest.raises(UnusableMessageError, match='172 m, but profile.unit is m or mm'):
         points(msg, MILLIMETRES)
 
 
 def test_metres_taken_for_millimetres_are_named():
-    with pytest.raises(MessageError, match='larger than 0.174 mm: set profile.unit to m'):
+    with pytest.raises(UnusableMessageError, match='larger than 0.174 mm: set profile.unit to m'):
         points(cloud({'x': X, 'z': Z}, XZ, 12), MILLIMETRES)
 
 
@@ -204,7 +181,7 @@ def test_garbage_raises_message_error_and_nothing_else(fields, height, width, po
                           is_bigendian=bigendian, is_dense=False)
     try:
         got = points(msg, ProfileConfig(unit=unit))
-    except MessageError as error:
+    except UnusableMessageError as error:
         assert str(error).startswith('PointCloud2 message not used: ')
     else:
         assert got.shape == (height * width, 2)
@@ -219,37 +196,94 @@ def test_garbage_values_become_returns_or_no_returns(data, kind, bigendian, unit
     msg.data = data
     try:
         got = points(msg, ProfileConfig(unit=unit))
-    except MessageError as error:
+    except UnusableMessageError as error:
         assert 'set profile.unit' in str(error) or 'coordinates reach' in str(error)
     else:
         assert np.isnan(got).any() or np.abs(got).max() <= 10.0
 
 
-def test_messages_of_rosbags():
-    stores = pytest.importorskip('rosbags.typesys')
-    store = stores.get_typestore(stores.Stores.ROS2_JAZZY)
-    made = cloud({'x': X, 'z': Z}, XZ, 12)
-    types = store.types
-    stamp = types['builtin_interfaces/msg/Time'](sec=3, nanosec=5)
-    msg = types['sensor_msgs/msg/PointCloud2'](
-        header=types['std_msgs/msg/Header'](stamp=stamp, frame_id='laser'), height=1, width=6,
-        fields=[types['sensor_msgs/msg/PointField'](**vars(f)) for f in made.fields],
-        is_bigendian=False, point_step=12, row_step=72, data=made.data, is_dense=True)
-    kind = 'sensor_msgs/msg/PointCloud2'
-    profile = profile_from_cloud(
-        store.deserialize_cdr(store.serialize_cdr(msg, kind), kind), METRES)
-    assert profile.stamp == 3_000_000_005
-    np.testing.assert_allclose(profile.points, expected(X, Z), rtol=1e-6)
+LINE = np.linspace(-0.03, 0.03, 200)
+EDGE = np.where(LINE < 0.004, 0.17 + 0.1 * LINE, 0.19)
+NOISY = EDGE + 5e-5 * np.sin(9.7 * np.arange(200))
+LOST = np.where((LINE > 0.004) & (LINE < 0.012), np.nan, EDGE)
+ORDERS = {
+    'backwards': np.arange(200)[::-1],
+    'shuffled': np.random.default_rng(1).permutation(200),
+    'a ring that starts in the middle': np.roll(np.arange(200), 77),
+    'even columns, then odd ones': np.r_[0:200:2, 1:200:2],
+    'blocks': np.arange(200).reshape(4, 50)[::-1].ravel(),
+}
 
 
-@pytest.mark.ros
-def test_messages_of_rclpy():
-    pytest.importorskip('rclpy')
-    from rclpy.serialization import deserialize_message, serialize_message
-    from sensor_msgs.msg import PointCloud2, PointField
-    made = cloud({'x': X, 'z': Z}, XZ, 12)
-    msg = PointCloud2(height=1, width=6, point_step=12, row_step=72, data=made.data.tobytes())
-    msg.fields = [PointField(**vars(f)) for f in made.fields]
-    msg.header.frame_id = 'laser'
-    received = deserialize_message(serialize_message(msg), PointCloud2)
-    np.testing.assert_allclose(points(received), expected(X, Z), rtol=1e-6)
+def layered(x, z, y=None, **options):
+    layout = {'x': (0, 7), 'y': (4, 7), 'z': (8, 7)}
+    return cloud({'x': x, 'y': 0 * x if y is None else y, 'z': z}, layout, 12, **options)
+
+
+@pytest.mark.parametrize('order', ORDERS)
+@pytest.mark.parametrize('z', [EDGE, LOST], ids=['all returns', 'some lost'])
+def test_points_come_in_any_order(order, z):
+    got = points(layered(LINE[ORDERS[order]], z[ORDERS[order]]))
+    want = expected(LINE, z)
+    np.testing.assert_allclose(got[::-1] if order == 'backwards' else got, want, rtol=1e-6)
+
+
+def test_lost_points_without_a_place_leave_the_others_in_order():
+    order = ORDERS['shuffled']
+    lost = np.isnan(LOST[order])
+    got = points(layered(np.where(lost, np.nan, LINE[order]), LOST[order]))
+    np.testing.assert_allclose(got, expected(LINE, LOST)[~np.isnan(LOST)], rtol=1e-6)
+
+
+def test_columns_that_run_back_behind_a_step_stay_as_the_sensor_has_them():
+    x = LINE.copy()
+    x[110:] -= 0.004  # rays that fan out hit what is behind the step further inside
+    np.testing.assert_allclose(points(layered(x, EDGE)), expected(x, EDGE), rtol=1e-6)
+
+
+@pytest.mark.parametrize('height', [2, 5])
+def test_several_profiles_in_one_organised_cloud_are_one(height):
+    rng = np.random.default_rng(3)
+    z = EDGE + rng.normal(0, 3e-5, (height, 200))
+    z[:, 20:30] = np.nan
+    z[0, 40] = np.nan
+    got = points(layered(np.tile(LINE, height), z.ravel(), height=height))
+    want = np.nanmean(z[:, [*range(20), *range(30, 200)]], axis=0)
+    np.testing.assert_allclose(got[~np.isnan(got[:, 1]), 1], want, rtol=1e-6)
+    assert len(got) == 200 and np.isnan(got[20:30]).all()
+
+
+@pytest.mark.parametrize(('columns', 'axes', 'advice'), [
+    ((NOISY, 0 * LINE, LINE), ('x', 'z'), r'follow each other along z, not along x: .*\[z, x]'),
+    ((0 * LINE, LINE, EDGE), ('x', 'z'), r'their y spans 60.0 mm, their x nothing: .*\[y, z]'),
+    ((LINE, EDGE, 0 * LINE), ('x', 'z'), r'their y spans 23.0 mm, their z nothing: .*\[x, y]'),
+    ((LINE, 0.5 * LINE, EDGE), ('x', 'z'), 'spans 30.0 mm; a line profiler measures in one'),
+    ((LINE, 0 * LINE, EDGE), ('-y', 'z'), r'their x spans 60.0 mm, their y nothing: .*\[x, z]'),
+])
+def test_wrong_axes_are_named(columns, axes, advice):
+    x, y, z = columns
+    with pytest.raises(UnusableMessageError, match=advice):
+        points(layered(x + 0, z + 1e-12, y), ProfileConfig(axes=axes))
+
+
+def test_a_surface_of_many_profiles_is_refused():
+    y = np.repeat(np.arange(10) * 0.001, 200)
+    with pytest.raises(UnusableMessageError, match='spans 9.0 mm; a line profiler measures'):
+        points(layered(np.tile(LINE, 10), np.tile(EDGE, 10), y, height=10))
+
+
+def test_a_third_coordinate_that_is_the_same_for_all_is_kept():
+    got = profile(layered(LINE, LOST, 0 * LINE + 0.012))
+    assert got.beside == pytest.approx(0.012)
+    np.testing.assert_allclose(got.points, expected(LINE, LOST), rtol=1e-6)
+
+
+def test_the_origin_itself_is_no_return():
+    lost = np.isnan(LOST)
+    x, z = np.where(lost, 0, LINE), np.where(lost, 0, LOST)
+    np.testing.assert_allclose(points(layered(x, z)), expected(LINE, LOST), rtol=1e-6)
+
+
+def test_what_a_third_axis_holds_for_lost_points_does_not_matter():
+    y = np.where(np.isnan(LOST), 7.0, 0.0)
+    np.testing.assert_allclose(points(layered(LINE, LOST, y)), expected(LINE, LOST), rtol=1e-6)

@@ -6,13 +6,12 @@ import re
 
 from command import ROOT
 from handeye_ros import config as configs
-from handeye_ros.bags.messages import profile_from_cloud
-from handeye_ros.bags.profile_reader import rows_of
+from handeye_ros.bags.messages import rows_of
 from handeye_ros.data import EdgePoint
 from handeye_ros.profiles.faces import face_features
 import numpy as np
 import pytest
-from ros_clouds import cloud
+from ros_clouds import cloud, points, profile, read
 
 PAGE = ROOT / 'docs' / 'sensors.md'
 F32, F64, U8, U16, U32 = 7, 8, 2, 4, 6
@@ -68,14 +67,14 @@ def test_the_settings_read_the_message(name: str, tmp_path: Path) -> None:
     file.write_text(sections()[name])
     config = configs.load(file)
     columns, layout, step = MESSAGES[name]
-    profile = profile_from_cloud(cloud(columns, layout, step), config.profile)
-    seen = np.isfinite(profile.points).all(axis=1)
-    assert not np.isinf(profile.points).any()
+    made = profile(cloud(columns, layout, step), config.profile)
+    seen = np.isfinite(made.points).all(axis=1)
+    assert not np.isinf(made.points).any()
     assert (~seen).sum() in (0, 20)
-    np.testing.assert_allclose(profile.points[seen, 0], X[seen], atol=1e-6)
+    np.testing.assert_allclose(made.points[seen, 0], X[seen], atol=1e-6)
     np.testing.assert_allclose(
-        config.profile.range_sign * profile.points[seen, 1] - config.profile.range_sign
-        * profile.points[seen, 1][0], DEPTH[seen] - DEPTH[seen][0], atol=1e-6)
+        config.profile.range_sign * made.points[seen, 1] - config.profile.range_sign
+        * made.points[seen, 1][0], DEPTH[seen] - DEPTH[seen][0], atol=1e-6)
 
 
 @pytest.mark.parametrize('name', MESSAGES)
@@ -87,8 +86,7 @@ def test_the_edge_is_found_in_it(name: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     size = 1e-5 * (1e3 if config.profile.unit == 'mm' else 1.0)
     noisy = {**columns, 'z': columns['z'] + rng.normal(size=len(X)) * size}
-    points = profile_from_cloud(cloud(noisy, layout, step), config.profile).points
-    features = face_features(points, config)
+    features = face_features(points(cloud(noisy, layout, step), config.profile), config)
     edges = [f.point[0] for f in features if isinstance(f, EdgePoint)]
     assert min(abs(x - 0.004) for x in edges) < 2e-4
 
@@ -99,5 +97,5 @@ def test_a_batch_of_mech_mind_is_so_many_profiles(tmp_path: Path) -> None:
     config = configs.load(file).profile
     columns, layout, step = MESSAGES['Mech-Mind']
     message = cloud({name: np.tile(v, 5) for name, v in columns.items()}, layout, step, height=5)
-    assert rows_of(message, config) == 5
+    assert rows_of(read(message), config) == 5
     assert config.stamp == 'last', 'the driver stamps a batch when it is complete'

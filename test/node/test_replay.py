@@ -11,8 +11,8 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import running  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped  # noqa: E402
-from handeye_ros.bags.storage import scan  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
+from recordings import scan  # noqa: E402
 from ros_helpers import Client, RELIABLE, ROOT, run_module  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import PointCloud2  # noqa: E402
@@ -29,24 +29,24 @@ def replaying(*arguments: str) -> AbstractContextManager[subprocess.Popen[str]]:
 
 
 def test_every_message_arrives_as_it_was_recorded(client: Client) -> None:
-    recorded = scan(BAG)
+    _, recorded = scan(BAG)
     types = {'/profile': PointCloud2, '/flange_pose': PoseStamped}
-    heard: dict[str, list[object]] = {topic: [] for topic in recorded.topics}
+    heard: dict[str, list[object]] = {topic: [] for topic in types}
     for topic, kind in types.items():
         client.node.create_subscription(kind, topic, heard[topic].append, RELIABLE)
     clock: list[Clock] = []
     client.node.create_subscription(Clock, '/clock', clock.append, RELIABLE)
     with replaying(str(BAG), '--rate', '20') as replay:
         client.until(lambda: replay.poll() is not None, 'the replay ends')
-        client.until(lambda: sum(map(len, heard.values())) == len(recorded.messages),
+        client.until(lambda: sum(map(len, heard.values())) == len(recorded),
                      'all is heard')
         assert (replay.returncode, replay.communicate()) == (0, ('', ''))
     for topic, messages in heard.items():
         assert messages == [deserialize_message(raw.data, types[topic])
-                            for raw in recorded.messages if raw.topic == topic]
+                            for raw in recorded if raw.topic == topic]
     times = [msg.clock.sec * 10**9 + msg.clock.nanosec for msg in clock]
     assert times == sorted(times)
-    assert times[-1] == max(raw.log_time for raw in recorded.messages)
+    assert times[-1] == max(raw.log_time for raw in recorded)
 
 
 def test_without_subscribers_it_says_so_and_goes_on(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 from browser import chromium, complaints
 from command import assert_refused, handeye, ROOT
 from handeye_ros import config, se3
-from handeye_ros.bags.bag import evidence
 from handeye_ros.data import Calibration
+from handeye_ros.evidence import evidence
 from handeye_ros.results import calibration_file, pages
 from handeye_ros.results.evidence import Evidence, mapped_std, verdict
 import numpy as np

@@ -15,7 +15,7 @@ from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.robot import profiles
 from handeye_ros.robot.estimate import State
 from handeye_ros.robot.model import Arm, GEOMETRY, parameters
-from handeye_ros.robot.samples import outcome_of, source_of
+from handeye_ros.robot.samples import JointRecording, outcome_of, source_of
 from handeye_ros.robot.urdf import chain_of, read_arm, read_chain
 from handeye_ros.simulate import arm as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
@@ -61,7 +61,8 @@ def source():
     """Return the chain and the samples of the recording in bags/."""
     chain = read_chain(ROOT / 'bags/arm/robot.urdf')[1]
     config = Config(target=TargetConfig(type='sphere'))
-    recording = bag.read_with_joints(ROOT / 'bags/arm', config, chain, lambda share: None)
+    found = bag.read(ROOT / 'bags/arm', config, arm=Arm(chain))
+    recording = JointRecording(found.profiles, found.poses, found.joints, (), (), found.inputs)
     return chain, source_of(recording, chain, config)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros.bags import bag_write
-from handeye_ros.bags.storage import scan
+from handeye_ros.bags.reader import Reader
 from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import Profile, TimedPose
 from handeye_ros.sampling.dwells import DwellFinder
@@ -38,24 +38,31 @@ def restamped(items, stamps):
     return [replace(item, stamp=stamp) for item, stamp in zip(items, stamps, strict=True)]
 
 
-def rewrite(bag, path, messages=None, types=None, finish=True, **options):
+def scan(bag):
+    """Return the types of a bag's topics, and its messages."""
+    reader = Reader(bag)
+    messages = list(reader.messages())
+    return reader.types, messages
+
+
+def rewrite(bag, path, messages=None, types=None, finish=True, encoding='cdr', **options):
     """
     Write messages (default: those of the bag) into an .mcap file as mcap.writer.Writer can.
 
     Yields nothing of the definitions of the types: readers know the standard ones.
     """
-    contents = scan(bag)
-    messages = contents.messages if messages is None else messages
-    types = contents.topics | (types or {})
+    own_types, own_messages = scan(bag)
+    messages = own_messages if messages is None else messages
+    types = own_types | (types or {})
     options = {'chunk_size': 4096, 'compression': CompressionType.NONE} | options
     with path.open('wb') as stream:
         writer = Writer(stream, **options)
         writer.start('ros2')
         channels = {}
-        for topic, log_time, data in messages:
+        for topic, log_time, data, *_ in messages:
             if topic not in channels:
                 schema = writer.register_schema(types[topic], 'ros2msg', b'')
-                channels[topic] = writer.register_channel(topic, 'cdr', schema)
+                channels[topic] = writer.register_channel(topic, encoding, schema)
             writer.add_message(channels[topic], log_time, data, log_time)
         if finish:
             writer.finish()
@@ -117,7 +124,7 @@ def assert_equal_recordings(recording, profiles=PROFILES, poses=POSES):
 def split(folder, target, listed):
     """Split a bag into eleven files, so that _10 comes behind _9."""
     target.mkdir()
-    messages = scan(folder).messages
+    _, messages = scan(folder)
     names = [f'split_{i}.mcap' for i in range(11)]
     for i, name in enumerate(names):
         rewrite(folder, target / name, messages[i * 12:(i + 1) * 12])
@@ -129,19 +136,19 @@ def split(folder, target, listed):
 
 def rosbags_copy(folder, target, plugin, mode):
     """Copy a bag with another storage and compression."""
-    messages = scan(folder)
+    types, messages = scan(folder)
     writer = BagWriter(target, version=9, storage_plugin=plugin)
     writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
         connections = {topic: writer.add_connection(topic, kind, typestore=TYPES)
-                       for topic, kind in messages.topics.items()}
-        for raw in messages.messages:
+                       for topic, kind in types.items()}
+        for raw in messages:
             writer.write(connections[raw.topic], raw.log_time, raw.data)
     return target
 
 
 def with_messages(folder, tmp_path, change, types=None):
     """Return a copy of a bag whose messages went through change(raw) -> raw or None."""
-    changed = [change(raw) for raw in scan(folder).messages]
+    changed = [change(raw) for raw in scan(folder)[1]]
     return rewrite(folder, tmp_path / 'changed.mcap', [raw for raw in changed if raw],
                    types=types)

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from handeye_ros.bags.messages import DATATYPES, profile_from_cloud
+from handeye_ros.bags.messages import Cloud, DATATYPES, Field, profile_from_cloud
 from handeye_ros.config import ProfileConfig
 import numpy as np
 
@@ -48,8 +48,20 @@ def pose(position=(1.0, 2.0, 3.0), orientation=(0.0, 0.0, 0.0, 1.0), frame_id='b
         orientation=names(**dict(zip('xyzw', orientation, strict=True)))))
 
 
+def read(msg):
+    """Return a message as it comes out of its bytes."""
+    fields = tuple(Field(f.name, f.offset, f.datatype, f.count) for f in msg.fields)
+    stamp = msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec
+    return Cloud(stamp, msg.header.frame_id, msg.height, msg.width, fields, msg.is_bigendian,
+                 msg.point_step, msg.row_step, msg.data)
+
+
+def profile(msg, config=METRES):
+    return profile_from_cloud(read(msg), config)
+
+
 def points(msg, config=METRES):
-    return profile_from_cloud(msg, config).points
+    return profile(msg, config).points
 
 
 def expected(x, z):

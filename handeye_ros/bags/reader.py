@@ -1,0 +1,387 @@
+"""
+Messages of a rosbag2 recording (mcap or db3) in the order of the file, as far as it is readable.
+
+A recording that is cut off (power failure, full disk) is read up to its end, also within a chunk.
+Nothing larger than LARGEST is held in memory, whatever lengths a damaged file states.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from contextlib import closing, suppress
+from functools import lru_cache, partial
+import io
+from pathlib import Path
+import re
+import shutil
+import sqlite3
+import struct
+import tempfile
+from typing import Any, BinaryIO, NamedTuple
+import weakref
+import zlib
+
+from handeye_ros.config import yaml_content
+from handeye_ros.errors import BagError
+import lz4.frame  # type: ignore[import-untyped]
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader
+import yaml
+import zstandard
+
+CLOUD = 'sensor_msgs/msg/PointCloud2'
+POSE = 'geometry_msgs/msg/PoseStamped'
+JOINTS = 'sensor_msgs/msg/JointState'
+TF = 'tf2_msgs/msg/TFMessage'
+STRING = 'std_msgs/msg/String'
+
+MCAP = b'\x89MCAP0\r\n'
+SQLITE = b'SQLite format 3\0'
+ROS1 = b'#ROSBAG V'
+ZSTD = b'\x28\xb5\x2f\xfd'
+SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
+
+RECORD = struct.Struct('<BQ')  # opcode and length of an mcap record
+MESSAGE = struct.Struct('<HIQQ')  # channel, number, time of receipt and of publishing
+DEFINITIONS: dict[int, type[Schema | Channel]] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
+LARGEST = 1 << 28  # bytes of one record or message, compressed or not: no recorder writes more
+CHUNKS = 4  # decompressed chunks in memory: the profiles of a stop are close together
+
+
+class Raw(NamedTuple):
+    """
+    A message as it was recorded.
+
+    log_time: ns; fetch: reads data again, so that they need not be kept; they are empty if the
+    file has changed.
+    """
+
+    topic: str
+    log_time: int
+    data: bytes
+    fetch: Callable[[], bytes] = bytes
+
+
+class Reader:
+    """
+    Reads the messages of a rosbag2 folder or an .mcap or .db3 file, all or those of some topics.
+
+    types: of all topics by name; warnings: on unreadable data; files: those that were read. All
+    three are complete after the last message.
+    """
+
+    def __init__(self, path: Path, topics: Collection[str] | None = None,
+                 progress: Callable[[float], None] = lambda share: None) -> None:
+        """progress: receives the fraction of the bytes that were read."""
+        self.path = path
+        self.types: dict[str, str] = {}
+        self.warnings: list[str] = []
+        self.files: list[Path] = []
+        self._topics = None if topics is None else {full_name(topic) for topic in topics}
+        self._progress = progress
+
+    def messages(self) -> Iterator[Raw]:
+        """Yield the messages; raises BagError if there is nothing to read."""
+        try:
+            self.files = _files(self.path, self.warnings)
+            sizes = [file.stat().st_size for file in self.files]
+            for index, file in enumerate(self.files):
+                done, total = sum(sizes[:index]), max(1, sum(sizes))
+                storage = _storage(file)
+                for raw in storage.messages(self):
+                    yield raw
+                    if storage.advanced:
+                        share = (done + min(storage.position, sizes[index])) / total
+                        self._progress(min(1.0, share))
+                        storage.advanced = False
+        except OSError as error:
+            raise BagError(error.filename or self.path,
+                           f'cannot be read: {error.strerror or error}') from error
+        if not self.types:
+            reason = '; '.join(self.warnings) or 'the recording was stopped before it began'
+            raise BagError(self.path, f'holds no messages ({reason}): record again')
+
+    def wants(self, topic: str, kind: str, encoding: str) -> bool:
+        """Take note of a topic and its type; return whether its messages are requested."""
+        package, _, name = kind.partition('/')
+        kind = kind if not name or '/' in name else f'{package}/msg/{name}'
+        self.types[topic] = kind if encoding == 'cdr' else f'{kind} in {encoding}'
+        return self._topics is None or topic in self._topics
+
+
+def full_name(topic: str) -> str:
+    """Return a topic with its leading slash."""
+    return '/' + topic.lstrip('/')
+
+
+def _files(path: Path, warnings: list[str]) -> list[Path]:
+    """Return the storage files of a bag in recording order."""
+    if not path.exists():
+        raise BagError(path, 'no such file or folder; expected a rosbag2 folder, or an .mcap or '
+                             '.db3 file')
+    if not path.is_dir():
+        return [path]
+    stored = sorted((p for p in path.iterdir() if p.name.endswith(SUFFIXES)), key=_natural)
+    # playing a compressed bag leaves the decompressed file beside it
+    stored = [p for p in stored if p.suffix != '.zstd' or p.with_suffix('') not in stored]
+    if not stored:
+        raise BagError(path, 'is not a bag: the folder holds no .mcap or .db3 file')
+    try:
+        content = yaml_content((path / 'metadata.yaml').read_text(encoding='utf-8'))
+        names = [Path(p).name for p in content['rosbag2_bagfile_information'][
+            'relative_file_paths']]
+    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError):
+        warnings.append(f'metadata.yaml is missing or damaged; read {len(stored)} storage file(s) '
+                        'of the folder')
+        return stored
+    listed = [path / name for name in names if (path / name).is_file()]
+    if len(listed) < len(names):
+        warnings.append(f'{len(names) - len(listed)} of the {len(names)} files that '
+                        'metadata.yaml lists are missing')
+    return listed or stored
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Return a sort key with bag_10 after bag_9."""
+    return [(int(digits or 0), text) for text, digits in re.findall(r'(\D*)(\d*)', path.name)]
+
+
+def _storage(path: Path) -> _Mcap | _Sqlite:
+    """Return a storage file, decompressed; raises BagError for other files."""
+    magic, file, folder = _magic(path), path, None
+    if magic[:len(ZSTD)] == ZSTD:
+        folder = tempfile.mkdtemp(prefix='handeye-')
+        file = Path(folder) / path.with_suffix('').name
+        with path.open('rb') as packed, file.open('wb') as target, suppress(zstandard.ZstdError):
+            zstandard.ZstdDecompressor().copy_stream(packed, target)  # up to a damage
+        magic = _magic(file) or ZSTD
+    storage: _Mcap | _Sqlite
+    if magic == MCAP:
+        storage = _Mcap(file, path.name)
+    elif magic == SQLITE[:len(MCAP)]:
+        storage = _Sqlite(file, path.name)
+    else:
+        reason = ('the file is empty: record again' if not magic else
+                  'is a ROS 1 bag: convert it with rosbags-convert'
+                  if magic == ROS1[:len(magic)] else
+                  'is not a bag; expected a rosbag2 folder, or an .mcap or .db3 file')
+        raise BagError(path, reason)
+    if folder:
+        _deleted_with(storage, folder)
+    return storage
+
+
+def _magic(path: Path) -> bytes:
+    with path.open('rb') as stream:
+        return stream.read(len(MCAP))
+
+
+def _deleted_with(storage: object, folder: str) -> None:
+    """Keep a temporary folder as long as messages may be read again from it."""
+    weakref.finalize(storage, shutil.rmtree, folder, ignore_errors=True)
+
+
+def _message(data: bytes) -> bytes:
+    """Return a message, decompressed if the recorder compressed each one; CDR starts with 0."""
+    if data[:4] != ZSTD:
+        return data
+    try:
+        return _unpacked(data)
+    except zstandard.ZstdError:
+        return b''  # no message of any type
+
+
+def _unpacked(data: bytes) -> bytes:
+    """Return decompressed zstd data, also if cut off."""
+    with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+        return stream.read(LARGEST)
+
+
+class _Mcap:
+    """An .mcap file; its channels may be defined within chunks, and again at its end."""
+
+    def __init__(self, path: Path, name: str) -> None:
+        """name: for the warnings."""
+        self.position, self.advanced = 0, False
+        self._path, self._name = path, name
+        self._schemas: dict[int, str] = {}
+        self._channels: dict[int, str] = {}  # of the requested topics
+        # a reference to this file, and to its temporary folder, is kept by each message
+        self._records_at = lru_cache(CHUNKS)(self._read_again)
+
+    def messages(self, reader: Reader) -> Iterator[Raw]:
+        """Yield the messages of the topics that the reader wants."""
+        count = bad_chunks = 0
+        complete = False
+        with self._path.open('rb') as stream:
+            with suppress(Exception):  # damaged bytes cause all kinds of errors in the parser
+                summary = SeekingReader(stream, record_size_limit=LARGEST).get_summary()
+                if summary:
+                    for record in (*summary.schemas.values(), *summary.channels.values()):
+                        self._define(record, reader)
+            stream.seek(len(MCAP))
+            for start, record, is_whole in _records(stream):
+                self.position, self.advanced = start, True
+                complete |= isinstance(record, DataEnd)
+                try:
+                    records = (_records_of(record, is_whole) if isinstance(record, Chunk)
+                               else [record])
+                except Exception:  # noqa: BLE001 - of decompressors, and of the parser
+                    bad_chunks += 1
+                    continue
+                for index, inner in enumerate(records):
+                    if not isinstance(inner, Message):
+                        self._define(inner, reader)
+                        continue
+                    count += 1
+                    topic = self._channels.get(inner.channel_id)
+                    if topic is not None:
+                        yield Raw(topic, inner.log_time, _message(inner.data),
+                                  partial(self._fetch, start, index))
+        if bad_chunks:
+            reader.warnings.append(
+                f'{self._name} is damaged: {bad_chunks} chunk(s) of it were left out')
+        if not complete:
+            reader.warnings.append(f'{self._name} is cut off or damaged: read {count} messages up '
+                                   'to there')
+
+    def _define(self, record: McapRecord, reader: Reader) -> None:
+        """Take note of a schema or a channel."""
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            topic = full_name(record.topic)
+            kind = self._schemas.get(record.schema_id, 'of unknown type')
+            if reader.wants(topic, kind, record.message_encoding):
+                self._channels[record.id] = topic
+            else:
+                self._channels.pop(record.id, None)
+
+    def _fetch(self, start: int, index: int) -> bytes:
+        try:
+            record = self._records_at(start)[index]
+            return _message(record.data) if isinstance(record, Message) else b''
+        except Exception:  # noqa: BLE001 - the file has changed
+            return b''
+
+    def _read_again(self, start: int) -> list[McapRecord]:
+        with self._path.open('rb') as stream:
+            stream.seek(start)
+            _, record, is_whole = next(_records(stream))
+        return _records_of(record, is_whole) if isinstance(record, Chunk) else [record]
+
+
+def _records(stream: BinaryIO) -> Iterator[tuple[int, McapRecord, bool]]:
+    """
+    Yield the records of an .mcap file from here on, up to the end of its messages or a damage.
+
+    With the position of each, and whether it is complete: a chunk may be cut off.
+    """
+    records = StreamReader(stream, skip_magic=True, emit_chunks=True,
+                           record_size_limit=LARGEST).records
+    while True:
+        start = stream.tell()
+        try:
+            record = next(records)
+        except EndOfFile:
+            break
+        except Exception:  # noqa: BLE001 - damaged bytes cause all kinds of errors in the parser
+            return
+        yield start, record, True
+        if isinstance(record, DataEnd):
+            return
+    stream.seek(start)
+    if stream.read(1) == bytes([Opcode.CHUNK]):
+        stream.seek(start + RECORD.size)
+        with suppress(Exception):
+            yield start, Chunk.read(ReadDataStream(stream)), False
+
+
+def _records_of(chunk: Chunk, is_whole: bool) -> list[McapRecord]:
+    """Return the records of a chunk; raises any kind of error for a damaged one."""
+    data: bytes
+    if chunk.compression == 'lz4':
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=LARGEST)
+    else:
+        data = _unpacked(chunk.data) if chunk.compression == 'zstd' else chunk.data
+    if is_whole and (len(data) != chunk.uncompressed_size or chunk.uncompressed_crc
+                     and chunk.uncompressed_crc != zlib.crc32(data)):
+        raise ValueError('the chunk is damaged')
+    records: list[McapRecord] = []
+    begin = RECORD.size
+    while begin <= len(data):  # by hand: StreamReader takes eight times as long for the messages
+        opcode, length = RECORD.unpack_from(data, begin - RECORD.size)
+        end = begin + length
+        if end > len(data):
+            break
+        if opcode == Opcode.MESSAGE:
+            channel, number, log_time, sent = MESSAGE.unpack_from(data, begin)
+            records.append(Message(channel, log_time, data[begin + MESSAGE.size:end], sent,
+                                   number))
+        elif opcode in DEFINITIONS:
+            stream = ReadDataStream(io.BytesIO(data[begin:end]))
+            records.append(DEFINITIONS[opcode].read(stream))
+        begin = end + RECORD.size
+    return records
+
+
+class _Sqlite:
+    """
+    A database.
+
+    In the order of recording: by time, a bag of two runs would look like one. SQLite refuses a
+    truncated file.
+    """
+
+    def __init__(self, path: Path, name: str) -> None:
+        """name: for the warnings."""
+        self.position, self.advanced = 0, False
+        self._path, self._name = path, name
+        log = path.with_name(f'{path.name}-wal')
+        if log.exists() and log.stat().st_size:  # of a recorder that was killed
+            # SQLite would merge it into the file itself, but the recording must not be changed
+            folder = tempfile.mkdtemp(prefix='handeye-')
+            _deleted_with(self, folder)
+            self._path = Path(folder) / path.name
+            for file in (path, log):
+                shutil.copyfile(file, Path(folder) / file.name)
+            with suppress(sqlite3.DatabaseError), closing(sqlite3.connect(self._path)) as database:
+                database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
+
+    def messages(self, reader: Reader) -> Iterator[Raw]:
+        """Yield the messages of the topics that the reader wants."""
+        count = 0
+        try:
+            with closing(self._connected()) as database:
+                names = {}
+                for key, name, kind, encoding in database.execute(
+                        'SELECT id, name, type, serialization_format FROM topics'):
+                    topic = full_name(str(name))
+                    if reader.wants(topic, str(kind), str(encoding)):
+                        names[key] = topic
+                marks = ', '.join('?' * len(names))
+                for key, number, time, data in database.execute(
+                        'SELECT id, topic_id, timestamp, data FROM messages '
+                        f'WHERE topic_id IN ({marks}) ORDER BY id', list(names)):
+                    yield Raw(names[number], int(time), _message(bytes(data)),
+                              partial(self._fetch, key))
+                    count += 1
+                    self.position += len(data)
+                    self.advanced = count % 1000 == 0
+        except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
+            reader.warnings.append(f'{self._name} is cut off or damaged ({error}): read '
+                                   f'{count} messages up to there')
+
+    def _connected(self) -> sqlite3.Connection:
+        return sqlite3.connect(f'{self._path.absolute().as_uri()}?immutable=1', uri=True)
+
+    def _fetch(self, key: Any) -> bytes:
+        try:
+            with closing(self._connected()) as database:
+                (data,), = database.execute('SELECT data FROM messages WHERE id = ?', (key,))
+            return _message(bytes(data))
+        except (sqlite3.Error, TypeError, ValueError):
+            return b''  # the file has changed
