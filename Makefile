@@ -22,8 +22,8 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 # Tests of nodes mostly wait for each other, so there are two workers to a processor.
 WORKERS := $$((2 * $$(nproc)))
-# whose kernels OpenBLAS has, those of SkylakeX where this processor can run them
-PROCESSORS ?= Haswell Zen $(shell grep -qw avx512f /proc/cpuinfo 2>/dev/null && echo SkylakeX)
+# whose kernels OpenBLAS uses; also tried before a release: PROCESSORS='Haswell Zen SkylakeX'
+PROCESSORS ?= Haswell
 
 .PHONY: demo test test-all test-oldest test-newest tf2_msgs lint figures docs clean
 
@@ -49,7 +49,7 @@ test-newest:
 	@$(MAKE) --no-print-directory tf2_msgs || true
 	.venv/bin/python $(PYTEST) -n $(WORKERS) $(PYTEST_OPTIONS)
 
-# The core, without ROS, against the libraries of a Jazzy install, as different processors compute;
+# The core, without ROS, against the libraries of a Jazzy install;
 # without the tests that solve many times, which call nothing that the others do not call, and
 # without those that no version of numpy or scipy can change.
 test-oldest:
@@ -70,7 +70,6 @@ tf2_msgs:
 lint:
 	@tools/environment.sh .venv ros,kinematics,test,dev
 	.venv/bin/ruff check
-	.venv/bin/flake8
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 

@@ -33,11 +33,8 @@ setup(
                  'pytest-instafail', 'pytest-rerunfailures', 'pytest-timeout', 'pytest-xdist',
                  'selenium', 'urdf-parser-py'],
         'docs': ['mkdocs', 'pymdown-extensions'],
-        'dev': ['colcon-common-extensions', 'flake8', 'flake8-blind-except', 'flake8-builtins',
-                'flake8-class-newline', 'flake8-comprehensions', 'flake8-deprecated',
-                'flake8-docstrings', 'flake8-import-order', 'flake8-quotes', 'foxglove-sdk',
-                'import-linter', 'mkdocs', 'mypy', 'pymdown-extensions', 'ruff', 'types-PyYAML',
-                'wheel'],
+        'dev': ['colcon-common-extensions', 'foxglove-sdk', 'import-linter', 'mkdocs', 'mypy',
+                'pymdown-extensions', 'ruff', 'types-PyYAML', 'wheel'],
     },
     entry_points={
         'console_scripts': [
