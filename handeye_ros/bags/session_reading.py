@@ -12,22 +12,23 @@ from dataclasses import dataclass, fields, replace
 from functools import partial
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from handeye_ros.bags.bag import read_poses
 from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, text_from_cdr
 from handeye_ros.bags.reader import CLOUD, POSE, Raw
 from handeye_ros.bags.session_files import BagFile, files_of, read_file
-from handeye_ros.checks.settings import require_same_clock
 from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import Array, Feature, Reject
 from handeye_ros.errors import BagError, SessionError, UnusableMessageError
 from handeye_ros.robot.model import Arm, Chain
-from handeye_ros.robot.samples import Source
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import judged, Outcome, Seen, Stop
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from handeye_ros.robot.samples import Source
 
 LAST = 'last'
 
@@ -214,6 +215,8 @@ def joints_of(path: Path, config: Config, chain: Chain) -> tuple[NDArray[np.int6
 
 def source_of_session(stored: Stored, config: Config, chain: Chain) -> Source:
     """Return the samples of a session with their joint values; raises InputError."""
+    from handeye_ros.checks.settings import require_same_clock
+    from handeye_ros.robot.samples import Source  # both import the whole pipeline
     session = stored.session(config)
     return Source.of(session.samples, session.rejects, session.frame_id, config, chain,
                      *joints_of(stored.path, config, chain),

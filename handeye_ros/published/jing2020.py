@@ -28,7 +28,6 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import TooFewError
 import numpy as np
-from scipy.optimize import least_squares
 
 SWEEP: Array = np.array([0.0, 1.0, 0.0])
 """The sweep's direction in the sensor frame to start from: P3 along y."""
@@ -160,6 +159,7 @@ def fit_arc(points: Array) -> tuple[Array, Array]:
     design = np.column_stack([2.0 * flat, np.ones(len(flat))])
     first = np.linalg.lstsq(design, np.sum(flat ** 2, axis=1), rcond=None)[0]
     first[2] = np.sqrt(first[2] + first[:2] @ first[:2])
+    from scipy.optimize import least_squares  # 0.1 s, only for trackers
     fit = least_squares(lambda c: np.linalg.norm(flat - c[:2], axis=1) - c[2], first,
                         xtol=1e-15, ftol=1e-15, gtol=1e-15)
     spokes = flat - fit.x[:2]
@@ -196,6 +196,7 @@ def fit_swept_ball(points: Array, q30: float,
     design = np.column_stack([2.0 * cloud, np.ones(len(cloud))])
     sphere = np.linalg.lstsq(design, np.sum(cloud ** 2, axis=1), rcond=None)[0]
     sphere[3] = np.sqrt(max(sphere[3] + sphere[:3] @ sphere[:3], 1e-12))
+    from scipy.optimize import least_squares  # 0.1 s, only for trackers
     fit = least_squares(residuals, np.concatenate([np.zeros(2), sphere]), x_scale='jac',
                         xtol=1e-15, ftol=1e-15, gtol=1e-15)
     return at(fit.x), fit.x[2:5], float(fit.x[5])

@@ -20,8 +20,6 @@ from handeye_ros.sampling.stream import in_order
 from handeye_ros.sampling.stream_errors import TimeBackwardsError
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
-from scipy.sparse.linalg import splu
 
 DEGREE = 3
 # spacings of knots that are tried (s)
@@ -139,6 +137,7 @@ class _Piece:
 
     def std_at(self, stamps: NDArray[np.int64]) -> Array:
         """Return 1 sigma of positions and rotations, (n, 2)."""
+        from scipy.interpolate import BSpline  # 0.09 s, only for sweeps
         rows = BSpline.design_matrix(self._time(stamps), self.spline.t, DEGREE)
         last, count = self.bands.shape[1] - 1, 2 * REACH + DEGREE + 1
         columns = rows.indices.reshape(-1, DEGREE + 1)[:, :1] - REACH + np.arange(count)
@@ -222,6 +221,8 @@ def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
 
 def _smoothed(t: Array, values: Array) -> tuple[Any, Array, Array]:
     """Return the spline with the best knots, the std (2,) of single poses, and its bands."""
+    from scipy.interpolate import BSpline
+    from scipy.sparse.linalg import splu
     least, best = np.inf, None
     for spacing in SPACINGS:
         knots = _knots(t, spacing)
