@@ -96,7 +96,7 @@ def test_no_profiles(tmp_path, solve):
 
 def test_no_target_in_sight(tmp_path, solve):
     assert_refused(solve(made(tmp_path / 'bag', replace(BASE, empty=True))), 3,
-                   'set target.type to plane; or, if the target has edges, cross them')
+                   'no edge of a face in the profile', 'with the laser across the target')
 
 
 def test_one_orientation_only(tmp_path, solve):

@@ -54,8 +54,9 @@ def require_settings(session: Session, config: Config) -> None:
             and not session.excludes(outcome)]
     stops = [_thinned(stop, config) for stop in kept[:MOST_STOPS]]
     results = [result_of(stop, config) for stop in stops]
-    edges = np.array([any(isinstance(f, EdgePoint) for f in getattr(result, 'features', ()))
-                      for result in results], dtype=bool)
+    seen, _ = consistent_edges([r for r in results if isinstance(r, Sample)])
+    with_edge = {s.stamp for s in seen if any(isinstance(f, EdgePoint) for f in s.features)}
+    edges = np.array([result.stamp in with_edge for result in results], dtype=bool)
     stated = fit_of(results, config, all_starts=True)  # as a solve starts
     changes = list(_changes(config))
     best, most = '', 0.0

@@ -34,10 +34,9 @@ def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
         pipeline.calibrate(made.profiles, made.poses, flipped_range(right))
 
 
-@given(arrays(float, 12, elements=st.floats(0.02, 16.0)), st.floats(1.05, 4.0), st.integers(0, 11))
+@given(arrays(float, 12, elements=st.floats(0.1, 4.0)), st.floats(1.05, 4.0), st.integers(0, 11))
 def test_what_fits_the_same_stops_worse_is_no_better_explanation(
         q: Array, worse: float, lost: int) -> None:
     """With more conditions a stop, a sign of 0.104 mm once explained better than one of 0.056."""
     assert deviance(worse * q, 3) > deviance(q, 3)
-    without = np.where(np.arange(12) == lost, np.inf, q)
-    assert deviance(without, 3) > deviance(np.minimum(q, q.mean()), 3)
+    assert deviance(np.where(np.arange(12) == lost, np.inf, q), 3) > deviance(q, 3)
