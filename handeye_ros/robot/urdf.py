@@ -33,7 +33,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 import yaml
 
-FORMAT = 'handeye_ros/robot/1'
+FORMAT = 'handeye_ros/kinematics/1'
 KINEMATICS_FILE = 'kinematics.yaml'
 MOST_JOINTS = 8
 FLANGES = ('tool0', 'flange', 'tool', 'tcp')  # usual names of the last frame
