@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from handeye_ros import targets
 from handeye_ros.checks.consistency import require_answer, require_own_frame, require_solvable
@@ -119,6 +120,10 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     moved = synchronised(ordered, config)
     ordered, rejects = moved.samples, [*rejects, *at_border, *moved.rejects]
     agreed = estimate(ordered, rejects, config, moved.estimate)
+    if config.kinematics:
+        from handeye_ros.robot.uncertainty import with_arm_errors
+        agreed = replace(agreed, solution=with_arm_errors(agreed.solution,
+                                                          Path(config.kinematics)))
     solution = agreed.solution
     warning = require_answer(agreed, config)
     nuisances = NuisanceReport(reported_blocks(solution), notes_of(agreed, config),

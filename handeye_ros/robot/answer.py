@@ -15,7 +15,7 @@ from handeye_ros.frames import mount_frame, name_direction
 from handeye_ros.output import write_whole
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import transform_values
-from handeye_ros.robot.model import Arm, Chain, OFFSET, REVOLUTE
+from handeye_ros.robot.model import Arm, Chain, COUNTS, OFFSET, REVOLUTE
 from handeye_ros.robot.outcome import Outcome, solve_points
 from handeye_ros.robot.points import Points, read_table
 from handeye_ros.robot.urdf import corrected_urdf, FORMAT, KINEMATICS_FILE
@@ -26,11 +26,13 @@ import yaml
 NAME, URDF = KINEMATICS_FILE, 'corrected.urdf'
 UNKNOWN = 0.9  # of the prior sigma: the data hardly determine the parameter
 OTHER_FRAMES = 0.02  # m, rad: larger differences mean other frames than those of the URDF
+MOST_CONFIGURATIONS = 200  # that are stored, to find the joint values of poses
 EQUAL = 5e-5  # m: rounding of reported poses
 HEADER = """\
 # Errors of the joints and axes of an arm, found with the hand-eye transform in calibration.yaml.
 # offset is added to the joint's reading; direction (rad) and position (m) turn and shift its axis
-# across itself. known: sigma after over sigma before; {limit} or more: not determined.
+# across itself. covariance: of all these values, in their order; configurations: joint values of
+# which they were found. known: sigma after over sigma before; {limit} or more: not determined.
 """
 
 
@@ -132,9 +134,19 @@ def _text(answer: Answer) -> str:
                     'left_out_rms': m.left_out_rms, 'left_out_median': m.left_out_median,
                     'chosen': m is outcome.chosen} for m in outcome.models],
         'robot_smooth_error': outcome.smooth,
+        'covariance': _covariance(outcome).tolist(),
+        'configurations': outcome.chosen.fit.data.q[:MOST_CONFIGURATIONS].round(6).tolist(),
         'provenance': provenance}
     return HEADER.format(limit=UNKNOWN) + str(yaml.safe_dump(
         content, sort_keys=False, width=100, default_flow_style=None, allow_unicode=True))
+
+
+def _covariance(outcome: Outcome) -> Array:
+    """Return the covariance (k, k) of the parameters in the order of the file."""
+    parameters, first = outcome.arm.parameters, outcome.chosen.fit.data.unknowns
+    rows = [first + k for k in sorted(range(len(parameters)), key=lambda k: (
+        parameters[k].joint, list(COUNTS).index(parameters[k].kind), parameters[k].index))]
+    return outcome.covariance[np.ix_(rows, rows)]
 
 
 def _joints(outcome: Outcome) -> list[dict[str, Any]]:

@@ -9,7 +9,7 @@ without redundancy even for parallel axes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from handeye_ros import se3
@@ -23,6 +23,8 @@ GEOMETRY = (OFFSET, DIRECTION, POSITION)
 # prior 1 sigma of a revolute joint and of a prismatic one (rad or m)
 PRIORS = {OFFSET: (1e-3, 5e-4), DIRECTION: (5e-4, 5e-4), POSITION: (5e-4, 0.0)}
 COUNTS = {OFFSET: 1, DIRECTION: 2, POSITION: 2}
+LENGTH = 0.3  # m that count as much as a radian, between poses
+ROUNDS, LARGEST_STEP = 20, 0.2  # of the search for joint values (rad or m)
 STEPS = 15  # configurations on the line from one to another
 
 
@@ -134,11 +136,18 @@ def parameters(chain: Chain, kinds: Sequence[str]) -> tuple[Parameter, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A chain with the values (k,) of its error parameters."""
+    """
+    A chain with the values (k,) of its error parameters.
+
+    covariance: (k, k) of the values; configurations: (n, joints) of which they were found; None
+    where they are not stated.
+    """
 
     chain: Chain
     parameters: tuple[Parameter, ...] = ()
     values: Array = field(default_factory=lambda: np.zeros(0))
+    covariance: Array | None = None
+    configurations: Array | None = None
 
     @cached_property
     def stds(self) -> Array:
@@ -192,6 +201,28 @@ class Arm:
         T = T @ self.chain.end
         translations = direct + se3.cross(rotations, T[:, None, :3, 3] - origins)
         return T, np.swapaxes(np.concatenate([translations, rotations], axis=2), 1, 2)
+
+
+    def joints_near(self, T_base_flange: Array) -> Array:
+        """
+        Return joint values (n, joints) at poses (n, 4, 4), from the nearest known configurations.
+
+        Poses beyond reach get those that come near.
+        """
+        assert self.configurations is not None
+        offsets = replace(self, parameters=parameters(self.chain, (OFFSET,)), covariance=None)
+        known = self.forward(self.configurations)
+        apart = [np.linalg.norm(known[:, :3, 3] - T[:3, 3], axis=1)
+                 + LENGTH * se3.angle(known[:, :3, :3] @ T[:3, :3].T) for T in T_base_flange]
+        q = self.configurations[np.argmin(apart, axis=1)]
+        for _ in range(ROUNDS):
+            missing = np.array([se3.difference(T, at) for T, at in zip(
+                T_base_flange, self.forward(q), strict=True)])
+            _, J = replace(offsets, values=np.concatenate([
+                self.of(j, OFFSET) for j in range(len(self.chain.joints))])).with_twists(q)
+            step = np.einsum('njx,nx->nj', np.linalg.pinv(J, rcond=1e-3), missing)
+            q = q + step / np.maximum(np.abs(step).max(axis=1) / LARGEST_STEP, 1)[:, None]
+        return q
 
 
 def one_configuration(arm: Arm, q: Array) -> bool:

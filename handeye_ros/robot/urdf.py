@@ -210,12 +210,19 @@ def read_arm(path: Path) -> Arm:
                     values.append(float(value))
         chain = Chain(str(content['base']), str(content['flange']), tuple(joints),
                       transform_from(path, 'end', content['end']))
+        covariance, configurations = (
+            np.array(content[key], dtype=float) if key in content else None
+            for key in ('covariance', 'configurations'))
+        for key, array, last in (('covariance', covariance, len(values)),
+                                 ('configurations', configurations, len(joints))):
+            if array is not None and not (array.ndim == 2 and array.shape[1] == last):
+                raise ValueError(f'{key} has rows of other lengths than {last}')
     except OSError as error:
         raise UrdfError(path, f'cannot be read: {error.strerror}') from error
     except (UnicodeDecodeError, yaml.YAMLError, AttributeError, KeyError, TypeError,
             ValueError) as error:
         raise UrdfError(path, f'is no kinematics.yaml: {error}') from error
-    return Arm(chain, tuple(parameters), np.array(values))
+    return Arm(chain, tuple(parameters), np.array(values), covariance, configurations)
 
 
 def _stored_joint(path: Path, values: Mapping[str, Any]) -> Joint:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from command import handeye
-from handeye_ros import se3
+from handeye_ros import pipeline, se3
 from handeye_ros.bags import bag
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import HandeyeError
@@ -15,7 +15,13 @@ from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.robot import profiles
 from handeye_ros.robot.estimate import State
 from handeye_ros.robot.model import Arm, GEOMETRY, parameters
-from handeye_ros.robot.samples import JointRecording, outcome_of, source_of
+from handeye_ros.robot.samples import (
+    JointRecording,
+    outcome_of,
+    solve_sources,
+    Source,
+    source_of,
+)
 from handeye_ros.robot.urdf import chain_of, read_arm, read_chain
 from handeye_ros.simulate import arm as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
@@ -121,3 +127,33 @@ def test_residuals_of_profiles_have_their_derivatives(monkeypatch, name):
     for k, step in enumerate(1e-6 * np.eye(J.shape[1])):
         r = [data.linearised(data.retracted(state, s * step), root)[0] for s in (1, -1)]
         np.testing.assert_allclose(J[:, k], (r[0] - r[1]) / 2e-6, atol=1e-5)
+
+
+def test_a_solve_with_a_corrected_arm_is_as_uncertain_as_the_arm_makes_it(tmp_path):
+    chain, squares = chain_of(simulated_arm.urdf()), []
+    own = parameters(chain, GEOMETRY)
+    for seed in (0, 1):
+        rng = np.random.default_rng(seed)
+        scenario = SCENARIOS['sphere']
+        scenario = replace(scenario, stations=(30, 0), tilt=0.6, robot=replace(
+            scenario.robot, geometry=1e-9, systematic=(0.0, 0.0)))
+        samples, truth = simulate_samples(scenario, rng)
+        real = np.array([station.T_base_flange for station in truth.stations])
+        near = simulated_arm.inverse(real)
+        arm = Arm(chain, own, rng.normal(size=len(own)) * [p.prior for p in own],
+                  configurations=near)
+        q = arm.joints_near(real)
+        np.testing.assert_allclose(arm.forward(q), real, atol=1e-9)
+        config = Config(target=TargetConfig(type='sphere'), robot_effector_frame='flange')
+        stated = [replace(s, T_base_flange=T)
+                  for s, T in zip(samples, chain.forward(q), strict=True)]
+        stamps = np.array([s.stamp for s in stated])
+        answer = solve_sources([Source.of(stated, (), 'laser', config, chain, stamps, q)], chain)
+        answer.save(simulated_arm.urdf(), tmp_path, ())
+        T = read_arm(tmp_path).forward(q)
+        corrected = [replace(s, T_base_flange=pose) for s, pose in zip(stated, T, strict=True)]
+        found = pipeline.solve(corrected, (), replace(
+            config, kinematics=str(tmp_path / 'kinematics.yaml')), 'laser')
+        away = se3.difference(found.T_flange_sensor, truth.T_flange_sensor)
+        squares.append(away @ np.linalg.solve(found.covariance, away))
+    assert sum(squares) < 33  # chi-squared of 12 degrees of freedom
