@@ -222,7 +222,7 @@ class Arm:
                 self.of(j, OFFSET) for j in range(len(self.chain.joints))])).with_twists(q)
             step = np.einsum('njx,nx->nj', np.linalg.pinv(J, rcond=1e-3), missing)
             q = q + step / np.maximum(np.abs(step).max(axis=1) / LARGEST_STEP, 1)[:, None]
-        return q
+        return np.asarray(q)
 
 
 def one_configuration(arm: Arm, q: Array) -> bool:
