@@ -9,7 +9,7 @@ import sys
 from typing import TypeVar
 
 import cloudpickle
-from handeye_ros.batch.run import client_of
+from handeye_ros.batch import client_of
 
 CHUNK = 4  # trials of one task: fewer cost more of Dask, more leave workers idle at the end
 J, R = TypeVar('J'), TypeVar('R')

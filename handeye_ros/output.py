@@ -25,6 +25,13 @@ def folder_name(config: Config) -> str:
     return name
 
 
+def html_file(path: Path) -> None:
+    """Raise BadValueError for the name of a page that has the ending of another kind of file."""
+    if path.suffix.lower() not in ('.html', '.htm'):
+        raise BadValueError('the file of the page', str(path), 'a name that ends with .html (a '
+                            'browser prints it as PDF)')
+
+
 def csv_text(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     """Return a table as CSV."""
     lines = io.StringIO()

@@ -87,11 +87,10 @@ def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: C
     """
     Return the samples and rejects of a recording, its messages in the order of their stamps.
 
-    Raises DataError when it holds no stations, InputError for numbers that are no pose.
+    Raises DataError when it holds no stations.
     """
     session = Session(config)
     for pose in poses:
-        pose.require_values()
         session.add_pose(pose)
     for profile in profiles:
         session.add_profile(profile)
@@ -143,14 +142,13 @@ def with_warnings(calibration: Calibration, warnings: Sequence[str]) -> Calibrat
     return replace(calibration, provenance={**calibration.provenance, 'warnings': every})
 
 
-def evidence(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: Config
-             ) -> Evidence:
+def evidence(session: Session, config: Config) -> Evidence:
     """
-    Return the stops of a recording, and its answer or refusal, for the report.
+    Return the stops of a session, and its answer or refusal, for the report.
 
     Raises DataError when it holds no stations; a later refusal is in Evidence.refusal.
     """
-    session = gather(profiles, poses, config)
+    session.require_stations()
     seen = stop_snapshots(session, config)
     try:
         found, used, solution = solved(session.samples, session.rejects,

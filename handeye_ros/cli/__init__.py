@@ -13,17 +13,7 @@ if TYPE_CHECKING:
 
 def command() -> 'Typer':
     """Return the command; importing a module adds its verbs."""
-    from handeye_ros.cli import (  # noqa: F401
-        batch,
-        check,
-        common,
-        kinematics,
-        recordings,
-        scan,
-        session,
-        solve,
-        verify,
-    )
+    from handeye_ros.cli import common, measure, solve, tools  # noqa: F401
     return common.app
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from handeye_ros.bags.bag import Recording
     from handeye_ros.bags.session_reading import Stored
     from handeye_ros.config import Config
+    from handeye_ros.sampling.session import Session
 
 NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
 Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
@@ -81,6 +82,14 @@ def read_bag(bag: Path, settings: 'Config') -> 'Recording':
     for warning in recording.warnings:
         warn(warning)
     return recording
+
+
+def gathered(bag: Path, settings: 'Config') -> 'Session':
+    """Return the samples of a bag; print its warnings."""
+    recording = read_bag(bag, settings)
+    with doing('finding the samples'):
+        from handeye_ros import pipeline
+        return pipeline.gather(recording.profiles, recording.poses, settings)
 
 
 def warn(text: str) -> None:

@@ -1,6 +1,9 @@
-"""The verbs that find the transform, and compare its estimators."""
+"""The verbs from the samples to the answer and its files; `calibrate` starts the node."""
 from dataclasses import replace
+from importlib.util import find_spec
+import os
 from pathlib import Path
+import sys
 from typing import Annotated, Any, TYPE_CHECKING
 
 from handeye_ros.cli.common import (
@@ -10,6 +13,7 @@ from handeye_ros.cli.common import (
     ConfigFile,
     configuration,
     doing,
+    gathered,
     Input,
     KinematicsFile,
     NoPath,
@@ -20,19 +24,18 @@ from handeye_ros.cli.common import (
     warn,
     with_kinematics,
 )
-from handeye_ros.errors import TableForProfilesError
+from handeye_ros.config import SAVE_FORMATS
+from handeye_ros.errors import NoRosError, TableForProfilesError
 import typer
 
 if TYPE_CHECKING:
     from handeye_ros.bags.bag import Recording
-    from handeye_ros.bags.session_reading import Stored
     from handeye_ros.config import Config
-    from handeye_ros.data import Array, Calibration
     from handeye_ros.tabulated.method import FileMethod
     from handeye_ros.tabulated.method import Input as Given
 
-
-TableFile = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the table as YAML too.')]
+Saved = Annotated[Path, typer.Argument(
+    metavar='CALIBRATION', help='A calibration.yaml, or the folder that holds it.')]
 
 
 @app.command()
@@ -55,10 +58,27 @@ def solve(
     from handeye_ros.results import exports, table
     from handeye_ros.results.truth_file import errors_against, true_transform
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
-    method, T_true = _file_method(path, settings), true_transform(path)
-    calibration, field = (_solve_files(method, path, settings) if method else
-                          (_solve_session(stored, settings) if stored else
-                           _solve_bag(path, settings), None))
+    method, T_true, field = _file_method(path, settings), true_transform(path), None
+    if method:
+        from handeye_ros.tabulated.method import calibrate as calibrate_files
+        content = _read_files(method, path, settings)
+        with doing('solving'):
+            calibration = calibrate_files(method, content, settings)
+        field = method.field(content.data)
+    else:
+        inputs = [{'path': str(path.absolute())}]
+        if stored is None:
+            recording = read_bag(path, settings)
+            inputs = list(recording.inputs)
+        with doing('solving'):
+            from handeye_ros import pipeline
+            calibration = (
+                pipeline.calibrate_session(stored.session(settings), settings) if stored else
+                pipeline.calibrate(recording.profiles, recording.poses, settings))
+        for warning in calibration.provenance.get('warnings', ()):
+            warn(warning)
+        calibration = replace(calibration,
+                              provenance={**calibration.provenance, 'inputs': inputs})
     saved = exports.save_all(calibration, folder, settings.save.formats)
     show(table.table(calibration))
     if T_true is not None:
@@ -76,30 +96,7 @@ def _file_method(path: Path, settings: 'Config') -> 'FileMethod[Any] | None':
     return method
 
 
-def _solve_session(stored: 'Stored', settings: 'Config') -> 'Calibration':
-    with doing('solving'):
-        from handeye_ros import pipeline
-        calibration = pipeline.calibrate_session(stored.session(settings), settings)
-    return _with_inputs(calibration, [{'path': str(stored.path)}])
-
-
-def _solve_bag(bag: Path, settings: 'Config') -> 'Calibration':
-    recording = read_bag(bag, settings)
-    with doing('solving'):
-        from handeye_ros import pipeline
-        calibration = pipeline.calibrate(recording.profiles, recording.poses, settings)
-    return _with_inputs(calibration, list(recording.inputs))
-
-
-def _with_inputs(calibration: 'Calibration', inputs: list[dict[str, str]]) -> 'Calibration':
-    """Return a calibration with its inputs in the provenance; print its warnings."""
-    for warning in calibration.provenance.get('warnings', ()):
-        warn(warning)
-    return replace(calibration, provenance={**calibration.provenance, 'inputs': inputs})
-
-
-def _read_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
-                ) -> 'Given[Any]':
+def _read_files(method: 'FileMethod[Any]', path: Path, settings: 'Config') -> 'Given[Any]':
     def read(bag: Path, settings: 'Config') -> 'Recording':
         from handeye_ros.bags import bag as bags
         return bags.read(bag, settings)
@@ -111,25 +108,18 @@ def _read_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
     return content
 
 
-def _solve_files(method: 'FileMethod[Any]', path: Path, settings: 'Config'
-                 ) -> tuple['Calibration', 'Array']:
-    """Return the calibration, and the points over which its errors are reported."""
-    content = _read_files(method, path, settings)
-    with doing('solving'):
-        from handeye_ros.tabulated.method import calibrate
-        return calibrate(method, content, settings), method.field(content.data)
-
-
 @app.command()
 def compare(
     path: Input,
     config: ConfigFile = None,
     assignments: Assignments = [],  # noqa: B006 - never changed
     angles: Angles = '',
-    out: TableFile = None,
+    out: Annotated[NoPath, typer.Option(
+        metavar='FILE', help='Write the table as YAML too.')] = None,
 ) -> None:
     """Put the same samples through every estimator that applies, ours and published ones."""
-    settings = configuration(config, assignments, angles=angles)
+    stored = stored_session(path)
+    settings = configuration(config, assignments, stored.config if stored else None, angles)
 
     from handeye_ros.output import write_whole
     from handeye_ros.published import compare as comparing
@@ -143,13 +133,133 @@ def compare(
             comparison = comparing.compare_files(method, content, settings, T_true,
                                                  progress=update)
     else:
-        recording = read_bag(path, settings)
-        with doing('finding the samples') as update:
-            comparison = comparing.compare_recording(recording.profiles, recording.poses, settings,
-                                                     T_true, progress=update)
+        settings = comparing.own_method(settings)
+        session = stored.session(settings) if stored else gathered(path, settings)
+        with doing('comparing') as update:
+            comparison = comparing.compare(session.samples, session.rejects, settings, T_true,
+                                           progress=update)
     if comparison.answered:
         show(table.ComparisonTable(comparison))
     if comparison.refusal:
         raise comparison.refusal
     if out:
         write_whole(out, yaml.safe_dump(table.values(comparison), sort_keys=False))
+
+
+@app.command()
+def samples(
+    path: Annotated[Path, typer.Argument(metavar='SESSION', help=(
+        'The folder of a session, or a bag.'))],
+    config: ConfigFile = None,
+    assignments: Assignments = [],  # noqa: B006 - never changed
+) -> None:
+    """Show the samples of a session, and how well each agrees with the others."""
+    from handeye_ros.checks.review import review, sample_summary
+    from handeye_ros.errors import DataError
+    from rich import box
+    from rich.table import Table
+    stored = stored_session(path)
+    settings = configuration(config, assignments, stored.config if stored else None)
+    session = stored.session(settings) if stored else gathered(path, settings)
+    outcomes = [outcome for outcome in session.outcomes if outcome.sample]
+    agreements: dict[int, tuple[float, float, bool]] = {}
+    try:
+        with doing('comparing the samples'):
+            reviewed = review([o.sample for o in outcomes if o.sample],
+                              [not session.excludes(outcome) for outcome in outcomes], settings)
+    except DataError as error:
+        typer.echo(f'no residuals yet: {error}', err=True)
+    else:
+        agreements = {o.number: (a.residual, a.left_out, a.used) for o, a in
+                      zip(outcomes, reviewed.agreements, strict=True) if a}
+
+    columns = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in ('number', 'residual', 'left out'):
+        columns.add_column(name, justify='right')
+    columns.add_column('')
+    columns.add_column('')
+    for outcome in sorted(session.outcomes, key=lambda o: (
+            -agreements.get(o.number, (0.0, -1.0))[1], o.number)):
+        residual, left_out, used = agreements.get(outcome.number, (None, None, True))
+        state = 'left out' if session.excludes(outcome) else '' if used else 'not believed'
+        columns.add_row(
+            str(outcome.number), *('' if value is None else f'{value * 1e3:.3f} mm'
+                                   for value in (residual, left_out)),
+            'no sample' if outcome.sample is None else state, sample_summary(outcome.result))
+    show(columns)
+
+
+@app.command()
+def calibrate(
+    resume: Annotated[bool, typer.Option(
+        '--resume', help='Continue the last session; the default is a new one.')] = False,
+    config: ConfigFile = None,
+    assignments: Assignments = [],  # noqa: B006 - never changed
+) -> None:
+    """Start the node that takes samples at the cell (needs ROS)."""
+    configuration(config, assignments)  # so that a mistake is reported at once
+    if find_spec('rclpy') is None:
+        raise NoRosError('calibrate', 'rclpy')
+    arguments = ['--params-file', str(config)] if config else []
+    for text in [*assignments, *(['session=last'] if resume else [])]:
+        key, _, value = text.partition('=')
+        arguments += ['-p', f'{key.strip()}:={value}']
+    command = [sys.executable, '-m', 'handeye_ros.node']
+    os.execv(sys.executable, [*command, *(['--ros-args', *arguments] if arguments else [])])
+
+
+@app.command()
+def export(
+    path: Saved,
+    name: Annotated[str, typer.Option(
+        '--format', autocompletion=lambda: list(SAVE_FORMATS),
+        help=f'One of {", ".join(SAVE_FORMATS)}.')],
+    out: Annotated[NoPath, typer.Option(metavar='FILE', help=(
+        'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
+) -> None:
+    """Write a saved calibration for other programs: URDF, launch file, pendant of a robot, ..."""
+    from handeye_ros.results import exports
+    from handeye_ros.results.calibration_file import file_of, read_calibration
+    form, file = exports.format_of(name), file_of(path)
+    calibration = read_calibration(file)
+    if str(out) == '-':
+        typer.echo(form.text(calibration), nl=False)
+        return
+    target = out or file.parent / form.file_name(calibration)
+    typer.echo(exports.export(calibration, name, target))
+
+
+@app.command()
+def report(
+    path: Saved,
+    bag: Annotated[NoPath, typer.Option(
+        metavar='BAG', help='The recording or session; if not given, the one that the calibration '
+        'names.')] = None,
+    out: Annotated[NoPath, typer.Option(
+        metavar='FILE', help='If not given, report.html beside the calibration.')] = None,
+    verification: Annotated[list[Path], typer.Option(
+        metavar='FILE', help='A result of "handeye verify --out" to show too; may be repeated.'
+    )] = [],  # noqa: B006 - never changed
+) -> None:
+    """Show a saved calibration or verification, and its evidence, in one HTML file."""
+    from handeye_ros.evidence import evidence
+    from handeye_ros.output import html_file, write_whole
+    from handeye_ros.results import exports, pages
+    from handeye_ros.results.calibration_file import file_of, read_calibration
+    from handeye_ros.results.verification_file import content_of as verification_in
+    from handeye_ros.results.verification_file import read
+    if out:
+        html_file(out)
+    if path.is_file() and (values := verification_in(path)):
+        html = (out or path.with_suffix('.html')).absolute()
+        write_whole(html, pages.protocol(values))
+        typer.echo(f'wrote {html}')
+        return
+    file, verified = file_of(path), [read(one) for one in verification]
+    calibration = read_calibration(file)
+    with doing('finding the stops'):
+        shown = evidence(calibration, bag, file.parent)
+    with doing('writing the report'):
+        written = pages.write(
+            calibration, shown, out or file.parent / exports.REPORT, verified)
+    typer.echo(f'wrote {written}')

@@ -1,7 +1,7 @@
 """Runs all estimators for a target on the same samples."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 import time
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.checks.consistency import require_certain
 from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
+from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.frames import sensor_axes
 from handeye_ros.published.estimators import (
@@ -71,18 +71,6 @@ class Comparison:
     def answered(self) -> bool:
         """Return whether any estimator has an answer."""
         return any(row.T_flange_sensor is not None for row in self.rows)
-
-
-def compare_recording(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: Config,
-                      T_true: Array | None = None, progress: Progress = lambda doing: None
-                      ) -> Comparison:
-    """
-    Return the rows of all estimators from a recording; see `compare`.
-
-    Raises DataError when the recording holds no stations.
-    """
-    session = pipeline.gather(profiles, poses, own_method(config))
-    return compare(session.samples, session.rejects, config, T_true, progress=progress)
 
 
 def own_method(config: Config) -> Config:

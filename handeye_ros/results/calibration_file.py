@@ -119,9 +119,10 @@ def transform_values(T: Array) -> dict[str, dict[str, float]]:
 
 
 def input_values(file: Path) -> dict[str, str]:
-    """Return path and sha256 of an input file, as in the provenance."""
+    """Return the absolute path and the sha256 of an input file, as in the provenance."""
     with file.open('rb') as stream:
-        return {'path': str(file), 'sha256': hashlib.file_digest(stream, 'sha256').hexdigest()}
+        digest = hashlib.file_digest(stream, 'sha256')
+    return {'path': str(file.absolute()), 'sha256': digest.hexdigest()}
 
 
 def _provenance(provenance: Mapping[str, Any]) -> dict[str, Any]:

@@ -68,16 +68,24 @@ class Evidence:
     sweep: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
-def recording_of(calibration: Calibration) -> tuple[Path | None, str]:
-    """Return the recording named in a calibration, or None and the reason why it is missing."""
+def recording_of(calibration: Calibration, folder: Path) -> tuple[Path | None, str]:
+    """
+    Return the recording or session that a calibration names, or None and why it is missing.
+
+    folder: of the calibration's file; a relative path is looked for from here, from there and
+    from the folders above it.
+    """
     advice = 'so its stops are not shown: name the recording with --bag'
     for item in calibration.provenance.get('inputs', ()):
-        path = Path(str(item.get('path', '')))
-        if not item.get('path'):
+        name = item.get('path') or item.get('session')
+        if not name:
             continue
-        if not path.is_file():
-            return None, f'{path} is not there, {advice}'
-        if input_values(path)['sha256'] != item.get('sha256'):
+        absolute = folder.absolute()
+        places = [place / name for place in (Path(), absolute, *absolute.parents)]
+        path = next((place for place in places if place.exists()), None)
+        if path is None:
+            return None, f'{name} is not there, {advice}'
+        if path.is_file() and input_values(path)['sha256'] != item.get('sha256'):
             return None, f'{path} has changed since it was solved, {advice}'
         return path, ''
     return None, f'the calibration names no recording, {advice}'

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, UTC
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,14 @@ from handeye_ros.results.evidence import (
     verdict,
 )
 from handeye_ros.results.scene import in_sensor, legend, scene
-from handeye_ros.results.verification_file import COLUMNS, formatted, rows_of, title_of, Verified
+from handeye_ros.results.verification_file import (
+    COLUMNS,
+    formatted,
+    look_of,
+    rows_of,
+    title_of,
+    Verified,
+)
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 import numpy as np
@@ -130,8 +138,11 @@ def protocol(content: Mapping[str, Any]) -> str:
 
     content: what the YAML of a verification holds (see formats/verification_file.py).
     """
+    # the same result gives the same number, another result another one
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode())
     return templates().get_template('protocol.html').render(
-        t=content, title=title_of(content), columns=COLUMNS, rows=list(rows_of(content)),
+        t=content, number=digest.hexdigest()[:12], look=look_of(content['verdict']),
+        title=title_of(content), columns=COLUMNS, rows=list(rows_of(content)),
         characteristics=list(_characteristics(content)), conformity=list(_conformity(content)),
         picture=_picture(content['per_station'], content['tolerance'], content['k']),
         now=datetime.now(UTC).isoformat(timespec='seconds'), formatted=formatted)

@@ -23,10 +23,10 @@ LIMITS = (('tolerance of lengths', 'tolerance', 'm'),
 
 @dataclass(frozen=True)
 class Verified:
-    """Formatted verification: title, sentences, rows of a name and texts by COLUMNS."""
+    """Formatted verification: title, look (good, bad, open), sentences, rows by COLUMNS."""
 
     title: str
-    good: bool
+    look: str
     sentences: tuple[str, ...]
     rows: tuple[tuple[str, tuple[str, ...]], ...]
 
@@ -41,6 +41,11 @@ def formatted(value: float | None, unit: str) -> str:
 def title_of(content: Mapping[str, Any]) -> str:
     """Return the routine with its verdict."""
     return f'{content["routine"]}: {content["verdict"].upper()}, {content["stations"]} stations'
+
+
+def look_of(verdict: str) -> str:
+    """Return how a verdict looks: good, bad, or open where nothing was decided."""
+    return {'pass': 'good', 'fail': 'bad'}.get(verdict, 'open')
 
 
 def rows_of(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
@@ -63,7 +68,7 @@ def read(path: Path) -> Verified:
         content = yaml_content(path.read_text(encoding='utf-8'))
         if content['format'] != FORMAT:
             raise VerificationFileError(path, f'its format is {content["format"]}, not {FORMAT}')
-        return Verified(title_of(content), content['verdict'] == 'pass',
+        return Verified(title_of(content), look_of(content['verdict']),
                         tuple(map(str, content['reasons'])), tuple(rows_of(content)))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise VerificationFileError(path, str(error).splitlines()[0]) from error

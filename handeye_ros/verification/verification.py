@@ -98,7 +98,8 @@ class Verification:
     units of both covariances; freedom: number of values with a nominal; claim_p: probability of a
     larger region if the calibration's covariance is true. surface: the choice between several in
     sight. says: what the routine measures; recorded: when (ISO 8601; empty: unknown); certificate:
-    U of the nominal values (m); record: record.* of the configuration.
+    U of the nominal values (m); record: record.* of the configuration. calibration_file: path and
+    sha256 of the file that was verified; created: when it was evaluated (ISO 8601).
     """
 
     routine: str
@@ -122,6 +123,8 @@ class Verification:
     recorded: str = ''
     certificate: float = 0.0
     record: tuple[tuple[str, str], ...] = ()
+    calibration_file: tuple[tuple[str, str], ...] = ()
+    created: str = ''
 
 
 def time_of(stamp: int) -> str:
@@ -136,6 +139,7 @@ def values(verification: Verification) -> dict[str, Any]:
     content = {'format': FORMAT, 'version': __version__, **asdict(verification)}
     content['reasons'], content['inputs'] = list(verification.reasons), list(verification.inputs)
     content['k'], content['record'] = K, dict(verification.record)
+    content['calibration_file'] = dict(verification.calibration_file)
     content['quantities'] = [asdict(q) for q in verification.quantities]
     content['per_station'] = [asdict(s) for s in verification.per_station]
     return content

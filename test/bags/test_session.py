@@ -21,9 +21,11 @@ from handeye_ros.bags.session_writing import SessionStore
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
+from handeye_ros.evidence import evidence
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.status import state_of
 from handeye_ros.results.calibration_file import read_calibration
+from handeye_ros.results.evidence import verdict
 from mcap.reader import make_reader
 import numpy as np
 import pytest
@@ -134,6 +136,24 @@ def test_the_command_line_gives_the_answer_of_the_node(whole: Path, tmp_path: Pa
     assert back.returncode == 0, back.stderr
     n = read_calibration(tmp_path / 'calibration.yaml').quality.samples_used
     assert n == found.quality.samples_used + 1
+
+
+def test_a_sample_taken_again_is_reported_and_compared(whole: Path, tmp_path: Path) -> None:
+    # the stop is stored twice: as a bag its stamps would jump back
+    session = Path(shutil.copytree(whole, tmp_path / 'session'))
+    first, *_, last = files_of(session)
+    shutil.copy(first, last.with_name(last.name.replace(
+        f'_{len(files_of(session)) - 1}.', f'_{len(files_of(session))}.')))
+    assert handeye('solve', session, '--out', tmp_path, cwd=tmp_path).returncode == 0
+    calibration = read_calibration(tmp_path / 'calibration.yaml')
+    for bag in (session, None):
+        found = evidence(calibration, bag, tmp_path)
+        assert not found.refusal and not found.missing
+        assert sum(stop.used for stop in found.stops) == calibration.quality.samples_used
+        assert verdict(calibration, found, np.empty((0, 3))).good
+    run = handeye('compare', session, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert f'{calibration.quality.samples_used} samples' in run.stdout
 
 
 @pytest.mark.once

@@ -234,6 +234,24 @@ def test_without_its_recording_it_says_so(solved: Path, tmp_path: Path) -> None:
     assert 'is not there, so its stops are not shown: name the recording with --bag' in text
 
 
+def test_a_recording_of_a_relative_path_is_found_from_another_folder(
+        calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / 'bag').symlink_to(BAG)
+    file = next(path for path in (tmp_path / 'bag').iterdir() if path.suffix == '.mcap')
+    inputs = [{**calibration.provenance['inputs'][0], 'path': f'bag/{file.name}'}]
+    relative = replace(calibration, provenance={**calibration.provenance, 'inputs': inputs})
+    monkeypatch.chdir('/')
+    found = evidence(relative, None, tmp_path / 'out' / 'plate')
+    assert not found.missing and len(found.stops) == len(calibration.samples)
+    assert 'is not there' in evidence(relative, None, Path('/')).missing
+
+
+def test_a_page_is_not_written_under_the_name_of_another_kind_of_file(solved: Path) -> None:
+    run = handeye('report', solved, '--out', 'report.pdf', cwd=solved)
+    assert_refused(run, 2, 'ends with .html')
+    assert not (solved / 'report.pdf').exists()
+
+
 def test_a_recording_that_has_changed_is_not_shown(calibration: Calibration, tmp_path: Path
                                                    ) -> None:
     (tmp_path / 'plate.mcap').write_text('another')

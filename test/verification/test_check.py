@@ -6,10 +6,8 @@ import importlib.util
 from pathlib import Path
 
 from command import assert_refused, handeye
-from handeye_ros import pipeline, se3
+from handeye_ros import pipeline, se3, trend
 from handeye_ros.bags import bag_write
-from handeye_ros.batch import trend
-from handeye_ros.batch.errors import NoTrendError
 from handeye_ros.data import Calibration, Quality, SampleReport
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
@@ -172,7 +170,7 @@ def test_a_steady_trend_is_reported_so(tmp_path):
     calibrations(tmp_path, 5)
     entries, _ = trend.trend(tmp_path)
     assert 'no calibration differs' in trend.since_when(entries)
-    with pytest.raises(NoTrendError):
+    with pytest.raises(DataError):
         trend.trend(tmp_path / 'day_0')
 
 

@@ -133,6 +133,19 @@ def test_the_protocol_says_what_an_inspector_asks_for():
     assert page.count('<rect') == report['stations'] and 'http' not in page
 
 
+def test_a_protocol_has_a_number_a_date_and_the_file_that_was_verified():
+    made, found = measured('ball_bar')
+    report = replace(result('ball_bar', made, found), created='2026-11-24T13:00:00+00:00',
+                     calibration_file=(('path', '/cell/calibration.yaml'), ('sha256', 'ab12')))
+    page, again, other = (pages.protocol(yaml.safe_load(verification.yaml_text(given))) for given
+                          in (report, report, replace(report, verdict='insensitive')))
+    numbers = [re.search(r'Protocol <b>(\w+)</b>', text)[1] for text in (page, again, other)]
+    assert numbers[0] == numbers[1] != numbers[2]
+    for words in ('2026-11-24T13:00', '/cell/calibration.yaml', 'ab12'):
+        assert words in page
+    assert 'class="good"' in page and 'class="open"' in other and 'class="bad"' not in other
+
+
 def test_the_bias_of_a_touched_point_is_measured():
     made, found = measured('point')
     moved = replace(made, reference=tuple(np.add(made.reference, [0, 0, 5e-4])))

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros import output, se3
-from handeye_ros.batch.errors import NoTrendError
 from handeye_ros.data import Array, Calibration
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.outliers import chi2_isf, chi2_sf
 from handeye_ros.results.calibration_file import read_calibration
-from handeye_ros.results.errors import CalibrationFileError
 from handeye_ros.verification.verification import time_of
 import numpy as np
 from rich.markup import escape
@@ -44,19 +43,20 @@ def trend(folder: Path, first: Calibration | None = None, files: Iterable[Path] 
     Return the calibrations below a folder by time, and a warning for each file left out.
 
     first: the reference, the oldest if not given. files: of the folder, all calibration.yaml if
-    not given. Raises NoTrendError.
+    not given. Raises DataError for too few.
     """
     calibrations, warnings = [], []
     for path in sorted(folder.rglob('calibration.yaml') if files is None else files):
         try:
             calibration = read_calibration(path)
-        except CalibrationFileError as error:
+        except InputError as error:
             warnings.append(str(error))
             continue
         calibrations.append((_recorded(calibration), path, calibration))
     calibrations.sort(key=lambda item: (item[0], str(item[1])))
     if len(calibrations) < 2 - (first is not None):
-        raise NoTrendError(folder, len(calibrations))
+        raise DataError(f'{folder} holds {len(calibrations)} readable calibration.yaml: a trend '
+                        'needs two, or one with --against')
     reference = first or calibrations[0][2]
     entries, previous = [], reference
     for recorded, path, calibration in calibrations:

@@ -1,0 +1,257 @@
+"""The verbs around it: errors of the arm, many recordings, playing and making recordings."""
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from dataclasses import replace
+from importlib import import_module
+import io
+from pathlib import Path
+from typing import Annotated, TYPE_CHECKING
+
+from handeye_ros.cli.common import (
+    advancing,
+    app,
+    Assignments,
+    Bag,
+    ConfigFile,
+    configuration,
+    doing,
+    INTERRUPTED,
+    show,
+    stored_session,
+    TABLES,
+    warn,
+)
+from handeye_ros.errors import HandeyeError, NoRosError, UnknownNameError, UnwritableError
+import typer
+
+if TYPE_CHECKING:
+    from handeye_ros.batch import Job, Row
+    from handeye_ros.config import Config
+    from handeye_ros.data import TimedPose
+    from handeye_ros.robot.answer import Answer
+    from handeye_ros.robot.model import Chain
+    from handeye_ros.robot.samples import Source
+
+VERBS = ('solve', 'verify', 'check', 'compare')  # that batch runs
+
+
+def run_verb(words: list[str]) -> int:
+    """Run `handeye WORDS` in this process, and return its exit code."""
+    command = import_module('handeye_ros.cli').command()  # a worker has not imported the verbs
+    try:
+        command(words, prog_name='handeye')
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else int(bool(end.code))
+    return 0
+
+
+def _run_quietly(words: list[str]) -> int:
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        return run_verb(words)
+
+
+@app.command()
+def batch(
+    sources: Annotated[list[str], typer.Argument(
+        metavar='SOURCE...', help='Bags, folders of bags (paths, or URLs that fsspec opens), '
+        'or CSV or YAML lists of them (bag, label, config, settings, args).')],
+    out: Annotated[Path, typer.Option(metavar='FOLDER', help='Where the results are put.')],
+    verb: Annotated[str, typer.Option(help='solve, verify, check or compare.')] = 'solve',
+    args: Annotated[str, typer.Option(
+        help='Words of the verb before the bag, such as "sphere --calibration FILE".')] = '',
+    config: ConfigFile = None,
+    assignments: Assignments = [],  # noqa: B006 - never changed
+    scheduler: Annotated[str, typer.Option(
+        help='local: one process for each core of this machine; or the address of a Dask '
+        'scheduler, such as tcp://host:8786.')] = 'local',
+    memory: Annotated[str, typer.Option(
+        help='What each local worker may use, such as 2GB; auto: its part of this machine.'
+        )] = 'auto',
+    dashboard: Annotated[bool, typer.Option(
+        '--dashboard', help='Show the page of Dask at port 8787 (local).')] = False,
+) -> None:
+    """Run one verb on many recordings, in parallel; again: only on new or changed ones."""
+    from handeye_ros import batch as batches
+    if verb not in VERBS:
+        raise typer.BadParameter(f'{verb!r} is not one of {", ".join(VERBS)}', param_hint='--verb')
+    batches.require_memory(memory)
+    jobs = batches.jobs_of(sources, batches.Job(
+        '', '', verb, batches.words_of(args, Path()), str(config.absolute()) if config else '',
+        tuple(assignments)))
+    if len({(job.config, job.settings) for job in jobs}) == 1:
+        configuration(config, assignments)  # an error in it concerns all jobs
+    out = out.absolute()
+    rows: list[Row] = []
+    pending: list[Job] = []
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for job in jobs:
+            if row := batches.unchanged(job, out):
+                rows.append(row)
+            else:
+                pending.append(job)
+        unchanged = len(rows)
+        if pending:
+            with batches.client_of(scheduler, memory=memory, dashboard=dashboard) as client:
+                with advancing(f'{len(pending)} recordings') as progress:
+                    for row in batches.rows_of(client, pending, out, run_verb):
+                        rows.append(row)
+                        progress((len(rows) - unchanged) / len(pending))
+                client.gather(client.map(_run_quietly, [
+                    ['report', str(out / row['label'])] for row in batches.worst_answers(rows)
+                    if verb == 'solve' and not (out / row['label'] / 'report.html').exists()
+                ], pure=False), errors='skip')
+        batches.write_table(rows, out)
+    except KeyboardInterrupt:
+        typer.echo(f'{len(rows)} of {len(jobs)} done; run again to continue', err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    except OSError as error:
+        if error.filename is None:
+            raise
+        raise UnwritableError(error.filename, error.strerror or str(error)) from error
+    counts = Counter(map(batches.result_of, rows)).items()
+    typer.echo(f'{len(rows)} recordings: {", ".join(f"{count} {name}" for name, count in counts)};'
+               f' {len(pending)} computed, the others unchanged; wrote {out}')
+
+
+@app.command()
+def kinematics(
+    sources: Annotated[list[Path], typer.Argument(metavar='SOURCE...', help=(
+        'A bag with profiles and joint values, a session, or a table of joint values and measured '
+        'points (CSV or YAML). Several bags or sessions, each with a target at another place, are '
+        'solved together.'))],
+    urdf: Annotated[Path, typer.Option(metavar='FILE', help='The URDF of the robot.')],
+    base: Annotated[str, typer.Option(help='The link that the arm stands on; default: the root '
+                                           'of the URDF.')] = '',
+    flange: Annotated[str, typer.Option(help='The link that carries the sensor; default: tool0, '
+                                             'flange, or the last link.')] = '',
+    configs: Annotated[list[Path], typer.Option(
+        '--config', metavar='FILE', help='A ROS parameter file, for all sources; or one for each '
+        'of them, in their order.')] = [],  # noqa: B006 - never changed
+    assignments: Assignments = [],  # noqa: B006 - never changed
+    out: Annotated[Path, typer.Option(
+        metavar='DIR', help='Where corrected.urdf, kinematics.yaml and calibration.yaml are '
+                            'written.')] = Path('out/kinematics'),
+) -> None:
+    """Find the errors of the robot's joints and axes, together with the hand-eye transform."""
+    files = _for_each(sources, configs)
+    settings = configuration(files[0], assignments)
+    from handeye_ros.robot.report import table
+    from handeye_ros.robot.urdf import read_chain
+    text, chain = read_chain(urdf, base, flange)
+    answer = (_solve_table(sources[0], urdf, chain, settings) if _table(sources) else
+              _solve_profiles(zip(sources, files, strict=True), urdf, chain, assignments))
+    for warning in answer.warnings:
+        warn(warning)
+    show(table(answer))
+    typer.echo(answer.save(text, out, settings.save.formats))
+
+
+def _table(sources: list[Path]) -> bool:
+    """Return whether the source is a table; there may be only one."""
+    tables = [source for source in sources if source.suffix in TABLES and source.is_file()]
+    if tables and len(sources) > 1:
+        raise typer.BadParameter('give one table only: its column "target" names several '
+                                 'points')
+    return bool(tables)
+
+
+def _for_each(sources: list[Path], configs: list[Path]) -> Sequence[Path | None]:
+    """Return the configuration file of each source."""
+    if len(configs) not in (0, 1, len(sources)):
+        raise typer.BadParameter(f'{len(configs)} --config for {len(sources)} sources: give one '
+                                 'for all of them, or one for each')
+    return configs if len(configs) == len(sources) else [*configs, None][:1] * len(sources)
+
+
+def _solve_table(source: Path, urdf: Path, chain: 'Chain', settings: 'Config') -> 'Answer':
+    from handeye_ros.results.calibration_file import input_values
+    from handeye_ros.robot.answer import solve_table
+    with doing('solving'):
+        return solve_table(source, chain, settings,
+                           [input_values(source), input_values(urdf)])
+
+
+def _solve_profiles(paths: Iterable[tuple[Path, Path | None]], urdf: Path, chain: 'Chain',
+                    assignments: list[str]) -> 'Answer':
+    from handeye_ros.results.calibration_file import input_values
+    from handeye_ros.robot.samples import solve_sources
+    sources = [_source(path, chain, config, assignments) for path, config in paths]
+    with doing('solving'):
+        return solve_sources(sources, chain, [input_values(urdf)])
+
+
+def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[str]) -> 'Source':
+    """Return the samples of a bag or a session; the settings of a session are the default."""
+    from handeye_ros.bags.bag import read, read_poses
+    from handeye_ros.bags.session_reading import source_of_session
+    from handeye_ros.robot.model import Arm
+    from handeye_ros.robot.samples import JointRecording, source_of
+    stored = stored_session(path)
+    settings = configuration(config, assignments, stored.config if stored else None)
+    if stored:
+        return source_of_session(stored, settings, chain)
+    with advancing('reading the recording') as progress:
+        recording = read(path, settings, progress, Arm(chain))
+    reported: Sequence[TimedPose] = ()
+    with suppress(HandeyeError):
+        reported = read_poses(path, replace(settings, kinematics='')).poses
+    assert recording.joints is not None
+    joints = JointRecording(recording.profiles, recording.poses, recording.joints, reported,
+                            recording.warnings, recording.inputs)
+    with doing('finding the stops'):
+        return source_of(joints, chain, settings)
+
+
+@app.command()
+def replay(
+    bag: Bag,
+    rate: Annotated[float, typer.Option(help='Speed; 1 is as recorded.')] = 1.0,
+) -> None:
+    """Publish a recording on its topics, with /clock (needs ROS)."""
+    try:
+        from handeye_ros.node.replay import replay as publish
+    except ModuleNotFoundError as error:
+        raise NoRosError('replay', str(error.name)) from error
+    publish(bag, rate)
+
+
+def _scenarios() -> dict[str, str]:
+    """Return the descriptions of scenarios by name."""
+    from handeye_ros.simulate import FAULTS, FILE_SCENES, SCENARIOS
+    from handeye_ros.simulate.measuring import MEASURING_CELL
+    return {**{name: scenario.description for name, scenario in SCENARIOS.items()},
+            **dict.fromkeys(FILE_SCENES, 'files of measured values'),
+            **{name: scenario.description for name, scenario in FAULTS.items()},
+            MEASURING_CELL: 'a calibration, and a recording for each routine of verify'}
+
+
+def _print_scenarios(requested: bool) -> None:
+    if requested:
+        for name, description in _scenarios().items():
+            typer.echo(f'{name:32} {description}')
+        raise typer.Exit
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[str, typer.Argument(help='The name of a scenario; see --list.',
+                                            autocompletion=lambda: list(_scenarios()))],
+    directory: Annotated[Path, typer.Argument(
+        metavar='DIR', help='The folder to make: a bag, or files of measured values.')],
+    seed: Annotated[int, typer.Option(min=0, help='Of all random numbers.')] = 0,
+    force: Annotated[bool, typer.Option('--force', help='Replace a bag that is there.')] = False,
+    listed: Annotated[bool, typer.Option(
+        '--list', callback=_print_scenarios, is_eager=True,
+        help='Print all scenarios, and what differs from a plain recording, and exit.')] = False,
+) -> None:
+    """Make a recording with a known answer, which is written to truth.yaml in it."""
+    if scenario not in _scenarios():
+        raise UnknownNameError('scenario', scenario, list(_scenarios()),
+                               'handeye simulate --list')
+
+    from handeye_ros.cli import simulated
+    with doing('simulating'):
+        content = simulated.write(scenario, seed, directory, force)
+    typer.echo(f'wrote {directory.absolute()}: {content}')
