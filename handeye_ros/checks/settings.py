@@ -153,7 +153,9 @@ def require_same_clock(session: Session, config: Config) -> None:
     rest = float(np.quantile(changes, STILL_SHARE)) if len(changes) else 0.0
     limit = max(MOVING * rest, SMALLEST_CHANGE)
     stills = [_still(*part, limit, config) for part in seen]
-    stated = fit_of([outcome.sample for outcome, _ in found], config)
+    # compared are the stops in which the profiles come to rest, whatever they show as it is set
+    stated = fit_of([outcome.sample for (outcome, _), still in zip(found, stills, strict=True)
+                     if still.sample], config)
     require_stated(stated, [_late(stills, behind, config) for behind in (0, 1, -1)
                                        if abs(_offset(stills, behind)) > SMALLEST])
 
@@ -234,7 +236,7 @@ def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
     def refit() -> Fit | None:
         poses = {id(still): stop.pose for still, stop in _pairs(stills, behind)}
         fit = fit_of([replace(still.sample, T_base_flange=poses[id(still)])
-                      if still.sample and id(still) in poses else None for still in stills],
+                      if id(still) in poses else None for still in stills if still.sample],
                      config)
         return fit if fit and fit.solution.redundancy >= FEWEST_CONDITIONS else None
 
