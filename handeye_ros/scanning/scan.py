@@ -4,7 +4,8 @@ Profiles and poses to points in the robot's base: a scan.
 With eye_on_base the points are in the frame of the flange, which carries the workpiece past the
 sensor. The poses are interpolated by a spline at the stamp of each profile plus time_offset; the
 rotation is taken later by the rotation lag that the calibration estimated. A profile outside the
-poses or in a gap gives no points. Only the poses need memory that grows with the recording.
+poses or in a gap gives no points. Only the poses, and the cubes of voxels, need memory that grows
+with the recording.
 """
 from __future__ import annotations
 
@@ -23,10 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 BATCH = 64  # profiles at once: the arrays stay in the cache
+CELL_BITS = 21  # of the number of a cube along each axis
 SLOPE_REACH = 4  # returns to either side for the slope of the surface
-BITS = 22  # a table of 4 million cubes, in 32 MB
-MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)  # of Fibonacci hashing
-HALF = 1 << 20  # cubes to either side of the origin along each axis
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ class Scanner:
         self.lag = float(calibration.target.get(ROTATION_LAG, 0.0))  # s
         self._intensity: bool | None = None  # whether the driver publishes it
         self._variance = variance_polynomial(calibration, config.noise)
-        self._voxel_filter = VoxelFilter(self.options.voxel) if self.options.voxel > 0 else None
+        self._filled = set[int]()  # cubes that have their point
 
     @property
     def frame(self) -> str:
@@ -113,11 +112,18 @@ class Scanner:
                 self.calibration.T_flange_sensor, track.std(stamps[flange.inside]))
         pieces = [self._of_profile(*item) for item in zip(used, T, variances, strict=True)]
         cloud = np.concatenate([np.empty(0, self.dtype), *pieces])
-        if self._voxel_filter is None:
-            return cloud
-        is_new = self._voxel_filter.new(np.stack([cloud['x'], cloud['y'], cloud['z']]))
+        return self._one_in_each_cube(cloud) if self.options.voxel > 0 else cloud
+
+    def _one_in_each_cube(self, cloud: Points) -> Points:
+        """Return the points that are the first in their cube."""
+        points = np.stack([cloud['x'], cloud['y'], cloud['z']], axis=1)
+        cell = np.floor(points / self.options.voxel).astype(np.int64) & (1 << CELL_BITS) - 1
+        cubes, first = np.unique(cell @ [1 << 2 * CELL_BITS, 1 << CELL_BITS, 1],
+                                 return_index=True)
+        is_new = np.array([cube not in self._filled for cube in cubes.tolist()], dtype=bool)
+        self._filled.update(cubes.tolist())
         self.count.thinned += len(cloud) - int(is_new.sum())
-        return cloud[is_new]
+        return np.take(cloud, np.sort(first[is_new]))
 
     def require_points(self) -> None:
         """Raise DataError for a scan without points."""
@@ -178,32 +184,6 @@ def _incidence(x: Array, z: Array) -> Array:
     first, last = np.maximum(index - SLOPE_REACH, 0), np.minimum(index + SLOPE_REACH,
                                                                  len(x) - 1)
     return np.asarray(np.arctan2(np.abs(z[last] - z[first]), np.abs(x[last] - x[first])))
-
-
-class VoxelFilter:
-    """
-    Keeps the first point in each cube.
-
-    The table has a fixed size. In a cloud of more cubes an entry may be overwritten; its cube then
-    keeps a second point when the laser passes it again.
-    """
-
-    def __init__(self, edge: float) -> None:
-        """Start with empty cubes; edge: of a cube (m)."""
-        self._edge = edge
-        self._table = np.full(1 << BITS, np.iinfo(np.uint64).max, dtype=np.uint64)
-
-    def new(self, points: Array) -> NDArray[np.bool_]:
-        """Return which points (3, n) are the first in their cube."""
-        cells = np.floor(points / self._edge).astype(np.int64) + HALF
-        x, y, z = (cells & (2 * HALF - 1)).astype(np.uint64)
-        key = (x << np.uint64(42)) | (y << np.uint64(21)) | z
-        slot = (key * MULTIPLIER) >> np.uint64(64 - BITS)
-        is_new = np.zeros(len(key), dtype=bool)
-        first = np.unique(key, return_index=True)[1]
-        is_new[first] = self._table[slot[first]] != key[first]
-        self._table[slot[is_new]] = key[is_new]
-        return is_new
 
 
 def variance_polynomial(calibration: Calibration, noise: NoiseConfig) -> Array:

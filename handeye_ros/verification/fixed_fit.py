@@ -3,9 +3,9 @@ Fits a shape to measured points, and estimates the calibration error from the de
 
 The calibration is fixed, as it is in use. The parameters q of the shape minimise the distances
 r = d(p, q), weighted by the noise of sensor and robot. Whitened station by station,
-r = J dq + G dX + n, where n has unit covariance. The error of q is -K (G dX + n), K = pinv(J), and
-the residuals are M (G dX + n), M = I - J K. An error dX of the calibration enters through G: its
-claimed covariance C is never part of the measurement's own uncertainty.
+r = J dq + G dX + n, where n has unit covariance. The error of q is -pinv(J) (G dX + n), and
+the residuals are M (G dX + n), M = I - J pinv(J). An error dX of the calibration enters through
+G: its claimed covariance C is never part of the measurement's own uncertainty.
 """
 from __future__ import annotations
 
@@ -133,17 +133,17 @@ def _result(shape: Shape, q: Array, distances: Array, J: Array, G: Array, C: Arr
             ) -> FixedFit:
     white_J, white_G = white(blocks, J), white(blocks, G)
     white_r = white(blocks, distances)
-    K = np.asarray(np.linalg.pinv(white_J), dtype=float)
-    A = white_G - white_J @ (K @ white_G)
-    remainder = white_r - white_J @ (K @ white_r)
+    gain = np.asarray(np.linalg.pinv(white_J), dtype=float)
+    A = white_G - white_J @ (gain @ white_G)
+    remainder = white_r - white_J @ (gain @ white_r)
     inner, root = A.T @ A, root_of(C)
     explained = root.T @ A.T @ remainder
     statistic = remainder @ remainder - explained @ np.linalg.solve(
         np.eye(6) + root.T @ inner @ root, explained)
     freedom = max(len(remainder) - len(q), 1)
     F = derivatives(shape.values, q)
-    by_error = F @ K @ white_G
-    noise, claimed = F @ K @ K.T @ F.T, by_error @ C @ by_error.T
+    by_error = F @ gain @ white_G
+    noise, claimed = F @ gain @ gain.T @ F.T, by_error @ C @ by_error.T
     with_nominal = np.array([k for k, n in enumerate(shape.nominals) if n is not None], dtype=int)
     noise[with_nominal, with_nominal] += nominal_std ** 2
     region = 0.0
@@ -156,7 +156,7 @@ def _result(shape: Shape, q: Array, distances: Array, J: Array, G: Array, C: Arr
         remainder = np.append(remainder, np.linalg.solve(factor, deviation))
     std = np.concatenate([np.linalg.norm(factor, axis=1) for _, factor in blocks])
     return FixedFit(shape.values(q), noise, claimed, distances, std,
-                    _expected_rms(J, K, A[:len(J)], root, blocks),
+                    _expected_rms(J, gain, A[:len(J)], root, blocks),
                     float(chi2_sf(statistic, freedom)), A.T @ A,
                     np.einsum('mik,mil->kl', by_X, by_X) / len(J), region, len(with_nominal),
                     *_implied(A, remainder, by_X, freedom + len(with_nominal)),
@@ -207,14 +207,14 @@ def root_of(C: Array) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(value, 0.0)))
 
 
-def _expected_rms(J: Array, K: Array, A: Array, root: Array, blocks: Blocks) -> float:
+def _expected_rms(J: Array, gain: Array, A: Array, root: Array, blocks: Blocks) -> float:
     """Return the 95 % quantile of the RMS distance; nan for very many points."""
     if len(J) > MOST_DISTANCES:
         return float('nan')
     rng = np.random.default_rng(0)
     n = rng.normal(size=(len(J), DRAWS))
     white_J = white(blocks, J)
-    drawn = n - white_J @ (K @ n) + A @ (root @ rng.normal(size=(6, DRAWS)))
+    drawn = n - white_J @ (gain @ n) + A @ (root @ rng.normal(size=(6, DRAWS)))
     plain = np.empty_like(drawn)
     for rows, factor in blocks:
         plain[rows] = factor @ drawn[rows]
