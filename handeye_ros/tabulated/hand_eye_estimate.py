@@ -13,7 +13,7 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.checks.consistency import require_rotations
 from handeye_ros.data import Array
-from handeye_ros.errors import TooFewError
+from handeye_ros.errors import DataError, TooFewError
 from handeye_ros.estimation.outliers import (
     adjust,
     Adjusted,
@@ -21,7 +21,6 @@ from handeye_ros.estimation.outliers import (
     variance_components,
 )
 from handeye_ros.tables import Table
-from handeye_ros.tabulated.errors import DegenerateError
 from handeye_ros.tabulated.hand_eye_model import (
     causes,
     derivatives,
@@ -91,7 +90,7 @@ def solve(T_base_flange: Array, T_camera_target: Array, noise: PoseNoise | None 
     T_base_flange, T_camera_target: (n, 4, 4), pairwise at the same times; noise: estimated if not
     given; eye_on_base: the camera is fixed to the base, the target to the flange; frame: name of
     the frame that the camera is fixed in, for messages.
-    Raises TooFewError, OneOrientationError, OneAxisError, DegenerateError.
+    Raises TooFewError, OneOrientationError, OneAxisError, DataError.
     """
     T = se3.inverse(T_base_flange) if eye_on_base else T_base_flange
     if len(T) < MINIMUM:
@@ -112,10 +111,10 @@ def solve(T_base_flange: Array, T_camera_target: Array, noise: PoseNoise | None 
 def _require_agreement(dropped: int, total: int, rms: tuple[float, float]) -> None:
     if dropped > LARGEST_DROPPED_SHARE * total or rms[0] > LARGEST_RMS[0] or (
             rms[1] > LARGEST_RMS[1]):
-        raise DegenerateError(NAME, f'{dropped} of {total} poses contradict the others, which '
-                              f'agree to {rms[0] * 1e3:.3g} mm and {np.degrees(rms[1]):.3g} '
-                              'degrees RMS', 'check that both lists are of the same moments, '
-                              'that no pose is inverted, and the units')
+        raise DataError(
+            f'{NAME} cannot be solved: {dropped} of {total} poses contradict the others, which '
+            f'agree to {rms[0] * 1e3:.3g} mm and {np.degrees(rms[1]):.3g} degrees RMS; check '
+            'that both lists are of the same moments, that no pose is inverted, and the units')
 
 
 def _rms(factors: Array, white: Array) -> tuple[float, float]:

@@ -8,12 +8,11 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.errors import TooFewError
+from handeye_ros.errors import DataError, TooFewError
 from handeye_ros.estimation.least_squares import Rows, System
 from handeye_ros.estimation.outliers import adjust, Adjusted
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.tables import Table
-from handeye_ros.tabulated.errors import DegenerateError
 from handeye_ros.tabulated.method import Answer, FileMethod, Index, Input, ReadBag
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +65,7 @@ def solve(in_camera: Array, in_base: Array, noise: float | None = None,
     Return the transform from the same points (n, 3) in both frames (metres).
 
     noise: 1 sigma per axis of the difference of a pair (m), estimated when not given; rng: for
-    random triples of more than ALL_TRIPLES points. Raises TooFewError, DegenerateError.
+    random triples of more than ALL_TRIPLES points. Raises TooFewError, DataError.
     """
     if len(in_base) < MINIMUM:
         raise TooFewError(NAME, MINIMUM, 'points', len(in_base))
@@ -130,16 +129,18 @@ def _require_triangle(points: Array) -> None:
     """Raise for points (n, 3) that are (nearly) collinear."""
     along, across = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[:2]
     if across < SMALLEST_ANGLE * along:
-        raise DegenerateError(NAME, 'the points lie in one line, so a turn about it is free',
-                              'put some of them well outside it')
+        raise DataError(
+            f'{NAME} cannot be solved: the points lie in one line, so a turn about it is free; '
+            'put some of them well outside it')
 
 
 def _require_agreement(fit: Adjusted[Array], total: int, rms: float) -> None:
     dropped = total - len(fit.used)
     if rms > LARGEST_RMS or dropped > LARGEST_DROPPED_SHARE * total:
-        raise DegenerateError(NAME, f'{dropped} of {total} points contradict the others, which '
-                              f'agree to {rms * 1e3:.3g} mm RMS', 'check that both lists hold '
-                              'the same points in the same order, and their units')
+        raise DataError(
+            f'{NAME} cannot be solved: {dropped} of {total} points contradict the others, which '
+            f'agree to {rms * 1e3:.3g} mm RMS; check that both lists hold the same points in the '
+            'same order, and their units')
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,10 @@ from dataclasses import replace
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Arc, Array, TimedPose
-from handeye_ros.errors import FeatureError, UnusableMessageError
+from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
 from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.segment import noise_level, Segment, straight_segments
 from handeye_ros.sampling.stream import interpolate
-from handeye_ros.tabulated.errors import DegenerateError
 from handeye_ros.tabulated.tracker_model import Sweep, SWEPT
 import numpy as np
 
@@ -43,13 +42,14 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
     profiles, poses: in the order of their stamps; q3_first: reading of P3 at the first pose (m);
     q30: reading at which the flange frame is taken (m), by default the middle. config:
     noise.sensor, target.radius of the ball (0: unknown), sampling.min_points. Raises
-    DegenerateError.
+    DataError.
     """
     first, last = poses[0].stamp, poses[-1].stamp
     inside = [p for p in profiles if first <= p.stamp <= last]
     if not inside:
-        raise DegenerateError(NAME, 'no profile lies within the time of the poses',
-                              'record both together')
+        raise DataError(
+            f'{NAME} cannot be solved: no profile lies within the time of the poses; record both '
+            'together')
     ways = q3_first + _ways(interpolate(poses, [first, *(p.stamp for p in inside)]))
     found = _found(inside, ways, config)
     parts = {name: np.concatenate([rows for _, rows in found[name]]) for name in SWEPT}
@@ -86,8 +86,9 @@ def _found(profiles: Sequence[AnyProfile], ways: Array, config: Config
         name: [(stamp, rows[k]) for stamp, rows in faces] for k, name in enumerate(SWEPT[1:])}}
     for what, name in (('ball', 'ball'), ('block', 'face_c')):
         if len(found[name]) < FEWEST_PROFILES:
-            raise DegenerateError(NAME, f'{len(found[name])} profiles show the {what}',
-                                  f'sweep over it slowly, at least {FEWEST_PROFILES} profiles')
+            raise DataError(
+                f'{NAME} cannot be solved: {len(found[name])} profiles show the {what}; sweep '
+                f'over it slowly, at least {FEWEST_PROFILES} profiles')
     return found
 
 
@@ -95,15 +96,16 @@ def _ways(T: Array) -> Array:
     """Return the travel (n - 1,) along the flange's z from the first of poses (n, 4, 4), m."""
     turn = float(np.max(se3.angle(T[:, :3, :3] @ T[0, :3, :3].T)))
     if turn > LARGEST_TURN:
-        raise DegenerateError(NAME, f'the flange turns by {np.degrees(turn):.2f} degrees',
-                              'move P3 alone')
+        raise DataError(
+            f'{NAME} cannot be solved: the flange turns by {np.degrees(turn):.2f} degrees; move '
+            'P3 alone')
     moved = (T[:, :3, 3] - T[0, :3, 3]) @ T[0, :3, :3]
     aside = float(np.sqrt((moved[:, :2] ** 2).sum(axis=1).mean()))
     if np.ptp(moved[:, 2]) < SMALLEST_WAY or aside > LARGEST_ASIDE:
-        raise DegenerateError(
-            NAME, f'the flange moves {np.ptp(moved[:, 2]) * 1e3:.1f} mm along its z, and '
-            f'{aside * 1e3:.2f} mm aside', 'move P3 alone, over ball and block; the flange '
-            'frame has z along P3')
+        raise DataError(
+            f'{NAME} cannot be solved: the flange moves {np.ptp(moved[:, 2]) * 1e3:.1f} mm along '
+            f'its z, and {aside * 1e3:.2f} mm aside; move P3 alone, over ball and block; the '
+            'flange frame has z along P3')
     return np.asarray(moved[1:, 2])
 
 

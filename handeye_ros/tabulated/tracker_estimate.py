@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros.data import Array
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.outliers import adjust, Adjusted
 from handeye_ros.published import jing2020
 from handeye_ros.tables import LENGTH, Table, TableError
 from handeye_ros.tabulated import tracker_model
-from handeye_ros.tabulated.errors import DegenerateError
 from handeye_ros.tabulated.tracker_model import Seen, State, Sweep
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +91,7 @@ def solve(tracker: jing2020.Tracker, sweep: Sweep, tracker_noise: float = 2e-5,
     Return the hand-eye transform.
 
     tracker_noise: 1 sigma per axis of a reflector centre (m); direction: (3,) of the sweep in
-    the sensor frame, roughly. Raises TooFewError, DegenerateError.
+    the sensor frame, roughly. Raises TooFewError, DataError.
     """
     _require_order(tracker)
     chain = jing2020.solve(tracker, sweep.published, direction)
@@ -125,8 +125,9 @@ def _require_order(tracker: jing2020.Tracker) -> None:
     turns = np.cross(arc[:-1] - centre, arc[1:] - centre) @ axis
     for what, steps in (('arc', turns), ('line', np.diff(line @ jing2020.fit_line(line)))):
         if max((steps > 0).mean(), (steps < 0).mean()) < ONE_WAY:
-            raise DegenerateError(NAME, f'the points of the {what} go back and forth',
-                                  'list them in the order measured')
+            raise DataError(
+                f'{NAME} cannot be solved: the points of the {what} go back and forth; list them '
+                'in the order measured')
 
 
 def _require_angles(tracker: jing2020.Tracker, faces: Array) -> None:
@@ -135,21 +136,24 @@ def _require_angles(tracker: jing2020.Tracker, faces: Array) -> None:
     first, last = tracker.arc[0] - centre, tracker.arc[-1] - centre
     turn = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)
     if turn < SMALLEST_ANGLE:
-        raise DegenerateError(NAME, f'the arc spans {np.degrees(turn):.1f} degrees',
-                              'turn R2 by 30 degrees or more')
+        raise DataError(
+            f'{NAME} cannot be solved: the arc spans {np.degrees(turn):.1f} degrees; turn R2 by '
+            '30 degrees or more')
     if min(*faces, *(np.pi - faces)) < SMALLEST_ANGLE:
-        raise DegenerateError(NAME, 'the two faces of the block are nearly parallel',
-                              'use faces at 45 degrees or more')
+        raise DataError(
+            f'{NAME} cannot be solved: the two faces of the block are nearly parallel; use faces '
+            'at 45 degrees or more')
 
 
 def _require_one_direction(chain: jing2020.Result) -> None:
     """Raise for a sweep whose direction by the ball differs from that of the link."""
     cosine = float(chain.direction @ chain.T_flange_sensor[2, :3])
     if cosine < np.cos(LARGEST_TURN):
-        raise DegenerateError(
-            NAME, f'the sweep runs {np.degrees(np.arccos(max(cosine, -1.0))):.0f} degrees beside '
-            'the line of the reflector', 'check which face is which, tracker.direction, and that '
-            'the line was measured towards larger readings of P3')
+        raise DataError(
+            f'{NAME} cannot be solved: the sweep runs '
+            f'{np.degrees(np.arccos(max(cosine, -1.0))):.0f} degrees beside the line of the '
+            'reflector; check which face is which, tracker.direction, and that the line was '
+            'measured towards larger readings of P3')
 
 
 def _require_agreement(fit: Adjusted[State], seen: Seen) -> None:
@@ -157,18 +161,18 @@ def _require_agreement(fit: Adjusted[State], seen: Seen) -> None:
     dropped = 1 - np.bincount(part[fit.used], minlength=part.max() + 1) / np.bincount(part)
     worst = int(np.argmax(dropped))
     if fit.variance_factor > LARGEST_VARIANCE or dropped[worst] > LARGEST_DROPPED_SHARE:
-        raise DegenerateError(
-            NAME, f'the points contradict each other: {fit.variance_factor ** 0.5:.1f} times '
-            f'their noise, {100 * dropped[worst]:.0f} % of those of '
-            f'{list(tracker_model.PARTS.values())[worst]} left out', 'check which face is which, '
-            'h0 and h1, the readings of P3, and the noise of both instruments')
+        raise DataError(
+            f'{NAME} cannot be solved: the points contradict each other: '
+            f'{fit.variance_factor ** 0.5:.1f} times their noise, {100 * dropped[worst]:.0f} % '
+            f'of those of {list(tracker_model.PARTS.values())[worst]} left out; check which face '
+            'is which, h0 and h1, the readings of P3, and the noise of both instruments')
 
 
 def _require_certain(covariance: Array) -> None:
     worst = [float(np.sqrt(np.linalg.eigvalsh(part)[-1]))
              for part in (covariance[:3, :3], covariance[3:, 3:])]
     if worst[0] > LARGEST_STD[0] or worst[1] > LARGEST_STD[1]:
-        raise DegenerateError(
-            NAME, f'the answer is uncertain by {worst[0] * 1e3:.3g} mm and '
-            f'{np.degrees(worst[1]):.3g} degrees (1 sigma)', 'check which face is which; '
-            'measure a longer arc and line, sweep over more of ball and faces')
+        raise DataError(
+            f'{NAME} cannot be solved: the answer is uncertain by {worst[0] * 1e3:.3g} mm and '
+            f'{np.degrees(worst[1]):.3g} degrees (1 sigma); check which face is which; measure a '
+            'longer arc and line, sweep over more of ball and faces')

@@ -6,14 +6,17 @@ from pathlib import Path
 
 from command import ROOT
 from file_scenes import given, Run, TABLES, target_of
+from handeye_ros import orientations
 from handeye_ros.cli import simulated
 from handeye_ros.config import Config, load, with_values
 from handeye_ros.errors import BadValueError, OnlyFromFilesError
 from handeye_ros.simulate import measured
+from handeye_ros.tables import Table
 from handeye_ros.tabulated import FILE_METHODS
 from handeye_ros.targets import method_for
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 
 def refused(result: tuple[int, str, str], code: int, *words: str) -> None:
@@ -72,7 +75,11 @@ def test_files_that_cannot_be_read_end_with_2(name: str, change: Callable[[str],
     ('hand_eye', rows(lambda lines: lines[:2]), 'needs at least 3 poses, got 2'),
     ('hand_eye', rows(lambda lines: lines[:1] * 5), 'all poses share one orientation'),
     ('hand_eye', replaced('flange_x [mm], flange_y [mm], flange_z [mm]',
-                          'flange_x [m], flange_y [m], flange_z [m]'), 'and the units'),
+                          'flange_x [m], flange_y [m], flange_z [m]'),
+     'with positions of the flange in mm the residual falls from'),
+    ('hand_eye', replaced('target_x [mm], target_y [mm], target_z [mm]',
+                          'target_x [m], target_y [m], target_z [m]'),
+     'write their unit in the header, as in target_x [mm]'),
     ('hand_eye', replaced('flange_qx, flange_qy, flange_qz, flange_qw',
                           'flange_qy, flange_qz, flange_qw, flange_qx'),
      'but with flange quaternions as w x y z the residual falls from'),
@@ -97,6 +104,25 @@ def test_the_wrong_calibration_type_is_named(name: str, handeye: Run, tmp_path: 
                      '--set', f'calibration_type={other}')
     refused(result, 3, 'with one of the two lists inverted the residual falls from',
             'set calibration_type to the other one')
+
+
+@pytest.mark.parametrize(('written', 'length', 'words'), [
+    ('ur-rotation-vector', 1e3, 'write the unit in the header, as in flange_x [mm]'),
+    ('ur-rotation-vector', 1.0, 'set target.angles to ur-rotation-vector')])
+def test_the_notation_of_another_controller_is_named(
+        written: str, length: float, words: str, handeye: Run, tmp_path: Path) -> None:
+    simulated.write('hand_eye', 1, tmp_path / 'cell')
+    table = Table(tmp_path / 'cell' / 'poses.csv')
+    flange, target = table.poses('flange'), table.poses('target')
+    turned = orientations.of(written).numbers(Rotation.from_matrix(flange[:, :3, :3]))
+    header = ('flange_x, flange_y, flange_z, flange_rx, flange_ry, flange_rz, target_x [m], '
+              'target_y [m], target_z [m], target_qx, target_qy, target_qz, target_qw')
+    values = np.hstack([flange[:, :3, 3] * length, turned, target[:, :3, 3],
+                        Rotation.from_matrix(target[:, :3, :3]).as_quat()])
+    np.savetxt(tmp_path / 'cell' / 'poses.csv', values, delimiter=',', header=header, comments='',
+               fmt='%.12g')
+    refused(handeye('solve', *given('hand_eye', tmp_path / 'cell'), '--set',
+                    'target.angles=staubli'), 3, words)
 
 
 @pytest.mark.parametrize('eye_on_base', [False, True])
