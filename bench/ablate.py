@@ -76,7 +76,7 @@ MECHANISMS: dict[str, tuple[Switch, ...]] = {
             len(squares(start))))),),
     'freed shape': ((pipeline, 'believable_shape', lambda problem, agreed, rng: agreed),),
     'one edge shape for all': (
-        (pipeline, 'consistent_edges', lambda samples: (list(samples), [])),),
+        (pipeline, 'with_common_shape', list),),
     'set-back': (without_blocks('setback', 'incidence'),),
     'set-back by incidence': (without_blocks('incidence'),),
     'edge shape': (without_blocks('shape'),),

@@ -53,9 +53,8 @@ from handeye_ros.guidance.rules import limits_of
 from handeye_ros.guidance.score import extremes, learn_view, mapping, View
 from handeye_ros.results.truth_file import mapped_point_error
 from handeye_ros.sampling import station_features
-from handeye_ros.sampling.edge_shapes import consistent_edges
-from handeye_ros.sampling.field_of_view import require_inside
-from handeye_ros.sampling.stops import duplicate_pose, Outcome
+from handeye_ros.sampling.edge_shapes import with_common_shape
+from handeye_ros.sampling.stops import duplicate_pose, Outcome, require_inside
 from handeye_ros.simulate import (
     plate,
     Scenario,
@@ -366,7 +365,7 @@ def solved(cell: World) -> Solution | None:
 
     From the last one, once it is known to KNOWN_WELL; without the search for other answers.
     """
-    method, (samples, _) = targets.method_for(cell.config), consistent_edges(cell.samples)
+    method, samples = targets.method_for(cell.config), with_common_shape(cell.samples)
     if len(samples) < method.minimum:
         return None
     problem = Problem(method, mounted(samples, cell.config), method.features.observe(samples),

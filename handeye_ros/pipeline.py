@@ -35,7 +35,7 @@ from handeye_ros.frames import mounted
 from handeye_ros.guidance import advice
 from handeye_ros.results.evidence import Evidence, evidence_of
 from handeye_ros.results.outcome import describe_calibration, NuisanceReport
-from handeye_ros.sampling.edge_shapes import consistent_edges
+from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.passes import problem_of, single_samples
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.time_offset import synchronised
@@ -67,8 +67,8 @@ def solve_session(session: Session, config: Config, solver: Solver | None = None
     Return the calibration from the samples of a session, as solve does.
 
     solver: the function that solves, by default solve.
-    Raises DataError if there is no answer: WrongSettingError or ClocksDifferError if one of these
-    explains why the samples do not fit.
+    Raises DataError if there is no answer: WrongSettingError, or reason clocks_differ, if one of
+    these explains why the samples do not fit.
     """
     session.require_stations()
     config = session.with_base(config)
@@ -115,9 +115,9 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
            ) -> tuple[Calibration, list[Sample], Solution]:
     """Return the calibration as solve does, the samples it comes from, and the solution."""
     require_own_frame(frame_id, config)
-    ordered, at_border = consistent_edges(sorted(samples, key=lambda sample: sample.stamp))
+    ordered = with_common_shape(sorted(samples, key=lambda sample: sample.stamp))
     moved = synchronised(ordered, config)
-    ordered, rejects = moved.samples, [*rejects, *at_border, *moved.rejects]
+    ordered, rejects = moved.samples, [*rejects, *moved.rejects]
     agreed = estimate(ordered, rejects, config, moved.estimate)
     if config.kinematics:
         from handeye_ros.robot.uncertainty import with_arm_errors
@@ -169,7 +169,7 @@ def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None,
     """
     solution, trouble = None, ''
     samples = single_samples(samples)
-    ordered, _ = consistent_edges(samples)
+    ordered = with_common_shape(samples)
     if len(ordered) >= targets.method_for(config).minimum:
         try:
             moved = synchronised(ordered, config)
@@ -201,7 +201,7 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
 def flipped(ordered: Sequence[Sample], problem: Problem) -> Flipped | None:
     """Return the problem with the opposite profile.range_sign, None with too few samples."""
     config = flipped_range(problem.config)
-    others, _ = consistent_edges([replace(s, features=s.flipped) for s in ordered if s.flipped])
+    others = with_common_shape([replace(s, features=s.flipped) for s in ordered if s.flipped])
     if len(others) < problem.method.minimum:
         return None
     number = {sample.stamp: k for k, sample in enumerate(ordered)}
@@ -210,7 +210,7 @@ def flipped(ordered: Sequence[Sample], problem: Problem) -> Flipped | None:
 
 def at_stops(samples: Sequence[Sample], config: Config) -> tuple[Sequence[Sample], Problem]:
     """Return the samples that solve uses, and their problem with constant poses."""
-    ordered, _ = consistent_edges(sorted(samples, key=lambda sample: sample.stamp))
+    ordered = with_common_shape(sorted(samples, key=lambda sample: sample.stamp))
     ordered = synchronised(ordered, config).samples
     return ordered, _at_stops(ordered, config)
 

@@ -33,8 +33,7 @@ from handeye_ros.errors import BagError, DataError, InputError, UnusableMessageE
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.robot.model import Arm, JointNamesError
 from handeye_ros.robot.urdf import read_arm
-from handeye_ros.sampling.stream import FEW, FEW_SHARE, in_order, LARGEST_STEP
-from handeye_ros.sampling.stream_errors import TwoFramesError
+from handeye_ros.sampling.stream import FEW, FEW_SHARE, in_order, LARGEST_STEP, two_frames
 import numpy as np
 
 MOST_MALFORMED = 0.5  # largest fraction of malformed messages in a scan
@@ -142,14 +141,14 @@ def read_poses(path: Path, config: Config, arm: Arm | None = None) -> Recording:
 
 
 def _most_frequent_frame(profiles: list[RawProfile], warnings: list[str]) -> list[RawProfile]:
-    """Return the profiles of the most frequent frame; TwoFramesError unless others are strays."""
+    """Return the profiles of the most frequent frame; InputError unless others are strays."""
     frames = Counter(profile.frame_id for profile in profiles)
     (frame, count), *other_frames = frames.most_common(2)
     strays = len(profiles) - count
     if not other_frames:
         return profiles
     if strays > max(FEW, FEW_SHARE * len(profiles)) or strays >= count:
-        raise TwoFramesError('profile', *list(frames)[:2])
+        raise two_frames('profile', *list(frames)[:2])
     warnings.append(f'left out {strays} profiles of other frames than "{frame}"')
     return [profile for profile in profiles if profile.frame_id == frame]
 
@@ -344,7 +343,7 @@ class _PoseSource:
             joints, T = _forward(self._arm, rows)
             return Poses(stamps, np.hstack([T[:, :3, 3], se3.quaternion(T)]), chain.base), joints
         if len(self._frames) > 1:
-            raise TwoFramesError('pose', *list(self._frames)[:2])
+            raise two_frames('pose', *list(self._frames)[:2])
         rows = np.frombuffer(self._rows, float).reshape(-1, 7)[order]
         return Poses(stamps, rows, *self._frames), None
 

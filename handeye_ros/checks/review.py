@@ -21,7 +21,7 @@ from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import in_mount, mounted
 from handeye_ros.results.evidence import StopSnapshot
 from handeye_ros.results.outcome import left_out, Measured, measured_points
-from handeye_ros.sampling.edge_shapes import consistent_edges
+from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.passes import Pairing, single_samples
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome, Seen
@@ -76,7 +76,7 @@ def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) 
     if any(sample.single for sample in samples):
         return _of_passes(samples, included, config)
     # as in a solve: only edges that agree over all samples, none at the border of the view
-    kept, _ = consistent_edges([s for s, use in zip(samples, included, strict=True) if use])
+    kept = with_common_shape([s for s, use in zip(samples, included, strict=True) if use])
     by_stamp = {sample.stamp: sample for sample in kept}
     chosen = [i for i, use in enumerate(included) if use and samples[i].stamp in by_stamp]
     samples = [by_stamp.get(s.stamp, s) for s in samples]

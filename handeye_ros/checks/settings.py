@@ -25,8 +25,7 @@ from handeye_ros.estimation.linearise import Problem
 from handeye_ros.frames import mounted
 from handeye_ros.sampling import station_features
 from handeye_ros.sampling.dwells import NS
-from handeye_ros.sampling.edge_shapes import consistent_edges
-from handeye_ros.sampling.errors import ClocksDifferError
+from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.station_features import evenly
 from handeye_ros.sampling.stops import needed, result_of, Seen, Stop
@@ -54,7 +53,7 @@ def require_settings(session: Session, config: Config) -> None:
             and not session.excludes(outcome)]
     stops = [_thinned(stop, config) for stop in kept[:MOST_STOPS]]
     results = [result_of(stop, config) for stop in stops]
-    seen, _ = consistent_edges([r for r in results if isinstance(r, Sample)])
+    seen = with_common_shape([r for r in results if isinstance(r, Sample)])
     with_edge = {s.stamp for s in seen if any(isinstance(f, EdgePoint) for f in s.features)}
     edges = np.array([result.stamp in with_edge for result in results], dtype=bool)
     stated = fit_of(results, config, all_starts=True)  # as a solve starts
@@ -108,7 +107,7 @@ def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts
     """
     method = targets.method_for(config)
     number = {r.stamp: k for k, r in enumerate(results) if isinstance(r, Sample)}
-    ordered, _ = consistent_edges([r for r in results if isinstance(r, Sample)])
+    ordered = with_common_shape([r for r in results if isinstance(r, Sample)])
     if len(ordered) < method.minimum:
         return None
     problem = Problem(method, mounted(ordered, config), method.features.observe(ordered), config)
@@ -143,7 +142,7 @@ class _Still:
 
 
 def require_same_clock(session: Session, config: Config) -> None:
-    """Raise ClocksDifferError where the samples fit poses of another time better."""
+    """Raise DataError (clocks_differ) where the samples fit poses of another time better."""
     found = [(outcome, part) for outcome in session.outcomes if not outcome.refused
              and not session.excludes(outcome) and (part := _profiles(outcome.stop, config))]
     seen = [part for _, part in found]
@@ -241,5 +240,10 @@ def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
         return fit if fit and fit.solution.redundancy >= FEWEST_CONDITIONS else None
 
     def refusal(fit: Fit) -> DataError:
-        return ClocksDifferError(_offset(stills, behind), config.time_offset)
+        late = _offset(stills, behind)
+        return DataError(
+            'the samples do not fit the poses of their time, but as if the profiles were '
+            f'{abs(late):.1f} s {"late" if late > 0 else "early"}: the clocks of sensor and robot '
+            f'differ; set time_offset to {config.time_offset - late:.1f} (it is '
+            f'{config.time_offset:g}), or give both the same clock', reason='clocks_differ')
     return Hypothesis(refit, refusal)

@@ -249,14 +249,14 @@ def _check_bags(bags: list[Path], against: Path, config: Path | None, assignment
 def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Check':
     """Return the check by a recording: by its stops, or by a sweep without stops."""
     from handeye_ros import pipeline
-    from handeye_ros.sampling.errors import NoStationsError
+    from handeye_ros.errors import DataError
     from handeye_ros.verification import check
     recording = read_bag(bag, settings)
     with doing('finding the stations'):
         try:
             session = pipeline.gather(recording.profiles, recording.poses, settings)
-        except NoStationsError:
-            if not calibration.time_offset:
+        except DataError as error:
+            if error.reason != 'no_stops' or not calibration.time_offset:
                 raise
             settings = replace(settings, sampling=replace(settings.sampling, mode='moving'))
             session = pipeline.gather(recording.profiles, recording.poses, settings)

@@ -23,7 +23,6 @@ from handeye_ros.node.state import calibration_summary
 from handeye_ros.node.worker import Progress, Runner
 from handeye_ros.output import folder_name
 from handeye_ros.results import exports
-from handeye_ros.sampling.errors import ClearedError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome
 import numpy as np
@@ -86,7 +85,8 @@ class Answer:
             raise
         with self._samples.streams.lock:
             if self._samples.cleared != cleared:
-                raise ClearedError
+                raise DataError('the samples were cleared while the calibration was computed, so '
+                                'there is no answer: take new samples', reason='cleared')
             self.calibration, self._solved = calibration, stamps
             self.withdrawn = self.missing = self.file = ''
         self.on_change()

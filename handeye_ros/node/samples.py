@@ -14,11 +14,10 @@ from handeye_ros.bags.session_store import Store
 from handeye_ros.checks.review import count_of, sample_summary
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Reject, Sample
-from handeye_ros.errors import FeatureError, HandeyeError, InputError
+from handeye_ros.errors import DataError, FeatureError, HandeyeError, InputError
 from handeye_ros.node.state import Attempt
 from handeye_ros.node.streams import StopConsumer, Streams
 from handeye_ros.node.worker import Evaluator, Progress
-from handeye_ros.sampling.errors import FlatCrossingError, NothingNewError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Outcome, Stop
 
@@ -200,11 +199,13 @@ class LiveSamples:
                 outcome = self.streams.session.outcome(stop, sample)
                 repeated = any(o.stop.began == stop.began for o in self.streams.session.outcomes)
             if outcome.sample is None:
-                raise NothingNewError(sample_summary(outcome.result))
+                raise DataError(f'{sample_summary(outcome.result)}: move on, and turn the tool',
+                                reason='nothing_new')
             objection = self.objection(outcome)
             if objection:
                 self.refused[stop.began] = stop.pose(self.config)
-                raise FlatCrossingError(objection)
+                raise DataError(f'{objection}, and take the sample again',
+                                reason='flat_crossing')
             outcome = self._stored(outcome)
             with self.streams.lock:
                 self.streams.session.put(outcome)

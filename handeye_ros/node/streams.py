@@ -16,7 +16,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Feature, TimedPose
 from handeye_ros.errors import FeatureError, UnusableMessageError
-from handeye_ros.sampling.errors import SilentPosesError
+from handeye_ros.sampling.dwell_detector import silent_poses
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.station_features import features_of
 from handeye_ros.sampling.stops import Stop
@@ -224,7 +224,7 @@ class Streams:
         silence = self.arrivals.silence('pose')
         limit = POSES_SILENT if self.arrivals.silence('profile') < PROFILES_COME else BOTH_SILENT
         if self.arrivals.counts['pose'] and silence > limit:
-            raise SilentPosesError(silence)
+            raise silent_poses(silence)
         with self.lock:
             return self.session.current_stop()
 

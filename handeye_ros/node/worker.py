@@ -154,7 +154,7 @@ class Evaluator:
         return self._run(result_of, needed(stop, config), config)
 
     def sample(self, stop: Stop, config: Config) -> Sample:
-        """Return the sample of a stop; raises NoProfilesError or FeatureError with the reason."""
+        """Return the sample of a stop; raises FeatureError with the reason."""
         return self._run(sample_of, needed(stop, config), config)
 
     def reevaluated(self, outcome: Outcome, config: Config) -> Outcome:

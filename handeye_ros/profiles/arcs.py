@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 import math
 from typing import NamedTuple
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array
-from handeye_ros.errors import FeatureError
+from handeye_ros.errors import FeatureError, mm
 from handeye_ros.profiles.circles import (
     arc_points,
     candidates,
@@ -120,7 +121,19 @@ def _searched(points: Array, config: Config) -> _Seen:
             return _rescaled(valid, used, noise, config)
         except FeatureError as error:
             reason = reason or str(error)
+    if radius > 0 and not reason and _shows_another(points, config):
+        reason = (f'the profile shows an arc, but not of a sphere of target.radius {mm(radius)}: '
+                  'correct it, or set it to 0, and it is estimated')
     raise FeatureError(reason or 'no arc of the sphere in the profile')
+
+
+def _shows_another(points: Array, config: Config) -> bool:
+    """Return whether a profile shows the arc of a sphere of any radius."""
+    try:
+        _searched(points, replace(config, target=replace(config.target, radius=0.0)))
+    except FeatureError:
+        return False
+    return True
 
 
 def _rescaled(points: Array, used: NDArray[np.bool_], noise: float, config: Config) -> _Seen:

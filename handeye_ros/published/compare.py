@@ -21,7 +21,7 @@ from handeye_ros.published.estimators import (
     Stations,
 )
 from handeye_ros.results.truth_file import Errors, errors_against, FIELD, field_points
-from handeye_ros.sampling.edge_shapes import consistent_edges
+from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.time_offset import synchronised
 from handeye_ros.tabulated.method import FileMethod, Input, plane_axes, require_trusted
 import numpy as np
@@ -91,10 +91,10 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     believes. Raises BadValueError for a target or method that does not exist.
     """
     config = own_method(config)
-    ordered, at_border = consistent_edges(sorted(samples, key=lambda sample: sample.stamp))
+    ordered = with_common_shape(sorted(samples, key=lambda sample: sample.stamp))
     progress(config.target.type)
     start = time.perf_counter()
-    stations, refusal = _believed(ordered, [*rejects, *at_border], config)
+    stations, refusal = _believed(ordered, rejects, config)
     seconds = time.perf_counter() - start
     X = stations.known.estimate.X if stations.known and not refusal else None
     return _compared(stations, X, refusal, seconds, len(samples) + len(rejects),

@@ -13,25 +13,16 @@ from typing import Self
 
 from handeye_ros.config import Config, UNNAMED_FRAME
 from handeye_ros.data import AnyProfile, TimedPose
-from handeye_ros.errors import InputError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import frame_notes
 from handeye_ros.sampling.dwells import Dwell, FOREVER, Motion, NS
-from handeye_ros.sampling.errors import (
-    LatePosesError,
-    MovingError,
-    NoPosesError,
-    NoStationsError,
-    NotAskedError,
-    PositionUnitError,
-    SilentPosesError,
-    SparsePosesError,
-)
 from handeye_ros.sampling.passes import finder_of
 from handeye_ros.sampling.profile_buffer import ProfileBuffer
 from handeye_ros.sampling.stops import beside, Stop, stop_of
 from handeye_ros.sampling.stream import LARGEST_STEP, Stream
 
 SILENCE = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
+LARGEST_POSITION = 50.0  # m: no flange is there, it is another unit
 
 
 class DwellDetector:
@@ -170,7 +161,7 @@ class DwellDetector:
         """
         Return all remaining stops, including the current one.
 
-        Raises TwoFramesError when messages of two frames came on one topic.
+        Raises InputError when messages of two frames came on one topic.
         """
         self._require_one_frame()
         self._take_poses(self._pose_stream.believed(0, FOREVER))
@@ -186,7 +177,8 @@ class DwellDetector:
         """
         Return the stop at which the robot stands now.
 
-        Raises TwoFramesError, NoPosesError, SilentPosesError, LatePosesError or MovingError.
+        Raises InputError for two frames on a topic, and DataError without current poses
+        (reason no_poses, silent_poses, late_poses) or while the robot moves (moving).
         """
         self._require_one_frame()
         if self._pose_stream.frame is None:
@@ -194,7 +186,11 @@ class DwellDetector:
         self._require_poses_now()
         station = self._finder.current()
         if station is None:
-            raise MovingError(self._config.sampling.still_time, self.motion)
+            how = self.motion.sentence if self.motion else (
+                'too few poses have come to measure its motion')
+            raise DataError(f'the robot has not stood still for '
+                            f'{self._config.sampling.still_time:g} s, {how}: stop it, wait, and '
+                            'take the sample again', reason='moving')
         self._profiles.add(self._profile_stream.believed(station.start, station.end))
         return self._stop(station)
 
@@ -202,7 +198,7 @@ class DwellDetector:
         """
         Refuse a recording in which the robot never stood still.
 
-        Raises NoPosesError, NotAskedError, PositionUnitError, SparsePosesError or NoStationsError.
+        Raises DataError, its reason no_poses, not_asked, position_unit, sparse_poses or no_stops.
         """
         if self._taken:
             return
@@ -210,12 +206,21 @@ class DwellDetector:
         if not poses.count:
             raise self._no_poses()
         if self.unasked:
-            raise NotAskedError(self.unasked)
-        if self._largest_position > 50.0:  # m; no flange is there: it is another unit
-            raise PositionUnitError(self._largest_position)
+            raise DataError(self.unasked, reason='not_asked')
+        if self._largest_position > LARGEST_POSITION:
+            raise DataError(f'the flange positions reach {self._largest_position:.0f} m: they '
+                            'seem to be in mm; publish them in metres', reason='position_unit')
         if poses.period > sampling.max_pose_gap:
-            raise SparsePosesError(poses.period, sampling.max_pose_gap)
-        raise NoStationsError(poses.count, sampling.still_time, self._finder.longest / NS)
+            raise DataError(f'the flange poses come only every {poses.period:.2g} s, more than '
+                            f'sampling.max_pose_gap ({sampling.max_pose_gap:g} s): publish them '
+                            'more often, also while the robot stands still, or raise '
+                            'sampling.max_pose_gap', reason='sparse_poses')
+        raise DataError(f'the robot never stood still for {sampling.still_time:g} s in '
+                        f'{poses.count} poses, but for {self._finder.longest / NS:.2g} s at most: '
+                        'stop at each sample, or lower sampling.still_time; if its poses are '
+                        'noisy, raise sampling.still_translation and sampling.still_rotation; if '
+                        'the robot moves all the time, set sampling.mode to moving',
+                        reason='no_stops')
 
     def _stops(self, stations: Sequence[Dwell]) -> list[Stop]:
         """Return the stops at dwells, without those that were sampled on request."""
@@ -236,14 +241,20 @@ class DwellDetector:
         """Raise an error where no current poses arrive: the position of the robot is unknown."""
         poses = self._pose_stream
         if poses.late or poses.latest < 0:
-            raise LatePosesError
+            raise DataError('the poses come with older stamps than those before, so the robot '
+                            'position is not known: if the clock was set, wait a second and take '
+                            'the sample again; otherwise let only one node publish poses',
+                            reason='late_poses')
         silence = (self._profile_stream.latest - poses.latest) / NS
         if max(SILENCE, 5 * poses.period) < silence < LARGEST_STEP / NS:
-            raise SilentPosesError(silence)
+            raise silent_poses(silence)
 
-    def _no_poses(self) -> NoPosesError:
-        by_topic = self._config.pose_source == 'topic'
-        return NoPosesError(self._config.pose_topic if by_topic else None)
+    def _no_poses(self) -> DataError:
+        where, advice = (self._config.pose_topic, 'pose_topic') if (
+            self._config.pose_source == 'topic') else (
+            '/tf', 'robot_base_frame and robot_effector_frame')
+        return DataError(f'no flange pose was received on {where}: start the robot driver, or set '
+                         f'{advice}', reason='no_poses')
 
     def _require_one_frame(self) -> None:
         if self.conflict:
@@ -256,3 +267,9 @@ class DwellDetector:
         oldest = min([*starts, first])
         newest = max([*(s.end for s in self._waiting), last])
         self._profiles.keep(oldest, newest)
+
+
+def silent_poses(seconds: float) -> DataError:
+    """Return the refusal of a sample while no pose has come for a time (s)."""
+    return DataError(f'no pose has come for {seconds:.1f} s, so the robot position is not known: '
+                     'check the robot driver, and take the sample again', reason='silent_poses')

@@ -4,9 +4,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from handeye_ros.data import Array, EdgePoint, Feature, Reject, Sample
+from handeye_ros.data import Array, EdgePoint, Feature, Sample
 from handeye_ros.profiles.edge_rounding import RADII, reach
-from handeye_ros.sampling.field_of_view import without_border_ends
 import numpy as np
 
 SHARPEST = 2.5e-5  # largest depth of ends that count as sharp (m)
@@ -29,12 +28,6 @@ class EdgeShape:
     size: float = 0.0
     relative_std: float = 0.0
     is_round: bool = True
-
-
-def consistent_edges(samples: Sequence[Sample]) -> tuple[list[Sample], list[Reject]]:
-    """Return the samples with edges of the common shape; rejects: those without any edge left."""
-    kept, rejects = without_border_ends(samples)
-    return with_common_shape(kept), rejects
 
 
 def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:

@@ -23,7 +23,7 @@ from handeye_ros.data import (
     TIME_OFFSET,
     TimedPose,
 )
-from handeye_ros.errors import DataError, UnusableMessageError
+from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
 from handeye_ros.estimation.basis import process_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.linearise import Linear, Problem
@@ -31,7 +31,6 @@ from handeye_ros.estimation.model import PoseModel
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.frames import mounted
 from handeye_ros.sampling.dwells import DwellFinder, NS
-from handeye_ros.sampling.errors import NoProfilesError
 from handeye_ros.sampling.station_features import evenly, features_of_each, flipped_features
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory, trajectory_of
@@ -59,12 +58,12 @@ def finder_of(sampling: SamplingConfig) -> DwellFinder:
 
 def pass_sample(poses: Sequence[TimedPose], messages: Sequence[AnyProfile], config: Config
                 ) -> Sample:
-    """Return the sample of a pass; raises NoProfilesError or FeatureError with the reason."""
+    """Return the sample of a pass; raises FeatureError with the reason."""
     found, why = _found(evenly(messages, MOST_SINGLE), config)
     if 2 * len(found) < MOST_SINGLE < len(messages):
         found, why = _found(evenly(messages, 2 * MOST_SINGLE), config)
     if not found:
-        raise why or NoProfilesError((poses[-1].stamp - poses[0].stamp) / NS)
+        raise why or no_profiles(poses)
     T = interpolate(poses, [profile.stamp for profile, _ in found])
     single = tuple(
         Sample(profile.stamp, pose, features,
@@ -72,6 +71,14 @@ def pass_sample(poses: Sequence[TimedPose], messages: Sequence[AnyProfile], conf
         for k, ((profile, features), pose) in enumerate(zip(found, T, strict=True)))
     return replace(single[len(single) // 2], profiles=len(single), single=single,
                    motion=trajectory_of(poses, config.sampling.max_pose_gap))
+
+
+def no_profiles(poses: Sequence[TimedPose]) -> FeatureError:
+    """Return the refusal of a stop or a pass without a profile of the time of its poses."""
+    seconds = (poses[-1].stamp - poses[0].stamp) / NS
+    return FeatureError(f'no profile has a stamp of the {seconds:.1f} s during which the robot '
+                        'stood still here: either the sensor sent none, or its clock is not that '
+                        'of the robot', reason='no_profiles')
 
 
 def _found(messages: Iterable[AnyProfile], config: Config

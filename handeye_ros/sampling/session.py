@@ -12,10 +12,9 @@ from typing import Self
 from handeye_ros import targets
 from handeye_ros.config import Config
 from handeye_ros.data import Reject, Sample
-from handeye_ros.errors import InputError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.sampling.dwell_detector import DwellDetector
 from handeye_ros.sampling.dwells import NS
-from handeye_ros.sampling.errors import BaseFrameError, NothingNewError, NothingToRemoveError
 from handeye_ros.sampling.passes import single_samples
 from handeye_ros.sampling.stops import (
     duplicate_pose,
@@ -62,7 +61,9 @@ class Session(DwellDetector):
         """Return the error of contradicting frames, or None."""
         wanted = self._config.robot_base_frame.lstrip('/')
         if wanted and self.base_frame and wanted != self.base_frame:
-            return BaseFrameError(self.base_frame, wanted)
+            return InputError(f'the poses are given in "{self.base_frame}", but robot_base_frame '
+                              f'is "{wanted}": set it to {self.base_frame}, or leave it out; it '
+                              'is then that of the poses', reason='base_frame')
         return super().conflict
 
     def copied(self) -> Self:
@@ -119,7 +120,7 @@ class Session(DwellDetector):
         """
         Return the outcomes of all remaining stops, including the current one.
 
-        Raises TwoFramesError when messages of two frames came on one topic.
+        Raises InputError when messages of two frames came on one topic.
         """
         return self._judged(self.rest())
 
@@ -193,12 +194,13 @@ class Session(DwellDetector):
         """
         Return a sample of the current stop.
 
-        Raises what current_stop() raises, or a NoProfilesError, FeatureError or NothingNewError.
+        Raises what current_stop() and sample_of() raise, or DataError (reason nothing_new).
         """
         stop = self.current_stop()
         outcome = self.outcome(stop, sample_of(stop, self._config))
         if isinstance(outcome.result, Reject):
-            raise NothingNewError(outcome.result.reason)
+            raise DataError(f'{outcome.result.reason}: move on, and turn the tool',
+                            reason='nothing_new')
         self.put(outcome)
         return outcome.result
 
@@ -206,7 +208,7 @@ class Session(DwellDetector):
         """
         Return the last sample, which may be of the current stop.
 
-        judge: tells what a stop gives. Raises NothingToRemoveError when there is none.
+        judge: tells what a stop gives. Raises DataError when there is none.
         """
         standing = self.standing()
         if standing:
@@ -215,7 +217,7 @@ class Session(DwellDetector):
                 return outcome
         samples = [outcome for outcome in self._outcomes if outcome.sample]
         if not samples:
-            raise NothingToRemoveError
+            raise DataError('there is no sample to remove', reason='nothing_to_remove')
         return max(samples, key=lambda outcome: outcome.number)
 
     def remove(self, outcome: Outcome) -> None:
@@ -224,7 +226,7 @@ class Session(DwellDetector):
         self._outcomes = [o for o in self._outcomes if o.number != outcome.number]
 
     def remove_last(self) -> Outcome:
-        """Forget the last sample and return it; raises NothingToRemoveError."""
+        """Forget the last sample and return it; raises DataError when there is none."""
         last = self.last()
         self.remove(last)
         return last

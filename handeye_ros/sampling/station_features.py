@@ -27,13 +27,11 @@ ALONG = 0.1  # weight of a distance along a surface against one across, to match
 MOST_TIMES = 4  # profiles of one stop count as at most this many for an edge
 
 
-class DisagreeingProfilesError(FeatureError):
-    """The profiles of one stop show the target at different places."""
-
-    def __init__(self, what: str, apart: float) -> None:
-        super().__init__(f'the profiles of this station do not agree on {what}: they are '
-                         f'{mm(apart)} apart; something moved, or some of them show another '
-                         'object; take the sample again')
+def _disagreeing(what: str, apart: float) -> FeatureError:
+    """Return the refusal of profiles that show the target at places so far apart (m)."""
+    return FeatureError(f'the profiles of this station do not agree on {what}: they are '
+                        f'{mm(apart)} apart; something moved, or some of them show another '
+                        'object; take the sample again', reason='disagreeing')
 
 
 def of_station(profiles: Sequence[Profile], method: Method, config: Config
@@ -120,8 +118,8 @@ def combine(found: Sequence[tuple[Feature, ...]], together: int = 1) -> tuple[Fe
             combined.append(on_line(_combined_edge(same), lines[0]))
     if edges and not any(isinstance(f, EdgePoint) for f in combined):
         points = np.array([edge.point for edge in edges])
-        raise DisagreeingProfilesError('where the edge is',
-                                       float(np.linalg.norm(np.ptp(points, axis=0))))
+        raise _disagreeing('where the edge is',
+                           float(np.linalg.norm(np.ptp(points, axis=0))))
     return tuple(combined)
 
 
@@ -129,7 +127,7 @@ def _combined_lines(seen: Sequence[Sequence[FaceLine]], together: int) -> list[F
     """
     Return one line for each surface that most of the profiles show.
 
-    Raises DisagreeingProfilesError if fewer lines agree than each profile shows.
+    Raises FeatureError if fewer lines agree than each profile shows.
     """
     usual = Counter(map(len, seen)).most_common(1)[0][0]
     lines = next(lines for lines in seen if len(lines) == usual)
@@ -140,7 +138,7 @@ def _combined_lines(seen: Sequence[Sequence[FaceLine]], together: int) -> list[F
             combined += [_combined_line([min(others, key=partial(_apart, line))
                                          for others in seen if others])
                          for line in lines[first:first + together]]
-        except DisagreeingProfilesError as error:
+        except FeatureError as error:
             failed = failed or error
     if failed and len(combined) < min(map(len, seen)):
         raise failed
@@ -206,7 +204,7 @@ def _agreeing(values: Array, times: float, least: float, what: str) -> NDArray[n
     """
     Return which values (n,) are near the median: within `times` scatters, or `least`.
 
-    Raises DisagreeingProfilesError when too few are, or when they scatter more than a robot at
+    Raises FeatureError when too few are, or when they scatter more than a robot at
     rest may move.
     """
     middle = np.quantile(values, 0.5, method='lower')
@@ -214,7 +212,7 @@ def _agreeing(values: Array, times: float, least: float, what: str) -> NDArray[n
     limit = min(max(times * scatter, least), LARGEST_DISAGREEMENT)
     good = np.abs(values - middle) <= limit
     if good.sum() < LEAST_AGREEING * len(values):
-        raise DisagreeingProfilesError(what, float(np.ptp(values)))
+        raise _disagreeing(what, float(np.ptp(values)))
     return np.asarray(good)
 
 
@@ -227,8 +225,8 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     own = float(np.median([_scatter(a, a.centre, a.radius) for a in arcs]))
     good = away < min(LARGEST_DISAGREEMENT, own + max(3.0 * own, SMALLEST_DISAGREEMENT))
     if good.sum() < LEAST_AGREEING * len(arcs):
-        raise DisagreeingProfilesError('where the sphere is',
-                                       float(np.linalg.norm(np.ptp(centres, axis=0))))
+        raise _disagreeing('where the sphere is',
+                           float(np.linalg.norm(np.ptp(centres, axis=0))))
     used = [a.raw for a, believed in zip(arcs, good, strict=True) if believed]
     arc = normal_points(np.concatenate(used))
     # for the residuals: 0.8 MB of a sample at most

@@ -13,12 +13,20 @@ from functools import partial
 
 from handeye_ros import se3, targets
 from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Array, Profile, RawProfile, Reject, Sample, TimedPose
+from handeye_ros.data import (
+    AnyProfile,
+    Array,
+    EdgePoint,
+    Feature,
+    Profile,
+    RawProfile,
+    Reject,
+    Sample,
+    TimedPose,
+)
 from handeye_ros.errors import FeatureError, UnusableMessageError
 from handeye_ros.sampling.dwells import Dwell, NS
-from handeye_ros.sampling.errors import NoProfilesError
-from handeye_ros.sampling.field_of_view import require_inside
-from handeye_ros.sampling.passes import pass_sample
+from handeye_ros.sampling.passes import no_profiles, pass_sample
 from handeye_ros.sampling.station_features import evenly, flipped_features, of_station
 from handeye_ros.sampling.stream import around, interpolate
 import numpy as np
@@ -27,6 +35,7 @@ import numpy as np
 # reduce the noise of single ones far below that of the poses. A stop keeps more: for other
 # settings, and for the test of the clocks (50 ms apart, see diagnosis/settings.py) in 3.75 s.
 MOST_PROFILES = 32
+NEAREST = 1e-3  # smallest distance of an edge from the end of the view (m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +142,7 @@ def _kept(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
 
 
 def sample_of(stop: Stop, config: Config) -> Sample:
-    """Return the sample of a stop; raises NoProfilesError or FeatureError with the reason."""
+    """Return the sample of a stop; raises FeatureError with the reason."""
     seen = stop.load(config)
     if config.sampling.moving:
         return pass_sample(seen.poses, seen.profiles, config)
@@ -143,12 +152,40 @@ def sample_of(stop: Stop, config: Config) -> Sample:
 def _sample(seen: Seen, profiles: Sequence[Profile], config: Config) -> Sample:
     """Return the sample of the messages of a stop; profiles: of its time without vibration."""
     if not profiles:
-        raise NoProfilesError((seen.poses[-1].stamp - seen.poses[0].stamp) / NS)
+        raise no_profiles(seen.poses)
     used, combined = of_station(profiles, targets.method_for(config), config)
     require_inside(combined, used)
     poses = interpolate(seen.poses, [p.stamp for p in used])
     return Sample(used[0].stamp, se3.mean_pose(poses), combined, len(used),
                   flipped_features(used[0], config))
+
+
+def require_inside(features: Sequence[Feature], profiles: Sequence[Profile]) -> None:
+    """
+    Reject a stop if all its edges may be cut off by the border of the view.
+
+    The view ends where the columns of a profile end. A driver that omits columns without a return
+    hides this; then nothing is refused.
+    profiles: those of the stop that show the features. Raises FeatureError.
+    """
+    edges = [feature for feature in features if isinstance(feature, EdgePoint)]
+    columns = {len(profile.points) for profile in profiles}
+    if not edges or len(columns) > 1 or not np.isnan(profiles[0].points).any():
+        return
+    distances = [_to_the_end(edge, profiles[0].points) for edge in edges]
+    if max(distances) < NEAREST:
+        raise FeatureError(
+            f'the edge lies {max(distances) * 1e3:.1f} mm from the end of the view, where it may '
+            f'be cut off: move it {NEAREST * 1e3:.0f} mm or more into the view')
+
+
+def _to_the_end(edge: EdgePoint, points: Array) -> float:
+    """Return the width (m) of the columns beside an edge, on the side with fewer."""
+    seen = np.flatnonzero(np.isfinite(points).all(axis=1))
+    at = seen[int(np.argmin(np.abs(points[seen] - edge.point).sum(axis=1)))]
+    along = points[seen] @ edge.direction
+    spacing = float(np.median(np.abs(np.diff(along) / np.diff(seen))))
+    return float(min(at, len(points) - 1 - at) * spacing)
 
 
 def _still(seen: Seen, config: Config) -> list[Profile]:
@@ -186,7 +223,7 @@ def result_of(stop: Stop, config: Config) -> Sample | Reject:
         if config.sampling.moving:
             return pass_sample(seen.poses, seen.profiles, config)
         return _sample(seen, profiles, config)
-    except (FeatureError, NoProfilesError) as error:
+    except FeatureError as error:
         return Reject(seen.poses[0].stamp, str(error))
 
 

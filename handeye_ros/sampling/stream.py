@@ -17,7 +17,7 @@ from typing import Generic, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, RawProfile, TimedPose
-from handeye_ros.sampling.stream_errors import TwoFramesError
+from handeye_ros.errors import InputError
 import numpy as np
 
 LARGEST_STEP = 1_000_000_000  # ns; a smaller step back is only a reordering in transit
@@ -64,13 +64,13 @@ class Stream(Generic[Stamped]):
         return other
 
     @property
-    def conflict(self) -> TwoFramesError | None:
+    def conflict(self) -> InputError | None:
         """Return the error of a topic with two frames; a few strays are dropped and counted."""
         strays = sum(self._strays.values())
         if self.frame is None or (strays <= max(FEW, FEW_SHARE * self.count)
                                   and self._strays_in_a_row < 20):
             return None
-        return TwoFramesError(self._kind, self.frame, self._strays.most_common(1)[0][0])
+        return two_frames(self._kind, self.frame, self._strays.most_common(1)[0][0])
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -163,6 +163,14 @@ class Stream(Generic[Stamped]):
         self.latest = item.stamp
         self.count += 1
         return item
+
+
+def two_frames(kind: str, first: str, second: str) -> InputError:
+    """Return the error of two frames on the topic of a kind of messages, profile or pose."""
+    why = ('profiles cannot be of one sensor; give each sensor its own topic' if kind == 'profile'
+           else 'poses cannot be in one robot base; let only one node publish them, in one frame')
+    return InputError(f'the {kind} topic carries two frames, "{first}" and "{second}": the {why}',
+                      reason='two_frames')
 
 
 def in_order(stamps: Sequence[int]) -> list[bool] | None:

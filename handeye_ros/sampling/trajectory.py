@@ -16,8 +16,8 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
+from handeye_ros.errors import DataError
 from handeye_ros.sampling.stream import in_order
-from handeye_ros.sampling.stream_errors import TimeBackwardsError
 import numpy as np
 from numpy.typing import NDArray
 
@@ -171,7 +171,7 @@ def track_of(poses: Iterable[TimedPose], max_gap: float) -> Trajectory:
     """
     Return the trajectory of poses in any order, without those with implausible stamps.
 
-    Raises TimeBackwardsError when two runs are mixed.
+    Raises DataError when two runs are mixed.
     """
     rows = np.fromiter(((p.stamp, (*p.translation, *p.quaternion)) for p in poses),
                        np.dtype([('stamp', np.int64), ('pose', np.float64, 7)]))
@@ -179,7 +179,9 @@ def track_of(poses: Iterable[TimedPose], max_gap: float) -> Trajectory:
     if fits is None:
         behind = (np.maximum.accumulate(rows['stamp']) - rows['stamp']) * 1e-9
         first = int(np.argmax(behind > 1.0))
-        raise TimeBackwardsError('the poses', first, float(behind[first]))
+        raise DataError(f'the stamps on the poses jump back by {behind[first]:.1f} s at message '
+                        f'{first + 1}: two runs seem to be mixed (a bag recorded in a loop?); '
+                        'record one run', reason='time_backwards')
     rows = rows[np.array(fits, dtype=bool)]
     stamps, first_of = np.unique(rows['stamp'], return_index=True)
     return Trajectory(stamps, rows['pose'][first_of], max_gap)

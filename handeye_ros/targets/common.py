@@ -17,7 +17,6 @@ FACE = 0  # the kind of a condition on a face, in every method that has them
 SOURCES = 64  # per feature, at most
 GUESS_STATIONS = 40  # more only take longer
 SAME_SURFACE = 3e-4  # m: largest distance between pieces of one surface
-FINER = 4  # factor on directions and candidates if the first do not fit
 
 
 @dataclass(frozen=True, eq=False)

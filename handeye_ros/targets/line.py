@@ -36,13 +36,12 @@ from handeye_ros.targets.common import (
     collect,
     edge_noise,
     FACE,
-    FINER,
     hemisphere,
     nearest_transform,
     ObservationRows,
     some_of,
 )
-from handeye_ros.targets.starts import other_choices, same_kind, same_side
+from handeye_ros.targets.starts import same_kind, same_side
 import numpy as np
 from numpy.typing import NDArray
 
@@ -128,15 +127,14 @@ def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     Yield starts, best first, from a sweep of the direction of the line.
 
     If a face has several visible ends, it is unknown which one is the edge. First the same kind of
-    end, or the same side, is chosen in all stations; only if none of these fits, other choices
-    follow.
+    end is chosen in all stations, then the same side.
     """
     target = whole.config.target
     alone = replace(whole.config, target=replace(target, use_face=False))
     problem = some_of(replace(whole, config=alone), rng)
-    for parts, finer in ((same_kind, 1), (same_side, 1), (other_choices, 1), (same_side, FINER)):
+    for parts in (same_kind, same_side):
         found = (e for part in parts(problem, MINIMUM)
-                 for e in best_of(part, linear_candidates(part, finer), finer))
+                 for e in best_of(part, linear_candidates(part)))
         for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
             yield _with_face(whole, e) if target.use_face else e
 
@@ -156,18 +154,18 @@ def _away(p: Array, target: Array) -> Array:
     return np.asarray(np.linalg.norm(((p - T[:3, 3]) @ T[:3, :3])[:, 1:], axis=1))
 
 
-def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:
+def linear_candidates(problem: Problem) -> list[Estimate]:
     """
     Return the best linear solutions over a sweep of the direction of the line.
 
-    finer: factor on the number of directions. For a known direction d, (I - d d') (R (x r1 + z r3
+    For a known direction d, (I - d d') (R (x r1 + z r3
     + t) + a - c) = 0 is linear in r1, r3, t and the two coordinates of c across d.
     """
     obs = problem.observations
     obs = obs.select(obs.kind == EDGE_Y)
     R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
     a_mean = problem.poses[:, :3, 3].mean(axis=0)
-    frames = _frames(hemisphere(DIRECTIONS * finer))
+    frames = _frames(hemisphere(DIRECTIONS))
     across = frames[:, :, 1:]
     nR = np.einsum('kji,mjl->kmil', across, R)
     u, v = obs.points.T[:, None, :, None, None]
@@ -175,7 +173,7 @@ def linear_candidates(problem: Problem, finer: int = 1) -> list[Estimate]:
     A = np.concatenate([u * nR, v * nR, nR, offset], axis=3).reshape(len(across), -1, 11)
     b = -np.einsum('kji,mj->kmi', across, a - a_mean).reshape(len(across), -1, 1)
     both = np.concatenate([A, b], axis=2)
-    best, x = best_linear(np.swapaxes(both, 1, 2) @ both, both.shape[1], CANDIDATES * finer)
+    best, x = best_linear(np.swapaxes(both, 1, 2) @ both, both.shape[1], CANDIDATES)
     return [_estimate(x[k], frames[k], a_mean) for k in best]
 
 

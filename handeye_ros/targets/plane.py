@@ -33,7 +33,6 @@ from handeye_ros.targets.common import (
     add_face,
     best_linear,
     collect,
-    FINER,
     hemisphere,
     nearest_piece,
     nearest_transform,
@@ -47,11 +46,9 @@ from numpy.typing import NDArray
 
 NORMALS = 400
 CANDIDATES = 10
-SWEEPS = ((1, 1), (FINER, FINER))  # factors on directions and candidates
 BELIEVED_SHARE = 0.7  # of the stations
 AS_NEAR = 2.0  # ratio to the smallest distance of a start, up to which the surfaces' order decides
 TINY = 1e-30  # m^2
-CROWD = 10  # factor on candidates: few stations nearly fit in many wrong ways
 
 
 def observe(samples: Sequence[Sample]) -> Observations:
@@ -126,13 +123,13 @@ def one_surface(problem: Problem) -> list[Problem]:
 
 
 def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-    """Yield starts, best first; a finer sweep follows if these do not fit."""
+    """Yield starts, best first; of few stations, which nearly fit in many wrong ways, then all."""
     problem = some_of(replace(whole, method=PLANE), rng)
     found: list[Estimate] = []
-    for finer, more in ((1, CROWD), (1, NORMALS // CANDIDATES)) if whole.few else SWEEPS:
+    for more in (1, NORMALS // CANDIDATES) if whole.few else (1,):
         known = len(found)
         for part in one_surface(problem):
-            found += best_of(part, linear_candidates(part, finer, more), more)
+            found += best_of(part, linear_candidates(part, more), more)
         fresh = [i for i in different(np.array([e.X for e in found])) if i >= known]
         if several_surfaces(problem.observations):
             away = {i: _typical_distance(problem, found[i]) for i in fresh}
@@ -151,17 +148,17 @@ def _typical_distance(problem: Problem, estimate: Estimate) -> float:
     return float(np.quantile(np.bincount(station, away ** 2, n) / count, BELIEVED_SHARE) ** 0.5)
 
 
-def linear_candidates(problem: Problem, finer: int = 1, more: int = 1) -> list[Estimate]:
+def linear_candidates(problem: Problem, more: int = 1) -> list[Estimate]:
     """
     Return the best linear solutions over a sweep of plane normals.
 
-    finer: factor on the number of normals; more: on the number of solutions. For a known normal n,
+    more: factor on the number of solutions. For a known normal n,
     n . (R (x r1 + z r3 + t) + a) = d is linear in r1, r3, t, d.
     """
     obs = problem.observations
     R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
     a_mean = problem.poses[:, :3, 3].mean(axis=0)
-    normals = hemisphere(NORMALS * finer)
+    normals = hemisphere(NORMALS)
     # each row of A and b is (n, 1) times these arrays: their products are summed only once
     rows = np.zeros((len(R), 4, 11))
     u, v = obs.points.T[:, :, None, None]

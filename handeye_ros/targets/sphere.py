@@ -27,7 +27,7 @@ from handeye_ros.estimation.model import (
 from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.arcs import arc_features, arcs_of_each
 from handeye_ros.profiles.circles import fit_circle
-from handeye_ros.targets.common import collect, FINER, ObservationRows, some_of
+from handeye_ros.targets.common import collect, ObservationRows, some_of
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -88,8 +88,7 @@ def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
     """
     problem = some_of(whole, rng)
     some = replace(problem, observations=_fewer(problem.observations))
-    for finer in (1, FINER):
-        yield from best_of(some, _candidates(problem, problem.config.target.radius, finer), finer)
+    yield from best_of(some, _candidates(problem, problem.config.target.radius))
 
 
 def _fewer(observations: Observations) -> Observations:
@@ -100,7 +99,7 @@ def _fewer(observations: Observations) -> Observations:
     return observations.select(short | (place % 3 == 1))
 
 
-def _candidates(problem: Problem, radius: float, finer: int) -> list[Estimate]:
+def _candidates(problem: Problem, radius: float) -> list[Estimate]:
     """Return the best linear solutions over a sweep of rotations of the sensor."""
     obs = problem.observations
     bounds = np.searchsorted(obs.station, np.arange(1, len(problem.poses)))
@@ -108,21 +107,21 @@ def _candidates(problem: Problem, radius: float, finer: int) -> list[Estimate]:
     radius = radius or 1.05 * float(circles[:, 2].max())
     height = np.sqrt(np.maximum(radius ** 2 - circles[:, 2] ** 2, 0.0))
     a_mean = problem.poses[:, :3, 3].mean(axis=0)
-    R_sensor = rotations(ROTATIONS * finer)
+    R_sensor = rotations(ROTATIONS)
     centre, t, rms, y = _centres(R_sensor, problem.poses[:, :3, :3],
                                  problem.poses[:, :3, 3] - a_mean, circles)
     k = len(R_sensor)
     rms_y = np.full(k, np.inf)
-    count, order = CANDIDATES * finer, np.argsort(rms)
+    order = np.argsort(rms)
     for first in range(0, k, AT_ONCE):  # poor fits for any side are skipped
         some = order[first:first + AT_ONCE]
-        if np.partition(np.hypot(rms, rms_y), count)[count] < rms[some[0]]:
+        if np.partition(np.hypot(rms, rms_y), CANDIDATES)[CANDIDATES] < rms[some[0]]:
             break
         t[some, 1], rms_y[some] = _side(y[some], height)
-    best = np.argsort(np.hypot(rms, rms_y))[:count]
+    best = np.argsort(np.hypot(rms, rms_y))[:CANDIDATES]
     X = se3.transform(R_sensor[best], (R_sensor[best] @ t[best, :, None])[..., 0])
     return [Estimate(*both) for both in zip(X, np.column_stack(
-        [a_mean + centre[best], np.full(count, radius)]), strict=True)]
+        [a_mean + centre[best], np.full(CANDIDATES, radius)]), strict=True)]
 
 
 def _centres(R_sensor: Array, R: Array, a: Array, circles: Array

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import Observations
 from handeye_ros.targets.common import edges_of, ENDS, FACE, some_stations
 import numpy as np
 from numpy.typing import NDArray
@@ -45,27 +44,6 @@ def same_side(problem: Problem, fewest: int) -> list[Problem]:
     return [part for chosen in choices if (part := _part(problem, chosen, fewest)) is not None]
 
 
-def other_choices(problem: Problem, fewest: int) -> list[Problem]:
-    """
-    Return problems with other choices of one end per station.
-
-    The end with the smallest error, such as one where two faces meet; the most central, nearest,
-    and farthest one; or the side that changes where the sensor is turned around.
-    """
-    if not _several(problem):
-        return []
-    obs, edge = problem.observations, problem.observations.kind != FACE
-    x, z = obs.points.T
-    sizes = np.linalg.norm(obs.noise, axis=(1, 2))
-    ranks = [sizes, np.abs(x - np.median(x[edge])), z, -z]
-    choices = [edge & _least(obs, rank, edge) for rank in ranks]
-    around = _turned_around(problem.poses)[obs.station]
-    if around.any():
-        side = _left(problem) ^ around
-        choices += [edge & side, edge & ~side]
-    return [part for chosen in choices if (part := _part(problem, chosen, fewest)) is not None]
-
-
 def _several(problem: Problem) -> bool:
     """Return whether any station shows several ends of a face."""
     obs = problem.observations
@@ -80,19 +58,6 @@ def _left(problem: Problem) -> NDArray[np.bool_]:
     total = np.bincount(obs.station[face], obs.points[face, 0], minlength=n)
     middle = total / np.maximum(np.bincount(obs.station[face], minlength=n), 1)
     return np.asarray(obs.points[:, 0] < middle[obs.station])
-
-
-def _least(obs: Observations, rank: Array, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which observations (m,) have the lowest rank in their station."""
-    least = np.full(obs.station.max() + 1, np.inf)
-    np.minimum.at(least, obs.station[among], rank[among])
-    return np.asarray(rank <= least[obs.station])
-
-
-def _turned_around(poses: Array) -> NDArray[np.bool_]:
-    """Return which poses (n, 4, 4) are rotated by more than 90 degrees from the first."""
-    trace = np.einsum('ij,nij->n', poses[0, :3, :3], poses[:, :3, :3])
-    return np.asarray(trace < 1.0)
 
 
 def _part(problem: Problem, chosen: NDArray[np.bool_], fewest: int) -> Problem | None:

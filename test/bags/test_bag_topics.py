@@ -7,7 +7,6 @@ from handeye_ros.bags import bag, bag_write
 from handeye_ros.bags.reader import Raw, TF
 from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.errors import BagError, InputError
-from handeye_ros.sampling.stream_errors import TwoFramesError
 import numpy as np
 import pytest
 from recordings import (
@@ -77,7 +76,7 @@ def test_no_poses(tmp_path):
 
 def test_two_frames_on_one_topic(tmp_path):
     path = written(tmp_path, profiles=PROFILES[:5] + profiles(9, frame_id='other')[5:])
-    with pytest.raises(TwoFramesError, match='"laser" and "other"'):
+    with pytest.raises(InputError, match='"laser" and "other"'):
         bag.read(path, CONFIG)
 
 

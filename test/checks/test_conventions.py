@@ -17,7 +17,6 @@ from handeye_ros.checks.errors import (
 from handeye_ros.config import with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.sampling.errors import PositionUnitError
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.simulate.arm import CONVENTION_ERRORS as SIMULATED
 import numpy as np
@@ -59,7 +58,7 @@ def test_the_other_simulated_convention_errors_are_those_that_tests_below_name()
 def test_a_recording_with_a_convention_error_says_which(error: str) -> None:
     name = 'inverted_poses' if error == 'inverted' else error
     recording = recorded(replace(SCENARIOS[name], convention_errors=(error,)), columns=640)
-    with pytest.raises(PositionUnitError if error == 'millimetres' else ConventionError) as caught:
+    with pytest.raises(DataError if error == 'millimetres' else ConventionError) as caught:
         pipeline.calibrate(recording.profiles, recording.poses, recording.config)
     assert NAMES.get(error, 'mm') in str(caught.value)
 

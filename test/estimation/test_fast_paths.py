@@ -18,10 +18,10 @@ import pytest
 def test_rotations_that_are_not_tried_on_both_sides_fit_worse(
         seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     made = cell('sphere', seed)
-    quick = sphere._candidates(made.problem, made.config.target.radius, 1)
+    quick = sphere._candidates(made.problem, made.config.target.radius)
     monkeypatch.setattr(sphere, 'AT_ONCE', sphere.ROTATIONS)
     for some, all_tried in zip(quick, sphere._candidates(
-            made.problem, made.config.target.radius, 1), strict=True):
+            made.problem, made.config.target.radius), strict=True):
         np.testing.assert_array_equal(some.X, all_tried.X)
 
 

@@ -13,7 +13,6 @@ from handeye_ros.errors import DataError
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import samples_message, status_message
 from handeye_ros.node.status import state_of
-from handeye_ros.sampling.errors import FlatCrossingError
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.measuring import rendered
 from handeye_ros.simulate.scenes import SCENES
@@ -153,7 +152,7 @@ def test_a_laser_almost_along_an_edge_is_reported_with_the_angle_and_by_hand_ref
                     Stops(T[None], stop.labels, stop.points), np.random.default_rng(2), 1000.0)
     changed(live, sampling__mode='manual')
     feed(live, [*flat.poses, *flat.profiles])
-    with pytest.raises(FlatCrossingError, match=r'crosses p at \d+ degrees, less than sampling.m'):
+    with pytest.raises(DataError, match=r'crosses p at \d+ degrees, less than sampling.m'):
         live.samples.take()
     assert not state_of(live).attempt.accepted
     live.update()  # that no pose near it is advised again

@@ -10,13 +10,13 @@ from handeye_ros import pipeline
 from handeye_ros.bags.session_store import OutputFolders
 from handeye_ros.config import with_values
 from handeye_ros.data import TimedPose
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.node import streams
 from handeye_ros.node.errors import WorkerEndedError
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.status import state_of
 from handeye_ros.node.streams import Latest, MOST_STOPS
 from handeye_ros.sampling import dwells
-from handeye_ros.sampling.errors import BaseFrameError, SilentPosesError
 from handeye_ros.sampling.stream import MOST_REASONS
 from live_sessions import fed, later, SPHERE
 import pytest
@@ -41,7 +41,7 @@ def test_poses_in_another_frame_than_the_one_set_are_refused(set_to: str) -> Non
         assert words in state_of(live).session.trouble
         for ask in (live.answer.compute, live.samples.take,
                     lambda: pipeline.calibrate(SPHERE.profiles, poses, config)):
-            with pytest.raises(BaseFrameError, match=words):
+            with pytest.raises(InputError, match=words):
                 ask()
     else:
         settings = live.answer.compute()[0].provenance['config']
@@ -53,7 +53,7 @@ def test_poses_that_are_silent_while_profiles_come_take_no_sample(
     live = fed(with_values(SPHERE.config, {'sampling.mode': 'manual'}, 'test'))
     monkeypatch.setattr(live.streams.arrivals, 'silence',
                         lambda kind: {'pose': 3.0, 'profile': 0.1}[kind])
-    with pytest.raises(SilentPosesError, match='no pose has come for 3.0 s'):
+    with pytest.raises(DataError, match='no pose has come for 3.0 s'):
         live.samples.take()
 
 

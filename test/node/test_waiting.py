@@ -13,11 +13,10 @@ from handeye_ros.bags.session_store import OutputFolders
 from handeye_ros.bags.session_writing import SessionStore
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
-from handeye_ros.errors import HandeyeError
+from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.status import state_of
 from handeye_ros.node.worker import Evaluator, Runner, WorkerProcess
-from handeye_ros.sampling.errors import MovingError
 from handeye_ros.sampling.stops import judged
 import pytest
 from recordings import halves
@@ -176,7 +175,7 @@ def test_that_the_robot_moves_is_reported_while_stops_wait_to_be_judged(tmp_path
     feed(live, *PARTS[0])
     feed(live, [], PARTS[1][1][:1])
     with judging.closed(live.samples.evaluate_all):
-        with pytest.raises(MovingError):
+        with pytest.raises(DataError, match='still'):
             live.samples.take()
         live.configure(changed(live.config, 'limits.translation', 0.004))
     assert state_of(live).taken >= 7

@@ -23,7 +23,7 @@ from handeye_ros.node.worker import (
     trim_memory,
     WorkerProcess,
 )
-from handeye_ros.sampling.errors import SilentPosesError
+from handeye_ros.sampling.dwell_detector import silent_poses
 from handeye_ros.sampling.stops import evenly
 import pytest
 
@@ -46,7 +46,7 @@ def test_it_answers_and_refuses_as_here(worker: WorkerProcess) -> None:
             runner.run(review, [], [], Config())
         result.append(str(caught.value))
     assert result[0] == result[1]
-    assert str(worker.run(SilentPosesError, 0.3)) == str(SilentPosesError(0.3))
+    assert str(worker.run(silent_poses, 0.3)) == str(silent_poses(0.3))
     with pytest.raises(ZeroDivisionError) as error:
         worker.run(divmod, 1, 0)
     assert 'function(*args)' in error.value.__notes__[0], 'the traceback over there is told'

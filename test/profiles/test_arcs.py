@@ -55,6 +55,15 @@ def test_many_profiles_at_once_give_what_each_gives_alone(config: Config) -> Non
     assert_each_as_alone(profiles, config)
 
 
+@pytest.mark.parametrize('stated', [0.01, 0.02, 0.2])
+def test_a_wrong_radius_is_named_where_an_arc_is_seen(stated: float) -> None:
+    config = with_values(UNKNOWN, {'target.radius': stated})
+    with pytest.raises(FeatureError, match=r'target\.radius .* mm: correct it|radius of 30\.0 mm'):
+        arc_features(wide(ball), config)
+    with pytest.raises(FeatureError, match='no arc of the sphere'):
+        arc_features(drawn(face), config)
+
+
 @pytest.mark.parametrize('step', [1e-5, 1e-4, 3e-4, 1e-3])
 def test_where_the_others_show_their_arcs_is_found_though_the_target_moves(step: float) -> None:
     centres = [CENTRE + step * np.array([k, -k]) for k in range(6)]

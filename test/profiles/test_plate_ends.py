@@ -10,7 +10,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Sample
 from handeye_ros.profiles.edge_rounding import RADII
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.sampling.edge_shapes import common_shape, consistent_edges, with_common_shape
+from handeye_ros.sampling.edge_shapes import common_shape, with_common_shape
 from handeye_ros.simulate.scenarios import BASELINE
 import numpy as np
 from profiles import COLUMNS, drawn, NOISE, PITCH, step_up_to, with_lost, X
@@ -165,7 +165,7 @@ def test_simulated_ends_are_as_near_to_the_edge_as_they_say(
     away, std = [], []
     for seed in range(2):
         made = recorded(scenario, seed, rate=6.0)
-        kept, _ = consistent_edges(pipeline.gather(made.profiles, made.poses, made.config).samples)
+        kept = with_common_shape(pipeline.gather(made.profiles, made.poses, made.config).samples)
         for station in made.truth.stations:
             sample, = (s for s in kept if station.start <= s.stamp <= station.end)
             edge, = (f for f in sample.features if isinstance(f, EdgePoint))

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import EdgePoint
+from handeye_ros.errors import DataError
 from handeye_ros.sampling.dwells import MAX_DWELL, NS
-from handeye_ros.sampling.errors import NothingNewError
 from handeye_ros.sampling.stops import MOST_PROFILES
 import numpy as np
 import pytest
@@ -126,5 +126,5 @@ def test_a_stop_near_an_earlier_one_brings_nothing_new() -> None:
     by_hand.take_sample()
     for item in sorted([*poses[51:], *profiles(1.01, 3)], key=lambda item: item.stamp):
         add(by_hand, item)
-    with pytest.raises(NothingNewError, match='6 mm .* from sample 1: .* move on'):
+    with pytest.raises(DataError, match='6 mm .* from sample 1: .* move on'):
         by_hand.take_sample()

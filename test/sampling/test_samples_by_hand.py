@@ -4,14 +4,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros.data import Profile
-from handeye_ros.errors import FeatureError
+from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.sampling.dwells import MAX_DWELL, NS
-from handeye_ros.sampling.errors import (
-    MovingError,
-    NoPosesError,
-    NoProfilesError,
-    NothingToRemoveError,
-)
 from handeye_ros.sampling.session import Session
 import numpy as np
 import pytest
@@ -96,12 +90,12 @@ def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
 
 def test_why_no_sample_can_be_taken_is_reported() -> None:
     session = Session(MANUAL)
-    with pytest.raises(NoPosesError):
+    with pytest.raises(DataError, match='no flange pose'):
         session.take_sample()
     session = played([pose(t, x=t) for t in np.arange(0, 1, 0.02)], profiles(0, 1), MANUAL)
-    with pytest.raises(MovingError, match='0.5 s'):
+    with pytest.raises(DataError, match='0.5 s'):
         session.take_sample()
-    with pytest.raises(NoProfilesError):
+    with pytest.raises(DataError, match='no profile has a stamp'):
         played(stops((0, 1)), [], MANUAL).take_sample()
     with pytest.raises(FeatureError, match='edge'):
         played(stops((0, 1)), profiles(0, 1, points=BAD), MANUAL).take_sample()
@@ -112,7 +106,7 @@ def test_the_last_sample_can_be_removed() -> None:
     first, second = session.samples
     assert session.remove_last().result is second and session.samples == (first,)
     assert session.remove_last().result is first
-    with pytest.raises(NothingToRemoveError):
+    with pytest.raises(DataError, match='no sample to remove'):
         session.remove_last()
 
 
@@ -146,5 +140,5 @@ def test_automatic_samples_can_be_switched_on_and_off() -> None:
 
 def test_a_moving_robot_is_reported_its_speed() -> None:
     creeping = [pose(t, x=4e-3 * t) for t in np.arange(0, 2, 0.02)]
-    with pytest.raises(MovingError, match=r'it moves by 4\.0 mm/s and 0\.0 degrees/s'):
+    with pytest.raises(DataError, match=r'it moves by 4\.0 mm/s and 0\.0 degrees/s'):
         played(creeping, profiles(0, 2), MANUAL, finish=False).take_sample()
