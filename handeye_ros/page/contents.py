@@ -1,15 +1,20 @@
-"""Content of the page: state, current profile, profiles of stops, and the scene."""
+"""What the page shows, and what its buttons do: services, parameters, sessions and files."""
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
 
+from handeye_ros import config as configuration
 from handeye_ros import se3
+from handeye_ros.bags.reader import CLOUD, POSE
+from handeye_ros.bags.session_reading import read_session, sessions_in
 from handeye_ros.checks.review import Review, stop_snapshot
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature
-from handeye_ros.errors import InputError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import in_mount
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.score import extremes
@@ -17,12 +22,158 @@ from handeye_ros.guidance.views import anchor_of
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import State
 from handeye_ros.node.streams import Current
-from handeye_ros.results import table
+from handeye_ros.output import folder_name
+from handeye_ros.results import calibration_file, exports, table
 from handeye_ros.results.scene import shape
+from handeye_ros.verification.routines import ROUTINES
 import numpy as np
+from rclpy.parameter import Parameter
 
+# buttons that call the service of their name
+SERVICES = ('take_sample', 'clear_samples', 'compute_calibration', 'save_calibration',
+            'verify_start', 'verify_result')
+# parameters that the page can set
+SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise.robot_class',
+            'target.radius', 'target.size', 'guidance.accuracy', 'sampling.mode',
+            'verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
+            'verify.tolerance')
 MOST_POINTS = 400  # of a profile: about the pixels of a tablet
 DIGITS = 6  # after the decimal point of a metre
+
+Act = Callable[[Mapping[str, Any]], tuple[bool, str]]
+Read = Callable[[Mapping[str, str]], Any]
+
+
+@dataclass(frozen=True)
+class Source:
+    """
+    Content and actions of the page.
+
+    state: returns plain values; acts: the buttons by name, each is called with the values of its
+    request and returns success and message, or raises HandeyeError; reads: by name, each is called
+    with the values of its query and returns plain values, or name and text of a file.
+    """
+
+    state: Callable[[], Mapping[str, Any]]
+    acts: Mapping[str, Act]
+    reads: Mapping[str, Read] = field(default_factory=dict)
+
+
+class Served(Protocol):
+    """Interface of the node that the page needs."""
+
+    live: LiveSession
+
+    @property
+    def state(self) -> State:
+        """Return the current state of the session."""
+
+    def topics_of(self, kind: str) -> list[str]:
+        """Return the topics with publishers of a message type."""
+
+    def call_service(self, name: str) -> tuple[bool, str]:
+        """Return whether a service succeeds, and its message."""
+
+    def open_session(self, name: str) -> str:
+        """Continue a previous session; return the message. Raises HandeyeError."""
+
+    def set_parameters(self, changes: list[Parameter]) -> Any:
+        """Set parameters; see rclpy."""
+
+    def get_logger(self) -> Any:
+        """Return the log."""
+
+
+def source(node: Served) -> Source:
+    """Return content and actions of the page for a node."""
+    services: dict[str, Act] = {
+        name: lambda values, name=name: node.call_service(name)  # type: ignore[misc]
+        for name in SERVICES}
+    return Source(
+        lambda: contents(node.state, node.live),
+        services | {'remove_last_sample': partial(_remove_last, node),
+                    'exclude': partial(_exclude, node), 'set': partial(_set, node),
+                    'open': lambda values: (True, node.open_session(str(values['session'])))},
+        {'stop': lambda values: stop_profile(node.live, int(values.get('number', '0'))),
+         'cell': lambda values: _cell(node),
+         'file': lambda values: _file(node.live, values.get('name', ''))})
+
+
+def _remove_last(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
+    """Remove the last sample; number: of that which the person has seen as the last."""
+    last = max((s.number for s in node.state.samples if s.taken), default=None)
+    if values.get('number', last) != last:
+        return False, f'sample {last} has been taken since: look at it before you remove it'
+    return node.call_service('remove_last_sample')
+
+
+def _exclude(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
+    """Leave out a sample, or bring it back."""
+    number, out = values.get('number'), values.get('out') is True
+    if type(number) is not int or number not in {s.number for s in node.state.samples}:
+        return False, f'there is no sample {str(number)[:20]}'
+    numbers = {*node.live.config.samples.exclude} - {number} | ({number} if out else set())
+    result, = node.set_parameters([Parameter('samples.exclude', Parameter.Type.INTEGER_ARRAY,
+                                             sorted(numbers))])
+    return result.successful, result.reason or (
+        f'sample {number} is left out' if out else f'sample {number} is back')
+
+
+def _set(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
+    """Set parameters given as YAML: all or none."""
+    config = node.live.config
+    for key, text in values.items():
+        if key not in SETTINGS:
+            return False, f'{key[:40]} is not set by the page'
+        config = configuration.with_assignments(config, [f'{key}={text}'])
+    after = configuration.flatten(config)
+    for result in node.set_parameters([Parameter(key, value=after[key]) for key in values]):
+        if not result.successful:
+            return False, result.reason
+    return True, ', '.join(f'{key} is {after[key]}' for key in values)
+
+
+def _cell(node: Served) -> dict[str, Any]:
+    """
+    Return the settings with their choices, and the names of the sessions, the newest first.
+
+    previous: of an empty session, the number of samples in the session before.
+    """
+    live = node.live
+    parameters = {p.key: p for p in configuration.parameters()}
+    values = configuration.flatten(live.config)
+    choices = {'profile_topic': node.topics_of(CLOUD), 'pose_topic': node.topics_of(POSE),
+               'verify.routine': list(ROUTINES)}
+    current = Path(live.samples.store.path).name
+    sessions = [path for path in sessions_in(live.folders.folder(live.config))
+                if path.name != current]
+    previous = 0
+    if sessions and not node.state.samples:
+        previous = sum(event.taken for event, _ in read_session(sessions[0]).stops.values())
+    return {'sessions': [path.name for path in sessions], 'session': current,
+            'previous': previous, 'settings': [{
+                'key': key, 'value': values[key], 'description': parameters[key].description,
+                'choices': choices.get(key, list(parameters[key].choices))} for key in SETTINGS]}
+
+
+def _file(live: LiveSession, name: str) -> tuple[str, str]:
+    """Return name and text of a file of the answer; raises HandeyeError without one."""
+    if live.calibration is None:
+        raise DataError('there is no calibration to save: call ~/compute_calibration first, and '
+                        'check that it succeeds')
+    calibration = calibration_file.dated(replace(
+        live.calibration, name=folder_name(live.config)))
+    if name == exports.REPORT:
+        return name, live.solver.run(_report, calibration, live.samples.store.path, urgent=True)
+    form = exports.format_of(name)
+    return form.file_name(calibration), form.text(calibration)
+
+
+def _report(calibration: Calibration, session: str) -> str:
+    """Return the report of a calibration and its session as HTML; takes seconds."""
+    from handeye_ros.evidence import evidence
+    from handeye_ros.results import pages  # matplotlib
+    return pages.html(calibration, evidence(calibration, Path(session) if session else None))
 
 
 def contents(state: State, live: LiveSession) -> dict[str, Any]:
@@ -30,7 +181,7 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     config, current = live.config, live.streams.latest.current(live.config)
     verification = live.verification
     profile = current and _profile(current.points, current.features, current.reason)
-    return {**asdict(state), 'profile': profile, 'scene': scene(live, current),
+    return {**asdict(state), 'profile': profile, 'scene': _scene(live, current),
             'accuracy': config.guidance.accuracy, 'edges': _edges(live),
             'rows': list(answer_rows(live.answer.calibration)),
             'verification': {'running': verification.text, 'verdict': verification.last,
@@ -65,12 +216,12 @@ def _profile(points: Array, features: Iterable[Feature], reason: str) -> dict[st
     for f in features:
         if isinstance(f, FaceLine):
             reach = 3 ** 0.5 * f.spread * f.direction
-            lines.append(rounded(np.array([f.centre - reach, f.centre + reach])))
+            lines.append(_rounded(np.array([f.centre - reach, f.centre + reach])))
         elif isinstance(f, EdgePoint):
-            spots.append(rounded(f.point))
+            spots.append(_rounded(f.point))
         elif isinstance(f, Arc):
-            lines.append(rounded(f.points))
-    return {'points': rounded(points[::step]), 'lines': lines, 'spots': spots, 'reason': reason}
+            lines.append(_rounded(f.points))
+    return {'points': _rounded(points[::step]), 'lines': lines, 'spots': spots, 'reason': reason}
 
 
 def _edges(live: LiveSession) -> dict[int, str]:
@@ -88,7 +239,7 @@ def _edges(live: LiveSession) -> dict[int, str]:
     return edges
 
 
-def scene(live: LiveSession, current: Current | None) -> dict[str, Any]:
+def _scene(live: LiveSession, current: Current | None) -> dict[str, Any]:
     """
     Return poses (rows of T (3, 4)) in the frame of the fixed target, and the target.
 
@@ -109,13 +260,13 @@ def scene(live: LiveSession, current: Current | None) -> dict[str, Any]:
     outline = extreme_points[np.argsort(np.arctan2(offset[:, 1], offset[:, 0]))]
 
     def drawn(T_base_flange: Array | None) -> Any:
-        return None if T_base_flange is None else rounded(
+        return None if T_base_flange is None else _rounded(
             (in_mount(T_base_flange, config) @ X)[:3])
 
     return {
         'known': review is not None, 'range_sign': config.profile.range_sign,
         'round': config.target.type == 'sphere',
-        'view': rounded(outline), 'live': drawn(pose),
+        'view': _rounded(outline), 'live': drawn(pose),
         'stations': [{'number': number, 'T': drawn(T)} for number, T in samples],
         'next': drawn(aim), 'aim': None if pose is None or aim is None else _motion_to(pose, aim),
         'move': advice.move and _move(advice.move),
@@ -126,7 +277,7 @@ def _motion_to(T_base_flange: Array, aim: Array) -> dict[str, Any]:
     """Return the motion to a pose: m along the axes of the base, rad about those of the flange."""
     turn = se3.log_rotation(T_base_flange[:3, :3].T @ aim[:3, :3])
     shift = aim[:3, 3] - T_base_flange[:3, 3]
-    return {'shift': rounded(shift), 'turn': rounded(turn),
+    return {'shift': _rounded(shift), 'turn': _rounded(turn),
             'distance': float(np.linalg.norm(shift)), 'angle': float(np.linalg.norm(turn))}
 
 
@@ -134,8 +285,8 @@ def _move(move: Move) -> dict[str, Any]:
     """Return a move relative to the first pose; R: (3, 3) of the sensor after the move."""
     R = se3.exp_rotation(np.array([0.0, 0.0, move.turn])) @ se3.exp_rotation(
         np.append(move.tilt, 0.0))
-    return {'turn': move.turn, 'tilt': rounded(move.tilt), 'place': rounded(move.place),
-            'beside': move.beside, 'edge': move.edge, 'R': rounded(R)}
+    return {'turn': move.turn, 'tilt': _rounded(move.tilt), 'place': _rounded(move.place),
+            'R': _rounded(R)}
 
 
 def _target(review: Review, config: Config) -> Mapping[str, Any]:
@@ -146,12 +297,12 @@ def _target(review: Review, config: Config) -> Mapping[str, Any]:
     points = se3.apply(problem.poses @ estimate.X, in_sensor[:, None])[:, 0]
     form = shape(problem.method.measures.describe(estimate.target, review.solution.target_std),
                  config.target.size, points)
-    ball = form.ball and (rounded(form.ball[0]), form.ball[1])
-    return {'edges': [rounded(line) for line in form.edges], 'ball': ball,
-            'outline': [rounded(line) for line in form.outline], 'spots': rounded(points)}
+    ball = form.ball and (_rounded(form.ball[0]), form.ball[1])
+    return {'edges': [_rounded(line) for line in form.edges], 'ball': ball,
+            'outline': [_rounded(line) for line in form.outline], 'spots': _rounded(points)}
 
 
-def rounded(values: Array | Sequence[float]) -> Any:
+def _rounded(values: Array | Sequence[float]) -> Any:
     """Return an array as lists with DIGITS decimals."""
     return np.round(values, DIGITS).tolist()
 

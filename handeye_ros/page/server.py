@@ -1,9 +1,14 @@
 """
 Serves the page: static files, a stream of events, and one request for each button.
 
-aiohttp runs in its own thread and event loop. Another thread collects the state, at most RATE
-times a second and only while a browser is connected; requests wait in a short queue. So no request
-and no slow browser delays the node.
+aiohttp runs in its own thread and event loop, and what the node is asked runs in a pool of others:
+no request and no slow browser delays the node. The state is collected at most RATE times a second,
+and only while a browser is connected.
+
+Requests are answered if they are the page's own, and from other machines if they have the token.
+Pages of other sites in the same browser are refused by Origin and Sec-Fetch-Site, and foreign host
+names that point to this machine by Host. The first visit stores the token in a cookie; a file that
+only its user can read keeps it over restarts.
 """
 from __future__ import annotations
 
@@ -11,27 +16,29 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+import hmac
 from importlib import resources
+import ipaddress
 import json
+import os
 from pathlib import Path
+import secrets
+import socket
 import threading
-from typing import Any
 
 from aiohttp import web
-from handeye_ros.errors import HandeyeError
-from handeye_ros.node.errors import PageError
-from handeye_ros.page.buttons import Served, Source, source
-from handeye_ros.page.contents import plain
-from handeye_ros.page.guard import Gate, Guard
+from handeye_ros.errors import HandeyeError, InputError
+from handeye_ros.page.contents import plain, Served, Source, source
 
 RATE = 5.0  # events a second, at most
-MOST_CLIENTS = 8
-MOST_WAITING = 4  # requests of one kind
+WORKERS = 8  # requests that wait for the node at the same time
 LARGEST_BODY = 1024  # bytes
-COOKIE_AGE = 30 * 86400  # s
+LONGEST_BODY = 5.0  # s until the body of a request must be there
 PATIENCE = 10.0  # s until a client must accept an event, and the server must start
-FILES = ('page.css', 'page.js', 'scene.js', 'profile.js', 'cell.js', 'language.js', 'de.js')
-KINDS = {'.html': 'text/html', '.css': 'text/css', '.js': 'text/javascript'}
+COOKIE_AGE = 30 * 86400  # s
+TOKEN_BYTES = 18
+KINDS = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript'}
+FILES = ('page.css', 'page.js', 'scene.js', 'profile.js', 'cell.js')
 HEADERS = {
     'Content-Security-Policy': "default-src 'self'; img-src 'self' data:; "
                                "frame-ancestors 'none'; base-uri 'none'",
@@ -47,33 +54,36 @@ def serve(node: Served) -> PageServer | None:
     try:
         token_file = node.live.folders.parent(config) / '.page_token'
         page = PageServer(source(node), config.page.address, config.page.port, token_file)
-    except PageError as error:
+    except InputError as error:
         log.warning(str(error))
         return None
     log.info(f'page for a browser: {page.url}' + (
-        f'; it asks for the token in {token_file}' if page.guard.token else ''))
+        f'; it asks for the token in {token_file}' if page.token else ''))
     return page
 
 
 class PageServer:
-    """The server of a page, from its construction until stop."""
+    """The server of a page, from its construction until stop; token: '' where none is needed."""
 
     def __init__(self, source: Source, address: str, port: int,
                  token_file: Path | None = None) -> None:
-        """Start to serve; token_file: keeps the token, if one is needed. Raises PageError."""
+        """Start to serve; token_file: keeps the token, if one is needed. Raises InputError."""
         try:
-            self.guard = Guard(address, port, token_file)
+            self._local = address == 'localhost' or ipaddress.ip_address(address).is_loopback
+            self.token = '' if self._local else token_of(token_file)
         except ValueError as error:
-            raise PageError.address(address) from error
+            raise InputError(f'page.address is "{address}", expected an IP address such as '
+                             '127.0.0.1 or 0.0.0.0: there is no page') from error
         except OSError as error:
-            raise PageError.token(token_file, error.strerror or str(error)) from error
-        self._busy: dict[asyncio.BaseTransport, int] = {}  # running requests by connection
-        self._source, self._address, self._port = source, address, port
-        self._clients = 0
-        self._waiting = dict.fromkeys((True, False), 0)
-        self._pools = {slow: ThreadPoolExecutor(1, 'page') for slow in (True, False)}
-        self._gatherer = ThreadPoolExecutor(1, 'page')
-        self._event = ''
+            raise InputError(
+                f'there is no page: its token cannot be written to {token_file} '
+                f'({error.strerror or error}); set output_dir to a folder that can be written'
+            ) from error
+        self.port, self._address, self._source = port, address, source
+        self.cookie = f'handeye_{port}'  # cookies know no ports
+        self._pool = ThreadPoolExecutor(WORKERS, 'page')
+        self._gatherer = ThreadPoolExecutor(1, 'page')  # not behind requests that take long
+        self._clients, self._event = 0, ''
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name='page', daemon=True)
         self._thread.start()
@@ -81,13 +91,17 @@ class PageServer:
             asyncio.run_coroutine_threadsafe(self._start(), self._loop).result(PATIENCE)
         except OSError as error:
             self._end_loop()
-            raise PageError.port(address, port, error.strerror or str(error)) from error
+            raise InputError(f'there is no page: {address}:{port} cannot be served '
+                             f'({error.strerror or error}); set page.port to another one, or to '
+                             '0 for no page') from error
 
     @property
     def url(self) -> str:
-        """Return the address, without the token."""
-        name = f'[{self._address}]' if ':' in self._address else self._address
-        return f'http://{name}:{self._port}/'
+        """Return an address that a browser can open, without the token."""
+        name = self._address
+        if not self._local and ipaddress.ip_address(name).is_unspecified:
+            name = socket.gethostname()
+        return f'http://{f"[{name}]" if ":" in name else name}:{self.port}/'
 
     async def _start(self) -> None:
         self._changed, self._ending = asyncio.Condition(), False
@@ -99,13 +113,8 @@ class PageServer:
         app.router.add_post('/act/{name}', self._act)
         self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=15.0)
         await self._runner.setup()
-        self._server = await self._loop.create_server(self._protocol, self._address, self._port)
+        await web.TCPSite(self._runner, self._address, self.port).start()
         self._gathering = self._loop.create_task(self._gather())
-
-    def _protocol(self) -> asyncio.BaseProtocol:
-        """Return the protocol of a new connection."""
-        assert self._runner.server is not None
-        return Gate(self._runner.server, self._busy)
 
     def stop(self) -> None:
         """End all connections, and the thread."""
@@ -116,7 +125,6 @@ class PageServer:
     async def _stop(self) -> None:
         self._ending = True
         self._gathering.cancel()
-        self._server.close()
         async with self._changed:  # end the streams of events: cleanup waits for them
             self._changed.notify_all()
         await self._runner.cleanup()
@@ -124,7 +132,7 @@ class PageServer:
     def _end_loop(self) -> None:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(PATIENCE)
-        for pool in (self._gatherer, *self._pools.values()):
+        for pool in (self._pool, self._gatherer):
             pool.shutdown(wait=False, cancel_futures=True)
 
     async def _gather(self) -> None:
@@ -142,9 +150,42 @@ class PageServer:
         except HandeyeError as error:
             return json.dumps({'error': str(error)})
 
+    @web.middleware
+    async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Answer a request that may be answered; every refusal is a sentence."""
+        host, origin = request.headers.get('Host', ''), request.headers.get('Origin')
+        site = request.headers.get('Sec-Fetch-Site', 'same-origin')
+        token = request.query.get('token') or request.cookies.get(self.cookie, '')
+        if not self._is_ours(host):
+            return _sentence(403, 'this page is not served under that name')
+        if origin not in (None, f'http://{host}') or site not in ('same-origin', 'none'):
+            return _sentence(403, 'requests of other pages are refused')
+        if self.token and not hmac.compare_digest(token.encode(errors='replace'),
+                                                  self.token.encode()):
+            if request.path in ('/', '/page.css'):
+                return _static(*(('login.html', 401) if request.path == '/'
+                                 else ('page.css', 200)))
+            return _sentence(401, 'the token is missing or wrong')
+        try:
+            return await handler(request)
+        except web.HTTPException as error:
+            return _sentence(error.status, error.reason.lower())
+        except ConnectionError:  # closed before the request was complete
+            return _sentence(400, 'the connection is closed')
+
+    def _is_ours(self, host: str) -> bool:
+        """Return whether a Host names this machine; other names may be of another site."""
+        name = host.removesuffix(f':{self.port}').strip('[]')
+        if name in ('localhost', self._address, socket.gethostname()):
+            return True
+        if name.endswith('.local'):  # of mDNS, which no site outside can give to a machine
+            return not self._local
+        try:
+            return ipaddress.ip_address(name).is_loopback or not self._local
+        except ValueError:
+            return False
+
     async def _events(self, request: web.Request) -> web.StreamResponse:
-        if self._clients >= MOST_CLIENTS:
-            return _sentence(503, f'{MOST_CLIENTS} browsers look at this page: close one')
         response = web.StreamResponse(headers=HEADERS | {'Content-Type': 'text/event-stream'})
         self._clients += 1
         try:
@@ -160,51 +201,26 @@ class PageServer:
             self._clients -= 1
         return response
 
-    @web.middleware
-    async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        token = request.query.get('token') or request.cookies.get(self.guard.cookie, '')
-        refusal = self.guard.refusal(request.headers, token)
-        if refusal and refusal.status == 401 and request.path in ('/', '/page.css'):
-            return _static(*(('login.html', 401) if request.path == '/' else ('page.css', 200)))
-        if refusal:
-            return _sentence(refusal.status, refusal.text)
-        connection = request.transport
-        if connection is None:  # closed while the request waited
-            return _sentence(400, 'the connection is closed')
-        self._busy[connection] = self._busy.get(connection, 0) + 1
-        try:
-            return await handler(request)
-        except web.HTTPException as error:
-            return _sentence(error.status, error.reason.lower())
-        except ConnectionError:  # closed before the request was complete
-            return _sentence(400, 'the connection is closed')
-        finally:
-            if connection in self._busy:
-                self._busy[connection] -= 1
-
     async def _index(self, request: web.Request) -> web.StreamResponse:
-        if 'token' in request.query:
-            response = web.Response(status=303, headers=HEADERS | {'Location': '/'})
-            response.set_cookie(self.guard.cookie, self.guard.token, httponly=True,
-                                samesite='Strict', max_age=COOKIE_AGE)
-            return response
-        return _static('index.html')
+        if 'token' not in request.query:
+            return _static('index.html')
+        response = web.Response(status=303, headers=HEADERS | {'Location': '/'})
+        response.set_cookie(self.cookie, self.token, httponly=True, samesite='Strict',
+                            max_age=COOKIE_AGE)
+        return response
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
         name = request.match_info['name']
         return _static(name) if name in FILES else _sentence(404, 'there is no such page')
 
     async def _read(self, request: web.Request) -> web.StreamResponse:
-        name = request.match_info['name']
-        read = self._source.reads.get(name)
+        read = self._source.reads.get(request.match_info['name'])
         if read is None:
             return _sentence(404, 'there is no such page')
         try:
-            answer = await self._queued(name, read, request.query)
+            answer = await self._loop.run_in_executor(self._pool, read, request.query)
         except (HandeyeError, ValueError) as error:
             return _sentence(404, str(error))
-        if isinstance(answer, web.Response):
-            return answer
         if isinstance(answer, tuple):
             named = {'Content-Disposition': f'attachment; filename="{answer[0]}"'}
             return web.Response(text=answer[1], headers=HEADERS | named)
@@ -216,41 +232,46 @@ class PageServer:
             return _sentence(404, 'there is no such button')
         if request.content_type != 'application/json':
             return _sentence(415, 'expected application/json')
-        values = object_of(await request.read())
-        if values is None:
-            return _sentence(400, 'expected a JSON object')
-        answer = await self._queued(request.match_info['name'], act, values)
-        if isinstance(answer, web.Response):
-            return answer
-        return web.json_response({'success': answer[0], 'message': answer[1]}, headers=HEADERS)
-
-    async def _queued(self, name: str, work: Callable[[Any], Any], values: Any) -> Any:
-        """Return work(values), or a refusal if too many requests wait."""
-        slow = name in self._source.slow
-        if self._waiting[slow] >= MOST_WAITING:
-            return _sentence(429, 'busy: wait for the answer to the previous request')
-        self._waiting[slow] += 1
         try:
-            return await self._loop.run_in_executor(self._pools[slow], work, values)
-        finally:
-            self._waiting[slow] -= 1
+            values = json.loads(await asyncio.wait_for(request.read(), LONGEST_BODY) or b'{}')
+        except TimeoutError:
+            return _sentence(408, 'the request was not complete in time')
+        except (ValueError, RecursionError):
+            values = None
+        if not isinstance(values, dict):
+            return _sentence(400, 'expected a JSON object')
+        try:
+            success, message = await self._loop.run_in_executor(self._pool, act, values)
+        except HandeyeError as error:
+            success, message = False, str(error)
+        return web.json_response({'success': success, 'message': message}, headers=HEADERS)
 
 
 def _sentence(status: int, text: str) -> web.Response:
-    return web.json_response({'success': False, 'message': text}, status=status, headers=HEADERS)
+    answer = web.json_response({'success': False, 'message': text}, status=status,
+                               headers=HEADERS)
+    if status == 408:
+        answer.force_close()
+    return answer
 
 
 def _static(name: str, status: int = 200) -> web.Response:
     text = resources.files(__package__).joinpath('assets', name).read_text(encoding='utf-8')
-    kind = KINDS[name[name.rindex('.'):]]
-    return web.Response(text=text, status=status, content_type=kind, charset='utf-8',
-                        headers=HEADERS)
+    return web.Response(text=text, status=status, content_type=KINDS[name.rpartition('.')[2]],
+                        charset='utf-8', headers=HEADERS)
 
 
-def object_of(text: bytes) -> dict[str, Any] | None:
-    """Return the object of a JSON text, None for other values."""
-    try:
-        value = json.loads(text or b'{}')
-    except (ValueError, RecursionError):
-        return None
-    return value if isinstance(value, dict) else None
+def token_of(file: Path | None) -> str:
+    """Return the token of a file; write a new one if it holds none. Raises OSError."""
+    if file is None:
+        return secrets.token_urlsafe(TOKEN_BYTES)
+    with suppress(OSError, UnicodeDecodeError):
+        token = file.read_text(encoding='ascii').strip()
+        if len(token) >= TOKEN_BYTES and not file.stat().st_mode & 0o077:
+            return token
+    token = secrets.token_urlsafe(TOKEN_BYTES)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.unlink(missing_ok=True)
+    with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), 'w') as stream:
+        stream.write(token + '\n')
+    return token

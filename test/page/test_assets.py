@@ -1,4 +1,4 @@
-"""The files of the page: its colours can be read (WCAG 2), its sentences are all translated."""
+"""The files of the page: its colours can be read (WCAG 2)."""
 from __future__ import annotations
 
 from pathlib import Path
@@ -13,8 +13,6 @@ LIGHT, DARK = (dict(re.findall(r'--(\w+): #(\w+)', part)) for part in (
     (ASSETS / 'page.css').read_text().split('prefers-color-scheme: dark')))
 PAIRS = [(letters, ground) for letters in ('text', 'dim', 'main', 'good', 'bad', 'aim')
          for ground in ('card', 'back')] + [('onmain', 'main')]
-SCRIPTS = re.sub(r"'\s*\+\s*'", '', ''.join(
-    (ASSETS / name).read_text() for name in ('page.js', 'cell.js', 'profile.js', 'scene.js')))
 
 
 def luminance(colour: str) -> float:
@@ -30,31 +28,3 @@ def luminance(colour: str) -> float:
 def test_letters_are_readable(scheme: dict[str, str], letters: str, ground: str) -> None:
     low, high = sorted(luminance(scheme[name]) for name in (letters, ground))
     assert (high + 0.05) / (low + 0.05) >= READABLE
-
-
-def in_labels() -> set[str]:
-    """Return the strings within calls of label()."""
-    found = set()
-    for call in re.finditer(r'\blabel\(', SCRIPTS):
-        depth, end = 1, call.end()
-        while depth:
-            depth += {'(': 1, ')': -1}.get(SCRIPTS[end], 0)
-            end += 1
-        found |= set(re.findall(r"'([^']*)'", SCRIPTS[call.end():end]))
-    return {text for text in found if re.search('[a-zA-Z]', text.replace('{0}', ''))}
-
-
-def values_of(table: str) -> set[str]:
-    """Return the values of a table of strings."""
-    return set(re.findall(r":\s*'([^']*)'", re.search(
-        rf'const {table} = {{(.*?)}};', SCRIPTS, re.DOTALL)[1]))
-
-
-def test_nothing_is_left_untranslated_or_over() -> None:
-    states = values_of('STATES')
-    said = in_labels() | values_of('NAMES') | states | {text.split(':')[0] for text in states}
-    said |= set(re.findall(r'data-label[^>]*>([^<]+)<', (ASSETS / 'index.html').read_text()))
-    german = set(re.findall(r"'([^']*)'\s*:", re.search(
-        r'SENTENCES.de = {(.*?)};\n', (ASSETS / 'de.js').read_text(), re.DOTALL)[1]))
-    assert said - german == set()
-    assert german - said == set()

@@ -59,13 +59,17 @@ def words(browser: Any, name: str) -> str:
                                       name))
 
 
+def click(browser: Any, selector: str) -> None:
+    button = browser.find_element('css selector', selector)
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
+    button.click()
+
+
 def press(browser: Any, selector: str, message: str) -> str:
     """Click, and return what the page then says."""
     browser.execute_script("document.getElementById('message').textContent = ''; "
                            'shown.message = undefined')
-    button = browser.find_element('css selector', selector)
-    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
-    button.click()
+    click(browser, selector)
     wait(browser, f"document.getElementById('message').textContent.includes({message!r})",
          f'"{message}", not "{words(browser, "message")}"')
     return words(browser, 'message')
@@ -99,13 +103,32 @@ def test_a_calibration_by_clicking(tmp_path: Path, client: Client) -> None:
              f' || {anew}', 'the answer is told to be outdated, or computed anew')
         lines = "document.querySelectorAll('#samples li').length"
         count = browser.execute_script(f'return {lines}')
-        press(browser, '#undo', 'removed sample')
+        undone(browser)
         wait(browser, f'{lines} === {count - 1}', 'one sample less')
         downloaded(browser)
         cleared(browser)
         went_on(browser, count - 1)
         assert complaints(browser) == []
     assert 'Traceback' not in (tmp_path / 'node.log').read_text()
+
+
+def undone(browser: Any) -> None:
+    """Undo: it asks before it removes what another browser has taken; no is no."""
+    lines = "document.querySelectorAll('#samples li').length"
+    count = browser.execute_script(f'return {lines}')
+    browser.refresh()  # it is another browser to the page
+    wait(browser, f"typeof lines === 'object' && {lines} === {count}", 'all samples again')
+    click(browser, '#undo')
+    wait(browser, "document.getElementById('question').textContent.endsWith('Remove it?')",
+         'the question')
+    browser.find_element('id', 'no').click()
+    refused = json.loads(browser.execute_async_script(
+        "fetch('act/remove_last_sample', {method: 'POST', body: '{\"number\": 1}',"
+        "headers: {'Content-Type': 'application/json'}}).then(r => r.text()).then(arguments[0])"))
+    assert not refused['success'] and 'has been taken since' in refused['message']
+    assert browser.execute_script(f'return {lines}') == count
+    click(browser, '#undo')
+    press(browser, '#yes', 'removed sample')
 
 
 def fetched(browser: Any, path: str) -> str:
@@ -124,16 +147,16 @@ def downloaded(browser: Any) -> None:
 
 
 def went_on(browser: Any, count: int) -> None:
-    """Go on with the session before, in German, with samples taken by hand."""
-    former = json.loads(fetched(browser, 'read/cell'))['sessions'][-1]
-    browser.execute_script("ask('open', {session: arguments[0]}, document.body)", former)
+    """Go on with the session before, with samples taken by hand."""
+    assert len(json.loads(fetched(browser, 'read/cell'))['sessions']) == 1
+    wait(browser, "!document.getElementById('before').hidden", 'the banner')
+    assert words(browser, 'before-text') == f'The previous session holds {count} samples.'
+    click(browser, '#continue')
     wait(browser, f"document.querySelectorAll('#samples li').length === {count}", 'its samples')
     wait(browser, "document.getElementById('answer-x')", 'its answer')
-    browser.execute_script("$('language').value = 'de'; $('language').onchange || "
-                           "$('language').dispatchEvent(new Event('change'))")
-    assert words(browser, 'take') == 'Messen'
+    wait(browser, "document.getElementById('before').hidden", 'no banner')
     press(browser, '[name=mode][value=manual]', 'sampling.mode is manual')
-    wait(browser, "document.getElementById('link').textContent === 'gemessen wird auf Knopfdruck'",
+    wait(browser, "document.getElementById('link').textContent === 'samples are taken by hand'",
          'it says so')
 
 
@@ -180,14 +203,14 @@ PAINTED = ("(() => {const c = document.querySelector('NAME');"
 def cleared(browser: Any) -> None:
     """Clear: it asks twice, and no is no."""
     count = browser.execute_script("return document.querySelectorAll('#samples li').length")
-    browser.find_element('id', 'clear').click()
+    click(browser, '#clear')
     browser.find_element('id', 'yes').click()
     wait(browser, "document.getElementById('question').textContent.startsWith('Really?')",
          'the second question')
     browser.find_element('id', 'no').click()
     assert browser.execute_script(
         "return document.querySelectorAll('#samples li').length") == count
-    browser.find_element('id', 'clear').click()
+    click(browser, '#clear')
     browser.find_element('id', 'yes').click()
     press(browser, '#yes', 'removed; bags and clocks may start again')
     wait(browser, "document.querySelectorAll('#samples li').length === 0", 'no samples')

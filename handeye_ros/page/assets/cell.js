@@ -14,7 +14,7 @@ const NOMINAL = { sphere: ['verify.radius'], ball_bar: ['verify.radius', 'verify
 const written = value => (Array.isArray(value) ? `[${value.join(', ')}]` : String(value));
 
 function setting({ key, value, description, choices }) {
-  const made = element('div', '', 'setting'), name = element('label', label(NAMES[key]));
+  const made = element('div', '', 'setting'), name = element('label', NAMES[key]);
   let input = document.createElement('input');
   if (choices.length || key.endsWith('topic')) {
     input = document.createElement('select');
@@ -36,10 +36,10 @@ function setting({ key, value, description, choices }) {
 async function readCell() {
   const answer = await fetch('read/cell').catch(() => null);
   if (!answer || !answer.ok) return;
-  const { settings, sessions, session } = await answer.json();
+  const { settings, sessions, session, previous } = await answer.json();
   const parts = verify => settings.filter(s => NAMES[s.key] && s.key.startsWith('verify.') === verify);
   $('cell-form').replaceChildren(...parts(false).map(s => {
-    const made = setting(s), button = element('button', label('Set'));
+    const made = setting(s), button = element('button', 'Set');
     button.type = 'button';
     button.addEventListener('click', async () => {
       await ask('set', { [s.key]: made.querySelector('input, select').value }, button);
@@ -52,10 +52,11 @@ async function readCell() {
   const routine = $('set-verify.routine');
   routine.addEventListener('change', showNominal);
   showNominal();
-  $('sessions').replaceChildren(...sessions.filter(name => name !== session)
-    .map(name => element('option', name)));
+  $('before').hidden = !previous;
+  text('before-text', `The previous session holds ${previous} samples.`);
+  $('sessions').replaceChildren(...sessions.map(name => element('option', name)));
   $('open').disabled = !$('sessions').options.length;
-  text('session', label('The session of now: {0}', session || label('none yet')));
+  text('session', `The session of now: ${session || 'none yet'}`);
 }
 
 // Only what the routine needs is asked for.
@@ -70,38 +71,38 @@ async function startVerification() {
   for (const made of $('verify-form').children) {
     if (!made.hidden) values[made.dataset.key] = made.querySelector('input, select').value;
   }
-  if (await ask('set', values, $('verify-start'))) ask('verify', {}, $('verify-start'));
+  if (await ask('set', values, $('verify-start'))) ask('verify_start', {}, $('verify-start'));
 }
 
 function showVerification({ running, verdict }) {
   text('course', running);
   const [head, ...figures] = verdict.split('; ');
-  text('verdict', said(head));
-  text('verdict-figures', said(figures.join('; ')));
+  text('verdict', head);
+  text('verdict-figures', figures.join('; '));
   $('verdict').hidden = !verdict;
   $('verdict').className = 'figure ' + (verdict.includes(': PASS') ? 'good' : verdict.includes(': FAIL') ? 'bad' : '');
   $('verify-result').disabled = !running;
-  $('verify-start').textContent = label(running ? 'Next part' : 'Start');
+  $('verify-start').textContent = running ? 'Next part' : 'Start';
 }
 
 $('verify-form').addEventListener('submit', event => event.preventDefault());
 $('verify-start').addEventListener('click', startVerification);
-$('verify-result').addEventListener('click', () => ask('verdict', {}, $('verify-result')));
+$('verify-result').addEventListener('click', () => ask('verify_result', {}, $('verify-result')));
 $('cell-form').addEventListener('submit', event => event.preventDefault());
 $('cell-open').addEventListener('toggle', () => $('cell-open').open && readCell());
 $('choose').addEventListener('click', () => {
   $('cell-open').open = true;
   $('cell-card').scrollIntoView();
 });
-$('open').addEventListener('click', async () => {
-  await ask('open', { session: $('sessions').value }, $('open'));
-  readCell();
-});
-$('new').addEventListener('click', async () => {
-  await clearAll();
-  readCell();
-});
+for (const name of ['open', 'continue']) {
+  $(name).addEventListener('click', async () => {
+    // the newest is the first of the list
+    const { value } = name === 'open' ? $('sessions') : $('sessions').options[0];
+    await ask('open', { session: value }, $(name));
+    readCell();
+  });
+}
+$('new').addEventListener('click', clearAll);
 for (const radio of document.querySelectorAll('[name=mode]')) {
   radio.addEventListener('change', () => ask('set', { 'sampling.mode': radio.value }, radio));
 }
-readCell();

@@ -8,6 +8,8 @@ const SILENT = 3;  // s without a message, after which what is shown is old
 const NEAR = [5e-3, 0.053];  // m and rad from the next pose at which to stop
 let latest = null, heard = 0;
 const shown = {};
+const mine = new Set();  // samples that this browser has taken
+let refused = null;  // the situation in which the footer told of a refusal
 
 function text(id, value) {
   if (shown[id] !== value) {
@@ -33,7 +35,9 @@ function element(name, content = '', className = '') {
 function show(state) {
   latest = state;
   heard = Date.now();
-  text('name', label('{0}: hand-eye calibration', state.name));
+  if (refused !== null && refused !== situation(state)) say('');
+  if (state.samples.length) $('before').hidden = true;
+  text('name', `${state.name}: hand-eye calibration`);
   showNow(state);
   showAim(state);
   if (changed('guidance', [state.guidance, state.samples.length])) showGuidance(state.guidance);
@@ -47,31 +51,44 @@ function show(state) {
     .filter(Boolean);
   $('problem').hidden = !troubles.length;
   $('choose').hidden = flows(state.profiles) && flows(state.poses) || state.samples.some(s => s.taken);
-  text('trouble', troubles.map(said).join('; '));
-  text('review', [state.review, ...state.session.notes].filter(Boolean).map(said).join('; '));
-  text('link', said(state.session.working || state.verification.running) || label({ still: 'a sample is taken at every stop',
+  text('trouble', troubles.join('; '));
+  text('review', [state.review, ...state.session.notes].filter(Boolean).join('; '));
+  text('link', state.session.working || state.verification.running || { still: 'a sample is taken at every stop',
     manual: 'samples are taken by hand', moving: 'samples are taken while the robot moves',
-  }[state.session.mode]));
+  }[state.session.mode]);
   const mode = document.querySelector(`[name=mode][value=${state.session.mode}]`);
   if (document.activeElement.name !== 'mode') mode.checked = true;
 }
 
 const flows = stream => stream.count > 0 && stream.age < SILENT;
 
+// Return what a refusal may depend on: it leaves the page when this has changed.
+function situation(state) {
+  return JSON.stringify([state.samples.map(s => [s.number, s.taken, s.excluded]), flows(state.profiles),
+    flows(state.poses), Boolean(state.session.trouble), state.session.mode, state.calibration.state,
+    Boolean(state.verification.running), state.motion.standing]);
+}
+
+function say(words, good = true, when = null) {
+  text('message', words);
+  $('message').className = good ? 'good' : 'bad';
+  refused = good ? null : when;
+}
+
 function showNow(state) {
   const flowing = flows(state.profiles) && flows(state.poses);
   $('live').classList.toggle('old', !flowing);
-  text('standing', label(!flows(state.poses) ? 'No poses.' :
-    state.motion.standing ? 'Standing still.' : 'Moving.'));
-  text('motion', flows(state.poses) ? said(state.motion.text) : '');
+  text('standing', !flows(state.poses) ? 'No poses.' :
+    state.motion.standing ? 'Standing still.' : 'Moving.');
+  text('motion', flows(state.poses) ? state.motion.text : '');
   drawProfile($('profile'), state.profile, state.scene.view);
   const p = state.profile;
-  text('feature', !flows(state.profiles) ? label('No profiles.') :
-    !p ? label('No profile with a pose around it.') :
-      p.reason ? label('No feature: {0}', said(p.reason)) : label('The feature is seen.'));
+  text('feature', !flows(state.profiles) ? 'No profiles.' :
+    !p ? 'No profile with a pose around it.' :
+      p.reason ? `No feature: ${p.reason}` : 'The feature is seen.');
   $('feature').className = !flowing ? '' : p && !p.reason ? 'good' : 'bad';
-  const age = stream => (stream.count ? label('{0} s ago', stream.age.toFixed(1)) : label('none yet'));
-  text('ages', label('last profile {0}, last pose {1}', age(state.profiles), age(state.poses)));
+  const age = stream => (stream.count ? `${stream.age.toFixed(1)} s ago` : 'none yet');
+  text('ages', `last profile ${age(state.profiles)}, last pose ${age(state.poses)}`);
 }
 
 // What is left to do until the next pose, while the robot is jogged.
@@ -83,38 +100,38 @@ function showAim({ scene, poses }) {
     return;
   }
   const near = aim.distance < NEAR[0] && aim.angle < NEAR[1];
-  text('togo', near ? label('You are there: stop, and wait a second') :
-    label('{0} mm, {1} degrees to go', mm(aim.distance, 0), degrees(aim.angle, 0)));
+  text('togo', near ? 'You are there: stop, and wait a second' :
+    `${mm(aim.distance, 0)} mm, ${degrees(aim.angle, 0)} degrees to go`);
   $('togo').className = 'figure' + (near ? ' good' : '');
   const list = (values, figure) => values.map((v, k) => 'xyz'[k] + ' ' + (v < 0 ? '−' : '+') +
     figure(Math.abs(v))).join(', ');
-  text('axes', label('move along the base {0} mm; turn about the flange {1}°',
-    list(aim.shift, v => mm(v, 0)), list(aim.turn, v => degrees(v, 0))));
+  text('axes', `move along the base ${list(aim.shift, v => mm(v, 0))} mm; ` +
+    `turn about the flange ${list(aim.turn, v => degrees(v, 0))}°`);
 }
 
 function showGuidance(guidance) {
   const list = $('advice');
   const last = Math.max(0, ...latest.samples.filter(s => s.taken).map(s => s.number));
-  const sentences = guidance ? guidance.sentences.map(said) : [];
+  const sentences = guidance ? guidance.sentences : [];
   if (guidance && guidance.sample < last) {
-    sentences.push(label('this knows of sample {0}; the next is being worked in', guidance.sample));
+    sentences.push(`this knows of sample ${guidance.sample}; the next is being worked in`);
   }
   list.replaceChildren(...sentences.map(s => element('li', s)));
   $('enough').hidden = !guidance || !guidance.enough;
-  text('enough', guidance && guidance.enough ? label('Enough samples') : '');
+  text('enough', guidance && guidance.enough ? 'Enough samples' : '');
   const sigmas = guidance ? guidance.sigmas : [];
   showHeadline(sigmas);
   $('sigmas').replaceChildren(...(sigmas.length ? [...sigmas].reverse().map(bar) :
-    [element('p', label('Nothing yet.'), 'small')]));
+    [element('p', 'Nothing yet.', 'small')]));
 }
 
 // Return the name of a direction with its main axes in the place of three figures.
 function inWords(name) {
-  return said(name.replace(/\(([^)]*)\) of (\S+)/, (_, figures, frame) => {
+  return name.replace(/\(([^)]*)\) of (\S+)/, (_, figures, frame) => {
     const parts = figures.split(',').map((v, k) => [Math.abs(Number(v)), 'xyz'[k],
       Number(v) < 0 ? '−' : '+']).sort((a, b) => b[0] - a[0]);
     return frame + ' ' + parts.filter(p => p[0] > 0.5 * parts[0][0]).map(p => p[2] + p[1]).join(' ');
-  }));
+  });
 }
 
 function bar(sigma) {
@@ -122,7 +139,7 @@ function bar(sigma) {
   const figure = v => (sigma.unit === 'm' ? mm(v) + ' mm' : degrees(v) + '°');
   const over = sigma.std > sigma.limit;
   line.append(element('span', inWords(sigma.name)),
-    element('span', label('{0} of {1}', figure(sigma.std), figure(sigma.limit)), over ? 'bad' : 'good'));
+    element('span', `${figure(sigma.std)} of ${figure(sigma.limit)}`, over ? 'bad' : 'good'));
   made.append(line, progress(element('div', '', 'bar'), sigma));
   return made;
 }
@@ -143,8 +160,7 @@ function showHeadline(sigmas) {
   const points = sigmas[sigmas.length - 1];
   $('headline').hidden = $('reached').hidden = !points;
   if (!points) return;
-  text('headline', label('Points are known to {0} mm, wanted {1} mm', mm(points.std, 2),
-    mm(points.limit, 2)));
+  text('headline', `Points are known to ${mm(points.std, 2)} mm, wanted ${mm(points.limit, 2)} mm`);
   progress($('reached'), points);
 }
 
@@ -164,21 +180,21 @@ function showSteps(state) {
   const c = state.calibration, { running, verdict } = state.verification;
   const taken = state.samples.filter(s => s.taken).length;
   const missing = [state.profiles, state.poses].filter(stream => !flows(stream))
-    .map(stream => label(stream === state.poses ? 'No poses.' : 'No profiles.').replace('.', ''));
+    .map(stream => (stream === state.poses ? 'No poses' : 'No profiles'));
   const passed = verdict.includes(': PASS'), failed = verdict.includes(': FAIL');
   const done = {
     connect: [!missing.length, missing.join(', ') || [state.profiles, state.poses].map(rate).join(', ')],
     samples: [Boolean(state.guidance && state.guidance.enough), String(taken)],
-    answer: [c.state === 'current', label(STATES[c.state].split(':')[0])],
-    verify: [passed, running || verdict.replace(/,.*/, '') || label('if you like')],
-    save: [Boolean(c.saved), label(c.saved ? 'saved' : 'not yet')],
+    answer: [c.state === 'current', STATES[c.state].split(':')[0]],
+    verify: [passed, running || verdict.replace(/,.*/, '') || 'if you like'],
+    save: [Boolean(c.saved), c.saved ? 'saved' : 'not yet'],
   };
   let now = '';
   for (const [name, [ready, words]] of Object.entries(done)) {
     const step = $('step-' + name);
     if (!ready && !now && name !== 'verify') now = name;
     step.className = ready ? 'done' : now === name ? 'now' : name === 'verify' && failed ? 'lost' : '';
-    step.querySelector('span').textContent = said(words);
+    step.querySelector('span').textContent = words;
     if (now === name) step.setAttribute('aria-current', 'step'); else step.removeAttribute('aria-current');
   }
   const main = { connect: '', samples: 'take', answer: 'compute', save: 'save' }[now];
@@ -228,27 +244,27 @@ function sample(s, state, largest) {
   const { line, number, edge, tilt, time, fill, figure, why, button } = lines.get(s.number);
   line.className = s.excluded ? 'out' : '';
   number.textContent = s.number;
-  edge.textContent = !s.taken ? label('no sample') : s.excluded ? label('left out') :
-    !s.believed ? label('not used') : state.edges[s.number] ? label('edge {0}', state.edges[s.number]) :
-      label('used');
+  edge.textContent = !s.taken ? 'no sample' : s.excluded ? 'left out' :
+    !s.believed ? 'not used' : state.edges[s.number] ? `edge ${state.edges[s.number]}` :
+      'used';
   edge.className = s.taken && s.believed || s.excluded ? 'what' : 'what bad';
   const angle = tiltOf(s, state);
-  tilt.textContent = angle === null ? '' : label('tilt {0}°', degrees(angle, 0));
-  time.textContent = new Date(s.stamp / 1e6).toLocaleTimeString(language, { timeStyle: 'medium' });
+  tilt.textContent = angle === null ? '' : `tilt ${degrees(angle, 0)}°`;
+  time.textContent = new Date(s.stamp / 1e6).toLocaleTimeString([], { timeStyle: 'medium' });
   const size = s.left_out ?? s.residual;
   fill.parentElement.style.visibility = size === null ? 'hidden' : '';
   fill.style.width = (100 * (size || 0) / largest).toFixed(0) + '%';
   fill.className = s.believed ? '' : 'short';
   figure.textContent = size === null ? '' : mm(size) + ' mm';
-  why.textContent = [said(s.text), s.residual === null ? '' :
-    label('residual {0} mm, against the others {1} mm', mm(s.residual), mm(s.left_out ?? s.residual)),
-  s.taken && !s.believed && !s.excluded ? label('the fit does not use it: it contradicts the others') : '']
+  why.textContent = [s.text, s.residual === null ? '' :
+    `residual ${mm(s.residual)} mm, against the others ${mm(s.left_out ?? s.residual)} mm`,
+  s.taken && !s.believed && !s.excluded ? 'the fit does not use it: it contradicts the others' : '']
     .filter(Boolean).join('; ');
   button.hidden = !s.taken;
-  button.textContent = label(s.excluded ? 'Bring back' : 'Leave out');
+  button.textContent = s.excluded ? 'Bring back' : 'Leave out';
   button.dataset.sample = s.number;
   button.setAttribute('aria-label', button.textContent + ' ' + s.number);
-  button.onclick = () => ask(s.excluded ? 'include' : 'exclude', { number: s.number }, button);
+  button.onclick = () => ask('exclude', { number: s.number, out: !s.excluded }, button);
   return line;
 }
 
@@ -285,16 +301,16 @@ const STATES = { none: 'none yet', current: 'current', outdated: 'outdated: samp
   'have changed since', withdrawn: 'withdrawn: there is no answer any more' };
 
 function showAnswer(c, rows) {
-  text('answer-state', label(STATES[c.state]) +
-    (c.translation ? ': ' + label('{0} in {1}', c.child, c.parent) : ''));
+  text('answer-state', STATES[c.state] +
+    (c.translation ? `: ${c.child} in ${c.parent}` : ''));
   $('answer-state').className = 'badge ' + ({ current: 'good', none: 'dim' }[c.state] ?? 'bad');
-  text('answer-text', c.state === 'none' ? '' : said(c.text));
-  text('saved', c.saved ? label('saved in {0}', c.saved) : '');
+  text('answer-text', c.state === 'none' ? '' : c.text);
+  text('saved', c.saved ? `saved in ${c.saved}` : '');
   $('figures').hidden = $('files').hidden = !rows.length;
   $('figures').tBodies[0].replaceChildren(...rows.map(([name, value, std, unit]) => {
     const made = document.createElement('tr');
     made.id = 'answer-' + name.replace(' ', '-');
-    made.append(...[said(name), value, std, unit].map(words => element('td', words)));
+    made.append(...[name, value, std, unit].map(words => element('td', words)));
     return made;
   }));
 }
@@ -302,20 +318,18 @@ function showAnswer(c, rows) {
 // Return whether it succeeded.
 async function ask(name, values, button) {
   button.disabled = true;
-  text('message', '…');
-  let good = false;
+  say('…');
+  let success = false, message = 'the node does not answer: is it still running?', when = '';
   try {
     const answer = await fetch('act/' + name, { method: 'POST', body: JSON.stringify(values),
       headers: { 'Content-Type': 'application/json' } });
-    const { success, message } = await answer.json();
-    text('message', said(message));
-    good = success;
-  } catch (error) {
-    text('message', label('the node does not answer: is it still running?'));
-  }
-  $('message').className = good ? 'good' : 'bad';
+    ({ success, message } = await answer.json());
+    when = latest && situation(latest);
+  } catch (error) { /* the message says it */ }
+  say(message, success, when);
   button.disabled = false;
-  return good;
+  if (success && name === 'take_sample') mine.add(Number((message.match(/sample (\d+)/) || [])[1]));
+  return success;
 }
 
 function sure(question) {
@@ -332,21 +346,32 @@ function sure(question) {
 
 async function clearAll() {
   const count = latest ? latest.samples.filter(s => s.taken).length : 0;
-  if (await sure(label('Clear all {0} samples, and begin a new session?', count)) &&
-      await sure(label('Really? {0} samples and the answer will be gone.', count))) {
-    await ask('clear', {}, $('clear'));
+  if (await sure(`Clear all ${count} samples, and begin a new session?`) &&
+      await sure(`Really? ${count} samples and the answer will be gone.`)) {
+    await ask('clear_samples', {}, $('clear'));
+    readCell();
   }
 }
 
-for (const name of ['take', 'undo', 'compute', 'save']) {
-  $(name).addEventListener('click', () => ask(name, {}, $(name)));
+async function undo() {
+  const last = Math.max(0, ...latest.samples.filter(s => s.taken).map(s => s.number));
+  if (!last || mine.has(last) ||
+      await sure(`Sample ${last} was not taken with this browser. Remove it?`)) {
+    await ask('remove_last_sample', last ? { number: last } : {}, $('undo'));
+  }
 }
+
+for (const [name, service] of [['take', 'take_sample'], ['compute', 'compute_calibration'],
+  ['save', 'save_calibration']]) {
+  $(name).addEventListener('click', () => ask(service, {}, $(name)));
+}
+$('undo').addEventListener('click', undo);
 $('clear').addEventListener('click', clearAll);
 
 function redrawScene() {
   const kinds = new Map(latest.samples.map(s => [s.number,
     s.excluded ? 'out' : s.believed ? 'used' : 'unused']));
-  drawScene($('scene'), latest.scene, kinds, latest.profile, $('togo').hidden ? label('next') :
+  drawScene($('scene'), latest.scene, kinds, latest.profile, $('togo').hidden ? 'next' :
     $('togo').textContent);
 }
 
@@ -364,18 +389,19 @@ let events = null;
 
 function connect() {
   events = new EventSource('events');
+  events.onopen = readCell;
   events.onmessage = event => {
     const state = JSON.parse(event.data);
     if (state.error) text('link', state.error); else show(state);
   };
   events.onerror = async () => {
-    text('link', label('the node does not answer; trying again'));
+    text('link', 'the node does not answer; trying again');
     if (events.readyState !== EventSource.CLOSED) return;
     setTimeout(connect, 2000);
     const answer = await fetch('events').catch(() => null);
     if (answer && answer.status === 401) location.reload();  // it asks for the token
     else if (answer && answer.ok) answer.body.cancel();
-    else if (answer) text('link', said((await answer.json()).message));
+    else if (answer) text('link', (await answer.json()).message);
   };
 }
 connect();
@@ -384,17 +410,5 @@ setInterval(() => {
   const silence = (Date.now() - heard) / 1000;
   const old = heard > 0 && silence > SILENT;
   document.body.classList.toggle('old', old);
-  if (old) text('link', label('nothing heard of the node for {0} s: what is shown is old',
-    silence.toFixed(0)));
+  if (old) text('link', `nothing heard of the node for ${silence.toFixed(0)} s: what is shown is old`);
 }, 1000);
-
-$('language').value = language;
-$('language').addEventListener('change', () => {
-  language = $('language').value;
-  localStorage.setItem('language', language);
-  translate();
-  for (const key of Object.keys(shown)) delete shown[key];
-  if (latest) show(latest);
-  readCell();
-});
-translate();

@@ -64,7 +64,7 @@ function grid(pen, width, height, place, scale) {
     pen.fillText(word, x, y);
   }
   pen.textAlign = 'left';
-  pen.fillText(label('range') + ' / mm', 4, 13);
+  pen.fillText('range / mm', 4, 13);
   pen.textAlign = 'right';
   pen.fillText('x / mm', width - 4, height - 22);
   pen.textAlign = 'left';
@@ -86,7 +86,7 @@ function dot(pen, p, radius) {
 function drawProfile(canvas, profile, view) {
   const made = board(canvas), { pen, width, height } = made;
   if (!profile || !(profile.points.length + view.length)) {
-    note(made, label('no profile with a return'));
+    note(made, 'no profile with a return');
     return;
   }
   const bounds = box([...view, ...profile.points]), edge = 40;

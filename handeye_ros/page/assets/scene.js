@@ -191,7 +191,7 @@ function drawScene(canvas, scene, samples, profile, words) {
     drawSensor(drawing, scene.live, scene, 'text');
     const seen = ((profile || {}).points || []).filter((p, i) => i % 3 === 0);
     drawing.line(seen.map(([x, z]) => at(scene.live, [x, 0, z])), 'bad', 2);
-    drawing.words(column(scene.live, 3), label('now'), 'text', 'bold');
+    drawing.words(column(scene.live, 3), 'now', 'text', 'bold');
   }
   const ahead = scene.range_sign * 0.02;
   for (const { number, T } of scene.stations) {
@@ -229,14 +229,14 @@ function drawMove({ pen, width, height }, scene) {
   }
   if (scene.move) {
     drawSensor(drawing, from, scene, 'dim', true);
-    drawing.words(column(from, 3), label('first sample'), 'dim');
+    drawing.words(column(from, 3), 'first sample', 'dim');
   }
   drawSensor(drawing, to, scene, 'aim');
-  drawing.words(column(to, 3), label(scene.move ? 'next' : 'first sample'), 'aim', 'bold');
+  drawing.words(column(to, 3), scene.move ? 'next' : 'first sample', 'aim', 'bold');
   const far = Math.hypot(...middle) || 0.15;
-  arrow(drawing, 0, 1, turn, far * 0.45, far + 0.02, `${label('turn')} ${signed(turn)}`);
-  arrow(drawing, 1, 2, tilt[0], far * 0.65, 0, `${label('tilt')} ${signed(tilt[0])}`);
-  arrow(drawing, 2, 0, tilt[1], far * 0.5, 0, `${label('tilt')} ${signed(tilt[1])}`);
+  arrow(drawing, 0, 1, turn, far * 0.45, far + 0.02, `turn ${signed(turn)}`);
+  arrow(drawing, 1, 2, tilt[0], far * 0.65, 0, `tilt ${signed(tilt[0])}`);
+  arrow(drawing, 2, 0, tilt[1], far * 0.5, 0, `tilt ${signed(tilt[1])}`);
   drawing.finish();
 
   // An arc about the axis that is neither, from where the sensor was.
