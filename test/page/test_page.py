@@ -52,6 +52,7 @@ def wait(browser: Any, condition: str, what: str) -> None:
     end = time.monotonic() + PATIENCE
     while not browser.execute_script(f'return {condition}'):
         assert time.monotonic() < end, f'waited in vain for {what}'
+        time.sleep(0.05)  # the browser needs the processor too
 
 
 def words(browser: Any, name: str) -> str:
