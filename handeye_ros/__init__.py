@@ -11,7 +11,7 @@ from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from handeye_ros.bags.bag import read as read_bag
-    from handeye_ros.config import Config
+    from handeye_ros.config import Config, with_values
     from handeye_ros.config import load as load_config
     from handeye_ros.data import Calibration, Profile, Reject, Sample, TimedPose
     from handeye_ros.errors import DataError, HandeyeError, InputError
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 __all__ = [
     'calibrate', 'Calibration', 'Config', 'DataError', 'gather', 'HandeyeError', 'InputError',
     'load_config', 'Profile', 'read_bag', 'read_calibration', 'Reject', 'Sample', 'solve',
-    'TimedPose', 'write_calibration',
+    'TimedPose', 'with_values', 'write_calibration',
 ]
 
 _HOMES = {
-    'config': {'Config': 'Config', 'load_config': 'load'},
+    'config': {'Config': 'Config', 'load_config': 'load', 'with_values': 'with_values'},
     'data': {name: name for name in ('Calibration', 'Profile', 'Reject', 'Sample', 'TimedPose')},
     'errors': {name: name for name in ('DataError', 'HandeyeError', 'InputError')},
     'pipeline': {name: name for name in ('calibrate', 'gather', 'solve')},

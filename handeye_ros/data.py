@@ -3,14 +3,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from numbers import Integral
 from typing import Any, TypeAlias
 
 from handeye_ros.config import ProfileConfig
+from handeye_ros.errors import InputError
 import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 TIME_OFFSET, ROTATION_LAG = 'time_offset', 'rotation_lag'  # keys of estimated values (s)
+QUATERNION_TOLERANCE = 1e-3  # of its length
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +34,15 @@ class Profile:
     axes: tuple[str, str] = ('x', 'z')
     beside: float = 0.0
     intensity: Array | None = None
+
+    def __post_init__(self) -> None:
+        """Raise InputError for a stamp or points of another form."""
+        _require_stamp('profile', self.stamp)
+        points = self.points
+        if not isinstance(points, np.ndarray) or points.shape[1:] != (2,) or (
+                points.dtype.kind != 'f'):
+            raise InputError(f'points of a profile is {_form(points)}, expected an array (n, 2) '
+                             'of floats: along the laser line, and range (m)')
 
     def read(self, config: ProfileConfig | None = None) -> Profile:
         """Return this profile itself; same interface as RawProfile.read."""
@@ -86,6 +98,35 @@ class TimedPose:
     translation: Array
     quaternion: Array
     parent_frame: str = 'base'
+
+    def __post_init__(self) -> None:
+        """Raise InputError for a stamp, or numbers, that are no pose."""
+        _require_stamp('pose', self.stamp)
+        for name, size in (('translation', 3), ('quaternion', 4)):
+            values = getattr(self, name)
+            if not isinstance(values, np.ndarray) or values.shape != (size,):
+                raise InputError(f'{name} of a pose is {_form(values)}, expected an array '
+                                 f'({size},)')
+
+    def require_values(self) -> None:
+        """Raise InputError for numbers that are no pose; those of messages are checked there."""
+        if not np.isfinite(self.translation).all():
+            raise InputError(f'translation of a pose is {self.translation.tolist()}, expected '
+                             'finite numbers (m)')
+        if not abs(np.linalg.norm(self.quaternion) - 1.0) <= QUATERNION_TOLERANCE:
+            raise InputError(f'quaternion of a pose is {self.quaternion.tolist()}, expected '
+                             'x y z w of unit length')
+
+
+def _require_stamp(what: str, stamp: object) -> None:
+    if type(stamp) is not int and not isinstance(stamp, Integral):
+        raise InputError(f'stamp of a {what} is {stamp!r}, expected whole nanoseconds (int)')
+
+
+def _form(value: object) -> str:
+    """Return in words what a value is."""
+    return (f'an array {value.shape} of {value.dtype}' if isinstance(value, np.ndarray)
+            else f'a {type(value).__name__}')
 
 
 @dataclass(frozen=True, eq=False)

@@ -94,17 +94,6 @@ def degrees(radians: float) -> str:
     return f'{math.degrees(radians):.3g} degrees' if radians < 1 else 'more than 57 degrees'
 
 
-class ConfigFileError(InputError):
-    """A parameter file without a section for this node; nodes: names of its sections."""
-
-    def __init__(self, path: object, nodes: Sequence[str]) -> None:
-        super().__init__(
-            f'{path} holds the parameters of {len(nodes)} nodes ({", ".join(nodes)}), and none of '
-            'them is "handeye": give the calibration a section of that name, or "/**"' if nodes
-            else f'{path} holds no parameters of the node; expected the form of a ROS parameter '
-            'file: "/**:", below it "ros__parameters:", below it the keys')
-
-
 class OnlyFromFilesError(InputError):
     """A target that is solved from files, not from profiles of stations."""
 

@@ -87,10 +87,11 @@ def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: C
     """
     Return the samples and rejects of a recording, its messages in the order of their stamps.
 
-    Raises DataError when it holds no stations.
+    Raises DataError when it holds no stations, InputError for numbers that are no pose.
     """
     session = Session(config)
     for pose in poses:
+        pose.require_values()
         session.add_pose(pose)
     for profile in profiles:
         session.add_profile(profile)

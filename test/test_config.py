@@ -1,6 +1,7 @@
 """The configuration: what may be put where, and what is said when it may not."""
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import FrozenInstanceError
 from pathlib import Path
 
@@ -10,13 +11,17 @@ from handeye_ros.config import (
     load,
     Parameter,
     parameters,
+    ProfileConfig,
+    TargetConfig,
     with_assignments,
     with_values,
 )
 from handeye_ros.errors import BadValueError, InputError, UnknownKeyError
 from hypothesis import given
 from hypothesis import strategies as st
+import numpy as np
 import pytest
+import yaml
 
 KEYS = {p.key: p for p in parameters()}
 NUMBERS = [p for p in KEYS.values() if type(p.default) in (int, float)]
@@ -113,7 +118,7 @@ def test_a_key_like_none_suggests_none() -> None:
     ('noise.sensor', float('nan'), 'float'),
     ('limits.residual', float('inf'), 'float'),
     ('sampling.min_points', 20.0, 'int'),
-    ('sampling.mode', 1, 'str'),
+    ('sampling.mode', 1, 'one of still'),
     ('name', 5, 'str'),
     ('profile.unit', 'cm', 'one of m, mm'),
     ('profile.range_sign', 0, 'one of 1, -1'),
@@ -123,8 +128,8 @@ def test_a_key_like_none_suggests_none() -> None:
     ('profile.axes', ['x', '-x'], 'two different axes'),
     ('profile.axes', [1, 2], 'one of x, y, z'),
     ('target.size', [0.2], 'a list of 0 or 2 values'),
-    ('target.size', ['a', 'b'], 'a list of numbers'),
-    ('target.size', [0.2, True], 'a list of numbers'),
+    ('target.size', ['a', 'b'], 'float'),
+    ('target.size', [0.2, True], 'float'),
     ('target.size', [0.2, -0.1], 'a number from 0'),
     ('calibration_type', 'eye_to_hand', 'one of eye_in_hand, eye_on_base'),
     ('noise', {'sensor': 1.0}, ''),
@@ -201,10 +206,9 @@ def test_a_file_of_another_form_is_refused(tmp_path: Path, text: str) -> None:
     'handeye: {ros__parameters: {name: new}}',
     '/cell_1/handeye: {ros__parameters: {name: new}}',
     '/cell_1: {handeye: {ros__parameters: {name: new}}}',
-    '/my_node: {ros__parameters: {name: new}}',
     '/**/handeye: {ros__parameters: {name: new}}',
     '/cell_1/*: {ros__parameters: {name: new}}',
-    '/**: {ros__parameters: {name: old}}\n/my_node: {ros__parameters: {name: new}}',
+    '/**: {ros__parameters: {name: new}}\n/my_node: {ros__parameters: {name: other}}',
     '/driver: {ros__parameters: {port: 3}}\n/handeye: {ros__parameters: {name: new}}'])
 def test_the_section_of_the_node_is_found_by_any_name(tmp_path: Path, text: str) -> None:
     path = tmp_path / 'c.yaml'
@@ -212,11 +216,44 @@ def test_the_section_of_the_node_is_found_by_any_name(tmp_path: Path, text: str)
     assert load(path) == with_values(Config(), {'name': 'new'}, 'test')
 
 
-def test_a_file_of_several_other_nodes_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(('text', 'match'), [
+    ('/a: {ros__parameters: {name: a}}\n/b: {ros__parameters: {name: b}}',
+     '/a, /b, and none of them is "handeye"'),
+    ('/camera: {ros__parameters: {target: {type: sphere}}}', '/camera, and none'),
+    ('/1/handeye: {ros__parameters: {name: a}}\n/2/handeye: {ros__parameters: {name: b}}',
+     'keep those of one')])
+def test_a_file_without_a_section_for_the_node_is_refused(
+        tmp_path: Path, text: str, match: str) -> None:
     path = tmp_path / 'c.yaml'
-    path.write_text('/a: {ros__parameters: {name: a}}\n/b: {ros__parameters: {name: b}}')
-    with pytest.raises(InputError, match=r'2 nodes \(/a, /b\), and none of them is "handeye"'):
+    path.write_text(text)
+    with pytest.raises(InputError, match=match):
         load(path)
+
+
+def test_the_dump_of_a_renamed_node_is_read(tmp_path: Path) -> None:
+    path = tmp_path / 'c.yaml'
+    values = {**flatten(Config()), 'name': 'new'}
+    path.write_text(yaml.safe_dump({'/cell/left': {'ros__parameters': values}}))
+    assert load(path) == Config(name='new')
+
+
+@pytest.mark.parametrize(('make', 'named'), [
+    (lambda: TargetConfig(type='sphere', radius=-1), 'target.radius'),
+    (lambda: TargetConfig(size=[0.2]), 'target.size'),
+    (lambda: Config(calibration_type='hand'), 'calibration_type'),
+    (lambda: Config(target='sphere'), 'target'),
+    (lambda: ProfileConfig(axes=('x', '-x')), 'profile.axes')])
+def test_a_configuration_made_in_code_is_checked_too(
+        make: Callable[[], object], named: str) -> None:
+    with pytest.raises(InputError, match=named):
+        make()
+
+
+def test_a_configuration_can_be_made_in_code() -> None:
+    made = Config(target=TargetConfig(type='plate', size=[np.float64(0.2), 1]))  # type: ignore
+    assert made == with_values(
+        Config(), {'target.type': 'plate', 'target.size': [0.2, 1.0]}, 'test')
+    assert [type(length) for length in made.target.size] == [float, float]
 
 
 def test_a_dump_of_the_node_is_read(tmp_path: Path) -> None:

@@ -4,31 +4,29 @@ The configuration: every default, its range and its description, in one place.
 A dotted key (`noise.sensor`) is a ROS parameter of the node, a key of the YAML files in config/
 and a `--set` key of the command line. Metres, radians and seconds throughout.
 """
-from handeye_ros.config.cell import (
-    NoiseConfig,
-    ProfileConfig,
-    SamplesConfig,
-    SamplingConfig,
-    SIGNED_AXES,
-    TargetConfig,
-    TrackerConfig,
-)
 from handeye_ros.config.keys import (
     BASE_FRAME,
     Config,
     flatten,
     GuidanceConfig,
     LimitsConfig,
+    NoiseConfig,
     PageConfig,
+    Parameter,
     parameters,
+    ProfileConfig,
     RECORD,
     RECORD_NAMES,
+    SamplesConfig,
+    SamplingConfig,
     SAVE_FORMATS,
     SaveConfig,
+    SIGNED_AXES,
+    TargetConfig,
+    TrackerConfig,
     UNNAMED_FRAME,
     VerifyConfig,
 )
-from handeye_ros.config.parameter import Parameter
 from handeye_ros.config.values import (
     EVERY_NODES,
     flipped_range,

@@ -1,103 +1,24 @@
-"""The keys: limits, outputs and the session of an answer, and all sections together."""
+"""The keys: each with its default, description and range, in the sections of a configuration."""
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
 from functools import cache
-from typing import Any
+import math
+from numbers import Integral, Real
+from operator import attrgetter
+import re
+from typing import Any, ClassVar
 
-from handeye_ros.config.cell import (
-    NoiseConfig,
-    ProfileConfig,
-    SamplesConfig,
-    SamplingConfig,
-    TargetConfig,
-    TrackerConfig,
-)
-from handeye_ros.config.parameter import key, Parameter, parameters_of
+from handeye_ros.errors import BadValueError
 
+NOT_SET = math.nan  # default of a number that changes an answer by its full size: it has none
+# Accuracy classes of robots: 1 sigma of the smooth error of each axis (m), half of the largest
+# error in data sheets.
+ROBOT_CLASSES = {'calibrated': 5e-5, 'standard': 1.5e-4, 'unknown': 3e-4}
+SIGNED_AXES = ('x', 'y', 'z', '-x', '-y', '-z')
 SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'easy_handeye2', 'matrix', 'json', 'kuka',
                 'fanuc', 'abb', 'ur', 'staubli', 'yaskawa')
-
-
-@dataclass(frozen=True)
-class LimitsConfig:
-    """Largest uncertainty and inconsistency of a trusted answer."""
-
-    translation: float = key(5e-3, 'Largest 1-sigma of the translation in its worst direction '
-                             '(m).', minimum=0.0, maximum=1.0)
-    rotation: float = key(2e-2, 'Largest 1-sigma of the rotation about its worst axis (rad).',
-                          minimum=0.0, maximum=1.0)
-    scatter: float = key(8.0, 'Largest RMS residual of a trusted answer, as a multiple of what '
-                         'the configured noise makes.', minimum=1.0, maximum=1e6)
-    residual: float = key(1e-3, 'Largest RMS residual of a trusted answer (m).',
-                          minimum=0.0, maximum=1.0)
-
-
-@dataclass(frozen=True)
-class SaveConfig:
-    """The files written for an answer."""
-
-    formats: tuple[str, ...] = key(
-        ('yaml',), 'The forms in which an answer is saved; calibration.yaml is always '
-        'among them.', choices=SAVE_FORMATS, length=tuple(range(1, len(SAVE_FORMATS) + 1)))
-
-
-@dataclass(frozen=True)
-class GuidanceConfig:
-    """The accuracy wanted, and the limits of proposed poses."""
-
-    accuracy: float = key(3e-4, 'Wanted 1 sigma of points that the transform maps, over the '
-                          'field of view (m): with it, the samples are enough.',
-                          minimum=1e-6, maximum=0.1)
-    reach: float = key(0.3, 'Largest distance of a proposed position of the flange from that '
-                       'of the first sample (m).', minimum=0.0, maximum=5.0)
-    tilt: float = key(0.44, 'Largest tilt of the viewing direction of a proposed pose, from '
-                      'that of the first sample (rad).', minimum=0.05, maximum=1.2)
-    turn: float = key(1.75, 'Largest turn of a proposed pose about the viewing direction, from '
-                      'the first sample (rad).', minimum=0.0, maximum=3.15)
-
-
-@dataclass(frozen=True)
-class VerifyConfig:
-    """The artefact of the node's verification."""
-
-    routine: str = key('', 'What ~/verify_start measures: line, plane, point, sphere, ball_bar, '
-                       'step, square or tooth; empty: nothing.')
-    calibration: str = key('', 'File of the calibration that is verified; empty: the answer of '
-                           'the node.')
-    lengths: tuple[float, ...] = key(
-        (), 'Nominal length of the ball bar, heights of the faces over the first, or pitch and '
-        'height of the teeth (m).', minimum=1e-6, maximum=10.0)
-    radius: float = key(0.0, 'Nominal radius of the balls (m); 0: unknown.',
-                        minimum=0.0, maximum=10.0)
-    reference: tuple[float, ...] = key(
-        (), 'The point as a tip of the robot touched it (m, base); empty: not touched.',
-        minimum=-50.0, maximum=50.0, length=(0, 3))
-    aim: float = key(0.0, 'How exactly the laser is put to the point, 1 sigma (m).',
-                     minimum=0.0, maximum=0.1)
-    flank: float = key(0.0, "Horizontal way of a tooth's flank (m); 0: a quarter of the pitch.",
-                       minimum=0.0, maximum=1.0)
-    certificate: float = key(0.0, 'Expanded uncertainty (k = 2) of lengths, radius and reference '
-                             "by the artefact's certificate (m).", minimum=0.0, maximum=0.1)
-    near: tuple[float, ...] = key(
-        (), 'Only what comes into this ball of the base takes part: x, y, z and radius (m); '
-        'empty: everything.', minimum=-50.0, maximum=50.0, length=(0, 4))
-    tolerance: float = key(3e-4, 'Largest error of a length that passes (m).',
-                           minimum=1e-9, maximum=1.0)
-    angle_tolerance: float = key(1.7453e-3, 'Largest error of an angle that passes '
-                                 '(rad).', minimum=1e-9, maximum=1.0)
-
-
-@dataclass(frozen=True)
-class PageConfig:
-    """The page for a browser at the cell."""
-
-    port: int = key(0, 'Port of the page for a browser; 0: no page.', minimum=0, maximum=65535)
-    address: str = key('127.0.0.1', 'Address that the page is served on: 127.0.0.1 for this '
-                       'machine alone, 0.0.0.0 for all that can reach it; these need the token '
-                       'that is printed at the start.')
-
-
 # The usual names of record.* in a form for acceptance; others are allowed.
 RECORD_NAMES = ('operator', 'sensor_serial', 'robot_serial', 'artefact', 'temperature', 'note')
 RECORD = 'record.'
@@ -105,44 +26,380 @@ BASE_FRAME = 'base'
 UNNAMED_FRAME = 'sensor'  # name for the frame of profiles without a frame_id
 
 
+def key(default: Any, description: str, minimum: float | None = None,
+        maximum: float | None = None, **limits: Any) -> Any:
+    """Declare a key, with the range of a number; limits: choices, length and whole."""
+    return field(default=default, metadata={
+        'description': description, 'minimum': minimum, 'maximum': maximum, **limits})
+
+
 @dataclass(frozen=True)
-class Config:
+class Parameter:
+    """A dotted key with its default and its range."""
+
+    key: str
+    default: Any
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[Any, ...] = ()
+    length: tuple[int, ...] = ()  # of a list; empty: any
+    whole: bool = False  # a list of whole numbers
+
+    @property
+    def unit(self) -> str:
+        """Return the unit that the description names, empty if none."""
+        match = re.search(r'\((m|rad|s)\)|\bin (m|s)\b', self.description)
+        return '' if match is None else match[1] or match[2]
+
+    def checked(self, value: Any) -> Any:
+        """Return a value in the type of the default; raises BadValueError for a wrong one."""
+        if not isinstance(self.default, tuple):
+            return self._checked(value, type(self.default))
+        items = [] if value is None else value
+        if not isinstance(items, list | tuple) or self.length and len(items) not in self.length:
+            lengths = ' or '.join(map(str, self.length)) or 'any number of'
+            raise BadValueError(self.key, value, f'a list of {lengths} values')
+        kind = int if self.whole else str if self.choices else float
+        return tuple(self._checked(item, kind) for item in items)
+
+    def _checked(self, value: Any, kind: type[Any]) -> Any:
+        """Return one value of a type, as plain Python."""
+        if self.choices and value not in self.choices:
+            expected = f'one of {", ".join(map(str, self.choices))}'
+            raise BadValueError(self.key, value, expected)
+        found: Any = '' if kind is str and value is None else value
+        if kind is float:
+            found = _number(value)
+        elif kind is int and isinstance(value, Integral) and not isinstance(value, bool):
+            found = int(value)
+        if type(found) is not kind or kind is float and not math.isfinite(found):
+            raise BadValueError(self.key, value, f'a value of type {kind.__name__}')
+        if kind is str and (not found.isprintable() or found != found.strip()):
+            raise BadValueError(self.key, value,
+                                'a text without control characters, or blanks around it')
+        if kind is str and self.default and not found:
+            raise BadValueError(self.key, value, f'a text such as {self.default}')
+        low, high = self.minimum, self.maximum
+        if low is not None and high is not None and not low <= found <= high:
+            raise BadValueError(self.key, value,
+                                f'a number from {low:g} to {high:g} {self.unit}'.rstrip())
+        return found
+
+
+def _number(value: Any) -> Any:
+    """Return a number, or a text such as 3e-5 (no number in YAML), as a float."""
+    try:
+        plain = isinstance(value, Real | str) and not isinstance(value, bool)
+        return float(value) if plain else value
+    except ValueError:
+        return value
+
+
+@dataclass(frozen=True)
+class Section:
+    """Keys, whose values are checked wherever a section is made, in code or from a file."""
+
+    prefix: ClassVar[str] = ''
+
+    def __init_subclass__(cls, prefix: str = '') -> None:
+        """Set the first part of the dotted keys."""
+        cls.prefix = prefix
+
+    def __post_init__(self) -> None:
+        """Raise BadValueError for a value that its key does not take."""
+        for name, parameter in _own(type(self)).items():  # type: ignore[arg-type]
+            value = getattr(self, name)
+            if value is not parameter.default:
+                object.__setattr__(self, name, parameter.checked(value))
+
+
+@cache
+def _own(section: Any) -> dict[str, Parameter]:
+    """Return the keys of a section by their names in it, without those of sections inside."""
+    return {item.name: Parameter(f'{section.prefix}{item.name}', item.default, **item.metadata)
+            for item in fields(section) if item.metadata}
+
+
+@dataclass(frozen=True)
+class ProfileConfig(Section, prefix='profile.'):
+    """How to read the messages of the profiler's driver."""
+
+    unit: str = key('m', 'Unit of the coordinates in the profile messages.', choices=('m', 'mm'))
+    axes: tuple[str, ...] = key(
+        ('x', 'z'), 'Two signed axes of the message that span the sensor plane: along the laser '
+        'line, and range.', choices=SIGNED_AXES, length=(2,))
+    range_sign: int = key(
+        1, '1 if the range grows away from the sensor, -1 if it grows towards it.', -1, 1,
+        choices=(1, -1))
+    rows: str = key(
+        'auto', 'What the rows of a message (its height) are: points of one profile, or '
+        'profiles; auto: profiles where each runs along the whole line.',
+        choices=('auto', 'points', 'profiles'))
+    period: float = key(
+        0.0, 'Time between the profiles of one message (s); 0: unknown, and only those messages '
+        'are used during which the robot stood still.', 0.0, 60.0)
+    exposure: float = key(
+        0.0, 'Time that one profile averages over (s), of a robot that moves (sampling.mode '
+        'moving).', 0.0, 0.1)
+    stamp: str = key(
+        'first', 'Which profile of a message its stamp belongs to.',
+        choices=('first', 'middle', 'last'))
+    invalid: tuple[float, ...] = key(
+        (), 'Ranges that mean no return, in the unit of the message, such as 0 or -327.68.',
+        -1e9, 1e9, length=(0, 1, 2, 3, 4))
+
+    def __post_init__(self) -> None:
+        """Raise BadValueError also for two axes along one line."""
+        super().__post_init__()
+        if self.axes[0][-1] == self.axes[1][-1]:
+            raise BadValueError('profile.axes', list(self.axes), 'two different axes')
+
+
+@dataclass(frozen=True)
+class TargetConfig(Section, prefix='target.'):
+    """The target that the laser line crosses."""
+
+    type: str = key(  # noqa: A003
+        'plate', 'The target: plate, line, plane, sphere or wedge; from files: points, hand_eye '
+        'or tracker.')
+    radius: float = key(0.0, 'Radius of the sphere in m; 0: unknown, estimated.', 0.0, 10.0)
+    size: tuple[float, ...] = key(
+        (), 'Lengths of the plate along its edges p and q in m; empty: unknown, and only the '
+        'two edges that meet in the corner are used.', 0.0, 10.0, length=(0, 2))
+    radius_std: float = key(5e-5, '1 sigma of the stated radius of the sphere (m).', 0.0, 0.1)
+    size_std: float = key(
+        1e-4, '1 sigma of each of the stated lengths of the plate (m).', 0.0, 0.1)
+    edge_angle_std: float = key(
+        3e-4, '1 sigma of the angle between the edges of the plate (rad).', 0.0, 0.1)
+    setback_std: float = key(
+        3e-5, '1 sigma of how far the seen end of a face lies inside its sharp edge: deburring, '
+        'smoothing (m).', 0.0, 0.01)
+    edge_angle_free: bool = key(
+        False, 'Estimate the angle between the edges of the plate instead of taking it as a '
+        'right angle.')
+    angles: str = key(
+        '', 'How a table of poses writes orientations, such as kuka-abc, fanuc-wpr, '
+        'abb-quaternion, ur-rotation-vector, staubli-rxryrz, yaskawa-rxryrz; empty: quaternion '
+        'x y z w, or roll pitch yaw, as its columns say.')
+    use_face: bool = key(
+        False, 'Use the face beside the straight edge (line) too; it must be flat.')
+
+
+@dataclass(frozen=True)
+class SamplingConfig(Section, prefix='sampling.'):
+    """When the robot counts as standing still, and which part of a stop is used."""
+
+    mode: str = key(
+        'still', 'When a sample is taken: automatically at every stop of the robot (still), '
+        'when asked by ~/take_sample or ~/take (manual), or of single profiles while the robot '
+        'moves (moving).', choices=('still', 'manual', 'moving'))
+    still_time: float = key(
+        0.5, 'The robot stands still when its pose has not changed for this long (s).', 0.05, 60.0)
+    still_translation: float = key(
+        5e-4, 'Largest change of position of a robot that stands still (m).', 0.0, 0.1)
+    still_rotation: float = key(
+        2e-3, 'Largest change of orientation of a robot that stands still (rad).', 0.0, 0.1)
+    settle_time: float = key(
+        0.1, 'Profiles this soon after the robot stopped, or this shortly before it starts, are '
+        'left out (s).', 0.0, 10.0)
+    max_pose_gap: float = key(
+        0.5, 'Poses further apart than this around a profile are too sparse to interpolate (s).',
+        1e-3, 60.0)
+    min_points: int = key(20, 'Fewest points of a face or an arc in one profile.', 5, 100000)
+    min_crossing_angle: float = key(
+        0.44, 'A laser line that crosses an edge at a smaller angle is not used (rad).', 0.0, 1.5)
+    new_translation: float = key(
+        8e-3, 'A stop nearer than this to an earlier one (m), and turned by less than '
+        'new_rotation, brings nothing new and is not used; 0: every stop is used.', 0.0, 1.0)
+    new_rotation: float = key(
+        0.05, 'A stop turned by less than this against an earlier one (rad), and nearer than '
+        'new_translation, brings nothing new and is not used; 0: every stop is used.', 0.0, 3.15)
+
+    @property
+    def by_itself(self) -> bool:
+        """Return whether samples are taken automatically."""
+        return self.mode != 'manual'
+
+    @property
+    def moving(self) -> bool:
+        """Return whether samples are taken while the robot moves."""
+        return self.mode == 'moving'
+
+
+@dataclass(frozen=True)
+class SamplesConfig(Section, prefix='samples.'):
+    """The samples used for the answer."""
+
+    exclude: tuple[int, ...] = key(
+        (), 'Numbers of the samples that are left out; taking a number away brings it back.', 1,
+        10**6, whole=True)
+
+
+@dataclass(frozen=True)
+class TrackerConfig(Section, prefix='tracker.'):
+    """Properties of the laser tracker and of the arm that it measures (target.type tracker)."""
+
+    file: str = key('tracker.csv', 'Name of the file of reflector points beside the bag.')
+    noise: float = key(2e-5, 'Noise of a reflector centre, each axis (m).', 1e-9, 0.01)
+    h0: float = key(NOT_SET, 'Height of the reflector above the top of P3 (m).', -10.0, 10.0)
+    h1: float = key(
+        NOT_SET, 'Height of the top of P3 above the origin of frame 2 (m).', -10.0, 10.0)
+    first_reading: float = key(
+        NOT_SET, 'Reading of P3 at the first pose of the bag (m).', -100.0, 100.0)
+    direction: tuple[float, ...] = key(
+        (0.0, 1.0, 0.0), 'Direction of the sweep in the sensor frame, roughly.', -1.0, 1.0,
+        length=(3,))
+
+
+@dataclass(frozen=True)
+class NoiseConfig(Section, prefix='noise.'):
+    """Prior noise, 1 sigma; the data correct it."""
+
+    sensor: float = key(3e-5, 'Range noise of one profile point (m).', 1e-9, 0.01)
+    distortion: float = key(
+        2e-5, "Smooth error of the sensor's field, its linearity (m).", 0.0, 0.01)
+    line_bend: float = key(
+        1e-4, 'Bend of the laser line out of its plane, at its ends (m).', 0.0, 0.01)
+    flatness: float = key(
+        2e-5, 'Smooth deviation of the faces of the target from flat (m).', 0.0, 0.01)
+    robot_translation: float = key(
+        3e-5, 'Repeatability of the flange position, each axis (m).', 0.0, 0.01)
+    robot_rotation: float = key(
+        7e-5, 'Repeatability of the flange orientation, each axis (rad).', 0.0, 0.01)
+    stamps: float = key(
+        1e-4, 'Jitter of the stamps of profiles, of a robot that moves (s).', 0.0, 0.1)
+    robot_smooth: float = key(
+        1.5e-4, 'Error of the robot that varies smoothly over its workspace, each axis (m); the '
+        'data corrects it.', 0.0, 0.01)
+    robot_class: str = key(
+        '', 'Accuracy of the robot by its data sheet: calibrated (0.1 mm), standard (0.3 mm) or '
+        'unknown; sets robot_smooth where that is not given with it; empty: as robot_smooth '
+        'says.', choices=('', *ROBOT_CLASSES))
+    robot_scale: float = key(7e-4, 'Relative error of the lengths of the robot.', 0.0, 0.1)
+
+
+@dataclass(frozen=True)
+class LimitsConfig(Section, prefix='limits.'):
+    """Largest uncertainty and inconsistency of a trusted answer."""
+
+    translation: float = key(
+        5e-3, 'Largest 1-sigma of the translation in its worst direction (m).', 0.0, 1.0)
+    rotation: float = key(
+        2e-2, 'Largest 1-sigma of the rotation about its worst axis (rad).', 0.0, 1.0)
+    scatter: float = key(
+        8.0, 'Largest RMS residual of a trusted answer, as a multiple of what the configured '
+        'noise makes.', 1.0, 1e6)
+    residual: float = key(1e-3, 'Largest RMS residual of a trusted answer (m).', 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class SaveConfig(Section, prefix='save.'):
+    """The files written for an answer."""
+
+    formats: tuple[str, ...] = key(
+        ('yaml',), 'The forms in which an answer is saved; calibration.yaml is always among '
+        'them.', choices=SAVE_FORMATS, length=tuple(range(1, len(SAVE_FORMATS) + 1)))
+
+
+@dataclass(frozen=True)
+class GuidanceConfig(Section, prefix='guidance.'):
+    """The accuracy wanted, and the limits of proposed poses."""
+
+    accuracy: float = key(
+        3e-4, 'Wanted 1 sigma of points that the transform maps, over the field of view (m): '
+        'with it, the samples are enough.', 1e-6, 0.1)
+    reach: float = key(
+        0.3, 'Largest distance of a proposed position of the flange from that of the first '
+        'sample (m).', 0.0, 5.0)
+    tilt: float = key(
+        0.44, 'Largest tilt of the viewing direction of a proposed pose, from that of the first '
+        'sample (rad).', 0.05, 1.2)
+    turn: float = key(
+        1.75, 'Largest turn of a proposed pose about the viewing direction, from the first '
+        'sample (rad).', 0.0, 3.15)
+
+
+@dataclass(frozen=True)
+class VerifyConfig(Section, prefix='verify.'):
+    """The artefact of the node's verification."""
+
+    routine: str = key(
+        '', 'What ~/verify_start measures: line, plane, point, sphere, ball_bar, step, square '
+        'or tooth; empty: nothing.')
+    calibration: str = key(
+        '', 'File of the calibration that is verified; empty: the answer of the node.')
+    lengths: tuple[float, ...] = key(
+        (), 'Nominal length of the ball bar, heights of the faces over the first, or pitch and '
+        'height of the teeth (m).', 1e-6, 10.0)
+    radius: float = key(0.0, 'Nominal radius of the balls (m); 0: unknown.', 0.0, 10.0)
+    reference: tuple[float, ...] = key(
+        (), 'The point as a tip of the robot touched it (m, base); empty: not touched.', -50.0,
+        50.0, length=(0, 3))
+    aim: float = key(0.0, 'How exactly the laser is put to the point, 1 sigma (m).', 0.0, 0.1)
+    flank: float = key(
+        0.0, "Horizontal way of a tooth's flank (m); 0: a quarter of the pitch.", 0.0, 1.0)
+    certificate: float = key(
+        0.0, "Expanded uncertainty (k = 2) of lengths, radius and reference by the artefact's "
+        'certificate (m).', 0.0, 0.1)
+    near: tuple[float, ...] = key(
+        (), 'Only what comes into this ball of the base takes part: x, y, z and radius (m); '
+        'empty: everything.', -50.0, 50.0, length=(0, 4))
+    tolerance: float = key(3e-4, 'Largest error of a length that passes (m).', 1e-9, 1.0)
+    angle_tolerance: float = key(
+        1.7453e-3, 'Largest error of an angle that passes (rad).', 1e-9, 1.0)
+
+
+@dataclass(frozen=True)
+class PageConfig(Section, prefix='page.'):
+    """The page for a browser at the cell."""
+
+    port: int = key(0, 'Port of the page for a browser; 0: no page.', 0, 65535)
+    address: str = key(
+        '127.0.0.1', 'Address that the page is served on: 127.0.0.1 for this machine alone, '
+        '0.0.0.0 for all that can reach it; these need the token that is printed at the start.')
+
+
+@dataclass(frozen=True)
+class Config(Section):
     """All settings."""
 
-    name: str = key('', 'Name of the calibration, and of the folder it is saved in; empty: '
-                    'the type of the target.')
-    output_dir: str = key('', 'Folder in which results and sessions get their folder, called by '
-                          'the name; empty: $ROS_HOME/handeye_ros (~/.ros/handeye_ros where '
-                          'ROS_HOME is not set) and the namespace of the node, out of the '
-                          'command line.')
-    calibration_type: str = key('eye_in_hand', 'Where the sensor is: on the flange '
-                                '(eye_in_hand) or fixed beside the robot (eye_on_base).',
-                                choices=('eye_in_hand', 'eye_on_base'))
-    robot_base_frame: str = key('', 'Frame id of the robot base; empty: that of the poses (of '
-                                'the transform tree: base).')
+    name: str = key(
+        '', 'Name of the calibration, and of the folder it is saved in; empty: the type of the '
+        'target.')
+    output_dir: str = key(
+        '', 'Folder in which results and sessions get their folder, called by the name; empty: '
+        '$ROS_HOME/handeye_ros (~/.ros/handeye_ros where ROS_HOME is not set) and the namespace '
+        'of the node, out of the command line.')
+    calibration_type: str = key(
+        'eye_in_hand', 'Where the sensor is: on the flange (eye_in_hand) or fixed beside the '
+        'robot (eye_on_base).', choices=('eye_in_hand', 'eye_on_base'))
+    robot_base_frame: str = key(
+        '', 'Frame id of the robot base; empty: that of the poses (of the transform tree: base).')
     robot_effector_frame: str = key('flange', 'Frame id of the flange.')
-    sensor_frame: str = key('camera', 'Frame id of a sensor whose files name none (points, '
-                            'hand_eye).')
-    pose_source: str = key('topic', 'Where the flange poses come from: PoseStamped messages '
-                           '(topic) or the transform tree (tf).', choices=('topic', 'tf'))
+    sensor_frame: str = key(
+        'camera', 'Frame id of a sensor whose files name none (points, hand_eye).')
+    pose_source: str = key(
+        'topic', 'Where the flange poses come from: PoseStamped messages (topic) or the '
+        'transform tree (tf).', choices=('topic', 'tf'))
     pose_topic: str = key('flange_pose', 'Topic of the flange poses.')
     profile_topic: str = key('profile', 'Topic of the laser profiles.')
     joint_topic: str = key('joint_states', 'Topic of the joint values (sensor_msgs/JointState).')
-    kinematics: str = key('', 'A kinematics.yaml, made by handeye kinematics: the flange poses '
-                          'are those of its corrected arm at the joint values of joint_topic; '
-                          'empty: the poses of the controller.')
-    robot_description: str = key('', 'File of the URDF of the robot, for ~/compute_kinematics: '
-                                 'the flange poses are those of the URDF at the joint values of '
-                                 'joint_topic; empty: none.')
-    time_offset: float = key(0.0, "Added to the profiles' stamps (s), for a sensor whose clock "
-                             'or whose driver is late or early.', minimum=-10.0, maximum=10.0)
+    kinematics: str = key(
+        '', 'A kinematics.yaml, made by handeye kinematics: the flange poses are those of its '
+        'corrected arm at the joint values of joint_topic; empty: the poses of the controller.')
+    robot_description: str = key(
+        '', 'File of the URDF of the robot, for ~/compute_kinematics: the flange poses are '
+        'those of the URDF at the joint values of joint_topic; empty: none.')
+    time_offset: float = key(
+        0.0, "Added to the profiles' stamps (s), for a sensor whose clock or whose driver is "
+        'late or early.', -10.0, 10.0)
     time_offset_std: float = key(
-        0.05, 'How well time_offset is known (s, 1 sigma), where it is estimated '
-        '(sampling.mode moving).', minimum=1e-6, maximum=1.0)
+        0.05, 'How well time_offset is known (s, 1 sigma), where it is estimated (sampling.mode '
+        'moving).', 1e-6, 1.0)
     rotation_lag_std: float = key(
         1e-3, 'By how much later than its position the robot may report its rotation (s, 1 '
-        'sigma), where it is estimated (sampling.mode moving); 0: not at all.', minimum=0.0,
-        maximum=0.1)
+        'sigma), where it is estimated (sampling.mode moving); 0: not at all.', 0.0, 0.1)
     profile: ProfileConfig = field(default_factory=ProfileConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     method: str = key('auto', 'The estimator; auto: the one of the target.')
@@ -158,6 +415,14 @@ class Config:
     page: PageConfig = field(default_factory=PageConfig)
     record: tuple[tuple[str, str], ...] = ()  # record.*: names and texts, free
 
+    def __post_init__(self) -> None:
+        """Raise BadValueError for a value that its key does not take."""
+        super().__post_init__()
+        for item in fields(self):
+            wanted, value = item.default_factory, getattr(self, item.name)
+            if isinstance(wanted, type) and not isinstance(value, wanted):
+                raise BadValueError(item.name, value, f'a {wanted.__name__}')
+
     @property
     def base_frame(self) -> str:
         """Return the frame id of the robot base, BASE_FRAME by default."""
@@ -167,18 +432,18 @@ class Config:
 @cache
 def parameters() -> tuple[Parameter, ...]:
     """Return every key, in their order."""
-    return tuple(parameters_of(Config(), ''))
+    def of(section: Any) -> Iterator[Parameter]:
+        for item in fields(section):
+            if item.metadata:
+                yield _own(section)[item.name]
+            elif isinstance(item.default_factory, type):
+                yield from of(item.default_factory)
+    return tuple(of(Config))
 
 
 def flatten(config: Config) -> dict[str, Any]:
     """Return the values of a configuration by dotted key, but those not set; tuples as lists."""
-    values = {p.key: _get(config, p.key) for p in parameters()}
+    values = {p.key: attrgetter(p.key)(config) for p in parameters()}
     values = {key: value for key, value in values.items() if value == value}  # not NOT_SET
     values |= {f'{RECORD}{name}': text for name, text in config.record}
     return {key: list(v) if isinstance(v, tuple) else v for key, v in values.items()}
-
-
-def _get(config: Any, key: str) -> Any:
-    for name in key.split('.'):
-        config = getattr(config, name)
-    return config

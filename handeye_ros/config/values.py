@@ -4,15 +4,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import accumulate
-import math
 from pathlib import Path
 import re
 from typing import Any
 
-from handeye_ros.config.cell import ROBOT_CLASSES
-from handeye_ros.config.keys import Config, parameters, RECORD
-from handeye_ros.config.parameter import Parameter
-from handeye_ros.errors import BadValueError, ConfigFileError, InputError, UnknownKeyError
+from handeye_ros.config.keys import Config, parameters, RECORD, ROBOT_CLASSES
+from handeye_ros.errors import BadValueError, InputError, UnknownKeyError
 import yaml
 
 LONGEST_TEXT = 1000  # characters of a record.*
@@ -22,13 +19,13 @@ NODE = 'handeye'  # the name of the node, and of its section in parameter files
 EVERY_NODES = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
 
-def with_values(config: Config, values: Mapping[str, Any], source: str) -> Config:
+def with_values(config: Config, values: Mapping[str, Any], source: str = 'values') -> Config:
     """
-    Return a configuration with values by dotted key.
+    Return a configuration with values by dotted key, such as {'target.type': 'sphere'}.
 
     source: of the values, for the message. Raises UnknownKeyError and BadValueError.
     """
-    by_key = {p.key: p for p in parameters()}
+    known = [p.key for p in parameters()]
     robot = values.get('noise.robot_class')
     if robot in ROBOT_CLASSES:
         values = {'noise.robot_smooth': ROBOT_CLASSES[robot], **values}
@@ -36,9 +33,9 @@ def with_values(config: Config, values: Mapping[str, Any], source: str) -> Confi
         if key.startswith(RECORD):
             config = _with_record(config, key, value)
             continue
-        if key not in by_key:
-            raise UnknownKeyError(key, list(by_key), source)
-        config = _with_value(config, key.split('.'), _checked(by_key[key], value))
+        if key not in known:
+            raise UnknownKeyError(key, known, source)
+        config = _with_value(config, key.split('.'), value)
     return config
 
 
@@ -90,70 +87,6 @@ def _with_value(section: Any, names: list[str], value: Any) -> Any:
     return replace(section, **{names[0]: value})
 
 
-def _checked(parameter: Parameter, value: Any) -> Any:
-    """Return the value in the type of the parameter's default, or raise BadValueError."""
-    if isinstance(parameter.default, tuple):
-        return _checked_list(parameter, [] if value is None else value)
-    kind = type(parameter.default)
-    if value is None and kind is str:
-        value = ''
-    elif kind is float:
-        value = _number(value)
-    if type(value) is not kind or (kind is float and not math.isfinite(value)):
-        raise BadValueError(parameter.key, value, f'a value of type {kind.__name__}')
-    if kind is str:
-        _check_text(parameter, value)
-    _check_limits(parameter, value)
-    return value
-
-
-def _number(value: Any) -> Any:
-    """Return an integer, or a text such as 3e-5 (no number in YAML), as a float."""
-    try:
-        return float(value) if type(value) in (int, str) else value
-    except ValueError:
-        return value
-
-
-def _check_text(parameter: Parameter, value: str) -> None:
-    """Raise for unprintable texts, and for empty ones if a name is required."""
-    if not value.isprintable() or value != value.strip():
-        raise BadValueError(parameter.key, value,
-                            'a text without control characters, or blanks around it')
-    if parameter.default and not value:
-        raise BadValueError(parameter.key, value, f'a text such as {parameter.default}')
-
-
-def _checked_list(parameter: Parameter, value: Any) -> tuple[Any, ...]:
-    if (not isinstance(value, list | tuple)
-            or parameter.length and len(value) not in parameter.length):
-        lengths = ' or '.join(map(str, parameter.length)) or 'any number of'
-        raise BadValueError(parameter.key, value, f'a list of {lengths} values')
-    if parameter.whole:
-        if any(type(item) is not int for item in value):
-            raise BadValueError(parameter.key, value, 'a list of whole numbers')
-    elif not parameter.choices:
-        value = [_number(item) for item in value]
-        for item in value:
-            if type(item) not in (int, float) or not math.isfinite(item):
-                raise BadValueError(parameter.key, value, 'a list of numbers')
-    for item in value:
-        _check_limits(parameter, item)
-    if parameter.key == 'profile.axes' and value[0][-1] == value[1][-1]:
-        raise BadValueError(parameter.key, list(value), 'two different axes')
-    return tuple(value)
-
-
-def _check_limits(parameter: Parameter, value: Any) -> None:
-    if parameter.choices and value not in parameter.choices:
-        expected = 'one of ' + ', '.join(map(str, parameter.choices))
-        raise BadValueError(parameter.key, value, expected)
-    low, high = parameter.minimum, parameter.maximum
-    if low is not None and high is not None and not low <= value <= high:
-        raise BadValueError(parameter.key, value,
-                            f'a number from {low:g} to {high:g} {parameter.unit}'.rstrip())
-
-
 def yaml_content(text: str) -> Any:
     """Return the content of a YAML text with plain values only; raises yaml.YAMLError."""
     # deep nesting would take the parser seconds
@@ -185,19 +118,25 @@ def load(path: Path, config: Config | None = None) -> Config:
 
 def _node_values(content: Any, path: Path) -> dict[str, Any]:
     """
-    Return the dotted values of our node in a parameter file; raises ConfigFileError.
+    Return the dotted values of our node in a parameter file; raises InputError without any.
 
-    The sections are the patterns for every node, and our node's name in any namespace, or the only
-    name in the file, as a node can be renamed.
+    The sections are the patterns for every node, and our node's name in any namespace. A node may
+    have been renamed: the dump of one has nearly all keys, unlike the section of another node.
     """
-    sections = dict(_sections(content, ''))
+    sections, known = dict(_sections(content, '')), {p.key for p in parameters()}
     general = [name for name in sections if name.split('/')[-1] in ('*', '**')]
-    named = [name for name in sections if name not in general]
-    own_sections = [name for name in named if name.split('/')[-1] == NODE] or named
-    if len(own_sections) > 1 or not sections:
-        raise ConfigFileError(path, own_sections)
+    own = [name for name in sections if name.split('/')[-1] == NODE] or [
+        name for name, found in sections.items() if 2 * len(known & found.keys()) > len(known)]
+    if not sections:
+        raise InputError(f'{path} holds no parameters of the node; expected the form of a ROS '
+                         'parameter file: "/**:", below it "ros__parameters:", below it the keys')
+    if len(own) > 1 or not own and not general:
+        names = ', '.join(own or sections)
+        raise InputError(f'{path} holds the parameters of {names}' + (
+            f': keep those of one "{NODE}"' if own else f', and none of them is "{NODE}": give '
+            'the calibration a section of that name, or "/**"'))
     values: dict[str, Any] = {}
-    for name in (*general, *own_sections):
+    for name in dict.fromkeys([*general, *own]):
         values |= sections[name]
     return {key: value for key, value in values.items() if not key.startswith(EVERY_NODES)}
 
