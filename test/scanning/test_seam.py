@@ -2,9 +2,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-import importlib.util
-from pathlib import Path
-import sys
 
 from command import assert_refused, handeye
 from handeye_ros import se3
@@ -19,6 +16,7 @@ from handeye_ros.scanning.seam import find_seam, tool_frames
 from handeye_ros.scanning.seam_edges import spacing_of
 from handeye_ros.scanning.seam_sheets import sheets_of
 from handeye_ros.simulate.measuring import Preform, preform_cloud
+import joints
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
@@ -26,18 +24,21 @@ from rosbags.typesys import get_typestore, Stores
 from scipy.spatial import cKDTree
 import yaml
 
-spec = importlib.util.spec_from_file_location(
-    'bench_joints', Path(__file__).parents[2] / 'bench' / 'joints.py')
-joints = importlib.util.module_from_spec(spec)
-sys.modules[spec.name] = joints  # for its dataclasses
-spec.loader.exec_module(joints)
-
 START, PERIOD = 1_700_000_000_000_000_000, 10_000_000
 SMALL = {'length': 0.12, 'spacing': 5e-4}
+KINDS = {'butt': 'butt', 'lap': 'lap', 'vee': 'v', 'tee': 'fillet', 'corner': 'fillet'}
+QUICK = ('butt 3, backing 1', 'butt 3 on a table, seen all round', 'lap 5, lean -20',
+         'lap 5, lean 20', 'vee 6, root 2', 'tee 12, lean 30', 'lap 5, spatter',
+         'corner of 135 degrees')
 
 
 def cloud_of(seed=0, **values):
     return preform_cloud(Preform(**{**SMALL, **values}), np.random.default_rng(seed))
+
+
+def joint_of(name, seed=0, **values):
+    joint = replace(joints.JOINTS[name], length=40.0, **values)
+    return joints.scanned(joint, np.random.default_rng(seed))
 
 
 def off_line(truth, points):
@@ -49,51 +50,44 @@ def off_line(truth, points):
     return np.linalg.norm(offset - (offset * tangent).sum(axis=1)[:, None] * tangent, axis=1)
 
 
-@pytest.mark.parametrize('kind', ['lap', 'butt'])
-@pytest.mark.parametrize('seed', [0, 1])
-def test_centre_line_and_approach_are_the_true_ones(kind, seed):
-    truth = cloud_of(seed, kind=kind)
-    seam = find_seam(truth.points)
-    frames = tool_frames(seam, 5e-3, -truth.normals.mean(axis=0))
-    assert seam.kind == kind
-    assert seam.noise == pytest.approx(1e-4, rel=0.1)
-    away = off_line(truth, frames.T_base_tool[:, :3, 3])
-    _, index = cKDTree(truth.centre).query(frames.T_base_tool[:, :3, 3])
+def off_approach(truth, T):
+    """Return the largest angle between approach and true normal, square to the seam (degrees)."""
+    _, index = cKDTree(truth.centre).query(T[:, :3, 3])
     tangent = np.gradient(truth.centre, axis=0)[index]
     normal = np.cross(np.cross(tangent, truth.normals[index]), tangent)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
-    cosine = -(frames.T_base_tool[:, :3, 1] * normal).sum(axis=1)
-    assert np.degrees(np.arccos(cosine.min())) < 1.0 and away.max() < 1e-4
-    std = seam_files.measures(seam, frames)[:, 3]
-    assert std.max() < 5e-5 and np.sqrt((away ** 2).mean()) < 2 * std.mean()
+    return np.degrees(np.arccos(-(T[:, :3, 1] * normal).sum(axis=1).max()))
 
 
-def test_frames_where_the_line_is_uncertain_are_left_out():
-    truth = cloud_of(0)
+@pytest.mark.parametrize('kind', ['lap', 'butt'])
+@pytest.mark.parametrize('seed', [0, 1])
+def test_centre_line_and_approach_of_a_preform_are_the_true_ones(kind, seed):
+    truth = cloud_of(seed, kind=kind)
     seam = find_seam(truth.points)
     frames = tool_frames(seam, 5e-3, -truth.normals.mean(axis=0))
-    assert 0 < frames.lengths[0] < 0.02
-    result = ' '.join(seam_files.sentences(seam, frames))
-    assert f'no frames on the first {1e3 * frames.lengths[0]:.1f} mm' in result
+    away = off_line(truth, frames.T_base_tool[:, :3, 3])
+    assert seam.kind == kind and seam.noise == pytest.approx(1e-4, rel=0.1)
+    assert away.max() < 1e-4 and off_approach(truth, frames.T_base_tool) < 1.0
+    std = seam_files.measures(seam, frames)[:, 3]
+    assert std.max() < 5e-5 and np.sqrt((away ** 2).mean()) < 2 * std.mean()
+    assert 0 < frames.lengths[0] < 0.02  # the ends are not certain enough
+    assert 'no frames on the first' in ' '.join(seam_files.sentences(seam, frames))
     with pytest.raises(DataError, match='scan more densely'):
         tool_frames(replace(seam, std=3 * seam.std), 5e-3)
 
 
-@pytest.mark.parametrize(('name', 'kind'), [
-    ('butt 3, backing 1', 'butt'), ('butt 3, backing 5', 'butt'),
-    ('butt 3 on a table, seen all round', 'butt'), ('lap 5, lean -20', 'lap'),
-    ('lap 5, lean 20', 'lap'), ('vee 6, root 2', 'v'), ('vee 8, root 1.5, 45 degrees', 'v'),
-    ('tee 12, lean 30', 'fillet'), ('lap 5, spatter', 'lap'),
-    ('corner of 90 degrees', 'fillet'), ('corner of 135 degrees', 'fillet')])
-def test_joints_as_a_sensor_sees_them(name, kind):
-    joint = replace(joints.JOINTS[name], length=40.0)
-    truth = joints.scanned(joint, np.random.default_rng(1))
+@pytest.mark.parametrize('name', [
+    *QUICK, *(pytest.param(name, marks=pytest.mark.thorough) for name in joints.JOINTS
+              if name not in (*QUICK, 'tee 12', 'tee 30, lean 45')),
+    pytest.param('tee 30, lean 45', marks=[pytest.mark.thorough, pytest.mark.xfail(
+        reason='the rough course of 40 mm bends: the approach is off by 1.5 degrees')])])
+def test_joints_as_a_sensor_sees_them(name):
+    truth = joint_of(name, 1)
     seam = find_seam(truth.points)
     frames = tool_frames(seam, 5e-3)
-    assert seam.kind == kind
+    assert seam.kind == KINDS[name.split()[0]]
     assert off_line(truth, frames.T_base_tool[:, :3, 3]).max() < 1e-4
-    cosine = -(frames.T_base_tool[:, :3, 1] @ truth.normals[0])
-    assert np.degrees(np.arccos(cosine.min())) < 1.0
+    assert off_approach(truth, frames.T_base_tool) < 1.0
     assert seam.curve.length == pytest.approx(0.04, abs=1e-3)
     assert seam.residual < 10 * seam.noise
 
@@ -105,62 +99,42 @@ def test_a_narrow_root_gap_of_a_v_is_none_that_the_bevels_close():
     assert off_line(truth, tool_frames(seam, 5e-3).T_base_tool[:, :3, 3]).max() < 1e-4
 
 
-def test_single_profiles_of_a_face_seen_at_a_low_angle_are_no_sheets():
-    rng = np.random.default_rng(0)
-    along, away = np.arange(0, 20e-3, 1e-4), np.arange(0, 20e-3, 4e-4)
-    plate = np.stack(np.meshgrid(along, away, [0.0], indexing='ij'), axis=-1).reshape(-1, 3)
-    rows = np.stack(np.meshgrid([4e-3, 5.2e-3, 6.4e-3], [-1e-3], -along, indexing='ij'),
-                    axis=-1).reshape(-1, 3)
-    plate[:, 2] += 3e-5 * rng.normal(size=len(plate))
+def plate_of(rng):
+    points = np.stack(np.meshgrid(np.arange(0, 20e-3, 1e-4), np.arange(0, 20e-3, 4e-4), [0.0],
+                                  indexing='ij'), axis=-1).reshape(-1, 3)
+    return points + rng.normal(size=points.shape) * [0, 0, 3e-5]
+
+
+def test_single_profiles_are_no_sheets_and_a_displaced_one_divides_none():
+    rng, up = np.random.default_rng(0), np.array([0.0, 0.0, 1.0])
+    plate = plate_of(rng)
+    rows = np.stack(np.meshgrid([4e-3, 5.2e-3, 6.4e-3], [-1e-3], -np.arange(0, 20e-3, 1e-4),
+                                indexing='ij'), axis=-1).reshape(-1, 3)
     rows[:, 1] += 3e-5 * rng.normal(size=len(rows))  # the errors of a row are in one plane
-    points = np.concatenate([plate, rows])
-    sheets = sheets_of(points, cKDTree(points), spacing_of(points), np.array([0.0, 0.0, 1.0]))
-    assert (sheets.label[len(plate):] >= 0).mean() < 0.1
-    assert (sheets.label[:len(plate)] >= 0).all()
+    points = np.concatenate([plate, rows])  # a face seen at a low angle
+    label = sheets_of(points, cKDTree(points), spacing_of(points), up).label
+    assert (label[len(plate):] >= 0).mean() < 0.1 and (label[:len(plate)] >= 0).all()
+    plate[np.isclose(plate[:, 1], 10e-3), 2] += 1.2e-4
+    label = sheets_of(plate, cKDTree(plate), spacing_of(plate), up).label
+    assert (label == label[0]).mean() > 0.99
 
 
 @pytest.mark.thorough
 def test_columns_at_the_same_places_in_all_profiles_limit_what_is_known_of_an_edge():
     errors, stds = [], []
     for width in (60.0, 60.6, 61.3, 62.0):
-        joint = replace(joints.JOINTS['butt 3, backing 5'], length=40.0, width=width)
-        truth = joints.scanned(joint, np.random.default_rng(0))
+        truth = joint_of('butt 3, backing 5', width=width)
         seam = find_seam(truth.points, line='first')
         errors.append(np.median(off_line(truth, seam.first)) - 1.5e-3)
         stds.append(np.median(seam.std[:, 0]))
     assert np.sqrt(np.mean(np.square(errors))) < 2 * np.mean(stds)
     assert 0.7 < np.mean(stds) / (62e-3 / 640 / np.sqrt(12)) < 1.5
-    flank = find_seam(joints.scanned(replace(joints.JOINTS['corner of 90 degrees'], length=40.0),
-                                     np.random.default_rng(0)).points)
+    flank = find_seam(joint_of('corner of 90 degrees').points)
     assert np.median(flank.std[:, 0]) < 0.3 * np.mean(stds)  # a root needs no end of a sheet
 
 
-def test_a_displaced_profile_does_not_divide_a_sheet():
-    rng = np.random.default_rng(0)
-    points = np.stack(np.meshgrid(np.arange(0, 20e-3, 1e-4), np.arange(0, 20e-3, 4e-4), [0.0],
-                                  indexing='ij'), axis=-1).reshape(-1, 3)
-    points += rng.normal(size=points.shape) * [0, 0, 3e-5]
-    points[np.isclose(points[:, 1], 10e-3), 2] += 1.2e-4
-    sheets = sheets_of(points, cKDTree(points), spacing_of(points), np.array([0.0, 0.0, 1.0]))
-    assert (sheets.label == sheets.label[0]).mean() > 0.99
-
-
-def test_what_no_seam_can_be_made_of_is_refused_for_its_reason():
-    hidden = joints.scanned(replace(joints.JOINTS['tee 12'], length=40.0),
-                            np.random.default_rng(0))
-    with pytest.raises(DataError, match='a step of 12 mm .* tilted'):
-        find_seam(hidden.points)
-    ragged = cloud_of(kind='butt', gap=4e-3).points
-    line = np.linalg.svd(ragged - ragged.mean(axis=0), full_matrices=False)[2][0]
-    along = (ragged - ragged.mean(axis=0)) @ line
-    uneven = ragged[np.sin(along / 2e-3) + 0.01 * np.arange(len(along)) % 1 < 0.8]
-    with pytest.raises(DataError):
-        find_seam(uneven)
-
-
 def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():
-    truth = joints.scanned(replace(joints.JOINTS['vee 6, root 2'], length=40.0),
-                           np.random.default_rng(0))
+    truth = joint_of('vee 6, root 2')
     seam = find_seam(truth.points)
     last = seam.curve.position(seam.curve.last)
     turned = find_seam(truth.points, line='first', start=last)
@@ -169,18 +143,16 @@ def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():
     assert away < 2e-4
     gap = seam_files.measures(seam, tool_frames(seam, 5e-3))[:, 0]
     assert gap == pytest.approx(2e-3, abs=1.5e-4)
-
-
-def test_the_edges_of_a_gap_are_where_the_sheets_end():
     truth = cloud_of(kind='butt', gap=4e-3, noise=5e-5)
     seam = find_seam(truth.points)
     for edge in (seam.first, seam.second):
         assert off_line(truth, edge[3:-3]).mean() == pytest.approx(2e-3, abs=1e-4)
 
 
-def test_frames_are_rotations_at_the_pitch():
+def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
     truth = cloud_of()
-    frames = tool_frames(find_seam(truth.points), 3e-3, -truth.normals.mean(axis=0), 0.2, -0.1)
+    seam, towards = find_seam(truth.points), -truth.normals.mean(axis=0)
+    frames = tool_frames(seam, 3e-3, towards, 0.2, -0.1)
     R = frames.T_base_tool[:, :3, :3]
     np.testing.assert_allclose(R @ R.swapaxes(1, 2), np.tile(np.eye(3), (len(R), 1, 1)),
                                atol=1e-14)
@@ -188,39 +160,24 @@ def test_frames_are_rotations_at_the_pitch():
     np.testing.assert_allclose(np.diff(frames.lengths)[:-1], 3e-3)
     steps = np.linalg.norm(np.diff(frames.T_base_tool[:, :3, 3], axis=0), axis=1)[:-1]
     np.testing.assert_allclose(steps, 3e-3, rtol=1e-3)  # chords of a weakly bent curve
-
-
-def test_the_angles_lean_the_tool_along_and_across():
-    truth = cloud_of()
-    seam, towards = find_seam(truth.points), -truth.normals.mean(axis=0)
+    for way in (towards, -towards):
+        assert (tool_frames(seam, 0.02, way).T_base_tool[:, :3, 1] @ way > 0.8).all()
     plain = tool_frames(seam, 0.02, towards).T_base_tool
-    travel = tool_frames(seam, 0.02, towards, travel=0.3).T_base_tool
-    work = tool_frames(seam, 0.02, towards, work=0.3).T_base_tool
-    for leant, axis in ((travel, 2), (work, 0)):
+    for angle, axis in (('travel', 2), ('work', 0)):
+        leant = tool_frames(seam, 0.02, towards, **{angle: 0.3}).T_base_tool
         cosine = (plain[:, :3, 1] * leant[:, :3, 1]).sum(axis=1)
         np.testing.assert_allclose(np.arccos(cosine), 0.3, atol=1e-9)
         np.testing.assert_allclose((plain[:, :3, axis] * leant[:, :3, 1]).sum(axis=1), 0,
                                    atol=1e-12)
 
 
-def test_the_approach_points_where_it_is_reported():
-    truth = cloud_of()
-    seam, down = find_seam(truth.points), -truth.normals.mean(axis=0)
-    for towards in (down, -down):
-        frames = tool_frames(seam, 0.02, towards)
-        assert (frames.T_base_tool[:, :3, 1] @ towards > 0.8).all()
-
-
-@pytest.mark.parametrize(('values', 'error', 'words'), [
-    ({'seams': 2}, DataError, '2 seams .*--box'),
-    ({'seams': 2, 'kind': 'butt'}, DataError, '2 seams'),
-    ({'missing': (0.45, 0.55)}, DataError, 'not seen for 1[0-9]'),
-    ({'missing': (0.45, 0.55), 'kind': 'butt'}, DataError, 'scan there again'),
-    ({'thickness': 5e-4}, DataError, 'scan more densely'),
-    ({'thickness': 0.0}, DataError, 'no seam'),
-])
-def test_what_is_no_single_seam_is_refused(values, error, words):
-    with pytest.raises(error, match=words):
+@pytest.mark.parametrize(('values', 'words'), [
+    ({'seams': 2}, '2 seams .*--box'), ({'seams': 2, 'kind': 'butt'}, '2 seams'),
+    ({'missing': (0.45, 0.55)}, 'not seen for 1[0-9]'),
+    ({'missing': (0.45, 0.55), 'kind': 'butt'}, 'scan there again'),
+    ({'thickness': 5e-4}, 'no seam.*scan more densely'), ({'thickness': 0.0}, 'no seam')])
+def test_what_is_no_single_seam_is_refused(values, words):
+    with pytest.raises(DataError, match=words):
         find_seam(cloud_of(**values).points)
 
 
@@ -229,14 +186,16 @@ def test_clouds_of_other_things_are_refused():
     flat = rng.uniform(-0.03, 0.03, (12000, 2))
     plane = np.column_stack([flat, np.zeros(len(flat))])
     ring = np.column_stack([flat, 4e-3 * (np.hypot(*flat.T) > 0.018)])
-    hole = plane[np.hypot(*flat.T) > 4e-3]
-    with pytest.raises(DataError, match='closed'):
-        find_seam(ring)
-    for points in (plane, hole, rng.normal(size=(3000, 3))):
-        with pytest.raises(DataError, match='no seam'):
+    ragged = cloud_of(kind='butt', gap=4e-3).points
+    along = (ragged - ragged.mean(axis=0)) @ np.linalg.svd(
+        ragged - ragged.mean(axis=0), full_matrices=False)[2][0]
+    uneven = ragged[np.sin(along / 2e-3) + 0.01 * np.arange(len(along)) % 1 < 0.8]
+    for points, words in (
+            (ring, 'closed'), (plane, 'no seam'), (plane[np.hypot(*flat.T) > 4e-3], 'no seam'),
+            (rng.normal(size=(3000, 3)), 'no seam'), (np.zeros((1000, 3)), 'fewer than 500'),
+            (joint_of('tee 12').points, 'a step of 12 mm .* tilted'), (uneven, '')):
+        with pytest.raises(DataError, match=words):
             find_seam(points)
-    with pytest.raises(DataError, match='fewer than 500'):
-        find_seam(np.zeros((1000, 3)))
 
 
 def test_a_straight_seam_is_a_cubic_and_a_wound_one_a_spline():
@@ -249,15 +208,10 @@ def test_a_straight_seam_is_a_cubic_and_a_wound_one_a_spline():
     assert curve.kind == 'spline'
     _, line = curve.sampled()
     assert cKDTree(wound - noise).query(line)[0].max() < 6.5e-4  # half a step of the points
-
-
-def test_both_curves_have_one_interface():
-    t = np.linspace(0, 1, 60)
-    points = np.column_stack([0.1 * t, 0.02 * t ** 2, 0 * t])
-    index = np.arange(1.0, 61.0)
+    points, index = np.column_stack([0.1 * t, 0.02 * t ** 2, 0 * t]), np.arange(1.0, 201.0)
     for curve in (cubic(points), spline(index, points)):
         assert curve.length == pytest.approx(0.1025, rel=5e-3)
-        for at in (1.0, 30.0, 60.0):
+        for at in (1.0, 100.0, 200.0):
             np.testing.assert_allclose(curve.position(at), points[int(at) - 1], atol=1e-6)
             assert np.linalg.norm(curve.advance(at)) == pytest.approx(1.0)
 
