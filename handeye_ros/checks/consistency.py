@@ -26,10 +26,11 @@ from handeye_ros.checks.errors import (
 from handeye_ros.checks.shape import require_edges, require_not_only_scale
 from handeye_ros.config import Config, LimitsConfig
 from handeye_ros.data import Array, Reject, Sample
-from handeye_ros.errors import degrees
+from handeye_ros.errors import degrees, mm
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.model import Method
+from handeye_ros.estimation.solution import Solution
 from handeye_ros.frames import mount_frame, mounted, name_direction, other_axes
 from handeye_ros.se3 import worst_rotation, worst_translation
 import numpy as np
@@ -62,6 +63,7 @@ def require_answer(agreed: Consensus, config: Config) -> str:
     _require_judged(agreed)
     warning = moved_slightly(agreed)  # first: a move also makes the answer uncertain
     require_certain(agreed, config)
+    _require_points(agreed, config)
     require_edges(agreed)
     return warning
 
@@ -132,6 +134,32 @@ def require_certain(agreed: Consensus, config: Config) -> None:
         raise TooUncertainError.translation(name_direction(direction, frame), shift_std,
                                             limits.translation,
                                             missing_motion(poses, frame))
+
+
+def _require_points(agreed: Consensus, config: Config) -> None:
+    """Raise TooUncertainError where the measured points are more uncertain than the limit."""
+    limit, frame = config.limits.points, mount_frame(config)
+    std, direction = _worst_points(agreed.solution)
+    if std > limit:
+        raise TooUncertainError(
+            f'the points that the samples show are uncertain by {mm(std)} along '
+            f'{name_direction(direction, frame)} (1 sigma; limits.points is {mm(limit)}): '
+            f'{missing_motion(agreed.whole.poses, frame)}')
+
+
+def _worst_points(solution: Solution) -> tuple[float, Array]:
+    """
+    Return the largest 1 sigma (m) of the observed points in the mount, and its direction (3,).
+
+    A rotation and a translation that make up for each other at the target are no uncertainty of
+    what the sensor measures; each alone may be large.
+    """
+    turned = solution.problem.observations.points @ solution.estimate.X[:3, [0, 2]].T
+    by_rotation = np.cross(np.eye(3), turned[:, None, :]).swapaxes(1, 2)
+    moved = np.concatenate([np.broadcast_to(np.eye(3), by_rotation.shape), by_rotation], axis=2)
+    mean = np.einsum('kij,jl,kml->im', moved, solution.reported[:6, :6], moved) / len(moved)
+    values, vectors = np.linalg.eigh(mean)
+    return float(np.sqrt(values[-1])), vectors[:, -1]
 
 
 def _require_judged(agreed: Consensus) -> None:

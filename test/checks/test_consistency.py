@@ -5,7 +5,7 @@ from dataclasses import replace
 import math
 import re
 
-from cells import Cell, cell, exact_cell, scenario_of
+from cells import Cell, cell, config, exact_cell, scenario_of
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.consistency import turning
 from handeye_ros.checks.errors import (
@@ -19,7 +19,7 @@ from handeye_ros.data import Array, Reject
 from handeye_ros.errors import DataError
 from handeye_ros.frames import name_direction, other_axes
 from handeye_ros.se3 import worst_translation
-from handeye_ros.simulate import Scenario
+from handeye_ros.simulate import FAULTS, Scenario
 from handeye_ros.targets import METHODS
 import numpy as np
 import pytest
@@ -205,3 +205,21 @@ def test_a_frame_of_the_robot_is_refused_by_its_key(frame: str, key: str) -> Non
         pipeline.solve(made.samples, [], made.config, frame)
     other = replace(made.config, **{key: 'tool0'})
     assert pipeline.solve(made.samples, [], other, frame).child_frame == frame
+
+
+@pytest.mark.parametrize('seed', [2, 3, 6, 7])
+def test_an_answer_that_is_uncertain_by_millimetres_is_refused(seed: int) -> None:
+    """A base that gives way by 0.2 degrees per metre of reach; a plane takes up most of it."""
+    made = cell(FAULTS['plane, wide off-centre'], seed)
+
+    def bent(T: Array) -> Array:
+        x, y, _ = T[:3, 3]
+        about = np.array([y, -x, 0.0]) * math.radians(0.2)
+        return se3.transform(se3.exp_rotation(about), np.zeros(3)) @ T
+
+    given_way = [replace(s, T_base_flange=bent(s.T_base_flange)) for s in made.samples]
+    settings_of_a_cell = config(made.scenario)
+    with pytest.raises(TooUncertainError, match='limits.points'):
+        pipeline.solve(given_way, [], settings_of_a_cell, 'laser')
+    known = pipeline.solve(made.samples, [], settings_of_a_cell, 'laser')
+    assert made.error(known.T_flange_sensor) < 2e-3
