@@ -10,6 +10,9 @@ conditions a stop, the deviance of an explanation is, (13),
 
 A stop that an explanation leaves out, or whose edge it leaves out, counts as one that is off by 8
 sigma. A difference of 23 is odds of 10^5 (Kass and Raftery 1995, J. Am. Stat. Assoc. 90:773).
+
+The sigmas are those of the features, which each explanation reads for itself: a stranger's edge is
+uncertain, and therefore fits. So the same must also hold in metres, in one unit for both.
 """
 from __future__ import annotations
 
@@ -89,10 +92,15 @@ class Fit:
     @property
     def believable(self) -> bool:
         """Return whether most stops fit, about as well as the configured noise predicts."""
-        missing = 1 - np.isfinite(self.squares).mean()
+        missing = 1 - self.explained / self.total
         return bool(self.variance_factor < CONVINCING and missing < LARGEST_DROPPED_SHARE and all(
             part.unused_share < LARGEST_DROPPED_SHARE and part.solution.degrees_of_freedom > 0
             for part in self.parts))
+
+    @property
+    def explained(self) -> int:
+        """Return the number of stops that fit."""
+        return int(np.isfinite(self.squares).sum())
 
     @cached_property
     def squares(self) -> Array:
@@ -104,6 +112,19 @@ class Fit:
             q[stops[part.unused]] = np.inf
         return np.where(self.beside, np.inf, q)
 
+    @cached_property
+    def lengths(self) -> Array:
+        """Return as squares does the mean squared residuals in m^2, left out as in (13)."""
+        q = np.full(self.total, np.inf)
+        for part, stops in zip(self.parts, self.stops, strict=True):
+            solution = part.solution
+            station, n = solution.problem.observations.station, len(part.used)
+            inside, metres = (np.bincount(station, r ** 2, minlength=n)
+                              for r in (solution.white, solution.linear.residuals))
+            q[stops[part.used]] = self.squares[stops[part.used]] * metres / np.maximum(
+                inside, 1e-300)
+        return np.where(np.isfinite(self.squares), q, np.inf)
+
     @property
     def conditions(self) -> int:
         """Return the typical number of independent conditions of a stop."""
@@ -111,9 +132,16 @@ class Fit:
 
     def evidence_against(self, stated: Fit | None) -> float:
         """Return twice the log of the odds for this fit against the stated one (None: no fit)."""
-        m = min(self.conditions, stated.conditions) if stated else self.conditions
-        before = stated.squares if stated else np.full(self.total, np.inf)
-        return deviance(before, m) - deviance(self.squares, m)
+        if stated is None:
+            nothing = np.full(self.total, np.inf)
+            return (deviance(nothing, self.conditions)
+                    - deviance(self.squares, self.conditions))
+        if self.explained < 0.9 * stated.explained:  # the stops that stay may fit by chance
+            return -math.inf
+        m = min(self.conditions, stated.conditions)
+        unit = min(fit.solution.expected_rms for fit in (self, stated)) ** 2
+        return min(deviance(before, m) - deviance(after, m) for before, after in (
+            (stated.squares, self.squares), (stated.lengths / unit, self.lengths / unit)))
 
     def compared(self, stated: Fit | None, change: str) -> str:
         """Return in words what fits as set, and what with a change."""
@@ -123,7 +151,7 @@ class Fit:
     @property
     def _words(self) -> str:
         rms = math.sqrt(np.mean([part.solution.residual_rms ** 2 for part in self.parts]))
-        return f'{np.isfinite(self.squares).sum()} of {self.total} stops fit ({mm(rms)} RMS)'
+        return f'{self.explained} of {self.total} stops fit ({mm(rms)} RMS)'
 
 
 def deviance(q: Array, conditions: int) -> float:

@@ -289,7 +289,7 @@ class LimitsConfig(Section, prefix='limits.'):
         2e-2, 'Largest 1-sigma of the rotation about its worst axis (rad).', 0.0, 1.0)
     points: float = key(2e-3, 'Largest 1-sigma of where the points that the samples show lie in '
                         'the frame of the result, on average and in the worst direction (m).',
-                        minimum=0.0, maximum=1.0)
+                        0.0, 1.0)
     scatter: float = key(
         8.0, 'Largest RMS residual of a trusted answer, as a multiple of what the configured '
         'noise makes.', 1.0, 1e6)
