@@ -38,7 +38,7 @@ PATIENCE = 10.0  # s until a client must accept an event, and the server must st
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
 KINDS = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript'}
-FILES = ('page.css', 'page.js', 'scene.js', 'profile.js', 'cell.js')
+FILES = ('page.css', 'page.js', 'viewer.js', 'scene.js', 'profile.js', 'cell.js')
 HEADERS = {
     'Content-Security-Policy': "default-src 'self'; img-src 'self' data:; "
                                "frame-ancestors 'none'; base-uri 'none'",
@@ -256,7 +256,8 @@ def _sentence(status: int, text: str) -> web.Response:
 
 
 def _static(name: str, status: int = 200) -> web.Response:
-    text = resources.files(__package__).joinpath('assets', name).read_text(encoding='utf-8')
+    room = 'handeye_ros.results' if name == 'viewer.js' else 'handeye_ros.page'
+    text = resources.files(room).joinpath('assets', name).read_text(encoding='utf-8')
     return web.Response(text=text, status=status, content_type=KINDS[name.rpartition('.')[2]],
                         charset='utf-8', headers=HEADERS)
 

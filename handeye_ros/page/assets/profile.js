@@ -1,38 +1,10 @@
 'use strict';
 // The picture of a profile: points, found faces and edges, in the field of view seen so far.
 
-function colour(name) {
-  return getComputedStyle(document.documentElement).getPropertyValue('--' + name).trim();
-}
-
-function board(canvas) {
-  const ratio = window.devicePixelRatio || 1;
-  const width = canvas.clientWidth, height = canvas.clientHeight;
-  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-  }
-  const pen = canvas.getContext('2d');
-  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-  pen.clearRect(0, 0, width, height);
-  pen.font = '13px system-ui, sans-serif';
-  pen.lineJoin = 'round';
-  return { pen, width, height };
-}
-
 function note(board, words) {
   board.pen.fillStyle = colour('dim');
   board.pen.font = '15px system-ui, sans-serif';
   board.pen.fillText(words, 14, board.height / 2);
-}
-
-function box(points) {
-  const low = [Infinity, Infinity], high = [-Infinity, -Infinity];
-  for (const p of points) for (const k of [0, 1]) {
-    low[k] = Math.min(low[k], p[k]);
-    high[k] = Math.max(high[k], p[k]);
-  }
-  return { low, high };
 }
 
 // Lines every 1, 2 or 5 times a power of ten millimetres, at least 56 pixels apart.
@@ -68,18 +40,6 @@ function grid(pen, width, height, place, scale) {
   pen.textAlign = 'right';
   pen.fillText('x / mm', width - 4, height - 22);
   pen.textAlign = 'left';
-}
-
-function stroke(pen, points) {
-  pen.beginPath();
-  points.forEach((p, i) => (i ? pen.lineTo(p[0], p[1]) : pen.moveTo(p[0], p[1])));
-  pen.stroke();
-}
-
-function dot(pen, p, radius) {
-  pen.beginPath();
-  pen.arc(p[0], p[1], radius, 0, 2 * Math.PI);
-  pen.fill();
 }
 
 // view: the corners of what was seen so far, so that the picture does not jump
