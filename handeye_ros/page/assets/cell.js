@@ -106,3 +106,4 @@ $('new').addEventListener('click', clearAll);
 for (const radio of document.querySelectorAll('[name=mode]')) {
   radio.addEventListener('change', () => ask('set', { 'sampling.mode': radio.value }, radio));
 }
+connect();

@@ -111,7 +111,7 @@ function showAim({ scene, poses }) {
 
 function showGuidance(guidance) {
   const list = $('advice');
-  const last = Math.max(0, ...latest.samples.filter(s => s.taken).map(s => s.number));
+  const last = Math.max(0, ...(latest ? latest.samples : []).filter(s => s.taken).map(s => s.number));
   const sentences = guidance ? guidance.sentences : [];
   if (guidance && guidance.sample < last) {
     sentences.push(`this knows of sample ${guidance.sample}; the next is being worked in`);
@@ -354,7 +354,7 @@ async function clearAll() {
 }
 
 async function undo() {
-  const last = Math.max(0, ...latest.samples.filter(s => s.taken).map(s => s.number));
+  const last = Math.max(0, ...(latest ? latest.samples : []).filter(s => s.taken).map(s => s.number));
   if (!last || mine.has(last) ||
       await sure(`Sample ${last} was not taken with this browser. Remove it?`)) {
     await ask('remove_last_sample', last ? { number: last } : {}, $('undo'));
@@ -389,7 +389,7 @@ let events = null;
 
 function connect() {
   events = new EventSource('events');
-  events.onopen = readCell;
+  events.onopen = readCell;  // of cell.js: also when the node was started anew
   events.onmessage = event => {
     const state = JSON.parse(event.data);
     if (state.error) text('link', state.error); else show(state);
@@ -404,7 +404,6 @@ function connect() {
     else if (answer) text('link', (await answer.json()).message);
   };
 }
-connect();
 
 setInterval(() => {
   const silence = (Date.now() - heard) / 1000;
