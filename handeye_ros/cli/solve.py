@@ -123,7 +123,6 @@ def compare(
 
     from handeye_ros.output import write_whole
     from handeye_ros.published import compare as comparing
-    from handeye_ros.published import table
     from handeye_ros.results.truth_file import true_transform
     import yaml
     method, T_true = _file_method(path, settings), true_transform(path)
@@ -139,11 +138,11 @@ def compare(
             comparison = comparing.compare(session.samples, session.rejects, settings, T_true,
                                            progress=update)
     if comparison.answered:
-        show(table.ComparisonTable(comparison))
+        show(comparing.tables(comparison))
     if comparison.refusal:
         raise comparison.refusal
     if out:
-        write_whole(out, yaml.safe_dump(table.values(comparison), sort_keys=False))
+        write_whole(out, yaml.safe_dump(comparing.values(comparison), sort_keys=False))
 
 
 @app.command()

@@ -59,19 +59,11 @@ class Result:
     costs: Array
 
 
-def pair_sum(p: Array, q: Array) -> float:
-    """
-    Return the sum over all unordered pairs of pairs of (v_p . v_q)^2 by brute force, O(N^4).
-
-    p: (n, 3), q: (m, 3), metres, of the two edges in one frame. Kept for the comparison.
-    """
-    v_p, v_q = (x[i] - x[j] for x in (p, q) for i, j in [np.triu_indices(len(x), 1)])
-    return float(np.sum((v_p @ v_q.T) ** 2))
-
-
 def scatter_sum(p: Array, q: Array) -> float:
     """
-    Return the same as `pair_sum` from the two scatter matrices, O(N).
+    Return the sum over all unordered pairs of pairs of (v_p . v_q)^2, in O(N).
+
+    p: (n, 3), q: (m, 3), metres, of the two edges in one frame.
 
     With S = sum (x - mean)(x - mean)', the sum of v v' over unordered pairs is N S, so the sum
     of squares is n m trace(S_p S_q). Over ordered pairs, as eq. 7 runs, it is four times that.

@@ -5,7 +5,6 @@ Transactions of the China Welding Institution 39(8), 108-113. Points of one stra
 from many poses, lie on one line of the base frame. Fifteen parameters: r2, r3 and t of the
 hand-eye matrix, a point c and the direction d of the line; penalty function with a dynamic
 factor; modified Powell with 0.618 line search. The sensor plane is x = 0, points are (y, z).
-The sensor's own model and the profile filter are in `zheng2018_features`.
 
 What is lost or wrong in print, and what is done here:
 
@@ -28,6 +27,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import TooFewError
 import numpy as np
+from scipy.ndimage import median_filter
 
 MINIMUM = 5
 """Fewest points: two equations each for ten unknowns (four of them the line's)."""
@@ -212,3 +212,102 @@ def _bracket(line: Sequence[float], step: float) -> tuple[float, float]:
             break
         behind, step = step, 2 * step
     return min(behind, 2 * step), max(behind, 2 * step)
+
+
+# The sensor and its profile filter.
+
+NEIGHBOURS = 4
+FEWEST = 2 * NEIGHBOURS + 1
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """
+    The sensor's parameters, metres.
+
+    L: lens to light plane; H: from the foot of L to the origin; f: focal length (lens to image
+    plane); pitch: of the pixels, along x_i and y_i; centre: the pixel on the optical axis.
+    """
+
+    L: float
+    H: float
+    f: float
+    pitch: tuple[float, float] = (1.0, 1.0)
+    centre: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def from_tilt(cls, theta: float, distance: float, f: float,
+                  pitch: tuple[float, float] = (1.0, 1.0),
+                  centre: tuple[float, float] = (0.0, 0.0)) -> Sensor:
+        """Return a sensor from its tilt (radians) and the distance from lens to origin."""
+        return cls(distance * np.sin(theta), distance * np.cos(theta), f, pitch, centre)
+
+    @property
+    def theta(self) -> float:
+        """The angle (radians) between the optical axis and the light plane."""
+        return float(np.arctan2(self.L, self.H))
+
+    @property
+    def T_camera_sensor(self) -> Array:
+        """The (4, 4) transform of eqs. 1 and 2: shift O_l, half a turn about x, -theta about y."""
+        shift = se3.transform(np.eye(3), np.array([self.L, 0.0, -self.H]))
+        half_turn = np.diag([1.0, -1.0, -1.0])
+        tilt = se3.exp_rotation(np.array([0.0, -self.theta, 0.0]))
+        return np.asarray(se3.transform(tilt @ half_turn, np.zeros(3)) @ shift)
+
+
+def to_plane(pixels: Array, sensor: Sensor) -> Array:
+    """
+    Return (n, 2) y and z in the sensor plane (metres) of (n, 2) pixels along x_i and y_i.
+
+    A pixel on or beyond the image of the light plane's horizon gives NaN: nothing of the plane
+    in front of the camera is seen there.
+    """
+    x, y = ((pixels - sensor.centre) * sensor.pitch).T
+    D = np.hypot(sensor.L, sensor.H)
+    scale = sensor.f * sensor.L - sensor.H * x
+    scale = np.where(scale > 0.0, scale, np.nan)
+    return np.column_stack([sensor.L * D * y / scale, -D ** 2 * x / scale])
+
+
+def to_pixels(points: Array, sensor: Sensor) -> Array:
+    """
+    Return (n, 2) pixels of (n, 2) points y and z of the sensor plane (metres).
+
+    A point behind the camera gives NaN.
+    """
+    y, z = points.T
+    depth = np.hypot(sensor.L, sensor.H) - z * np.cos(sensor.theta)
+    depth = np.where(depth > 0.0, depth, np.nan)
+    image = sensor.f * np.column_stack([-z * np.sin(sensor.theta), y]) / depth[:, None]
+    return np.asarray(image / sensor.pitch + sensor.centre)
+
+
+def derivatives(z: Array) -> tuple[Array, Array]:
+    """Return slope and second derivative (n,) of a range (n,) by sample; NaN in the border."""
+    slope, second = np.full((2, len(z)), np.nan)
+    middle = slice(NEIGHBOURS, len(z) - NEIGHBOURS)
+    slope[middle] = second[middle] = 0.0
+    for j in range(1, NEIGHBOURS + 1):
+        ahead = z[NEIGHBOURS + j:len(z) - NEIGHBOURS + j]
+        behind = z[NEIGHBOURS - j:len(z) - NEIGHBOURS - j]
+        slope[middle] += (ahead - behind) / 20.0
+        second[middle] += (ahead + behind - 2.0 * z[middle]) / 30.0
+    return slope, second
+
+
+def edge_point(points: Array, width: int = 5, range_sign: int = 1) -> Array:
+    """
+    Return the feature point (2,) of a profile (n, 2): the plate's last point at the step.
+
+    points: along the line and range (metres), rows with NaN are left out; width: of the
+    median filter (samples); range_sign: -1 when the range grows towards the sensor.
+    Raises TooFewError. A profile without a step has an extremum too: the paper takes it.
+    """
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < FEWEST:
+        raise TooFewError('the profile filter of Zheng 2018', FEWEST, 'points', len(points))
+    z = median_filter(points[:, 1], size=width, mode='nearest')
+    _, second = derivatives(range_sign * z)
+    i = int(np.nanargmax(second))
+    return np.array([points[i, 0], z[i]])

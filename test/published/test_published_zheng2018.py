@@ -4,7 +4,7 @@ from __future__ import annotations
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import TooFewError
-from handeye_ros.published import zheng2018, zheng2018_features
+from handeye_ros.published import zheng2018
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -84,7 +84,7 @@ def test_too_few_points_are_refused() -> None:
         zheng2018.solve(poses, points, np.eye(4))
 
 
-SENSOR = zheng2018_features.Sensor.from_tilt(np.deg2rad(25), 0.21, 0.016, (5e-6, 6e-6), (640, 500))
+SENSOR = zheng2018.Sensor.from_tilt(np.deg2rad(25), 0.21, 0.016, (5e-6, 6e-6), (640, 500))
 
 
 def test_sensor_projects_as_its_camera_does() -> None:
@@ -92,8 +92,8 @@ def test_sensor_projects_as_its_camera_does() -> None:
     in_camera = se3.apply(SENSOR.T_camera_sensor, np.insert(points, 0, 0.0, axis=1))
     image = -SENSOR.f * in_camera[:, :2] / in_camera[:, 2:]
     pixels = image / SENSOR.pitch + SENSOR.centre
-    np.testing.assert_allclose(zheng2018_features.to_pixels(points, SENSOR), pixels, rtol=1e-12)
-    np.testing.assert_allclose(zheng2018_features.to_plane(pixels, SENSOR), points, atol=1e-15)
+    np.testing.assert_allclose(zheng2018.to_pixels(points, SENSOR), pixels, rtol=1e-12)
+    np.testing.assert_allclose(zheng2018.to_plane(pixels, SENSOR), points, atol=1e-15)
     axis = np.array([[0.0, 0.0, np.hypot(SENSOR.L, SENSOR.H)]])
     np.testing.assert_allclose(se3.apply(SENSOR.T_camera_sensor, np.zeros((1, 3))), axis,
                                atol=1e-15)
@@ -102,21 +102,21 @@ def test_sensor_projects_as_its_camera_does() -> None:
 
 @given(st.floats(-0.05, 0.05), st.floats(-0.1, 0.1), st.floats(10, 80), st.floats(0.15, 0.5))
 def test_sensor_inverse(y: float, z: float, tilt: float, distance: float) -> None:
-    sensor = zheng2018_features.Sensor.from_tilt(np.deg2rad(tilt), distance, 0.012, (5e-6, 5e-6))
+    sensor = zheng2018.Sensor.from_tilt(np.deg2rad(tilt), distance, 0.012, (5e-6, 5e-6))
     point = np.array([[y, z]])
-    back = zheng2018_features.to_plane(zheng2018_features.to_pixels(point, sensor), sensor)
+    back = zheng2018.to_plane(zheng2018.to_pixels(point, sensor), sensor)
     np.testing.assert_allclose(back, point, atol=1e-12)
 
 
 def test_sensor_sees_nothing_beyond_the_horizon() -> None:
     horizon = SENSOR.f * SENSOR.L / SENSOR.H / SENSOR.pitch[0] + SENSOR.centre[0]
-    assert np.isnan(zheng2018_features.to_plane(np.array([[horizon + 1, 0.0]]), SENSOR)).all()
-    assert np.isnan(zheng2018_features.to_pixels(np.array([[0.0, 1.0]]), SENSOR)).all()
+    assert np.isnan(zheng2018.to_plane(np.array([[horizon + 1, 0.0]]), SENSOR)).all()
+    assert np.isnan(zheng2018.to_pixels(np.array([[0.0, 1.0]]), SENSOR)).all()
 
 
 def test_derivatives_of_a_line_and_a_parabola() -> None:
     i = np.arange(30.0)
-    slope, second = zheng2018_features.derivatives(3.0 * i + i ** 2 / 2)
+    slope, second = zheng2018.derivatives(3.0 * i + i ** 2 / 2)
     np.testing.assert_allclose(slope[4:-4], 3.0 + i[4:-4])
     np.testing.assert_allclose(second[4:-4], 1.0)
     assert np.isnan(np.concatenate([slope[:4], second[-4:]])).all()
@@ -134,7 +134,7 @@ def test_edge_point_is_the_plates_last_point(side: int, range_sign: int) -> None
     spikes = rng.choice(np.flatnonzero(np.abs(y - 0.0072) > 0.002), 20, replace=False)
     z[spikes[:10]] += 0.02
     z[spikes[10:]] = np.nan
-    found = zheng2018_features.edge_point(np.column_stack([y, z]), range_sign=range_sign)
+    found = zheng2018.edge_point(np.column_stack([y, z]), range_sign=range_sign)
     assert found[0] == y[last]
     assert found[1] == pytest.approx(z[last], abs=1e-4)
 
@@ -143,4 +143,4 @@ def test_edge_point_needs_nine_points() -> None:
     points = np.full((40, 2), np.nan)
     points[:8] = 0.1
     with pytest.raises(TooFewError, match='at least 9 points, got 8'):
-        zheng2018_features.edge_point(points)
+        zheng2018.edge_point(points)
