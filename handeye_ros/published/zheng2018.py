@@ -17,6 +17,15 @@ What is lost or wrong in print, and what is done here:
   0.5 Max (f0 - f2)^2 and f2 < f0 are used.
 - the start is not said. It is the mounting's nominal transform, and the line fitted to the
   points it gives; 20 mm and 10 degrees off still converge.
+- the profile filter (section 1.3): a median filter, the slope from differences widened to +-4
+  neighbours, and the extremum of the second derivative, likewise widened, as the feature point.
+  Its formulas are lost, the text names the neighbours i +- 1 to i +- 4; used are the differences
+  summed over them, both exact on parabolas:
+
+    slope_i = sum (z_{i+j} - z_{i-j}) / 20,    second_i = sum (z_{i+j} + z_{i-j} - 2 z_i) / 30.
+
+- the paper picks among the extrema by how the plate lies to the sensor. The plate is the nearer
+  side, so its last point is where the range turns up most: the maximum.
 """
 from __future__ import annotations
 
