@@ -32,28 +32,6 @@ def xyz(cloud):
     return np.stack([cloud[axis] for axis in 'xyz'], axis=1).astype(float)
 
 
-def test_points_of_a_moving_sensor_lie_where_they_were_seen():
-    scanner = Scanner(calibration(), Config())
-    cloud = xyz(scanned(scanner, plane_profiles(200), moving(200)))
-    assert len(cloud) == scanner.count.points == 200 * 50
-    np.testing.assert_allclose(cloud[:, 2], 0.1, atol=2e-7)  # single precision
-
-
-def test_the_time_offset_is_added_to_the_stamps():
-    early = [replace(p, stamp=p.stamp - 20 * STEP) for p in plane_profiles(200)]
-    scanner = Scanner(calibration(), Config(time_offset=0.020))
-    np.testing.assert_allclose(xyz(scanned(scanner, early, moving(200)))[:, 2], 0.1, atol=2e-7)
-
-
-def test_a_rotation_that_is_reported_late_is_allowed_for_as_calibrated():
-    there, before = moving(200), moving(200)[:-4]
-    late = [replace(p, quaternion=q.quaternion) for p, q in zip(there[4:], before, strict=True)]
-    scanner = Scanner(replace(calibration(), target={'rotation_lag': 0.020}), Config())
-    cloud = xyz(scanned(scanner, plane_profiles(180)[30:], late))
-    assert len(cloud) == 150 * 50
-    np.testing.assert_allclose(cloud[:, 2], 0.1, atol=2e-7)
-
-
 def test_profiles_without_a_pose_on_both_sides_are_dropped_and_counted():
     poses = moving(200)
     poses = [p for p in poses if not 50 * STEP < p.stamp - T0 < 100 * STEP]
@@ -74,30 +52,34 @@ def test_a_scan_without_any_pose_is_refused():
         scanner.require_points()
 
 
-def test_a_pose_with_a_wrong_stamp_spoils_nothing():
-    stray = TimedPose(T0 + 10**15, np.zeros(3), np.array([0.0, 0, 0, 1]))
-    poses = moving(200)
-    scanner = Scanner(calibration(), Config())
-    cloud = xyz(scanned(scanner, plane_profiles(200), [*poses[:10], stray, *poses[10:]]))
-    np.testing.assert_allclose(cloud[:, 2], 0.1, atol=2e-7)
-    assert len(cloud) == 200 * 50
+@pytest.mark.parametrize('case', ['plain', 'time offset', 'rotation lag', 'stray pose'])
+def test_points_of_a_moving_sensor_lie_where_they_were_seen(case):
+    """The plane z = 0.1; with stamps that are early, rotations reported late, a wrong stamp."""
+    profiles, poses, known = plane_profiles(200), moving(200), calibration()
+    if case == 'time offset':
+        profiles = [replace(p, stamp=p.stamp - 20 * STEP) for p in profiles]
+    if case == 'rotation lag':
+        poses = [replace(p, quaternion=q.quaternion)
+                 for p, q in zip(poses[4:], poses[:-4], strict=True)]
+        profiles, known = profiles[30:180], replace(known, target={'rotation_lag': 0.020})
+    if case == 'stray pose':
+        poses.insert(10, TimedPose(T0 + 10**15, np.zeros(3), np.array([0.0, 0, 0, 1])))
+    scanner = Scanner(known, Config(time_offset=0.020 if case == 'time offset' else 0.0))
+    cloud = xyz(scanned(scanner, profiles, poses))
+    assert len(cloud) == scanner.count.points == len(profiles) * 50
+    np.testing.assert_allclose(cloud[:, 2], 0.1, atol=2e-7)  # single precision
 
 
-def test_with_eye_on_base_the_points_are_in_the_flange():
-    config = replace(Config(), calibration_type='eye_on_base')
-    scanner = Scanner(calibration(), config)
-    x = np.array([[0.01, 0.17]])
-    cloud = scanned(scanner, [Profile(T0 + 7 * STEP, 'laser', x)], moving(200))
-    expected = se3.inverse(true_flange(7.0)) @ calibration().T_flange_sensor @ [0.01, 0, 0.17, 1]
-    np.testing.assert_allclose(xyz(cloud)[0], expected[:3], atol=1e-7)
-    assert scanner.frame == 'flange'
-
-
-def test_axes_of_the_driver_are_followed():
-    profile = Profile(T0 + 7 * STEP, 'laser', np.array([[0.01, 0.17]]), axes=('-y', 'z'))
-    cloud = scanned(Scanner(calibration(), Config()), [profile], moving(200))
-    expected = true_flange(7.0) @ calibration().T_flange_sensor @ [0, -0.01, 0.17, 1]
-    np.testing.assert_allclose(xyz(cloud)[0], expected[:3], atol=1e-7)
+def test_eye_on_base_and_the_axes_of_the_driver_are_followed():
+    X, T = calibration().T_flange_sensor, true_flange(7.0)
+    for values, axes, mount, point in (
+            ({'calibration_type': 'eye_on_base'}, ('x', 'z'), se3.inverse(T), [0.01, 0, 0.17, 1]),
+            ({}, ('-y', 'z'), T, [0, -0.01, 0.17, 1])):
+        scanner = Scanner(calibration(), Config(**values))
+        profile = Profile(T0 + 7 * STEP, 'laser', np.array([[0.01, 0.17]]), axes=axes)
+        cloud = xyz(scanned(scanner, [profile], moving(200)))
+        np.testing.assert_allclose(cloud[0], (mount @ X @ point)[:3], atol=1e-7)
+        assert scanner.frame == ('flange' if values else 'base')
 
 
 def test_limits_of_range_and_incidence():
