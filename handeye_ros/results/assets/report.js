@@ -5,13 +5,15 @@
   const canvas = document.getElementById('scene');
   const all = parts.flatMap(part => part.line || part.points);
   const low = [0, 1, 2].map(k => all.reduce((least, p) => Math.min(least, p[k]), Infinity));
-  const AXES = [['x', '#c62828'], ['y', '#2e7d32'], ['z', '#1565c0']];
+  const axes = [['x', '#c62828'], ['y', '#2e7d32'], ['z', '#1565c0']].map(([name, color], k) =>
+    ({ name, color, tip: low.map((v, i) => v + (i === k ? 0.05 : 0)) }));
+  const seen = [...all, low, ...axes.map(({ tip }) => tip)];
 
   function draw() {
     const { pen, width, height } = board(canvas);
     pen.fillStyle = '#fff';
     pen.fillRect(0, 0, width, height);
-    const drawing = new Drawing(pen, camera(all, width, height), width, height);
+    const drawing = new Drawing(pen, camera(seen, width, height), width, height);
     for (const { line, points, color, width: size } of parts) {
       if (line) drawing.line(line, color, size);
       else for (const point of points) {
@@ -21,11 +23,10 @@
         });
       }
     }
-    AXES.forEach(([name, color], k) => {
-      const tip = low.map((v, i) => v + (i === k ? 0.05 : 0));
+    for (const { name, color, tip } of axes) {
       drawing.line([low, tip], color, 2);
       drawing.words(tip, name, color);
-    });
+    }
     drawing.finish();
   }
 
