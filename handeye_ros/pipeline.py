@@ -17,6 +17,7 @@ from handeye_ros.checks.review import stop_snapshots
 from handeye_ros.checks.settings import require_same_clock, require_settings
 from handeye_ros.checks.shape import (
     believable_shape,
+    believable_size,
     notes_of,
     offset_notes,
     reported_blocks,
@@ -194,7 +195,7 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     rng = np.random.default_rng(SEED)
     agreed = believable_shape(problem, Consensus.of(problem, rng, True, start), rng)
     require_agreement(problem, agreed, flipped(ordered, problem))
-    agreed = agreed.refined()
+    agreed = believable_size(agreed.refined())
     require_one_scale(agreed)
     return agreed
 

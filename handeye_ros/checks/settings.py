@@ -72,6 +72,9 @@ def require_settings(session: Session, config: Config) -> None:
             to = ' and '.join(f'{key} to {value}' for key, value in values.items())
             if values == {'target.type': 'plane'}:
                 to += '; or, if the target has edges, cross them inside the field of view'
+            if values == {'target.radius': '0'}:
+                radius = float(fit.solution.estimate.target[-1])
+                to = f'target.radius to {radius:.4f}, which these stops show, or to 0 (unknown)'
             named = ' and '.join(f'{key} {value}' for key, value in values.items())
             best, most = f'{fit.compared(stated, named)}: set {to}', gain
     if best:
@@ -87,6 +90,8 @@ def _changes(config: Config) -> Iterator[dict[str, str]]:
     kind = {'eye_on_base': 'eye_in_hand', 'eye_in_hand': 'eye_on_base'}[config.calibration_type]
     axes = [{'profile.axes': f'[{a}, {b}]'} for a, b in permutations('xyz', 2)
             if (a, b) != tuple(profile.axes)]
+    if config.target.radius:
+        yield {'target.radius': '0'}
     yield from (sign, {'profile.unit': unit}, *kinds, *axes, {'calibration_type': kind})
     yield from (change | sign for change in (*kinds, *axes))
 

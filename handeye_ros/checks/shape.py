@@ -26,6 +26,8 @@ import numpy as np
 from scipy.special import fdtrc
 
 CONTRADICTION, NOTED_CONTRADICTION = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
+FREED_SIZE = 3e-3  # m: 1 sigma of a length of the plate that is stated wrongly
+FREED_FROM = 2.5  # sigmas: an estimated length is used; it costs little where the stated is right
 SMALLEST_BEND = 3e-5  # m, told
 SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
@@ -68,6 +70,25 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
     return other if complete or fit.evidence_against(stated_fit) > VERY_STRONG else agreed
 
 
+def believable_size(agreed: Consensus) -> Consensus:
+    """
+    Return the refined consensus with the lengths of a plate estimated, if the stated are wrong.
+
+    Otherwise the scale of the robot, which is stated less exactly, stands for a wrong length.
+    """
+    config, problem = agreed.whole.config, agreed.solution.problem
+    stated = config.target.size_std
+    if not config.target.size or stated >= FREED_SIZE:
+        return agreed
+    free = replace(config, target=replace(config.target, size_std=FREED_SIZE))
+    other = replace(agreed, whole=replace(agreed.whole, config=free), solution=replace(
+        agreed.solution, problem=replace(problem, config=free))).refined()
+    wrong = any(abs(value) > max(FREED_FROM * std, 2 * stated)
+                for block, value, std, _ in single_parameters(other.solution)
+                if block.name in ('size_p', 'size_q'))
+    return other if wrong else agreed
+
+
 def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
     """Yield the measures of the target that contradict the configuration."""
     stated = replace(solution.problem, config=config).tolerances
@@ -76,9 +97,14 @@ def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
     used = {block.name: value for block, value, _, _ in single_parameters(
         replace(solution, conservative=None))}
     for block, _, std, z in single_parameters(solution):
-        if block.parameter is not None and abs(z) > NOTED_CONTRADICTION:
+        if block.parameter is None:
+            continue
+        freed = solution.problem.tolerances[block.parameter] > stated[block.parameter]
+        if freed or abs(z) > NOTED_CONTRADICTION:
             estimated = float(target[block.parameter - len(labels)])
-            yield Shape(block.name, estimated - used[block.name], estimated, std)
+            first = min(config.target.size, key=lambda size: abs(size - estimated)) if (
+                freed) else estimated - used[block.name]
+            yield Shape(block.name, first, estimated, std)
     given_up = method.geometry.free(solution.problem.config) & ~method.geometry.free(config)
     for i in np.flatnonzero(given_up).tolist():  # to make the stations agree
         first, std = float(method.measures.configured(config)[i]), float(solution.target_std[i])

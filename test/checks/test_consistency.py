@@ -15,7 +15,7 @@ from handeye_ros.checks.errors import (
     TooFewSamplesError,
     TooUncertainError,
 )
-from handeye_ros.data import Array, Reject
+from handeye_ros.data import Array, FaceLine, Reject
 from handeye_ros.errors import DataError
 from handeye_ros.frames import name_direction, other_axes
 from handeye_ros.se3 import worst_translation
@@ -223,3 +223,25 @@ def test_an_answer_that_is_uncertain_by_millimetres_is_refused(seed: int) -> Non
         pipeline.solve(given_way, [], settings_of_a_cell, 'laser')
     known = pipeline.solve(made.samples, [], settings_of_a_cell, 'laser')
     assert made.error(known.T_flange_sensor) < 2e-3
+
+
+@pytest.mark.parametrize('noise', [0.0, 3e-5])
+def test_a_plane_seen_at_one_tilt_only_is_refused(noise: float) -> None:
+    """The way along the range and the plane's offset are an exact gauge, with any azimuths."""
+    made, rng = cell('plane'), np.random.default_rng(0)
+    X, plane = made.truth.T_flange_sensor, made.truth.T_base_target
+    tilt, seen = se3.exp_rotation(np.array([math.radians(150), 0, 0])), []
+    for k, sample in enumerate(made.samples):
+        R = plane[:3, :3] @ se3.exp_rotation(
+            np.array([0, 0, 2 * math.pi * k / len(made.samples)])) @ tilt
+        R = R @ se3.exp_rotation(np.array([0, 0, rng.uniform(-0.4, 0.4)]))
+        away = rng.uniform(0.16, 0.19)
+        at = plane[:3, 3] + plane[:3, :2] @ rng.uniform(-0.05, 0.05, 2) - R[:, 2] * away
+        S = se3.transform(R, at)
+        normal = plane[:3, 2] @ R
+        along = np.array([normal[2], -normal[0]]) / math.hypot(normal[0], normal[2])
+        face = FaceLine(np.array([0, away + rng.normal(0, noise)]), along, 0.01, 1e-6)
+        seen.append(replace(sample, T_base_flange=S @ se3.inverse(X), features=(face,)))
+    with pytest.raises(TooUncertainError, match='tilt') as caught:
+        pipeline.solve(seen, [], made.config, 'laser')
+    assert_names(str(caught.value), X[:3, 2], 'flange', 0.05)

@@ -51,6 +51,12 @@ def test_another_target_is_named(name: str, wrong: str, right: str) -> None:
         solved(name, target__type=wrong)
 
 
+@pytest.mark.parametrize('radius', [0.012, 0.02])
+def test_a_wrong_radius_is_named_with_the_right_one(radius: float) -> None:
+    with pytest.raises(WrongSettingError, match='set target.radius to 0.040'):
+        solved('sphere', target__radius=radius)
+
+
 def test_two_wrong_settings_are_named_together() -> None:
     with pytest.raises(WrongSettingError,
                        match='set target.type to plate and profile.range_sign to 1$'):

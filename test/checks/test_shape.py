@@ -59,6 +59,17 @@ def test_a_plate_of_another_size_is_reported(off: float, seed: int) -> None:
     assert re.search(r' (200\.0|199\.9)', found.target['note']) and error < 1.5e-4
 
 
+@pytest.mark.parametrize('off', [0.3e-3, 1e-3])
+@pytest.mark.parametrize('seed', [0, 1, 4])
+def test_lengths_that_are_both_wrong_are_not_taken_for_a_scale(off: float, seed: int) -> None:
+    length, width = SCENARIOS['plate'].target.size
+    found, error = solved(replace(SCENARIOS['plate'], wrong_edges=6), seed,
+                          target__size=[length + off, width + off])
+    for stated in (length + off, width + off):
+        assert f'not the configured {stated * 1e3:.3f}: the answer uses' in found.target['note']
+    assert error < 1e-4
+
+
 def test_a_size_given_the_other_way_round_is_the_same_plate() -> None:
     length, width = SCENARIOS['plate'].target.size
     for size in ([length, width], [width, length]):
