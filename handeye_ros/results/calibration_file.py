@@ -12,8 +12,8 @@ from typing import Any
 from handeye_ros import __version__, se3
 from handeye_ros.config import yaml_content
 from handeye_ros.data import Array, Calibration, Quality, SampleReport, TimeOffset
+from handeye_ros.errors import InputError
 from handeye_ros.output import write_whole
-from handeye_ros.results.errors import CalibrationFileError
 import numpy as np
 from scipy.spatial.transform import Rotation
 import yaml
@@ -32,13 +32,18 @@ SAME_ROTATION = 1e-5  # rad between rpy and quaternion: written with few digits
 ROUNDING = 1e-12  # of a rotation that goes through a quaternion and back
 
 
+def unusable(path: Path, reason: str) -> InputError:
+    """Return the error for a file that cannot be used."""
+    return InputError(f'{path} cannot be used: {reason}')
+
+
 class Section:
     """A mapping in a file; each value is checked on access."""
 
     def __init__(self, path: Path, prefix: str, values: Any) -> None:
         if not isinstance(values, dict):
             section_name = prefix.rstrip('.') or 'the file'
-            raise CalibrationFileError(path, f'{section_name} is no mapping')
+            raise unusable(path, f'{section_name} is no mapping')
         self.path, self._prefix, self._values = path, prefix, values
 
     def get(self, key: str, kind: type, default: Any = None) -> Any:
@@ -67,9 +72,9 @@ class Section:
         """Return a nested mapping."""
         return Section(self.path, f'{self._prefix}{key}.', self.get(key, dict))
 
-    def error(self, key: str, problem: str) -> CalibrationFileError:
+    def error(self, key: str, problem: str) -> InputError:
         """Return the error for a key."""
-        return CalibrationFileError(self.path, f'{self._prefix}{key} {problem}')
+        return unusable(self.path, f'{self._prefix}{key} {problem}')
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
@@ -148,13 +153,13 @@ def file_of(path: Path) -> Path:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Return the calibration in a file; raises CalibrationFileError."""
+    """Return the calibration in a file; raises InputError."""
     try:
         content = yaml_content(path.read_text(encoding='utf-8'))
     except OSError as error:
-        raise CalibrationFileError(path, error.strerror or str(error)) from error
+        raise unusable(path, error.strerror or str(error)) from error
     except (UnicodeDecodeError, yaml.YAMLError, ValueError) as error:
-        raise CalibrationFileError(path, 'it is not valid YAML') from error
+        raise unusable(path, 'it is not valid YAML') from error
     file = Section(path, '', content)
     _check_format(path, file.get('format', str))
     T = _transform(file.section('transform'))
@@ -186,9 +191,9 @@ def transform_from(path: Path, key: str, values: Any) -> Array:
 def _check_format(path: Path, text: str) -> None:
     number = text.removeprefix(FORMAT)
     if number == text or not number.isdecimal():
-        raise CalibrationFileError(path, f'its format is "{text}", expected {FORMAT}{NEWEST}')
+        raise unusable(path, f'its format is "{text}", expected {FORMAT}{NEWEST}')
     if int(number) > NEWEST:
-        raise CalibrationFileError(path, f'its format {text} is newer than this version of '
+        raise unusable(path, f'its format {text} is newer than this version of '
                                    f'handeye_ros ({__version__}) can read; update the package')
 
 

@@ -9,8 +9,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
-from handeye_ros.results.calibration_file import transform_from
-from handeye_ros.results.errors import CalibrationFileError
+from handeye_ros.results.calibration_file import transform_from, unusable
 import numpy as np
 import yaml
 
@@ -28,7 +27,7 @@ def true_transform(bag: Path) -> Array | None:
     """
     Return the true T_flange_sensor (4, 4) of a bag, None if it is unknown.
 
-    bag: a rosbag2 folder, or a file in one. Raises CalibrationFileError for a damaged truth.yaml.
+    bag: a rosbag2 folder, or a file in one. Raises InputError for a damaged truth.yaml.
 
     """
     path = (bag if bag.is_dir() else bag.parent) / NAME
@@ -38,7 +37,7 @@ def true_transform(bag: Path) -> Array | None:
         content = yaml_content(path.read_text(encoding='utf-8'))
         values = content['T_flange_sensor']
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError) as error:
-        raise CalibrationFileError(path, 'it holds no T_flange_sensor') from error
+        raise unusable(path, 'it holds no T_flange_sensor') from error
     return transform_from(path, 'T_flange_sensor', values)
 
 

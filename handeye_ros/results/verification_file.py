@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros.config import yaml_content
-from handeye_ros.results.errors import VerificationFileError
+from handeye_ros.errors import InputError
 import yaml
 
 FORMAT = 'handeye_ros/verification/1'
@@ -19,6 +19,10 @@ SCATTER = (('mean distance from the fit', 'mean'), ('its standard deviation', 's
 LIMITS = (('tolerance of lengths', 'tolerance', 'm'),
           ('tolerance of angles', 'angle_tolerance', 'rad'),
           ('smallest error of the calibration that would show', 'smallest_error', 'm'))
+
+
+def _no_result(path: Path, reason: str) -> InputError:
+    return InputError(f'{path} is no result of "handeye verify --out": {reason}')
 
 
 @dataclass(frozen=True)
@@ -63,21 +67,21 @@ def rows_of(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]
 
 
 def read(path: Path) -> Verified:
-    """Return the verification of a file; raises VerificationFileError."""
+    """Return the verification of a file; raises InputError."""
     try:
         content = yaml_content(path.read_text(encoding='utf-8'))
         if content['format'] != FORMAT:
-            raise VerificationFileError(path, f'its format is {content["format"]}, not {FORMAT}')
+            raise _no_result(path, f'its format is {content["format"]}, not {FORMAT}')
         return Verified(title_of(content), look_of(content['verdict']),
                         tuple(map(str, content['reasons'])), tuple(rows_of(content)))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise VerificationFileError(path, str(error).splitlines()[0]) from error
+        raise _no_result(path, str(error).splitlines()[0]) from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise VerificationFileError(path, 'it is not the result of a verification') from error
+        raise _no_result(path, 'it is not the result of a verification') from error
 
 
 def content_of(path: Path) -> dict[str, Any] | None:
-    """Return the content of a verification's file, None for others; VerificationFileError."""
+    """Return the content of a verification's file, None for others; raises InputError."""
     try:
         content = yaml_content(path.read_text(encoding='utf-8'))
     except (OSError, UnicodeDecodeError, yaml.YAMLError):
@@ -85,5 +89,5 @@ def content_of(path: Path) -> dict[str, Any] | None:
     if not isinstance(content, dict) or content.get('format') != FORMAT:
         return None
     if 'record' not in content:
-        raise VerificationFileError(path, 'it is of an earlier version: verify again')
+        raise _no_result(path, 'it is of an earlier version: verify again')
     return content

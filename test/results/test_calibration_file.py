@@ -6,9 +6,8 @@ import math
 
 from handeye_ros import se3
 from handeye_ros.data import Calibration, Quality, SampleReport
-from handeye_ros.errors import UnwritableError
+from handeye_ros.errors import InputError, UnwritableError
 from handeye_ros.results import calibration_file, table, truth_file
-from handeye_ros.results.errors import CalibrationFileError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -131,7 +130,7 @@ def test_damage_is_named(path, keys, damage):
     else:
         section[keys[-1]] = None if keys[-1] == 'name' else object_of_wrong_type(section[keys[-1]])
     path.write_text(yaml.safe_dump(content))
-    with pytest.raises(CalibrationFileError) as caught:
+    with pytest.raises(InputError) as caught:
         calibration_file.read_calibration(path)
     assert '.'.join(keys) in str(caught.value) or keys[-1] == 'format'
     assert str(path) in str(caught.value)
@@ -156,7 +155,7 @@ def test_damaged_values(path, old, new, reason):
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    with pytest.raises(CalibrationFileError, match=reason):
+    with pytest.raises(InputError, match=reason):
         calibration_file.read_calibration(path)
 
 
@@ -165,12 +164,12 @@ def test_damaged_values(path, old, new, reason):
 def test_any_bytes_are_refused(tmp_path_factory, junk):
     path = tmp_path_factory.mktemp('junk') / 'calibration.yaml'
     path.write_bytes(junk)
-    with pytest.raises(CalibrationFileError):
+    with pytest.raises(InputError):
         calibration_file.read_calibration(path)
 
 
 def test_no_such_file(path):
-    with pytest.raises(CalibrationFileError, match='No such file'):
+    with pytest.raises(InputError, match='No such file'):
         calibration_file.read_calibration(path)
 
 
@@ -251,5 +250,5 @@ def test_angles_edited_beside_the_quaternion_are_refused(path):
     values = content_of(CALIBRATION, path)
     values['rpy'][2] += 0.01  # the last turn: the difference is as large
     path.write_text(yaml.safe_dump(values))
-    with pytest.raises(CalibrationFileError, match=r'rpy and transform.rotation differ by 0\.573'):
+    with pytest.raises(InputError, match=r'rpy and transform.rotation differ by 0\.573'):
         calibration_file.read_calibration(path)

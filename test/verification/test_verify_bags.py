@@ -11,9 +11,9 @@ from handeye_ros.bags import bag_write
 from handeye_ros.cli import command
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Calibration, Quality
+from handeye_ros.errors import InputError
 from handeye_ros.results import verification_file
 from handeye_ros.results.calibration_file import write_calibration
-from handeye_ros.results.errors import VerificationFileError
 from handeye_ros.simulate import simulate
 from handeye_ros.simulate.measuring import measuring_cell
 from handeye_ros.simulate.scenarios import SCENARIOS
@@ -98,7 +98,7 @@ def test_the_report_shows_verifications(tmp_path: Path) -> None:
     for text in ('format: handeye_ros/calibration/1', f'format: {verification_file.FORMAT}',
                  '[1]', '{'):
         (tmp_path / 'told.yaml').write_text(text)
-        with pytest.raises(VerificationFileError):
+        with pytest.raises(InputError):
             verification_file.read(tmp_path / 'told.yaml')
 
 
