@@ -5,23 +5,20 @@ A profile is (n, 2): along the laser line, range; NaN where there was no return.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 import math
-from typing import NamedTuple
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array
 from handeye_ros.errors import FeatureError, mm
 from handeye_ros.profiles.circles import (
     arc_points,
-    candidates,
     FEWEST_FITTED,
     fit_circle,
     REFIT_WIDTHS,
 )
 from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
+from handeye_ros.profiles.search import circles_among
 from handeye_ros.profiles.segment import MOST_NOISE, noise_level, returned, without_clutter
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +39,6 @@ LEAST_SAGITTA = 2.5  # smallest sagitta of an arc, in tolerances: less may be a 
 SMALLEST_ANGLE = 0.5  # smallest angle of an arc that determines its circle (rad)
 ROUNDER = 2.0  # smallest ratio of the squares of two lines to those of the circle
 LINE_POINTS = 4  # fewest points of each line
-MOST_AWAY = 3.0  # largest distance of normal points from a similar arc, in sigmas of a point
 JUDGED_POINTS = 128  # points of an arc, at most, that the corner test uses
 TINY = 1e-30  # (m^2)
 
@@ -54,68 +50,22 @@ def arc_features(points: Array, config: Config) -> tuple[Arc]:
     points: (n, 2) in the sensor plane, NaN where there was no return.
     Raises FeatureError when there is none.
     """
-    return (_searched(points, config)[0],)
+    return (_searched(points, config),)
 
 
-def arcs_of_each(profiles: Sequence[Array], config: Config) -> list[tuple[Arc] | FeatureError]:
-    """
-    Return for each profile of a stop the result of arc_features, or its error.
-
-    All show nearly the same arc, so the first one found is looked for in the others first.
-    """
-    found: list[tuple[Arc] | FeatureError] = []
-    first: _Seen | None = None
-    for points in profiles:
-        try:
-            seen = first and _alike(points, first, config)
-            seen = seen or _searched(points, config)
-            found.append((seen.arc,))
-            first = first or seen
-        except FeatureError as error:
-            found.append(error)
-    return found
-
-
-class _Seen(NamedTuple):
-    """An arc and the noise of its points, 1 sigma."""
-
-    arc: Arc
-    noise: float
-
-
-def _returns(points: Array, config: Config) -> tuple[Array, float]:
-    """Return the returns of a profile without clutter (k, 2), and their noise, 1 sigma."""
+def _searched(points: Array, config: Config) -> Arc:
+    """Return the arc of a profile; raises FeatureError with the reason for the best circle."""
     valid = points.take(without_clutter(returned(points), points, config.noise.sensor), axis=0)
     if len(valid) < config.sampling.min_points:
         raise FeatureError(f'fewer than {config.sampling.min_points} returns in the profile')
     # speckle that is correlated over some columns does not show in the noise level
     noise = noise_level(valid[:, 1], config.noise.sensor)
-    return valid, max(noise, config.noise.sensor / 2)
-
-
-def _alike(points: Array, known: _Seen, config: Config) -> _Seen | None:
-    """Return the arc of a profile if it is close to that of another one, else None."""
-    valid, noise = _returns(points, config)
-    noise, arc = max(noise, known.noise), known.arc
-    used = arc_points(valid, np.append(arc.centre, arc.radius), TOLERANCE_SIGMAS * noise,
-                      REFIT_WIDTHS)
-    with suppress(FeatureError):
-        one = _arc(valid, used, noise, config)
-        away = np.linalg.norm(one.points - arc.centre, axis=1) - arc.radius
-        # a part of an arc that has moved would be near enough
-        if np.abs(away).max() < MOST_AWAY * noise:
-            return _Seen(one, noise)
-    return None
-
-
-def _searched(points: Array, config: Config) -> _Seen:
-    """Return the arc of a profile; raises FeatureError with the reason for the best circle."""
-    valid, noise = _returns(points, config)
+    noise = max(noise, config.noise.sensor / 2)
     radius, reason = config.target.radius, ''
     limits = (SMALLEST_RADIUS, LARGEST_RADIUS)
     if radius > 0:
         limits = SMALLEST_SHARE * radius, (LARGEST_SHARE + 0.1) * radius
-    for circle in candidates(valid, *limits, TOLERANCE_SIGMAS * noise):
+    for circle in circles_among(valid, *limits, TOLERANCE_SIGMAS * noise):
         used = arc_points(valid, circle, TOLERANCE_SIGMAS * noise)
         try:
             return _rescaled(valid, used, noise, config)
@@ -136,9 +86,9 @@ def _shows_another(points: Array, config: Config) -> bool:
     return True
 
 
-def _rescaled(points: Array, used: NDArray[np.bool_], noise: float, config: Config) -> _Seen:
+def _rescaled(points: Array, used: NDArray[np.bool_], noise: float, config: Config) -> Arc:
     """
-    Return the arc of some points, with the noise of all points between its ends.
+    Return the arc of some points, for the noise of all points between its ends.
 
     noise_level does not see noise that is correlated over some columns and larger than configured.
     Then only the part of an arc that happens to lie near the circle would be found.
@@ -157,7 +107,7 @@ def _rescaled(points: Array, used: NDArray[np.bool_], noise: float, config: Conf
             break
         noise = scale
         used = arc_points(points, circle, TOLERANCE_SIGMAS * noise, REFIT_WIDTHS)
-    return _Seen(_arc(points, used, noise, config), noise)
+    return _arc(points, used, noise, config)
 
 
 def _arc(points: Array, inliers: NDArray[np.bool_], noise: float, config: Config) -> Arc:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from itertools import combinations
 import math
 
@@ -25,7 +24,6 @@ from numpy.typing import NDArray
 NORMAL_POINTS = 6
 BLOCKS = 24  # blocks whose scatter gives the variance of the normal points
 FEWEST_POINTS = 4  # of a block
-KEPT = 1000  # numbers of points whose bins are cached
 FEWEST_BLOCKS = 6
 SURELY_MORE = 1.7  # ratio to the variance of white noise that chance seldom exceeds
 MOST_CORNERS, SMALLEST_CORNER = 3, 0.25  # of a profile; of shorter faces, over the best
@@ -40,7 +38,7 @@ def face_line(segment: Segment, points: Array) -> FaceLine:
     """Return the face line of a segment of a profile (n, 2), with its normal points."""
     measured = points.take(segment.straight, axis=0)
     n, length = len(measured), math.hypot(1.0, segment.slope)
-    middle, std = mean_and_std(measured[:, 0])
+    middle, std = float(measured[:, 0].mean()), float(measured[:, 0].std())
     blocks, count = bin_means(measured, BLOCKS if n >= BLOCKS * FEWEST_POINTS else min(
         NORMAL_POINTS, n))
     centre = np.array([middle, segment.height(middle)])
@@ -102,13 +100,6 @@ def _line(centre: Array, slope: float, spread: float, blocks: Array, white: floa
                     normal_points, np.sqrt(variance / size), blocks)
 
 
-def mean_and_std(values: Array) -> tuple[float, float]:
-    """Return the mean and standard deviation of values (n,), faster than numpy."""
-    mean = float(np.add.reduce(values)) / len(values)
-    away = values - mean
-    return mean, math.sqrt(away @ away / len(values))
-
-
 def bin_means(values: Array, bins: int) -> tuple[Array, NDArray[np.intp]]:
     """Return the means (k, ...) of equal bins of values (n, ...), and the bin sizes (k,)."""
     first, count = _bins(len(values), bins)
@@ -116,13 +107,10 @@ def bin_means(values: Array, bins: int) -> tuple[Array, NDArray[np.intp]]:
     return total / (count if values.ndim == 1 else count[:, None]), count
 
 
-@lru_cache(KEPT)
 def _bins(size: int, bins: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first rows of equal bins, and their sizes; read-only."""
+    """Return the first rows of equal bins, and their sizes."""
     first = np.linspace(0, size, bins, endpoint=False).astype(int)
-    count = np.diff(np.append(first, size))
-    count.setflags(write=False)
-    return first, count
+    return first, np.diff(np.append(first, size))
 
 
 def variance_of_bins(blocks: Array, white: float) -> float:

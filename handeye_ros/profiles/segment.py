@@ -13,7 +13,7 @@ import math
 from typing import Any
 
 from handeye_ros.data import Array
-from handeye_ros.profiles.line_search import dominant_line, line_terms, NARROWEST
+from handeye_ros.profiles.search import dominant_line, line_terms, NARROWEST
 import numpy as np
 from numpy.typing import NDArray
 

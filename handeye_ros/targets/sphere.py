@@ -25,7 +25,7 @@ from handeye_ros.estimation.model import (
     Observations,
 )
 from handeye_ros.estimation.search import best_of
-from handeye_ros.profiles.arcs import arc_features, arcs_of_each
+from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.circles import fit_circle
 from handeye_ros.targets.common import collect, ObservationRows, some_of
 import numpy as np
@@ -209,6 +209,6 @@ def describe(target: Array, std: Array) -> dict[str, Any]:
 
 SPHERE = Method(
     'sphere', ('arc',), ('x', 'y', 'z', 'radius'), essential=(), minimum=6, guess=guess,
-    features=FeatureModel(arc_features, observe, arc_points, arcs_of_each),
+    features=FeatureModel(arc_features, observe, arc_points),
     geometry=Geometry(conditions, retract, free),
     measures=Measures(describe, tolerances, configured, relax))

@@ -7,7 +7,7 @@ import warnings
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Array
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.arcs import arc_features, arcs_of_each, NORMAL_POINTS, normal_points
+from handeye_ros.profiles.arcs import arc_features, NORMAL_POINTS, normal_points
 from handeye_ros.profiles.circles import fit_circle
 from handeye_ros.sampling.station_features import combine
 from hypothesis import given
@@ -35,26 +35,6 @@ def wide(height: object, seed: int = 0, noise: float = NOISE) -> Array:
     return points * [2, 1]
 
 
-def assert_each_as_alone(profiles: list[Array], config: Config) -> None:
-    for points, found in zip(profiles, arcs_of_each(profiles, config), strict=True):
-        if isinstance(found, FeatureError):
-            with pytest.raises(FeatureError) as alone:
-                arc_features(points, config)
-            assert str(alone.value) == str(found)
-        else:
-            (one,), (arc,) = arc_features(points, config), found
-            assert np.array_equal(one.raw, arc.raw)
-            assert np.array_equal(one.points, arc.points)
-
-
-@pytest.mark.parametrize('config', [KNOWN, UNKNOWN], ids=['known', 'unknown'])
-def test_many_profiles_at_once_give_what_each_gives_alone(config: Config) -> None:
-    profiles = [wide(lambda x, r=r: ball(x, r), seed)  # type: ignore[misc]
-                for seed, r in enumerate([0.03, 0.012, 0.02, 0.0395] * 9)]
-    profiles[3:3] = [drawn(face), np.empty((0, 2)), np.full((50, 2), np.nan), drawn(roof(0.5))]
-    assert_each_as_alone(profiles, config)
-
-
 @pytest.mark.parametrize('stated', [0.01, 0.02, 0.2])
 def test_a_wrong_radius_is_named_where_an_arc_is_seen(stated: float) -> None:
     config = with_values(UNKNOWN, {'target.radius': stated})
@@ -62,18 +42,6 @@ def test_a_wrong_radius_is_named_where_an_arc_is_seen(stated: float) -> None:
         arc_features(wide(ball), config)
     with pytest.raises(FeatureError, match='no arc of the sphere'):
         arc_features(drawn(face), config)
-
-
-@pytest.mark.parametrize('step', [1e-5, 1e-4, 3e-4, 1e-3])
-def test_where_the_others_show_their_arcs_is_found_though_the_target_moves(step: float) -> None:
-    centres = [CENTRE + step * np.array([k, -k]) for k in range(6)]
-    profiles = [wide(lambda x, c=c: ball(x, 0.03, centre=c), seed)  # type: ignore[misc]
-                for seed, c in enumerate(centres)]
-    for points, found in zip(profiles, arcs_of_each(profiles, KNOWN), strict=True):
-        assert not isinstance(found, FeatureError)
-        (one,), (arc,) = arc_features(points, KNOWN), found
-        assert abs(len(one.raw) - len(arc.raw)) <= 3
-        assert np.abs(one.centre - arc.centre).max() < 2e-6
 
 
 @pytest.mark.parametrize('config', [KNOWN, UNKNOWN], ids=['known', 'unknown'])
@@ -188,17 +156,6 @@ def test_columns_may_run_backwards() -> None:
 def test_what_shows_no_arc_is_refused_with_a_reason(points: Array, reason: str) -> None:
     with pytest.raises(FeatureError, match=reason):
         arc_features(points, KNOWN)
-
-
-@given(any_points(), any_points())
-def test_no_array_changes_what_others_give_at_the_same_time(a: Array, b: Array) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter('error')
-        found = arcs_of_each([a, wide(ball), b, wide(face)], KNOWN)
-    assert not isinstance(found[1], FeatureError)
-    arc, = found[1]
-    assert np.array_equal(arc.raw, arc_features(wide(ball), KNOWN)[0].raw)
-    assert isinstance(found[3], FeatureError)
 
 
 @given(any_points())
