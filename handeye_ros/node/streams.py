@@ -16,8 +16,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Feature, TimedPose
 from handeye_ros.errors import FeatureError, UnusableMessageError
-from handeye_ros.sampling.dwell_detector import silent_poses
-from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.session import Session, silent_poses
 from handeye_ros.sampling.station_features import features_of
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.stream import interpolate

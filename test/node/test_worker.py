@@ -23,7 +23,7 @@ from handeye_ros.node.worker import (
     trim_memory,
     WorkerProcess,
 )
-from handeye_ros.sampling.dwell_detector import silent_poses
+from handeye_ros.sampling.session import silent_poses
 from handeye_ros.sampling.stops import evenly
 import pytest
 
