@@ -13,8 +13,17 @@ import math
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.continuation import continuation, End, MOST_LOST, Returns
-from handeye_ros.profiles.edges import edge_point, end_edge, std_at, wall_edge, WALL_SLOPE
+from handeye_ros.profiles.edges import (
+    continuation,
+    edge_point,
+    End,
+    end_edge,
+    MOST_LOST,
+    Returns,
+    std_at,
+    wall_edge,
+    WALL_SLOPE,
+)
 from handeye_ros.profiles.lines import face_line, on_line, white_std
 from handeye_ros.profiles.segment import returned, Segment, segments_among, straight_segments
 import numpy as np
