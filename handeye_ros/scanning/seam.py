@@ -91,6 +91,9 @@ def find_seam(points: Array, widest: float = WIDEST,
     rims = rims_of(points, tree, sheets, spacing)
     rough = course(rims, points, spacing, widest, up)
     sections = edges(points, tree, sheets, rims, rough, spacing)
+    if start is not None and np.argmin(
+            np.linalg.norm(sections.root[[0, -1]] - start, axis=1)) == 1:
+        sections = sections.reversed()
     line = line if line != 'auto' else 'root' if rough.kind in ('v', 'fillet') else 'centre'
     first, second, root, normals, residuals, std = _smoothed(sections, line)
     spread = float(np.sqrt((residuals ** 2).mean()))
@@ -98,9 +101,6 @@ def find_seam(points: Array, widest: float = WIDEST,
         raise DataError(f'the sections of the seam scatter by {mm(max(sections.noise, spread))}, '
                         f'and the points by {mm(sheets.noise)}: this is not a uniform seam; cut '
                         'it out with --box, or scan more densely')
-    if start is not None and np.argmin(np.linalg.norm(root[[0, -1]] - start, axis=1)) == 1:
-        first, second, root, normals, residuals, std = (
-            v[::-1] for v in (second, first, root, normals, residuals, std))
     lines = {'first': first, 'second': second, 'root': root,
              'centre': wu2017.centre_line(first, second)}
     return Seam(rough.kind, line, first, second, root, normals, residuals,

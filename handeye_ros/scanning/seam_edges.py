@@ -205,10 +205,8 @@ def _require_one(seams: list[Array], spacing: float) -> None:
     if len(seams) < 2:
         return
     count = max(int(4 * LINK), 8)
-    ends = [(p[:count].mean(axis=0) - p[count:2 * count].mean(axis=0), p[0]) for p in seams if
-            len(p) > 2 * count]
-    ends += [(p[-count:].mean(axis=0) - p[-2 * count:-count].mean(axis=0), p[-1]) for p in seams if
-             len(p) > 2 * count]
+    ends = [(p[:count].mean(axis=0) - p[count:2 * count].mean(axis=0), p[0])
+            for seam in seams for p in (seam, seam[::-1]) if len(p) > 2 * count]
     for k, (direction, end) in enumerate(ends):
         for other_direction, other in ends[k + 1:]:
             across = other - end

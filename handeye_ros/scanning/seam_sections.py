@@ -53,6 +53,14 @@ class Edges:
     ends: tuple[float, float]
     resolution: Array
 
+    def reversed(self) -> Edges:
+        """Return the same seam from its other end, where first and second change places."""
+        start, end = self.ends
+        return replace(self, lengths=-self.lengths[::-1], first=self.second[::-1],
+                       second=self.first[::-1], root=self.root[::-1],
+                       normals=self.normals[::-1, ::-1], ends=(-end, -start),
+                       resolution=self.resolution[[1, 0, 2, 3]])
+
 
 @dataclass(frozen=True, eq=False)
 class _Side:

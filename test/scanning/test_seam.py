@@ -141,6 +141,10 @@ def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():
     assert (seam.line, turned.line) == ('root', 'first')
     away = np.linalg.norm(turned.curve.position(turned.curve.first) - seam.second[-1])
     assert away < 2e-4
+    lap = joint_of('lap 5, lean -20').points  # seen from its other end, first and second change
+    second = find_seam(lap, line='second')
+    turned = find_seam(lap, line='first', start=second.curve.position(second.curve.last))
+    np.testing.assert_allclose(turned.std[::-1], second.std, rtol=0.01)
     gap = seam_files.measures(seam, tool_frames(seam, 5e-3))[:, 0]
     assert gap == pytest.approx(2e-3, abs=1.5e-4)
     truth = cloud_of(kind='butt', gap=4e-3, noise=5e-5)
