@@ -23,7 +23,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.published import cn105021139a, jing2020, wu2017
 from handeye_ros.simulate.measured import RADIUS, SENSOR, simulate_tracker
-from handeye_ros.tabulated import hand_eye_estimate, points, tracker_estimate
+from handeye_ros.tabulated import hand_eye_estimate, points
 from handeye_ros.tabulated.sweeps import sweep_from
 import numpy as np
 from paired import errors, grid, print_header, print_nearest, print_table
@@ -128,8 +128,9 @@ def by_tracker(rng: np.random.Generator) -> Trial:
     measured = jing2020.Tracker(**parts, h0=cell.h0, h1=cell.h1)
 
     def answers() -> Answers:
-        yield 'laser tracker', tracker_estimate.solve(measured, sweep).T_flange_sensor
-        yield 'Jing 2020', jing2020.solve(measured, sweep.published).T_flange_sensor
+        swept = (each[:, :3] for each in (sweep.ball, sweep.face_c, sweep.face_d))
+        yield 'Jing 2020', jing2020.solve(
+            measured, jing2020.Sweep(*swept, sweep.q30)).T_flange_sensor
     field = grid((-0.02, 0.0, 0.02), (0.0,), (0.16, 0.175, 0.19))
     return Trial(cell.T_flange_sensor, field, answers())
 

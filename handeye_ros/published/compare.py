@@ -260,8 +260,7 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
         Estimator('CN105021139A', _cn105021139a),
     ),
     'tracker': (
-        Estimator('tracker', _from_files),
-        Estimator('Jing 2020', lambda given: given.data.chain(given.config).T_flange_sensor),
+        Estimator('tracker', lambda given: given.data.chain(given.config).T_flange_sensor),
     ),
 }
 """By target, its own method first."""

@@ -6,8 +6,8 @@ the block, profiles with an arc the ball; all others are ignored.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from handeye_ros import se3
 from handeye_ros.config import Config
@@ -16,8 +16,8 @@ from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
 from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.segment import noise_level, Segment, straight_segments
 from handeye_ros.sampling.stream import interpolate
-from handeye_ros.tabulated.tracker_model import Sweep, SWEPT
 import numpy as np
+from numpy.typing import NDArray
 
 NAME = 'the sweep over ball and block'
 RIDGE_ANGLE = 0.35  # smallest angle between two faces that meet (rad)
@@ -32,6 +32,24 @@ SMALLEST_WAY = 0.02
 FEWEST_PROFILES = 5
 MISSED = 3  # consecutive profiles without two faces that do not end a run of block profiles
 STRAYS = 0.2  # share of the longest run: a shorter run is not of the block
+
+SWEPT = ('ball', 'face_c', 'face_d')
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """
+    Points of the profiles of the sweep, (n, 4) each: x, z in the sensor plane, q3, 1 sigma (m).
+
+    face_c is the face at smaller x. q30: reading of P3 at which the flange frame is taken. stamps:
+    of each point's profile, by the name of the part.
+    """
+
+    ball: Array
+    face_c: Array
+    face_d: Array
+    q30: float
+    stamps: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
 
 
 def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], config: Config,

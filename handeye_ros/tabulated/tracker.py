@@ -6,25 +6,37 @@ from dataclasses import dataclass, replace
 import math
 from pathlib import Path
 
+from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.errors import BadValueError, InputError
-from handeye_ros.estimation.outliers import adjust
+from handeye_ros.errors import BadValueError, DataError, InputError
 from handeye_ros.frames import sensor_axes
 from handeye_ros.published import jing2020
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.truth_file import FIELD, field_points
-from handeye_ros.tables import Table, TableError
-from handeye_ros.tabulated import tracker_estimate, tracker_model
+from handeye_ros.tables import LENGTH, Table, TableError
 from handeye_ros.tabulated.method import Answer, FileMethod, Index, Input, ReadBag
-from handeye_ros.tabulated.sweeps import sweep_from
-from handeye_ros.tabulated.tracker_model import Seen, State, Sweep, SWEPT
+from handeye_ros.tabulated.sweeps import Sweep, sweep_from, SWEPT
 import numpy as np
 from numpy.typing import NDArray
 
-REFLECTED = {'arc': 'arc', 'line': 'line', 'spots_c': 'face_c', 'spots_d': 'face_d'}
-CENTRE = 'centre'  # of the ball, by the tracker: the mean of its rows, always used
-NO_SAMPLE = -1
+NAME = 'the chain through the laser tracker'
+FEWEST = {'arc': 6, 'line': 3, 'ball': 1, 'face_c': 3, 'face_d': 3}
+# of the parts: the name in words, and the unknowns that a fit to its points has
+PARTS = {'arc': ('the arc', 6), 'line': ('the line', 4), 'face_c': ('face_c', 3),
+         'face_d': ('face_d', 3), 'swept_ball': ('the swept ball', 6),
+         'swept_face_c': ('the swept face at smaller x', 3),
+         'swept_face_d': ('the swept face at larger x', 3)}
+SMALLEST_ANGLE = 0.17  # smallest angle between the faces, and of the arc (rad)
+ORDERED = 20  # points of arc and line whose order is checked
+ONE_WAY = 0.75  # smallest share of steps in one direction; about half for unordered points
+LARGEST_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
+LARGEST_STD = (5e-3, 1e-2)  # of an answer (m, rad)
+WRONG = 6.0  # sigmas of a point that is left out,
+BESIDE = 4.0  # if it is also as many times the median distance of its part
+LARGEST_RMS = 3.0  # sigmas
+LARGEST_DROPPED_SHARE = 0.34
+DRAWS, SEED = 100, 0  # of the noise, for the covariance
 
 Masks = Mapping[str, NDArray[np.bool_]]
 
@@ -34,22 +46,77 @@ class Session:
     """
     The measurements of both instruments.
 
-    of: for each part by name, the index of each point's sample; samples: row of the file or
-    stamp of the profile, and its kind.
+    points: of each part, (n, 3) in the tracker's frame, or (n, 4) as in Sweep; of: for each of
+    them the index of its sample; samples: row of the file or stamp of the profile, and its kind;
+    ball: (3,) its centre by the tracker; h0, h1: as in jing2020.Tracker; q30: as in Sweep.
     """
 
-    reflector: jing2020.Tracker
-    sweep: Sweep
+    points: Mapping[str, Array]
     of: Mapping[str, Index]
     samples: tuple[tuple[int, str], ...]
+    ball: Array
+    h0: float
+    h1: float
+    q30: float
 
-    def seen(self, config: Config) -> Seen:
-        """Return the measurements in the form of the model."""
-        return Seen(self.reflector, self.sweep, config.tracker.noise)
+    def reflector(self) -> jing2020.Tracker:
+        """Return the points of the tracker."""
+        arc, line, face_c, face_d = (self.points[part] for part in list(PARTS)[:4])
+        return jing2020.Tracker(arc, line, self.ball, face_c, face_d, self.h0, self.h1)
 
     def chain(self, config: Config) -> jing2020.Result:
         """Return the published answer; raises DataError."""
-        return jing2020.solve(self.reflector, self.sweep.published, direction(config))
+        ball, face_c, face_d = (self.points[part][:, :3] for part in list(PARTS)[4:])
+        return jing2020.solve(self.reflector(), jing2020.Sweep(ball, face_c, face_d, self.q30),
+                              direction(config))
+
+    def distances(self, X: Array, fitted: Session) -> dict[str, Array]:
+        """Return the distance (n,) of all points from what those of `fitted` show with X."""
+        off, known = {}, fitted.points
+        centre, axis = jing2020.fit_arc(known['arc'])
+        radius = np.linalg.norm(np.cross(known['arc'] - centre, axis), axis=1).mean()
+        from_centre = self.points['arc'] - centre
+        off['arc'] = np.hypot(from_centre @ axis, np.linalg.norm(
+            np.cross(from_centre, axis), axis=1) - radius)
+        along = jing2020.fit_line(known['line'])
+        off['line'] = np.linalg.norm(np.cross(
+            self.points['line'] - known['line'].mean(axis=0), along), axis=1)
+        sweep = X[2, :3]
+        ball, own = (jing2020.swept(session.points['swept_ball'][:, :3], self.q30, sweep)
+                     for session in (fitted, self))
+        sphere = np.linalg.lstsq(np.column_stack([2.0 * ball, np.ones(len(ball))]),
+                                 (ball ** 2).sum(axis=1), rcond=None)[0]
+        off['swept_ball'] = np.abs(np.linalg.norm(own - sphere[:3], axis=1)
+                                   - math.sqrt(max(sphere[3] + sphere[:3] @ sphere[:3], 0.0)))
+        T_sensor_tracker = se3.inverse(jing2020.link_frame(fitted.reflector(), self.q30) @ X)
+        for face in ('face_c', 'face_d'):
+            plane, own = (jing2020.swept(session.points[f'swept_{face}'][:, :3], self.q30, sweep)
+                          for session in (fitted, self))
+            normal, middle = jing2020.fit_plane(plane), plane.mean(axis=0)
+            off[f'swept_{face}'] = np.abs((own - middle) @ normal)
+            spots = se3.apply(T_sensor_tracker, self.points[face])
+            off[face] = np.abs((spots - middle) @ normal)
+        return {part: off[part] for part in PARTS}
+
+    def noise(self, config: Config) -> dict[str, Array]:
+        """Return 1 sigma (n,) of the distances, as stated."""
+        tracker, both = config.tracker.noise, math.hypot(config.tracker.noise, config.noise.sensor)
+        return {part: np.asarray(points[:, 3]) if part.startswith('swept') else np.full(
+            len(points), both if 'face' in part else tracker)
+            for part, points in self.points.items()}
+
+    def select(self, masks: Masks) -> Session:
+        """Return the points where masks are true; the samples stay."""
+        return replace(self, points={part: points[masks[part]]
+                                     for part, points in self.points.items()},
+                       of={part: of[masks[part]] for part, of in self.of.items()})
+
+    def subset(self, samples: Index) -> Session:
+        """Return some samples (ascending indices)."""
+        part = self.select({name: np.isin(of, samples) for name, of in self.of.items()})
+        return replace(part, of={name: np.searchsorted(samples, of)
+                                 for name, of in part.of.items()},
+                       samples=tuple(self.samples[i] for i in samples))
 
 
 def direction(config: Config) -> Array:
@@ -73,85 +140,177 @@ def _read(path: Path, config: Config, read_bag: ReadBag) -> Input[Session]:
     if missing:
         raise InputError(f'{" and ".join(missing)} must be set: the answer changes by their full '
                          'size, so they have no default; see config/tracker.yaml')
-    reflector = tracker_estimate.read(file, known.h0, known.h1)
+    reflector = read_table(file)
     sweep = sweep_from(recording.profiles, recording.poses, config, known.first_reading)
-    session = _session(reflector, sweep, np.array(Table(file).text('kind')))
-    return Input(session, recording.profiles[0].frame_id or 'laser',
+    return Input(session_of(reflector, sweep, config), recording.profiles[0].frame_id or 'laser',
                  (*recording.inputs, input_values(file)), recording.warnings)
 
 
-def _session(reflector: jing2020.Tracker, sweep: Sweep, kinds: NDArray[np.str_]) -> Session:
+def read_table(path: Path) -> list[tuple[str, Array]]:
+    """
+    Return the kind and the position (3,) of the reflector, row by row (metres).
+
+    Columns kind (arc, line, ball, face_c or face_d) and x, y, z with their unit, as in `x [mm]`,
+    in the order measured. Raises TableError.
+    """
+    table = Table(path)
+    kinds, points = table.text('kind'), table.values('xyz', LENGTH)
+    for row, kind in enumerate(kinds, 1):
+        if kind not in FEWEST:
+            raise TableError(path, f'row {row}: kind is "{kind}", expected {", ".join(FEWEST)}')
+    for kind, fewest in FEWEST.items():
+        if kinds.count(kind) < fewest:
+            raise TableError(path, f'holds {kinds.count(kind)} points of the kind {kind}; at '
+                             f'least {fewest} are needed')
+    return list(zip(kinds, points, strict=True))
+
+
+def session_of(reflector: list[tuple[str, Array]], sweep: Sweep, config: Config) -> Session:
     """Return the session with numbered samples: first the rows of the file, then profiles."""
-    rows = [(row, str(kind)) for row, kind in enumerate(kinds, 1) if kind != 'ball']
-    row_kinds = np.array([kind for _, kind in rows])
-    of = {part: np.flatnonzero(row_kinds == kind) for part, kind in REFLECTED.items()}
-    of[CENTRE] = np.array([NO_SAMPLE])
+    rows = [(row, kind, point) for row, (kind, point) in enumerate(reflector, 1) if kind != 'ball']
+    points, of = {}, {}
+    for part in list(PARTS)[:4]:
+        mine = [i for i, (_, kind, _) in enumerate(rows) if kind == part]
+        points[part], of[part] = np.array([rows[i][2] for i in mine]), np.array(mine)
     stamps = np.unique(np.concatenate([sweep.stamps[part] for part in SWEPT]))
-    of |= {part: len(rows) + np.searchsorted(stamps, sweep.stamps[part]) for part in SWEPT}
+    for part in SWEPT:
+        points[f'swept_{part}'] = getattr(sweep, part)
+        of[f'swept_{part}'] = len(rows) + np.searchsorted(stamps, sweep.stamps[part])
     of_ball = np.isin(stamps, sweep.stamps['ball'])
     profiles = [(int(stamp), 'swept ball' if ball else 'swept faces')
                 for stamp, ball in zip(stamps, of_ball, strict=True)]
-    return Session(reflector, sweep, of, (*rows, *profiles))
+    ball = np.mean([point for kind, point in reflector if kind == 'ball'], axis=0)
+    return Session(points, of, (*((row, kind) for row, kind, _ in rows), *profiles), ball,
+                   config.tracker.h0, config.tracker.h1, sweep.q30)
 
 
 def _solve(data: Session, config: Config) -> Answer[Session]:
-    found = tracker_estimate.solve(data.reflector, data.sweep, config.tracker.noise,
-                                   direction(config))
-    good = np.isin(np.arange(len(found.distances)), found.used)
-    of, count = tracker_model.sources(data.of), len(data.samples)
-    mine, total = of != NO_SAMPLE, np.bincount(of[of != NO_SAMPLE], minlength=count)
-    believed = np.bincount(of[mine & good], minlength=count)
-    squares = np.bincount(of[mine], found.distances[mine] ** 2, minlength=count)
-    used = 2 * believed >= total  # a point of a profile may be wrong, the others not
-    target = {'radius': found.radius, 'face_angle': found.face_angle, 'skew_angle': found.skew}
-    return Answer(found.T_flange_sensor, found.covariance, used,
-                  np.sqrt(squares / np.maximum(total, 1)), _rms(found.distances[found.used]),
-                  _rms(found.left_out), _agreed(data, good, used), target)
+    """Return the published answer, with a covariance by draws of the noise."""
+    _require_order(data.reflector())
+    chain = data.chain(config)
+    _require_angles(data.reflector(), chain.angles)
+    _require_one_direction(chain)
+    sigma, agreed = data.noise(config), data
+    for _ in range(3):  # wrong points bend the first fit
+        off = data.distances(chain.T_flange_sensor, agreed)
+        good = {part: off[part] < np.maximum(WRONG * sigma[part], BESIDE * np.median(off[part]))
+                for part in PARTS}
+        _require_enough(good)
+        agreed = data.select(good)
+        chain = agreed.chain(config)
+    off = data.distances(chain.T_flange_sensor, agreed)
+    excess = {part: _rms(off[part][good[part]] / sigma[part][good[part]]) for part in PARTS}
+    worst = max(PARTS, key=lambda part: excess[part])
+    if excess[worst] > LARGEST_RMS:
+        raise DataError(
+            f'{NAME} cannot be solved: the points contradict each other: those of '
+            f'{PARTS[worst][0]} by {excess[worst]:.1f} times their noise; check which face is '
+            'which, h0 and h1, the readings of P3, and the noise of both instruments')
+    covariance = _covariance(agreed, config, excess)
+    _require_certain(covariance)
+    count = len(data.samples)
+    of, distances, believed = (np.concatenate([each[part] for part in PARTS])
+                               for each in (data.of, off, good))
+    total = np.bincount(of, minlength=count)
+    used = 2 * np.bincount(of[believed], minlength=count) >= total
+    # generalised cross-validation: each point predicted by a fit without it
+    left_out = np.concatenate([off[part][good[part]] / (1 - min(
+        PARTS[part][1] / (2 * good[part].sum()), 0.5)) for part in PARTS])
+    squares = np.bincount(of, distances ** 2, minlength=count)
+    return Answer(chain.T_flange_sensor, covariance, used,
+                  np.sqrt(squares / np.maximum(total, 1)), _rms(distances[believed]),
+                  _rms(left_out), agreed.subset(np.flatnonzero(used)),
+                  {'radius': chain.radius, 'face_angle': float(chain.angles[0])})
 
 
 def _rms(values: Array) -> float:
     return float(np.sqrt((values ** 2).mean()))
 
 
-def _agreed(data: Session, good: NDArray[np.bool_], used: NDArray[np.bool_]) -> Session:
-    """Return the session of used samples, without wrong points; good: (n,) of all distances."""
-    ends = np.cumsum([len(of) for of in data.of.values()])
-    points = dict(zip(data.of, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
-    wrong = tracker_model.sources(points)[~good]
-    return _subset(_select(data, {part: ~np.isin(points[part], wrong) for part in points}),
-                   np.flatnonzero(used))
+def _covariance(data: Session, config: Config, excess: Mapping[str, float]) -> Array:
+    """Return the covariance (6, 6) of the chain; excess: residuals over noise, of each part."""
+    rng, X = np.random.default_rng(SEED), data.chain(config).T_flange_sensor
+    differences = []
+    for _ in range(DRAWS):
+        points = {}
+        for part, values in data.points.items():
+            size = max(excess[part], 1.0) if part != 'face_c' and part != 'face_d' else 1.0
+            own = values[:, 3:] if part.startswith('swept') else config.tracker.noise
+            noise = rng.normal(size=values.shape) * own * size
+            if part.startswith('swept'):
+                noise[:, 2:] = 0.0  # the reading of P3, and the sigma
+            points[part] = values + noise
+        ball = data.ball + rng.normal(size=3) * config.tracker.noise
+        drawn = replace(data, points=points, ball=ball).chain(config)
+        differences.append(se3.difference(drawn.T_flange_sensor, X))
+    return np.asarray(np.einsum('ni,nj->ij', differences, differences) / DRAWS)
 
 
-def _subset(data: Session, keep: Index) -> Session:
-    part = _select(data, {name: np.isin(of, keep) for name, of in data.of.items()})
-    of = {name: np.searchsorted(keep, of) for name, of in part.of.items()}
-    return replace(part, of={**of, CENTRE: data.of[CENTRE]},
-                   samples=tuple(data.samples[i] for i in keep))
+def _require_order(tracker: jing2020.Tracker) -> None:
+    """Raise for an arc or a line whose points are not in measured order."""
+    arc, line = (points[np.linspace(0, len(points) - 1, min(len(points), ORDERED)).astype(int)]
+                 for points in (tracker.arc, tracker.line))
+    centre, axis = jing2020.fit_arc(tracker.arc)
+    turns = np.cross(arc[:-1] - centre, arc[1:] - centre) @ axis
+    for what, steps in (('arc', turns), ('line', np.diff(line @ jing2020.fit_line(line)))):
+        if max((steps > 0).mean(), (steps < 0).mean()) < ONE_WAY:
+            raise DataError(
+                f'{NAME} cannot be solved: the points of the {what} go back and forth; list them '
+                'in the order measured')
 
 
-def _select(data: Session, masks: Masks) -> Session:
-    """Return the points where masks are true; the ball's centre by the tracker always remains."""
-    reflector = {kind: getattr(data.reflector, kind)[masks[part]]
-                 for part, kind in REFLECTED.items()}
-    swept = {part: getattr(data.sweep, part)[masks[part]] for part in SWEPT}
-    stamps = {part: data.sweep.stamps[part][masks[part]] for part in SWEPT}
-    of = {part: of if part == CENTRE else of[masks[part]] for part, of in data.of.items()}
-    return replace(data, reflector=replace(data.reflector, **reflector),
-                   sweep=replace(data.sweep, **swept, stamps=stamps), of=of)
+def _require_angles(tracker: jing2020.Tracker, faces: Array) -> None:
+    """Raise for an arc that is too short, and for faces that are nearly parallel."""
+    centre, _ = jing2020.fit_arc(tracker.arc)
+    first, last = tracker.arc[0] - centre, tracker.arc[-1] - centre
+    turn = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)
+    if turn < SMALLEST_ANGLE:
+        raise DataError(
+            f'{NAME} cannot be solved: the arc spans {np.degrees(turn):.1f} degrees; turn R2 by '
+            '30 degrees or more')
+    if min(*faces, *(np.pi - faces)) < SMALLEST_ANGLE:
+        raise DataError(
+            f'{NAME} cannot be solved: the two faces of the block are nearly parallel; use faces '
+            'at 45 degrees or more')
+
+
+def _require_one_direction(chain: jing2020.Result) -> None:
+    """Raise for a sweep whose direction by the ball differs from that of the link."""
+    cosine = float(chain.direction @ chain.T_flange_sensor[2, :3])
+    if cosine < np.cos(LARGEST_TURN):
+        raise DataError(
+            f'{NAME} cannot be solved: the sweep runs '
+            f'{np.degrees(np.arccos(max(cosine, -1.0))):.0f} degrees beside the line of the '
+            'reflector; check which face is which, tracker.direction, and that the line was '
+            'measured towards larger readings of P3')
+
+
+def _require_enough(good: Masks) -> None:
+    for part, mask in good.items():
+        if mask.mean() < 1 - LARGEST_DROPPED_SHARE or mask.sum() < FEWEST.get(part, 6):
+            raise DataError(
+                f'{NAME} cannot be solved: the points contradict each other: '
+                f'{100 * (1 - mask.mean()):.0f} % of those of {PARTS[part][0]} left out; check '
+                'which face is which, h0 and h1, and the readings of P3')
+
+
+def _require_certain(covariance: Array) -> None:
+    worst = [float(np.sqrt(np.linalg.eigvalsh(part)[-1]))
+             for part in (covariance[:3, :3], covariance[3:, 3:])]
+    if worst[0] > LARGEST_STD[0] or worst[1] > LARGEST_STD[1]:
+        raise DataError(
+            f'{NAME} cannot be solved: the answer is uncertain by {worst[0] * 1e3:.3g} mm and '
+            f'{np.degrees(worst[1]):.3g} degrees (1 sigma); check which face is which; measure a '
+            'longer arc and line, sweep over more of ball and faces')
 
 
 def _residuals(data: Session, X: Array, fitted: Index, measured: Index, config: Config) -> Array:
-    part = _subset(data, fitted)
-    seen = part.seen(config)
-    start = tracker_model.start(part.chain(config), seen)
-    fit = adjust(tracker_model.system(seen, given_X=True),
-                 State(start.T_tracker_2, X, start.rest), tracker_model.MINIMUM)
-    distances, _ = tracker_model.distances(fit.state, data.seen(config))
-    return distances[np.isin(tracker_model.sources(data.of), measured)]
+    off = data.distances(X, data.subset(fitted))
+    return np.concatenate([off[part][np.isin(data.of[part], measured)] for part in PARTS])
 
 
 TRACKER = FileMethod(
     'tracker', ('eye_in_hand',),
     'measure a longer arc and line, sweep over more of ball and faces',
-    _read, _solve, lambda data: data.samples, _subset, _residuals, lambda data: field_points(),
-    FIELD, profiles=True)
+    _read, _solve, lambda data: data.samples, Session.subset, _residuals,
+    lambda data: field_points(), FIELD, profiles=True)

@@ -27,19 +27,14 @@ FROM_FILES = {
     'points': (0.9676470133237, -0.1773772739031, 0.1053310908319,
                -0.4580624903995, -1.0894729187249, -0.4382063173862),
     'hand_eye': (0.0365153360029, 0.0296600147682, 0.0028849758609,
-                 -0.4572868010884, -1.0893599263623, -0.4376551539462),
-    'tracker': (0.0467633601377, -0.1179662236657, 0.0561365665508,
-                1.5766580275549, 0.0275816339934, -0.0050246481325)}
+                 -0.4572868010884, -1.0893599263623, -0.4376551539462)}
 
 
 def answer(name: str, folder: Path) -> Array:
-    """Return xyz and rotation vector (6,) of a target's answer; the tracker's bag is committed."""
-    path = ROOT / 'bags' / name
-    if name != 'tracker':
-        tables = FILE_SCENES[name](np.random.default_rng(1)).tables
-        for file, text in tables.items():
-            path = folder / file
-            path.write_text(text, encoding='utf-8')
+    """Return xyz and rotation vector (6,) of a target's answer."""
+    (file, text), = FILE_SCENES[name](np.random.default_rng(1)).tables.items()
+    path = folder / file
+    path.write_text(text, encoding='utf-8')
     config = load(ROOT / 'config' / f'{name}.yaml')
     method = FILE_METHODS[name]
     X = method.solve(method.read(path, config, bag.read).data, config).X
@@ -111,5 +106,4 @@ def test_no_more_blocks_are_dropped_than_can_be_spared() -> None:
 @pytest.mark.parametrize('name', FROM_FILES)
 def test_targets_from_files_give_the_answer_that_they_gave(name: str, tmp_path: Path) -> None:
     found = answer(name, tmp_path)
-    near = 1e-8 if name == 'tracker' else 1e-9  # its derivatives are differences
-    assert np.abs(found - FROM_FILES[name]).max() < near
+    assert np.abs(found - FROM_FILES[name]).max() < 1e-9
