@@ -13,7 +13,7 @@ from handeye_ros.checks.settings import require_same_clock
 from handeye_ros.config import Config
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.node.live import LiveSession
-from handeye_ros.robot.errors import ContradictionError, TooFewConfigurationsError
+from handeye_ros.robot.causes import ContradictionError, TooFewConfigurationsError
 from handeye_ros.robot.model import Arm
 from handeye_ros.robot.samples import solve_sources, Source
 from handeye_ros.robot.urdf import read_chain

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+import math
 
 from handeye_ros.data import Array
+from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.least_squares import single_threaded
-from handeye_ros.robot.errors import (
+from handeye_ros.robot.causes import (
     ContradictionError,
-    DegenerateConfigurationsError,
-    OtherRobotError,
 )
 from handeye_ros.robot.estimate import (
     adjusted,
@@ -203,7 +203,9 @@ def _require_mount(fit: Fit) -> None:
     for quantity, size, limit in (('orientation', std[3:].max(), LARGEST_TURN),
                                   ('position', std[:3].max(), LARGEST_SHIFT)):
         if size > limit:
-            raise DegenerateConfigurationsError(f'the {quantity} of the sensor')
+            raise DataError(
+                f'these configurations do not determine the {quantity} of the sensor: move all '
+                'joints, and bring the target to different points of the field of view')
 
 
 def _require_same_robot(arm: Arm) -> None:
@@ -211,7 +213,11 @@ def _require_same_robot(arm: Arm) -> None:
         for i, joint in enumerate(arm.chain.joints):
             error = float(np.linalg.norm(arm.of(i, kind)))
             if error > largest:
-                raise OtherRobotError(joint.name, kind, error)
+                size = (mm(error) if kind == POSITION
+                        else f'{math.degrees(error):.2g} degrees')
+                raise DataError(
+                    f'the axis of {joint.name} would be {size} off the URDF, more than the error '
+                    'of any real arm: the URDF is of another robot, or of a variant of it')
 
 
 def _warnings(models: Sequence[Model], chosen: Model) -> list[str]:

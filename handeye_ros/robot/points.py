@@ -14,7 +14,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import graduated, Rows, System
-from handeye_ros.robot.errors import (
+from handeye_ros.robot.causes import (
     cause_of,
     Change,
     joint_notes,

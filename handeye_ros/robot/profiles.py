@@ -13,12 +13,12 @@ from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.linearise import Linear, linearise, Problem
 from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
 from handeye_ros.frames import in_mount
-from handeye_ros.robot.errors import TargetsApartError
 from handeye_ros.robot.estimate import State
 from handeye_ros.robot.model import Arm
 import numpy as np
@@ -130,14 +130,16 @@ def profiles_of(problems: Sequence[Problem], q: Sequence[Array], arm: Arm
     Return the consistent samples, and the estimate with the arm as stated.
 
     problems: of all samples of each target, the poses those of the arm; q: (n, joints) of each.
-    Raises TargetsApartError where the targets give different poses of the sensor.
+    Raises DataError where the targets give different poses of the sensor.
     """
     agreed = [_agreed(problem) for problem in problems]
     X = agreed[0][1].X
     for _, estimate, _ in agreed[1:]:
         difference = se3.difference(estimate.X, X)
         if np.linalg.norm(difference[:3]) > APART or np.linalg.norm(difference[3:]) > APART:
-            raise TargetsApartError(float(np.linalg.norm(difference[:3])))
+            raise DataError(
+                f'two recordings place the sensor {mm(float(np.linalg.norm(difference[:3])))} '
+                'apart: give only recordings of one sensor in one mount, on one robot')
     targets = [estimate.target for _, estimate, _ in agreed]
     state = State(X, np.concatenate(targets), arm, np.zeros((0, 3)))
     used = [indices for _, _, indices in agreed]

@@ -10,16 +10,16 @@ from handeye_ros import pipeline, se3
 from handeye_ros.checks.settings import require_same_clock
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
+from handeye_ros.errors import InputError
 from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.solution import covering
 from handeye_ros.frames import in_mount
 from handeye_ros.robot.answer import Answer, compared
-from handeye_ros.robot.errors import (
+from handeye_ros.robot.causes import (
     cause_of,
     Change,
     ContradictionError,
     joint_notes,
-    NoJointValuesError,
     OTHER_SIDE,
     TooFewConfigurationsError,
 )
@@ -81,13 +81,16 @@ class Source:
                    **fields)
 
     def joints_at(self, samples: Sequence[Sample]) -> Array:
-        """Return the joint values (k, joints) at samples; raises NoJointValuesError."""
+        """Return the joint values (k, joints) at samples; raises InputError."""
         times = np.array([sample.stamp + round(sample.offsets[0] * 1e9) for sample in samples])
         following = np.searchsorted(self.stamps, times)
         gaps = np.minimum(*(np.abs(self.stamps[np.clip(following - k, 0, len(self.stamps) - 1)]
                                    - times) for k in (0, 1)))
         if (gaps > LONGEST_GAP).any():
-            raise NoJointValuesError(int((gaps > LONGEST_GAP).sum()), len(times))
+            raise InputError(
+                f'{int((gaps > LONGEST_GAP).sum())} of {len(times)} samples have no joint values '
+                'of their time: joint values and profiles must be recorded together, with clocks '
+                'that agree')
         return interpolated_joints(times, self.stamps, self.joints)
 
     def calibrated(self, arm: Arm) -> Calibration:

@@ -14,9 +14,8 @@ from xml.etree import ElementTree
 from handeye_ros import se3
 from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
-from handeye_ros.errors import nearest
+from handeye_ros.errors import InputError, nearest
 from handeye_ros.results.calibration_file import transform_from
-from handeye_ros.robot.errors import MissingPinocchioError, UrdfError
 from handeye_ros.robot.model import (
     Arm,
     Chain,
@@ -46,21 +45,22 @@ def read_chain(path: Path, base: str = '', flange: str = '') -> tuple[str, Chain
         text = path.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, 'strerror', None) or str(error)
-        raise UrdfError(path, f'cannot be read: {reason}') from error
+        raise InputError(f'{path}: cannot be read: {reason}') from error
     return text, chain_of(text, base, flange, path)
 
 
 def chain_of(text: str, base: str = '', flange: str = '', source: object = 'robot_description'
              ) -> Chain:
     """
-    Return the chain of a URDF's text; raises UrdfError and MissingPinocchioError.
+    Return the chain of a URDF's text; raises InputError.
 
     base, flange: names of links; empty: the root, and the usual name or the only last link.
     """
     try:
         import pinocchio
     except ImportError as error:
-        raise MissingPinocchioError from error
+        raise InputError('reading a URDF needs pinocchio: install the package '
+                         'ros-jazzy-pinocchio, or handeye_ros[kinematics] with pip') from error
     root = _parsed(text, source)
     elements = {e.get('name', ''): e for e in root.findall('joint')}
     base, flange = _ends(elements, [e.get('name', '') for e in root.findall('link')],
@@ -68,7 +68,7 @@ def chain_of(text: str, base: str = '', flange: str = '', source: object = 'robo
     try:
         model = pinocchio.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
-        raise UrdfError(source, f'is no valid URDF: {error}') from error
+        raise InputError(f'{source}: is no valid URDF: {error}') from error
     frames = [model.frames[model.getFrameId(name, pinocchio.BODY)] for name in (base, flange)]
     path = _path(model, frames[1].parentJoint, frames[0].parentJoint, source, base, flange)
     data = model.createData()
@@ -78,8 +78,9 @@ def chain_of(text: str, base: str = '', flange: str = '', source: object = 'robo
     for i in path:
         name = model.names[i]
         if elements[name].get('type') not in TYPES:
-            raise UrdfError(source, f'the joint {name} is {elements[name].get("type")}; only '
-                            'revolute, continuous, prismatic and fixed joints can be corrected')
+            raise InputError(
+                f'{source}: the joint {name} is {elements[name].get("type")}; only revolute, '
+                'continuous, prismatic and fixed joints can be corrected')
         index = model.joints[i].idx_v
         column = pinocchio.getJointJacobian(model, data, i, pinocchio.LOCAL)[:, index]
         origin = to_parent @ model.jointPlacements[i].homogeneous
@@ -91,40 +92,44 @@ def chain_of(text: str, base: str = '', flange: str = '', source: object = 'robo
 
 def _parsed(text: str, source: object) -> ElementTree.Element:
     if '<xacro:' in re.sub('<!--.*?-->', '', text, flags=re.DOTALL):
-        raise UrdfError(source, 'holds xacro macros: write it as URDF first, with "xacro FILE '
-                        '-o robot.urdf"')
+        raise InputError(
+            f'{source}: holds xacro macros: write it as URDF first, with "xacro FILE -o '
+            'robot.urdf"')
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
-        raise UrdfError(source, f'is no XML: {error}') from error
+        raise InputError(f'{source}: is no XML: {error}') from error
     if root.tag != 'robot':
-        raise UrdfError(source, f'is no URDF: its first element is <{root.tag}>, not <robot>')
+        raise InputError(f'{source}: is no URDF: its first element is <{root.tag}>, not <robot>')
     return root
 
 
 def _ends(elements: Mapping[str, Any], links: Sequence[str], base: str, flange: str,
           source: object) -> tuple[str, str]:
-    """Return the names of the links that the chain begins and ends with; raises UrdfError."""
+    """Return the names of the links that the chain begins and ends with; raises InputError."""
     children = [_link(element, 'child') for element in elements.values()]
     for child in children:
         if children.count(child) > 1:
-            raise UrdfError(source, f'the link {child} hangs on two joints: a closed loop, such '
-                            'as a parallel linkage; only serial arms can be corrected')
+            raise InputError(
+                f'{source}: the link {child} hangs on two joints: a closed loop, such as a '
+                'parallel linkage; only serial arms can be corrected')
     for name in filter(None, (base, flange)):
         if name not in links:
-            raise UrdfError(source, f'has no link {name}{nearest(name, links)}; its links are '
-                            f'{", ".join(links)}')
+            raise InputError(
+                f'{source}: has no link {name}{nearest(name, links)}; its links are '
+                f'{", ".join(links)}')
     roots = [link for link in links if link not in children]
     if not base and len(roots) != 1:
-        raise UrdfError(source, f'has {len(roots)} links without a parent; expected one')
+        raise InputError(f'{source}: has {len(roots)} links without a parent; expected one')
     if flange:
         return base or roots[0], flange
     parents = {_link(element, 'parent') for element in elements.values()}
     last = [name for name in FLANGES if name in links][:1] or [
         link for link in links if link not in parents]
     if len(last) != 1:
-        raise UrdfError(source, f'ends in several links ({", ".join(last)}): name the flange, as '
-                        f'in --flange {last[0]}')
+        raise InputError(
+            f'{source}: ends in several links ({", ".join(last)}): name the flange, as in '
+            f'--flange {last[0]}')
     return base or roots[0], last[0]
 
 
@@ -138,8 +143,9 @@ def _path(model: Any, last: int, first: int, source: object, base: str, flange: 
     path: list[int] = []
     while last != first:
         if last == 0:
-            raise UrdfError(source, f'the base {base} does not carry the flange {flange}: joints '
-                            'that move it do not belong to the arm; name another base')
+            raise InputError(
+                f'{source}: the base {base} does not carry the flange {flange}: joints that move '
+                'it do not belong to the arm; name another base')
         path.insert(0, last)
         last = model.parents[last]
     return path
@@ -162,12 +168,13 @@ def _joint(name: str, origin: Array, column: Array, element: ElementTree.Element
 
 def _require_serial(joints: Sequence[Joint], source: object) -> None:
     if not joints:
-        raise UrdfError(source, 'no joint moves between base and flange: name other links with '
-                        '--base and --flange')
+        raise InputError(
+            f'{source}: no joint moves between base and flange: name other links with --base and '
+            '--flange')
     if len(joints) > MOST_JOINTS:
-        raise UrdfError(source, f'{len(joints)} joints move between base and flange, but at most '
-                        f'{MOST_JOINTS} can be identified: name a base nearer to the flange '
-                        'with --base')
+        raise InputError(
+            f'{source}: {len(joints)} joints move between base and flange, but at most '
+            f'{MOST_JOINTS} can be identified: name a base nearer to the flange with --base')
 
 
 def corrected_urdf(urdf: str, arm: Arm) -> str:
@@ -194,13 +201,14 @@ def corrected_urdf(urdf: str, arm: Arm) -> str:
 
 
 def read_arm(path: Path) -> Arm:
-    """Return the arm of a kinematics.yaml, or of the folder that holds it; raises UrdfError."""
+    """Return the arm of a kinematics.yaml, or of the folder that holds it; raises InputError."""
     path = path / KINEMATICS_FILE if path.is_dir() else path
     try:
         content = yaml_content(path.read_text(encoding='utf-8'))
         if content.get('format') != FORMAT:
-            raise UrdfError(path, f'its format is {content.get("format")!r}, expected {FORMAT}: '
-                            'it is written by "handeye kinematics"')
+            raise InputError(
+                f'{path}: its format is {content.get("format")!r}, expected {FORMAT}: it is '
+                'written by "handeye kinematics"')
         joints, parameters, values = [], [], []
         for i, joint in enumerate(content['joints']):
             joints.append(_stored_joint(path, joint))
@@ -218,10 +226,10 @@ def read_arm(path: Path) -> Arm:
             if array is not None and not (array.ndim == 2 and array.shape[1] == last):
                 raise ValueError(f'{key} has rows of other lengths than {last}')
     except OSError as error:
-        raise UrdfError(path, f'cannot be read: {error.strerror}') from error
+        raise InputError(f'{path}: cannot be read: {error.strerror}') from error
     except (UnicodeDecodeError, yaml.YAMLError, AttributeError, KeyError, TypeError,
             ValueError) as error:
-        raise UrdfError(path, f'is no kinematics.yaml: {error}') from error
+        raise InputError(f'{path}: is no kinematics.yaml: {error}') from error
     return Arm(chain, tuple(parameters), np.array(values), covariance, configurations)
 
 

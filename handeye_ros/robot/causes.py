@@ -1,4 +1,4 @@
-"""Refusals of kinematic calibration, and common errors that explain contradictions."""
+"""What contradicts an arm: values beyond its joints, and common errors that explain contradictions."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import math
 
 from handeye_ros.data import Array
-from handeye_ros.errors import DataError, InputError, mm
+from handeye_ros.errors import DataError, mm
 from handeye_ros.robot.model import Chain, PRISMATIC, REVOLUTE
 import numpy as np
 
@@ -16,32 +16,6 @@ BEYOND = {REVOLUTE: 0.35, PRISMATIC: 0.1}
 STILL = {REVOLUTE: 0.02, PRISMATIC: 0.005}
 BETTER = 0.2  # a change that reduces the residual to less than this fraction is the cause
 OTHER_SIDE = {'eye_in_hand': 'eye_on_base', 'eye_on_base': 'eye_in_hand'}
-
-
-class UrdfError(InputError):
-    """A URDF, or kinematics.yaml, that cannot be read or does not describe a serial arm."""
-
-    def __init__(self, path: object, reason: str) -> None:
-        super().__init__(f'{path}: {reason}')
-
-
-class MissingPinocchioError(InputError):
-    """Reading a URDF needs pinocchio, which is not installed."""
-
-    def __init__(self) -> None:
-        super().__init__('reading a URDF needs pinocchio: install the package '
-                         'ros-jazzy-pinocchio, or handeye_ros[kinematics] with pip')
-
-
-class JointRangeError(DataError):
-    """Joint values beyond the range of a joint."""
-
-    def __init__(self, joint: str, value: float, lower: float, upper: float) -> None:
-        hint = ('; they seem to be degrees stated as radians'
-                if abs(value) > 2 * math.pi else '')
-        super().__init__(f'{joint} reaches {value:.4g}, and the URDF limits it to {lower:.4g} to '
-                         f'{upper:.4g} (radians or metres){hint}: check the unit of the joint '
-                         'values, or the limits in the URDF')
 
 
 class TooFewConfigurationsError(DataError):
@@ -62,48 +36,15 @@ class ContradictionError(DataError):
                          f'inaccurate: {cause or DEFAULT_CAUSE}')
 
 
-class NoJointValuesError(InputError):
-    """Samples at times without joint values."""
-
-    def __init__(self, without: int, count: int) -> None:
-        super().__init__(f'{without} of {count} samples have no joint values of their time: joint '
-                         'values and profiles must be recorded together, with clocks that agree')
-
-
-class TargetsApartError(DataError):
-    """Several targets whose calibrations differ."""
-
-    def __init__(self, distance: float) -> None:
-        super().__init__(f'two recordings place the sensor {mm(distance)} apart: give only '
-                         'recordings of one sensor in one mount, on one robot')
-
-
 DEFAULT_CAUSE = ('check that the URDF is of this robot, the unit and the sign of each joint, '
                  'calibration_type, and that the target did not move')
-
-
-class OtherRobotError(DataError):
-    """An axis too far from that of the URDF: it is the URDF of another robot."""
-
-    def __init__(self, joint: str, kind: str, error: float) -> None:
-        size = mm(error) if kind == 'position' else f'{math.degrees(error):.2g} degrees'
-        super().__init__(f'the axis of {joint} would be {size} off the URDF, more than the error '
-                         'of any real arm: the URDF is of another robot, or of a variant of it')
-
-
-class DegenerateConfigurationsError(DataError):
-    """Configurations that do not determine the hand-eye transform."""
-
-    def __init__(self, quantity: str) -> None:
-        super().__init__(f'these configurations do not determine {quantity}: move all joints, and '
-                         'bring the target to different points of the field of view')
 
 
 def joint_notes(chain: Chain, readings: Mapping[str, Array]) -> list[str]:
     """
     Return a sentence for each joint whose error is not determined.
 
-    Raises JointRangeError for values beyond the limits of a joint.
+    Raises DataError for values beyond the limits of a joint.
     """
     sentences = []
     for joint in chain.joints:
@@ -111,7 +52,12 @@ def joint_notes(chain: Chain, readings: Mapping[str, Array]) -> list[str]:
         low, high = float(value.min()), float(value.max())
         for end in (low, high):
             if not joint.lower - BEYOND[joint.kind] <= end <= joint.upper + BEYOND[joint.kind]:
-                raise JointRangeError(joint.name, end, joint.lower, joint.upper)
+                hint = ('; they seem to be degrees stated as radians'
+                        if abs(end) > 2 * math.pi else '')
+                raise DataError(
+                    f'{joint.name} reaches {end:.4g}, and the URDF limits it to '
+                    f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres){hint}: check the '
+                    'unit of the joint values, or the limits in the URDF')
         if high - low < STILL[joint.kind]:
             size = (f'{math.degrees(high - low):.2g} degrees' if joint.kind == REVOLUTE
                     else f'{(high - low) * 1e3:.2g} mm')
