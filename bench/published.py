@@ -23,7 +23,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.published import cn105021139a, jing2020, wu2017
 from handeye_ros.simulate.measured import RADIUS, SENSOR, simulate_tracker
-from handeye_ros.tabulated import hand_eye_estimate, points
+from handeye_ros.tabulated import hand_eye, points
 from handeye_ros.tabulated.sweeps import sweep_from
 import numpy as np
 from paired import errors, grid, print_header, print_nearest, print_table
@@ -97,9 +97,9 @@ class Poses:
 
     def answers(self, T: np.ndarray, views: np.ndarray) -> Answers:
         """Yield what each makes of the poses."""
-        yield 'A X = X B', hand_eye_estimate.solve(T, views, None, self.on_base).T_flange_camera
-        noise = hand_eye_estimate.PoseNoise(*np.maximum(self.camera, 1e-9), *self.robot)
-        known = hand_eye_estimate.solve(T, views, noise, self.on_base).T_flange_camera
+        yield 'A X = X B', hand_eye.solve(T, views, None, self.on_base).T_flange_camera
+        noise = hand_eye.PoseNoise(*np.maximum(self.camera, 1e-9), *self.robot)
+        known = hand_eye.solve(T, views, noise, self.on_base).T_flange_camera
         yield 'A X = X B, noise known', known
         T = se3.inverse(T) if self.on_base else T
         yield 'CN105021139A', cn105021139a.solve_motions(*cn105021139a.motions(T, views))

@@ -29,7 +29,7 @@ from handeye_ros.results.outcome import measured_points
 from handeye_ros.results.truth_file import Errors, errors_against, FIELD, field_points
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.time_offset import synchronised
-from handeye_ros.tabulated import hand_eye_estimate
+from handeye_ros.tabulated import hand_eye
 from handeye_ros.tabulated.method import FileMethod, Input, plane_axes, require_trusted
 from handeye_ros.targets import line, plate
 import numpy as np
@@ -221,8 +221,8 @@ def _from_files(given: Measurements) -> Array:
 
 def _park(given: Measurements) -> Array:
     require_rotations(given.data.T_fixed_mount, mount_frame(given.config),
-                      hand_eye_estimate.LOST)
-    return hand_eye_estimate.closed_form(given.data.T_fixed_mount, given.data.T_camera_target)[0]
+                      hand_eye.LOST)
+    return hand_eye.closed_form(given.data.T_fixed_mount, given.data.T_camera_target)[0]
 
 
 def _cn105021139a(given: Measurements) -> Array:

@@ -1,4 +1,4 @@
-"""What contradicts an arm: values beyond its joints, and common errors that explain contradictions."""
+"""What contradicts an arm: values beyond its joints, and errors that explain measurements."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
