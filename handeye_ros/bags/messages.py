@@ -324,8 +324,12 @@ def profile_from_cloud(cloud: Cloud, config: ProfileConfig) -> Profile:
         return _empty(cloud, config)
     points, good = _points(cloud, config)
     across = points[good, 2]
+    beside = 0.0
+    if len(across):  # mostly they are equal, and a median takes as long as all the rest
+        equal = (across == across[0]).all()
+        beside = float(across[0] if equal else np.nan_to_num(np.median(across)))
     return replace(_empty(cloud, config), points=_ordered(points[:, :2], good, config),
-                   beside=float(np.nan_to_num(np.median(across))) if len(across) else 0.0)
+                   beside=beside)
 
 
 def returns_from_cloud(cloud: Cloud, config: ProfileConfig) -> Profile:
