@@ -1,18 +1,16 @@
 """
 Whether a calibration still holds, by a short recording of its target.
 
-r = g(p; target) are the residuals of the recording at the answer of the calibration. With nothing
-changed, r = G dX + J deta + e: dX, deta are the errors of the calibration's transform and target
-with their joint covariance, e is the noise of sensor and robot. Two more fits free a move m (6,)
-of the target, or of the sensor. The fits are compared by chi-squared plus log(n) for each freed
-direction (BIC). No fit that agrees with the noise: the poses of the robot err otherwise than
-before.
+The recording is compared with what the calibration predicts for it (see causes). The sentence
+names the cause. If the stops do not distinguish several causes, it names these, their odds, and
+two further stops that would distinguish them. If nothing changed, it states the smallest change
+that the check would have detected.
 """
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from itertools import product
 import math
 from typing import Any
 
@@ -20,39 +18,31 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample, TimeOffset
 from handeye_ros.errors import InputError, mm
-from handeye_ros.estimation.model import Conditions, Method, UNUSED
-from handeye_ros.estimation.outliers import chi2_sf
+from handeye_ros.estimation.model import Method
 from handeye_ros.frames import mounted, sensor_axes
 from handeye_ros.targets import METHODS
-from handeye_ros.targets.common import edges_of
-from handeye_ros.verification.fixed_fit import (
-    by_calibration,
-    noise_factors,
-    points_in_base,
-    root_of,
-    white,
+from handeye_ros.verification.causes import (
+    agreeing,
+    Cause,
+    CAUSES,
+    causes,
+    Comparison,
+    EVIDENCE,
+    smallest_moves,
 )
+from handeye_ros.verification.fixed_fit import by_calibration
 from handeye_ros.verification.samples import compared
 from handeye_ros.verification.shapes import StationSet
 from handeye_ros.verification.verify import too_few
 import numpy as np
-from numpy.typing import NDArray
 
-FORMAT = 'handeye_ros/check/3'
+FORMAT = 'handeye_ros/check/2'
 LEAST_STATIONS = 4
-EVIDENCE = 2 * math.log(100.0)  # by which a changed fit must be better (BIC); see bench/check.py
-CLOSE = 2 * math.log(19.0)  # a fit that is worse by less is named too
-UNEXPLAINED = 1e-4  # p of the unchanged fit: below it something has changed in any case
-AGREES = 0.05  # smallest p of a fit that explains the recording; of a true cause: bench/check.py
-MOVE = np.repeat([1e-3, 1e-2], 3)  # m, rad: a move that would not show with 1 sigma is not freed
-ITERATIONS = 6
-RANK = 1e-9
-OUTLIER = 0.01  # probability that any good stop is left out
-MOST_OUTLIERS = 0.15  # of the stops
-WIDE = 10 * MOVE  # 1 sigma of target and sensor, while outliers are searched
+SURE = 0.95  # probability with which one cause, or some together, are named
 KEPT = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN = 0.01  # m: a shift that would show only from here on is called unseen
-STILL = np.zeros(6)  # no move
+TURNS = np.deg2rad([[0, 0, 90], [0, 0, 180], [0, 0, -90], [25, 0, 0], [-25, 0, 0], [0, 25, 0],
+                    [0, -25, 0]])  # of a stop that may decide, about the sensor's axes
 
 
 @dataclass(frozen=True)
@@ -60,11 +50,12 @@ class Check:
     """
     Result of a check.
 
-    verdict: unchanged; target (it, or the robot's base, moved), sensor (moved on the flange), with
-    "or" where the stops do not distinguish them; robot (its pose errors changed); in a sweep also
-    clock. p: of the recording under each fit. target_moved (m), target_turned (rad), and
-    sensor_moved, sensor_turned in the flange: the most likely move if this is the cause;
-    points_off: the largest error of points by the sensor's move, and its std (m). target_shows,
+    verdict: unchanged, or the causes: target (it, or the robot's base, moved), sensor, robot
+    (its pose errors changed), with "or" between those that the stops do not distinguish.
+    evidence: how many times as likely the recording is with a change as without. odds: probability
+    of each cause if something changed. target_moved (m), target_turned (rad): the most likely move
+    if the target is the cause; sensor_moved, sensor_turned: the same for the sensor in the flange;
+    points_off: the largest error of points in this case, and its std (m). target_shows,
     sensor_shows: smallest detectable shifts along their axes (in the base, in the flange), m; nan:
     not detectable. rms: of the residuals (m). time_offset_changed: of a sweep, and its 1 sigma
     (s).
@@ -75,7 +66,8 @@ class Check:
     sentence: str
     stations: int
     rms: float
-    p: dict[str, float]
+    evidence: float
+    odds: dict[str, float]
     target_moved: float
     target_turned: float
     sensor_moved: float
@@ -91,66 +83,6 @@ class Check:
     time_offset_changed_std: float = math.nan
 
 
-@dataclass(frozen=True, eq=False)
-class _Comparison:
-    """
-    A recording with the calibration that it is compared with.
-
-    X (4, 4), state (s,): calibrated sensor plane in the mount, and calibrated target; root
-    (6 + k, 6 + k): of their joint covariance; noise_scale: factor of the stated noise.
-    """
-
-    method: Method
-    stations: StationSet
-    X: Array
-    state: Array
-    root: Array
-    config: Config
-    noise_scale: float
-
-    @cached_property
-    def points(self) -> Array:
-        """Return the positions (m, 3) of the observed points in the base."""
-        return points_in_base(self.stations, self.X)
-
-    @property
-    def numbers(self) -> list[int]:
-        """Return the indices of the stations with observations."""
-        return [int(k) for k in np.unique(self.stations.observations.station)]
-
-    def conditions(self, p: Array) -> Conditions:
-        """Return residuals and derivatives of points p (m, 3) in the base."""
-        return self.method.geometry.conditions(p, self.stations.observations.kind, self.state,
-                                               self.config)
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """
-    Whitened residuals r (m,) of the stations (m,), reduced to a few rows of each.
-
-    target, sensor (m, 6): their change by a move that is taken back; covariance (m, m): of r by
-    noise and by the calibration's errors, without a change.
-    """
-
-    r: Array
-    target: Array
-    sensor: Array
-    covariance: Array
-    station: NDArray[np.intp]
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """A fit: its cost (BIC), its p, the move (6,) with its covariance; name: what moved."""
-
-    name: str
-    cost: float
-    p: float
-    move: Array
-    covariance: Array
-
-
 def check(samples: Sequence[Sample], calibration: Calibration, config: Config, reason: str = ''
           ) -> Check:
     """
@@ -159,215 +91,107 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
     reason: why other stations gave no sample. Raises DataError, and InputError for a calibration
     without a target to compare with.
     """
+    method = METHODS.get(calibration.method)
+    joint = calibration.target.get('joint')
+    if method is None or not isinstance(joint, Mapping):
+        raise _no_target(calibration)
     if len(samples) < LEAST_STATIONS:
         raise too_few(len(samples), LEAST_STATIONS, reason)
-    comparison, left_out = _agreeing(_comparison(samples, calibration, config))
-    if len(comparison.numbers) < LEAST_STATIONS:
-        raise too_few(len(comparison.numbers), LEAST_STATIONS, reason)
-    fits = unchanged, target, sensor = [
-        _fit(comparison, name) for name in ('unchanged', 'target', 'sensor')]
-    shows = {name: _smallest_shifts(comparison, name) for name in ('target', 'sensor')}
-    if (min(target.cost, sensor.cost) > unchanged.cost - EVIDENCE
-            and unchanged.p > UNEXPLAINED):
-        verdict, sentence = 'unchanged', _unchanged_sentence(shows)
-    else:
-        named = sorted((fit for fit in (target, sensor) if fit.p > AGREES),
-                       key=lambda fit: fit.cost)
-        named = [fit for fit in named if fit.cost < named[0].cost + CLOSE]
-        verdict = ' or '.join(fit.name for fit in named) or 'robot'
-        sentence = '; or '.join(_cause_sentence(comparison, fit) for fit in named) or (
-            'no move of target or sensor explains these stops: the poses of the robot err '
-            'otherwise than before (mastering, a joint, wear), or repeat worse than noise.robot_* '
-            'says: check the robot before the sensor')
-        if len(named) > 1:
-            sentence = ('these stops cannot decide (repeat some with the sensor turned about its '
-                        f'z): {sentence}')
-    numbers = [k + 1 for k in left_out]
-    if left_out:
-        sentence += f'. Left out, as they contradict the others: stops {numbers}'
-    g = comparison.conditions(comparison.points).g
-    off, off_std = _displacement(comparison, sensor)
-    return Check(
-        samples[0].stamp, verdict, sentence, len(comparison.numbers),
-        float(np.sqrt((g ** 2).mean())), {fit.name: fit.p for fit in fits},
-        target_moved=_size(target.move[:3]), target_turned=_size(target.move[3:]),
-        sensor_moved=_size(sensor.move[:3]), sensor_turned=_size(sensor.move[3:]),
-        points_off=off, points_off_std=off_std,
-        target_shows=_seen(shows['target'][0]), target_axes=shows['target'][1].tolist(),
-        sensor_shows=_seen(shows['sensor'][0]), sensor_axes=shows['sensor'][1].tolist(),
-        left_out=numbers)
+    comparison, left_out = agreeing(_comparison(samples, calibration, method, joint, config))
+    count = len(np.unique(comparison.stations.observations.station))
+    if count < LEAST_STATIONS:
+        raise too_few(count, LEAST_STATIONS, reason)
+    unchanged, explanations = causes(comparison)
+    return _result(comparison, unchanged, explanations, samples[0].stamp,
+                   [k + 1 for k in left_out])
 
 
-def _size(vector: Array) -> float:
-    return float(np.linalg.norm(vector))
-
-
-def _seen(shifts: Array) -> list[float]:
-    return [float(shift) if shift < UNSEEN else math.nan for shift in shifts]
-
-
-def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Config
-                ) -> _Comparison:
-    """Return the recording with its observations assigned to the parts of the target."""
+def _comparison(samples: Sequence[Sample], calibration: Calibration, method: Method,
+                joint: Mapping[str, Any], config: Config) -> Comparison:
+    size = 6 + len(method.labels)
     try:
-        method, joint = METHODS[calibration.method], calibration.target['joint']
-        size = 6 + len(method.labels)
         state = np.array(joint['state'], dtype=float)
         covariance = np.array(joint['covariance'], dtype=float).reshape(size, size)
         scale = math.sqrt(max(float(joint['variance_factor']), 1.0))
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f'the calibration (method {calibration.method}) does not hold what a check compares '
-            'with: the target with its covariance. Solve its recording again with this version, '
-            f'as one of {", ".join(METHODS)}, or measure a known object with "handeye verify"'
-        ) from error
-    X = calibration.T_flange_sensor @ sensor_axes(config)
+        raise _no_target(calibration) from error
     stations = StationSet(mounted(samples, config), method.features.observe(samples))
-    obs = method.geometry.relabel(stations.observations, points_in_base(stations, X), state,
-                                  config)
-    stations = replace(stations, observations=obs.select(obs.kind != UNUSED))
-    return _Comparison(method, stations, X, state, root_of(covariance), config, scale)
+    return Comparison(method, stations, calibration.T_flange_sensor @ sensor_axes(config), state,
+                      covariance, config, scale).labelled()
 
 
-def _rows(comparison: _Comparison, name: str = 'unchanged', move: Array = STILL) -> _Rows:
-    """Return the residuals after a move of the target or the sensor."""
-    X = se3.perturb(comparison.X, move) if name == 'sensor' else comparison.X
-    stations, obs = comparison.stations, comparison.stations.observations
-    points = p = points_in_base(stations, X)
-    centre, noise = comparison.points.mean(axis=0), comparison.config.noise
-    back = np.eye(3)
-    if name == 'target':  # it turns about the middle of its points
-        back = se3.exp_rotation(-move[3:])
-        p = (p - centre - move[:3]) @ back.T + centre
-    conditions = comparison.conditions(p)
-    by_p = conditions.dg_dp @ back
-    G = np.einsum('mi,mij->mj', by_p, by_calibration(stations, X))
-    target = np.hstack([by_p, se3.cross(p - centre, conditions.dg_dp)])
-    by_pose = np.hstack([by_p, se3.cross(points - stations.poses[obs.station, :3, 3], by_p)])
-    by_errors = np.hstack([np.hstack([G, conditions.dg_dtarget]) @ comparison.root,
-                           _setbacks(comparison, X, by_p)])
-    # the error of the sensor's field differs from stop to stop, as that of the pose does
-    blocks = noise_factors(stations, X, by_p, noise, noise.distortion)
-    columns = white(blocks, np.hstack([conditions.g[:, None], by_errors, target, -G, by_pose])
-                    ) / comparison.noise_scale
-    reduced, station = [], []
-    for number in comparison.numbers:  # within a stop, only what a pose could change
-        rows = columns[obs.station == number]
-        U, s, _ = np.linalg.svd(rows[:, 1:], full_matrices=False)
-        reduced.append(U[:, s > RANK * s[0]].T @ rows)
-        station.append(np.full(len(reduced[-1]), number))
-    r, by_errors, target, sensor, _ = np.split(
-        np.concatenate(reduced), np.cumsum([1, by_errors.shape[1], 6, 6]), axis=1)
-    return _Rows(r[:, 0], target, sensor, np.eye(len(r)) + by_errors @ by_errors.T,
-                 np.concatenate(station))
+def _no_target(calibration: Calibration) -> InputError:
+    return InputError(
+        f'the calibration (method {calibration.method}) does not hold what a check compares with: '
+        'the target with its covariance. Solve its recording again with this version, as one of '
+        f'{", ".join(METHODS)}, or measure a known object with "handeye verify"')
 
 
-def _setbacks(comparison: _Comparison, X: Array, by_p: Array) -> Array:
-    """Return the set-backs (m, e) of the ends of each kind at each edge, 1 sigma."""
-    obs = edges_of(comparison.stations.observations)
-    R = comparison.stations.poses[obs.station, :3, :3]
-    out = np.einsum('mi,mij,jk,mk->m', by_p, R, X[:3, [0, 2]], obs.outward)
-    groups = {(int(k), int(e)) for k, e in zip(obs.kind, obs.end, strict=True) if e}
-    columns = [np.where((obs.kind == k) & (obs.end == e), out, 0.0) for k, e in sorted(groups)]
-    return comparison.config.target.setback_std * np.reshape(columns, (-1, len(out))).T
+def _result(comparison: Comparison, unchanged: float, explanations: Sequence[Cause], stamp: int,
+            left_out: list[int]) -> Check:
+    likelihood = np.array([cause.likelihood for cause in explanations])
+    evidence = float(np.logaddexp.reduce(likelihood) - np.log(len(explanations)) - unchanged)
+    odds = np.exp(likelihood - np.logaddexp.reduce(likelihood))
+    order = np.argsort(-odds)
+    likeliest = order[:int(np.searchsorted(np.cumsum(odds[order]), SURE)) + 1]
+    named = [explanations[k] for k in likeliest]
+    axes, detectable = zip(*(smallest_moves(comparison, name) for name in ('target', 'sensor')),
+                           strict=True)
+    target, sensor = explanations[:2]
+    if evidence < math.log(EVIDENCE):
+        verdict, sentence = 'unchanged', _unchanged(axes, detectable)
+    else:
+        verdict = ' or '.join(cause.name for cause in named)
+        sentence = '; or '.join(_cause_sentence(comparison, cause) for cause in named)
+        if len(named) > 1:
+            text = ', '.join(f'{CAUSES[k]} {odds[k]:.0%}' for k in likeliest)
+            sentence = (f'these stops cannot decide ({text}): {sentence}. '
+                        f'{_deciding(comparison, named)}')
+    if left_out:
+        sentence += f'. Left out, as they contradict the others: stops {left_out}'
+    g = comparison.conditions(comparison.points).g
+    count = len(np.unique(comparison.stations.observations.station))
+    return Check(stamp, verdict, sentence, count, float(np.sqrt((g ** 2).mean())),
+                 math.exp(min(evidence, 700.0)),
+                 dict(zip(CAUSES, map(float, odds), strict=True)), *_size(target), *_size(sensor),
+                 sensor.displacement, sensor.displacement_std,
+                 _finite(detectable[0]), axes[0].tolist(), _finite(detectable[1]),
+                 axes[1].tolist(), left_out)
 
 
-def _agreeing(comparison: _Comparison) -> tuple[_Comparison, list[int]]:
-    """
-    Return the comparison without stops that contradict the others, and their indices.
-
-    By their leave-one-out residuals, with target and sensor free to have moved.
-    """
-    kept, left_out = comparison, list[int]()
-    while len(left_out) < int(MOST_OUTLIERS * len(comparison.numbers)):
-        rows = _rows(kept)
-        moves = np.hstack([rows.target * WIDE, rows.sensor * WIDE])
-        W = np.linalg.inv(rows.covariance + moves @ moves.T)
-        p = {}
-        for k in kept.numbers:
-            members = np.flatnonzero(rows.station == k)
-            residual = W[members] @ rows.r
-            square = residual @ np.linalg.solve(W[np.ix_(members, members)], residual)
-            p[k] = float(chi2_sf(square, len(members)))
-        worst = min(p, key=p.__getitem__)
-        if p[worst] * len(p) > OUTLIER:
-            break
-        left_out.append(worst)
-        kept = replace(comparison, stations=comparison.stations.without(left_out))
-    return kept, left_out
+def _finite(detectable: Array) -> list[float]:
+    return [float(v) if v < UNSEEN else math.nan for v in detectable]
 
 
-def _fit(comparison: _Comparison, name: str) -> _Fit:
-    """Return the fit with nothing moved, or with what has this name moved."""
-    move, covariance, freed = STILL, np.zeros((6, 6)), 0
-    for _ in range(ITERATIONS):
-        rows = _rows(comparison, name, move)
-        factor = np.linalg.cholesky(rows.covariance)
-        if name == 'unchanged':
-            rest = np.linalg.solve(factor, rows.r)
-            break
-        D = getattr(rows, name)
-        linear = np.linalg.solve(factor, rows.r + D @ move)
-        U, s, Vt = np.linalg.svd(np.linalg.solve(factor, D * MOVE), full_matrices=False)
-        freed = int((s > 1).sum())
-        V = MOVE[:, None] * Vt[:freed].T / s[:freed]
-        move, covariance = V @ (U[:, :freed].T @ linear), V @ V.T
-        rest = linear - U[:, :freed] @ (U[:, :freed].T @ linear)
-    square, n = float(rest @ rest), len(rest)
-    return _Fit(name, square + freed * math.log(n), float(chi2_sf(square, max(n - freed, 1))),
-                move, covariance)
+def _size(cause: Cause) -> tuple[float, float]:
+    return float(np.linalg.norm(cause.move[:3])), float(np.linalg.norm(cause.move[3:]))
 
 
-def _displacement(comparison: _Comparison, fit: _Fit) -> tuple[float, float]:
-    """Return the largest displacement of a point by a move, and its 1 sigma (m)."""
-    by_move = by_calibration(comparison.stations, comparison.X)
-    if fit.name == 'target':
-        offset = comparison.points - comparison.points.mean(axis=0)
-        by_move = np.concatenate([np.broadcast_to(np.eye(3), by_move[..., 3:].shape),
-                                  -se3.skew(offset)], axis=2)
-    displacements = np.linalg.norm(by_move @ fit.move, axis=1)
-    worst = by_move[int(np.argmax(displacements))]
-    return float(displacements.max()), math.sqrt(np.trace(worst @ fit.covariance @ worst.T))
-
-
-def _smallest_shifts(comparison: _Comparison, name: str) -> tuple[Array, Array]:
-    """
-    Return the smallest detectable shifts (3,) and, as rows, their axes (3, 3).
-
-    Of the target in the base, of the sensor in the flange; the smallest first.
-    """
-    rows = _rows(comparison)
-    D = getattr(rows, name)
-    information = D.T @ np.linalg.solve(rows.covariance, D)
-    freed = (np.linalg.eigvalsh(information * np.outer(MOVE, MOVE)) > 1).sum()
-    sigmas = math.sqrt(EVIDENCE + freed * math.log(len(rows.r))) + 1.64  # with 95 %
-    values, axes = np.linalg.eigh(information[:3, :3])
-    return (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1], axes.T[::-1]
-
-
-def _cause_sentence(comparison: _Comparison, fit: _Fit) -> str:
-    size, std = _displacement(comparison, fit)
-    off, turn = f'{mm(size)} ± {mm(2 * std)}', math.degrees(_size(fit.move[3:]))
-    if fit.name == 'target':
+def _cause_sentence(comparison: Comparison, cause: Cause) -> str:
+    shift, rotation = _size(cause)
+    off = f'{mm(cause.displacement)} ± {mm(2 * cause.displacement_std)}'
+    if cause.name == 'target':
         return (f'the target, or the base of the robot, moved by up to {off} where it was seen, '
-                f'and turned by {turn:.3f} degrees; the calibration holds')
-    return (f'the sensor moved on the flange by {mm(_size(fit.move[:3]))} and '
-            f'{turn:.3f} degrees: points are off by up to {off}; calibrate again (an offset of '
-            "the robot's last joints looks alike)")
+                f'and turned by {math.degrees(rotation):.3f} degrees; the calibration holds')
+    if cause.name == 'sensor':
+        return (f'the sensor moved on the flange by {mm(shift)} and {math.degrees(rotation):.3f} '
+                f'degrees: points are off by up to {off}; calibrate again')
+    return ('the poses of the robot err otherwise than before (mastering, a joint, wear), or '
+            'repeat worse than noise.robot_* says: check the robot before the sensor')
 
 
-def _unchanged_sentence(shows: Mapping[str, tuple[Array, Array]]) -> str:
+def _unchanged(axes: Sequence[Array], detectable: Sequence[Array]) -> str:
     """Return which changes were detectable, and which were not."""
-    (target, axes), (sensor, sensor_axes) = shows['target'], shows['sensor']
-    visible = [f'{mm(size)} along {_axis(axis)}' for size, axis in zip(target, axes, strict=True)
-               if size < UNSEEN]
-    hidden = [_axis(axis) for size, axis in zip(target, axes, strict=True) if size >= UNSEEN]
+    moves = list(zip(detectable[0], axes[0], strict=True))
+    visible = [f'{mm(size)} along {_axis(axis)}' for size, axis in moves if size < UNSEEN]
+    invisible = [_axis(axis) for size, axis in moves if size >= UNSEEN]
+    sensor = detectable[1][-1]
     text = ('the calibration holds, and the target is where it was. Shifts of the target would '
             f'have shown from {", ".join(visible)} of the base on')
-    text += f'; a slide along {" or ".join(hidden)} cannot be seen' if hidden else ''
-    return f'{text}; those of the sensor ' + (
-        f'from {mm(sensor[-1])} on in every direction' if sensor[-1] < UNSEEN else
-        f'from {mm(sensor[0])} on, but none along {_axis(sensor_axes[-1])} of the flange')
+    text += f'; a slide along {" or ".join(invisible)} cannot be seen' if invisible else ''
+    return text + ('; those of the sensor ' + (
+        f'from {mm(sensor)} on in every direction' if sensor < UNSEEN else
+        f'from {mm(detectable[1][0])} on, but none along {_axis(axes[1][-1])} of the flange'))
 
 
 def _axis(axis: Array) -> str:
@@ -375,6 +199,34 @@ def _axis(axis: Array) -> str:
     if np.abs(axis).max() > 0.995:
         return 'xyz'[int(np.argmax(np.abs(axis)))]
     return '(' + ' '.join(f'{v:.2f}' for v in axis) + ')'
+
+
+def _deciding(comparison: Comparison, named: Sequence[Cause]) -> str:
+    """Return in words two further stops that best distinguish two causes."""
+    moves = {cause.name: cause.move for cause in named}
+    if not {'target', 'sensor'} <= moves.keys():
+        return ('Repeat the recording with the sensor turned by 90 degrees about its z at two of '
+                'the stops: an error of the robot differs there, a move does not')
+    stations, obs = comparison.stations, comparison.stations.observations
+    rows = [int(np.flatnonzero(obs.station == s)[0]) for s in np.unique(obs.station)]
+    p = comparison.points
+    by_p = comparison.conditions(p).dg_dp
+    lever = by_calibration(stations, comparison.X)
+    best: dict[int, tuple[float, Array]] = {}
+    for row, turn in product(rows, TURNS):
+        R = stations.poses[obs.station[row], :3, :3] @ comparison.X[:3, :3]
+        rotation = R @ se3.exp_rotation(turn) @ R.T  # about the point that is seen
+        by_sensor = -(rotation @ lever[row]) @ moves['sensor']
+        by_target = moves['target'][:3] + np.cross(moves['target'][3:],
+                                                   p[row] - p.mean(axis=0))
+        separation = abs(float(by_p[row] @ (by_sensor + by_target)))
+        if separation > best.get(row, (0.0, turn))[0]:
+            best[row] = (separation, turn)
+    stops = sorted(best, key=lambda row: -best[row][0])[:2]
+    return 'Two more stops would decide it: ' + ' and '.join(
+        f'stop {int(obs.station[row]) + 1} again with the sensor turned by '
+        f'{np.degrees(np.abs(best[row][1]).max()):.0f} degrees about its '
+        f'{"xyz"[int(np.argmax(np.abs(best[row][1])))]}' for row in stops)
 
 
 def with_offset(result: Check, offset: TimeOffset, calibration: Calibration) -> Check:

@@ -55,8 +55,7 @@ def test_what_changed_is_named_and_nothing_else(calibrated, change):
     found = [(kind, said(calibrated, kind, change, seed).verdict)
              for kind in bench.TARGETS for seed in range(4)]
     right = [bench.TRUTH[change] in verdict.split(' or ') for _, verdict in found]
-    # measured: bench/check.py; a small error of a joint near the sensor looks like a moved sensor
-    least = {'unchanged': 1.0, 'joint 0.05': 0.6}.get(change, 0.95)
+    least = {'unchanged': 1.0, 'joint 0.05': 0.8}.get(change, 0.95)  # measured: bench/check.py
     assert sum(right) >= least * len(found), found
 
 
@@ -75,7 +74,7 @@ def test_a_change_is_measured(calibrated):
     assert found.target_moved == pytest.approx(3e-4, rel=0.2)
     assert 'the target, or the base of the robot, moved by up to 0.3' in found.sentence
     found = said(calibrated, 'plate', 'sensor', 0)
-    assert found.sensor_moved == pytest.approx(3e-4, rel=0.5)
+    assert found.sensor_moved == pytest.approx(3e-4, rel=0.3)
     assert found.points_off > 2 * found.points_off_std
     far = said(calibrated, 'plate', 'joint 0.2', 0)  # 0.7 mm at the flange, and no extrapolation
     assert far.points_off < 2e-3
@@ -102,8 +101,8 @@ def test_causes_that_the_stops_cannot_tell_apart_are_all_said(calibrated):
                            config)
     assert set(found.verdict.split(' or ')) >= {'target', 'sensor'}
     assert 'these stops cannot decide' in found.sentence
-    assert 'with the sensor turned about its z' in found.sentence
-    assert min(found.p['target'], found.p['sensor']) > 0.05 > found.p['unchanged']
+    assert 'Two more stops would decide it: stop' in found.sentence
+    assert sum(found.odds.values()) == pytest.approx(1.0)
 
 
 def test_a_robot_that_scatters_is_neither_sensor_nor_target(calibrated):
